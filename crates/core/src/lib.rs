@@ -1,0 +1,13 @@
+//! What every other crate shares: labelled tensors, colour, image metrics, seeds, and the
+//! [`Task`] handle that carries progress, cancellation and warnings.
+//!
+//! No file system, no clock, no threads: the crate also compiles to wasm32.
+
+pub mod colour;
+pub mod metrics;
+pub mod seed;
+mod task;
+mod tensor;
+
+pub use task::{Cancel, Cancelled, Collector, NoProgress, Progress, Task, Warning, Warnings};
+pub use tensor::{ShapeError, Tensor};

@@ -1,0 +1,62 @@
+//! Image metrics, accumulated in `f64`.
+
+/// Sum of squared errors and how many values it covers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SquaredError {
+    /// Sum of squared differences.
+    pub sum: f64,
+    /// Number of values compared.
+    pub count: u64,
+}
+
+impl SquaredError {
+    /// Adds one pair of values.
+    #[inline]
+    pub fn add(&mut self, value: f64, reference: f64) {
+        let difference = value - reference;
+        self.sum += difference * difference;
+        self.count += 1;
+    }
+
+    /// Error of two slices of equal length.
+    ///
+    /// # Panics
+    /// If the lengths differ.
+    pub fn between(values: &[f32], references: &[f32]) -> Self {
+        assert_eq!(values.len(), references.len(), "compared slices differ in length");
+        let mut error = Self::default();
+        for (&value, &reference) in values.iter().zip(references) {
+            error.add(f64::from(value), f64::from(reference));
+        }
+        error
+    }
+
+    /// Union of two disjoint sets of values.
+    pub fn merged(self, other: Self) -> Self {
+        Self { sum: self.sum + other.sum, count: self.count + other.count }
+    }
+
+    /// Mean squared error; NaN when nothing was compared.
+    pub fn mse(self) -> f64 {
+        self.sum / self.count as f64
+    }
+
+    /// Peak signal-to-noise ratio in dB for a peak of 1: infinite for equal images, NaN when
+    /// nothing was compared.
+    pub fn psnr(self) -> f64 {
+        -10.0 * self.mse().log10()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_difference_of_a_tenth_is_twenty_decibels() {
+        let error = SquaredError::between(&[0.5, 0.25], &[0.6, 0.35]);
+        assert!((error.psnr() - 20.0).abs() < 1e-5);
+        assert_eq!(SquaredError::between(&[1.0], &[1.0]).psnr(), f64::INFINITY);
+        assert!(SquaredError::default().psnr().is_nan());
+    }
+}

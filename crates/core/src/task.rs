@@ -1,0 +1,134 @@
+//! The handle that long work takes: where to report progress and warnings, and when to stop.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+use thiserror::Error;
+
+/// Receives progress of named stages. Calls may come from any thread.
+pub trait Progress: Sync {
+    /// A stage starts; `total` is its number of steps of kind `unit` ("views", "iterations").
+    fn begin(&self, stage: &str, total: u64, unit: &str);
+    /// Some steps are done; `note` is a short figure to show beside the bar, or empty.
+    fn advance(&self, steps: u64, note: &str);
+    /// The stage has ended.
+    fn end(&self);
+}
+
+/// Ignores all progress.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoProgress;
+
+impl Progress for NoProgress {
+    fn begin(&self, _stage: &str, _total: u64, _unit: &str) {}
+    fn advance(&self, _steps: u64, _note: &str) {}
+    fn end(&self) {}
+}
+
+/// A flag that asks running work to stop. Clones share the flag.
+#[derive(Clone, Debug, Default)]
+pub struct Cancel(Arc<AtomicBool>);
+
+impl Cancel {
+    /// Asks everything that holds this flag to stop.
+    pub fn cancel(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether somebody asked to stop.
+    pub fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// # Errors
+    /// [`Cancelled`] when somebody asked to stop, for use with `?` inside loops.
+    pub fn check(&self) -> Result<(), Cancelled> {
+        if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
+    }
+}
+
+/// The work was stopped from outside; nothing is wrong with the input.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error("cancelled")]
+pub struct Cancelled;
+
+/// Something that the user should know and that does not stop the work.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Warning {
+    /// Where it was found: a file, a JSON path, a stage.
+    pub place: String,
+    /// What was found and what is done about it, one sentence.
+    pub message: String,
+}
+
+impl std::fmt::Display for Warning {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}: {}", self.place, self.message)
+    }
+}
+
+/// Receives warnings. Calls may come from any thread.
+pub trait Warnings: Sync {
+    /// Takes one warning.
+    fn warn(&self, warning: Warning);
+}
+
+/// Keeps warnings in a list, each text once.
+#[derive(Debug, Default)]
+pub struct Collector(Mutex<Vec<Warning>>);
+
+impl Collector {
+    /// The warnings so far; empties the list.
+    pub fn take(&self) -> Vec<Warning> {
+        std::mem::take(&mut self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner))
+    }
+}
+
+impl Warnings for Collector {
+    fn warn(&self, warning: Warning) {
+        let mut list = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if !list.contains(&warning) {
+            list.push(warning);
+        }
+    }
+}
+
+/// What long work is given: progress, warnings, cancellation.
+#[derive(Clone, Copy)]
+pub struct Task<'a> {
+    /// Progress sink.
+    pub progress: &'a dyn Progress,
+    /// Warning sink.
+    pub warnings: &'a dyn Warnings,
+    /// Stop flag.
+    pub cancel: &'a Cancel,
+}
+
+impl<'a> Task<'a> {
+    /// A task without progress display, for tests and short work.
+    pub fn quiet(warnings: &'a Collector, cancel: &'a Cancel) -> Self {
+        Self { progress: &NoProgress, warnings, cancel }
+    }
+
+    /// Reports a warning.
+    pub fn warn(&self, place: impl Into<String>, message: impl Into<String>) {
+        self.warnings.warn(Warning { place: place.into(), message: message.into() });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_repeated_warning_is_kept_once() {
+        let (collector, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&collector, &cancel);
+        task.warn("a.gltf", "odd");
+        task.warn("a.gltf", "odd");
+        assert_eq!(collector.take().len(), 1);
+        assert!(cancel.check().is_ok());
+        cancel.clone().cancel();
+        assert_eq!(cancel.check(), Err(Cancelled));
+    }
+}

@@ -1,0 +1,155 @@
+//! Dense row-major `f32` tensors whose axes carry names.
+//!
+//! The names are the ones of the design document (`view_y`, `row`, `rgb`, ...): error messages and
+//! file headers use them, so that a swapped axis is visible at once.
+
+use thiserror::Error;
+
+/// Dense row-major tensor of order `N`; the last axis is contiguous.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tensor<const N: usize> {
+    axes: [&'static str; N],
+    shape: [usize; N],
+    data: Vec<f32>,
+}
+
+/// Data whose length or shape does not fit the axes.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("axes {axes} of shape {expected} need {count} values, found {found}")]
+pub struct ShapeError {
+    axes: String,
+    expected: String,
+    count: String,
+    found: usize,
+}
+
+impl<const N: usize> Tensor<N> {
+    /// Tensor filled with one value.
+    ///
+    /// # Panics
+    /// If the number of elements overflows `usize`; check untrusted shapes with
+    /// [`Tensor::from_vec`] or [`element_count`](Self::element_count) first.
+    pub fn filled(axes: [&'static str; N], shape: [usize; N], value: f32) -> Self {
+        let count = Self::element_count(shape).expect("tensor size fits in memory");
+        Self { axes, shape, data: vec![value; count] }
+    }
+
+    /// Tensor of zeros.
+    pub fn zeros(axes: [&'static str; N], shape: [usize; N]) -> Self {
+        Self::filled(axes, shape, 0.0)
+    }
+
+    /// Takes ownership of row-major data.
+    ///
+    /// # Errors
+    /// If `data.len()` is not the product of `shape`.
+    pub fn from_vec(axes: [&'static str; N], shape: [usize; N], data: Vec<f32>) -> Result<Self, ShapeError> {
+        if Self::element_count(shape) == Some(data.len()) {
+            Ok(Self { axes, shape, data })
+        } else {
+            Err(ShapeError {
+                axes: format!("[{}]", axes.join("][")),
+                expected: format!("{shape:?}"),
+                count: Self::element_count(shape).map_or("too many".into(), |n| n.to_string()),
+                found: data.len(),
+            })
+        }
+    }
+
+    /// Number of elements of a shape; `None` when it overflows.
+    pub fn element_count(shape: [usize; N]) -> Option<usize> {
+        shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n))
+    }
+
+    /// Axis names, outermost first.
+    pub fn axes(&self) -> [&'static str; N] {
+        self.axes
+    }
+
+    /// Axis lengths, outermost first.
+    pub fn shape(&self) -> [usize; N] {
+        self.shape
+    }
+
+    /// All values, row-major.
+    pub fn data(&self) -> &[f32] {
+        &self.data
+    }
+
+    /// All values, row-major, writable.
+    pub fn data_mut(&mut self) -> &mut [f32] {
+        &mut self.data
+    }
+
+    /// Releases the values.
+    pub fn into_data(self) -> Vec<f32> {
+        self.data
+    }
+
+    /// Offset of an element in [`data`](Self::data).
+    #[inline]
+    pub fn offset(&self, index: [usize; N]) -> usize {
+        let mut offset = 0;
+        for axis in 0..N {
+            debug_assert!(index[axis] < self.shape[axis], "{} {index:?} of {:?}", self.axes[axis], self.shape);
+            offset = offset * self.shape[axis] + index[axis];
+        }
+        offset
+    }
+
+    /// One value.
+    #[inline]
+    pub fn get(&self, index: [usize; N]) -> f32 {
+        self.data[self.offset(index)]
+    }
+
+    /// One value, writable.
+    #[inline]
+    pub fn at_mut(&mut self, index: [usize; N]) -> &mut f32 {
+        let offset = self.offset(index);
+        &mut self.data[offset]
+    }
+
+    /// The contiguous block under the first `K` indices: `tensor.block([m, n])` of a tensor of
+    /// order 5 is a slice that holds the last three axes.
+    pub fn block<const K: usize>(&self, outer: [usize; K]) -> &[f32] {
+        &self.data[self.block_range(outer)]
+    }
+
+    /// Writable form of [`block`](Self::block).
+    pub fn block_mut<const K: usize>(&mut self, outer: [usize; K]) -> &mut [f32] {
+        let range = self.block_range(outer);
+        &mut self.data[range]
+    }
+
+    fn block_range<const K: usize>(&self, outer: [usize; K]) -> std::ops::Range<usize> {
+        const { assert!(K <= N) }
+        let inner: usize = self.shape[K..].iter().product();
+        let mut index = 0;
+        for axis in 0..K {
+            assert!(outer[axis] < self.shape[axis], "{} {} of {}", self.axes[axis], outer[axis], self.shape[axis]);
+            index = index * self.shape[axis] + outer[axis];
+        }
+        index * inner..(index + 1) * inner
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_are_row_major() {
+        let t = Tensor::from_vec(["row", "col", "rgb"], [2, 2, 3], (0..12).map(|i| i as f32).collect()).unwrap();
+        assert_eq!(t.block([1, 0]), &[6.0, 7.0, 8.0]);
+        assert_eq!(t.block([1]).len(), 6);
+        assert_eq!(t.get([0, 1, 2]), 5.0);
+    }
+
+    #[test]
+    fn a_wrong_length_names_the_axes() {
+        let error = Tensor::from_vec(["row", "col"], [2, 3], vec![0.0; 5]).unwrap_err();
+        assert_eq!(error.to_string(), "axes [row][col] of shape [2, 3] need 6 values, found 5");
+        assert!(Tensor::from_vec(["row", "col"], [usize::MAX, 3], vec![0.0; 5]).is_err());
+    }
+}

@@ -1,0 +1,1 @@
+//! Display model, view grids, ray-to-layer maps and the forward model.

@@ -1,0 +1,1 @@
+//! Weighted nonnegative tensor factorization of a light field into layer patterns.

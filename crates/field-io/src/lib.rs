@@ -1,0 +1,1 @@
+//! Light fields and layer stacks on disk: folders, EXR, NPY, quilts.

@@ -1,0 +1,1 @@
+//! Unbiased path tracer: Scene, Window and view grid to radiance.

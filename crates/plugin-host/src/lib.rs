@@ -1,0 +1,1 @@
+//! Plugin registry and the host's side of the boundary.

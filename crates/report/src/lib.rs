@@ -1,0 +1,1 @@
+//! The run's report: report.html and report.json.

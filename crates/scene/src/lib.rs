@@ -1,0 +1,17 @@
+//! The scene as every stage after ingest sees it, and the window through which a display looks at it.
+//!
+//! Importers fill [`SceneParts`] and call [`SceneParts::validate`], which returns a [`Scene`]: a form
+//! whose indices, numbers and transforms are known to be sound, so that renderers need no checks of
+//! their own. Lengths are in scene units, angles in radians, light in linear sRGB.
+
+mod bounds;
+mod material;
+mod parts;
+mod validate;
+mod window;
+
+pub use bounds::Bounds;
+pub use material::{AlphaMode, Filter, Image, Material, Pixels, Texture, TextureUse, Wrap};
+pub use parts::{Camera, Environment, Instance, Light, LightKind, Mesh, Projection, SceneParts};
+pub use validate::{Scene, SceneError};
+pub use window::{Similarity, Window, WindowError};

@@ -1,0 +1,132 @@
+//! The parts of a scene, as importers fill them.
+
+use glam::{Affine3A, Quat, Vec2, Vec3, Vec4};
+
+use crate::{Image, Material, Texture};
+
+/// A scene that nobody has checked yet; see [`SceneParts::validate`].
+#[derive(Clone, Debug, Default)]
+pub struct SceneParts {
+    /// Name or path, for messages.
+    pub name: String,
+    /// Triangle meshes, each with one material.
+    pub meshes: Vec<Mesh>,
+    /// Placed meshes.
+    pub instances: Vec<Instance>,
+    /// Materials; meshes index them.
+    pub materials: Vec<Material>,
+    /// Textures; materials index them.
+    pub textures: Vec<Texture>,
+    /// Images; textures and the environment index them.
+    pub images: Vec<Image>,
+    /// Punctual lights. Area lights are emissive meshes.
+    pub lights: Vec<Light>,
+    /// Cameras, the file's preferred one first.
+    pub cameras: Vec<Camera>,
+    /// Light from infinity; `None` is black.
+    pub environment: Option<Environment>,
+}
+
+/// An indexed triangle mesh. Front faces wind counter-clockwise.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Place in the file ("/meshes/3/primitives/0"), for messages.
+    pub place: String,
+    /// Vertex positions in mesh space.
+    pub positions: Vec<Vec3>,
+    /// Unit normals, one per vertex. The validator generates flat ones when empty.
+    pub normals: Vec<Vec3>,
+    /// Unit tangents, w = ±1 the handedness of the bitangent `w · normal × tangent`; may be empty. The validator generates them
+    /// when the material has a normal map and the mesh has none.
+    pub tangents: Vec<Vec4>,
+    /// Texture coordinates of set 0 and 1; each may be empty, which reads (0, 0).
+    pub uvs: [Vec<Vec2>; 2],
+    /// Linear RGBA that multiplies the base colour; may be empty.
+    pub colors: Vec<Vec4>,
+    /// Vertex indices.
+    pub triangles: Vec<[u32; 3]>,
+    /// Index into [`SceneParts::materials`].
+    pub material: usize,
+}
+
+/// A mesh placed in the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Instance {
+    /// Index into [`SceneParts::meshes`].
+    pub mesh: usize,
+    /// Any invertible affine map; a negative determinant flips the winding.
+    pub scene_from_mesh: Affine3A,
+}
+
+/// A light without size (`KHR_lights_punctual`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Light {
+    /// Position in the scene; unused by directional lights.
+    pub position: Vec3,
+    /// Unit direction in which light travels; unused by point lights.
+    pub direction: Vec3,
+    /// Point and spot: radiant intensity (candela scale); directional: irradiance (lux scale). Linear RGB.
+    pub intensity: Vec3,
+    /// Shape of the emission.
+    pub kind: LightKind,
+}
+
+/// Shape of a punctual light's emission.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LightKind {
+    /// The same in all directions.
+    Point,
+    /// A cone.
+    Spot {
+        /// Half angle of full intensity.
+        inner_cone_rad: f32,
+        /// Half angle where intensity reaches zero.
+        outer_cone_rad: f32,
+    },
+    /// Parallel light.
+    Directional,
+}
+
+/// A camera that looks along −z of its own space, y up (glTF's convention).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    /// Name in the file, or its number.
+    pub name: String,
+    /// Placement. Scale is removed by the validator.
+    pub scene_from_camera: Affine3A,
+    /// Kind of projection.
+    pub projection: Projection,
+    /// Distance of the plane of focus, scene units, where the file gives one.
+    pub focus_distance: Option<f32>,
+}
+
+/// Projection of a [`Camera`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Projection {
+    /// Pinhole.
+    Perspective {
+        /// Full vertical angle of view.
+        vertical_fov_rad: f32,
+        /// Width over height; `None` adapts to the display.
+        aspect: Option<f32>,
+    },
+    /// Parallel.
+    Orthographic {
+        /// Half width of the view, scene units.
+        half_width: f32,
+        /// Half height of the view, scene units.
+        half_height: f32,
+    },
+}
+
+/// Light from infinity: an equirectangular map. Its top row is the environment's +y; the column at the centre of the picture is
+/// its −z, and columns to the right turn towards +x.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Environment {
+    /// Index into [`SceneParts::images`]; an `RgbF32` image of linear radiance.
+    pub image: usize,
+    /// Factor on the map.
+    pub strength: Vec3,
+    /// Rotation of the map.
+    pub scene_from_environment: Quat,
+}

@@ -1,0 +1,482 @@
+//! From [`SceneParts`] to [`Scene`]: what cannot be rendered is refused, what can be mended is mended and reported.
+
+use std::ops::Deref;
+
+use glam::{Affine3A, Mat3A, Vec2, Vec3, Vec3A};
+use lumistack_core::Task;
+use thiserror::Error;
+
+use crate::{AlphaMode, Bounds, Mesh, Pixels, SceneParts};
+
+/// A scene whose indices, numbers and transforms have been checked. Read it like [`SceneParts`].
+#[derive(Clone, Debug)]
+pub struct Scene {
+    parts: SceneParts,
+    bounds: Bounds,
+}
+
+impl Deref for Scene {
+    type Target = SceneParts;
+
+    fn deref(&self) -> &SceneParts {
+        &self.parts
+    }
+}
+
+impl Scene {
+    /// Bounds of all placed triangles; never empty.
+    pub fn bounds(&self) -> Bounds {
+        self.bounds
+    }
+
+    /// Number of triangles with instances counted.
+    pub fn triangle_count(&self) -> usize {
+        self.instances.iter().map(|instance| self.meshes[instance.mesh].triangles.len()).sum()
+    }
+
+    /// Whether anything emits light.
+    pub fn is_lit(&self) -> bool {
+        self.environment.is_some()
+            || !self.lights.is_empty()
+            || self.instances.iter().any(|i| self.materials[self.meshes[i.mesh].material].is_emissive())
+    }
+
+    /// Takes the parts out again, to change and revalidate them.
+    pub fn into_parts(self) -> SceneParts {
+        self.parts
+    }
+}
+
+/// A scene that cannot be used.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{place}: expected {expected}, found {found}")]
+pub struct SceneError {
+    /// Place in the file.
+    pub place: String,
+    /// What was needed.
+    pub expected: String,
+    /// What was there.
+    pub found: String,
+}
+
+impl SceneError {
+    /// An error at a place in the file.
+    pub fn new(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { place: place.into(), expected: expected.into(), found: found.into() }
+    }
+}
+
+impl SceneParts {
+    /// Checks everything that later stages rely on, generates missing normals and tangents, drops triangles without area and
+    /// instances without volume (with a warning).
+    ///
+    /// # Errors
+    /// On the first index out of range, number that is not finite, or attribute of the wrong length; and when nothing is left to render.
+    pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
+        self.check_images()?;
+        self.check_materials(task)?;
+        let uses_normal_map: Vec<bool> = self.materials.iter().map(|m| m.normal_texture.is_some()).collect();
+        let material_count = self.materials.len();
+        for mesh in &mut self.meshes {
+            check_mesh(mesh, material_count, task)?;
+            if mesh.normals.is_empty() {
+                generate_flat_normals(mesh);
+            }
+            if mesh.tangents.is_empty() && uses_normal_map[mesh.material] {
+                let uv_set = self.materials[mesh.material].normal_texture.map_or(0, |texture| texture.uv_set);
+                generate_tangents(mesh, uv_set);
+            }
+        }
+        self.check_instances(task)?;
+        self.check_lights_and_cameras()?;
+        let mut bounds = Bounds::EMPTY;
+        for instance in &self.instances {
+            let mesh = &self.meshes[instance.mesh];
+            for &index in mesh.triangles.iter().flatten() {
+                bounds.include(instance.scene_from_mesh.transform_point3(mesh.positions[index as usize]));
+            }
+        }
+        if bounds.is_empty() {
+            return Err(SceneError::new(self.name, "at least one triangle with area", "none"));
+        }
+        if !(bounds.min.is_finite() && bounds.max.is_finite()) {
+            return Err(SceneError::new(self.name, "bounds that a 32-bit float can hold", format!("{bounds:?}")));
+        }
+        Ok(Scene { parts: self, bounds })
+    }
+
+    fn check_images(&self) -> Result<(), SceneError> {
+        for image in &self.images {
+            let texels = image.width.checked_mul(image.height);
+            if texels != Some(image.pixels.len()) || image.pixels.is_empty() {
+                let expected = format!("{} × {} texels, at least one", image.width, image.height);
+                return Err(SceneError::new(&image.name, expected, image.pixels.len().to_string()));
+            }
+            if let Pixels::RgbF32(texels) = &image.pixels
+                && let Some(at) = texels.iter().position(|texel| !texel.iter().all(|v| v.is_finite() && *v >= 0.0))
+            {
+                let place = format!("{} row {} column {}", image.name, at / image.width, at % image.width);
+                return Err(SceneError::new(place, "finite radiance ≥ 0", format!("{:?}", texels[at])));
+            }
+        }
+        for (i, texture) in self.textures.iter().enumerate() {
+            index(&format!("/textures/{i}/source"), texture.image, self.images.len(), "image")?;
+        }
+        if let Some(environment) = &self.environment {
+            index("environment image", environment.image, self.images.len(), "image")?;
+            if !(environment.strength.is_finite() && environment.strength.min_element() >= 0.0) {
+                return Err(SceneError::new("environment strength", "finite, ≥ 0", environment.strength.to_string()));
+            }
+            if !matches!(self.images[environment.image].pixels, Pixels::RgbF32(_)) {
+                return Err(SceneError::new(
+                    &self.images[environment.image].name,
+                    "an image of linear radiance (HDR or EXR) for the environment",
+                    "8- or 16-bit codes",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_materials(&mut self, task: Task<'_>) -> Result<(), SceneError> {
+        for (i, material) in self.materials.iter_mut().enumerate() {
+            let place = format!("/materials/{i} ({})", material.name);
+            for (slot, texture) in material.textures() {
+                index(&format!("{place} {slot}"), texture.texture, self.textures.len(), "texture")?;
+                index(&format!("{place} {slot} texCoord"), texture.uv_set, 2, "texture coordinate set (0 or 1)")?;
+                if !texture.texture_from_mesh.is_finite() {
+                    return Err(SceneError::new(
+                        format!("{place} {slot}"),
+                        "a finite texture transform",
+                        "NaN or infinity",
+                    ));
+                }
+            }
+            let clamp = |name: &str, value: &mut f32, low: f32, high: f32| -> Result<(), SceneError> {
+                if value.is_nan() {
+                    return Err(SceneError::new(
+                        format!("{place} {name}"),
+                        format!("a number in {low}..{high}"),
+                        "NaN",
+                    ));
+                }
+                if *value < low || *value > high {
+                    let clamped = value.clamp(low, high);
+                    task.warn(&place, format!("{name} {value} is outside {low}..{high} and is taken as {clamped}"));
+                    *value = clamped;
+                }
+                Ok(())
+            };
+            for c in 0..4 {
+                clamp("baseColorFactor", &mut material.base_color[c], 0.0, 1.0)?;
+            }
+            for c in 0..3 {
+                clamp("emissiveFactor", &mut material.emission[c], 0.0, f32::MAX)?;
+                clamp("attenuationColor", &mut material.attenuation_color[c], 0.0, 1.0)?;
+            }
+            clamp("metallicFactor", &mut material.metallic, 0.0, 1.0)?;
+            clamp("roughnessFactor", &mut material.roughness, 0.0, 1.0)?;
+            clamp("normalTexture.scale", &mut material.normal_scale, -1e6, 1e6)?;
+            clamp("transmissionFactor", &mut material.transmission, 0.0, 1.0)?;
+            clamp("ior", &mut material.ior, 1.0, 100.0)?;
+            clamp("attenuationDistance", &mut material.attenuation_distance, f32::MIN_POSITIVE, f32::INFINITY)?;
+            if let AlphaMode::Mask { cutoff } = &mut material.alpha_mode {
+                clamp("alphaCutoff", cutoff, 0.0, f32::MAX)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn check_instances(&mut self, task: Task<'_>) -> Result<(), SceneError> {
+        for (i, instance) in self.instances.iter().enumerate() {
+            index(&format!("instance {i}"), instance.mesh, self.meshes.len(), "mesh")?;
+            if !instance.scene_from_mesh.is_finite() {
+                let place = format!("instance {i} of {}", self.meshes[instance.mesh].place);
+                return Err(SceneError::new(place, "a finite transform", "NaN or infinity"));
+            }
+        }
+        let meshes = &self.meshes;
+        self.instances.retain(|instance| {
+            let determinant = instance.scene_from_mesh.matrix3.determinant();
+            let inverse = Mat3A::inverse(&instance.scene_from_mesh.matrix3);
+            let keep = determinant != 0.0 && determinant.is_finite() && inverse.is_finite();
+            if !keep {
+                task.warn(&meshes[instance.mesh].place, "placed with a scale of zero; this copy is left out");
+            }
+            keep && !meshes[instance.mesh].triangles.is_empty()
+        });
+        Ok(())
+    }
+
+    fn check_lights_and_cameras(&mut self) -> Result<(), SceneError> {
+        for (i, light) in self.lights.iter_mut().enumerate() {
+            let place = format!("light {i}");
+            if !(light.position.is_finite() && light.intensity.is_finite() && light.intensity.min_element() >= 0.0) {
+                return Err(SceneError::new(place, "a finite position and intensity ≥ 0", format!("{light:?}")));
+            }
+            light.direction = light
+                .direction
+                .try_normalize()
+                .ok_or_else(|| SceneError::new(place, "a direction of nonzero length", light.direction.to_string()))?;
+        }
+        for camera in &mut self.cameras {
+            let place = format!("camera {}", camera.name);
+            let axes = camera.scene_from_camera.matrix3;
+            let z = axes.z_axis.try_normalize();
+            let x = axes.y_axis.cross(axes.z_axis).try_normalize();
+            let (Some(x), Some(z), true) = (x, z, camera.scene_from_camera.is_finite()) else {
+                return Err(SceneError::new(place, "a placement with three independent axes", format!("{axes:?}")));
+            };
+            camera.scene_from_camera = Affine3A {
+                matrix3: Mat3A::from_cols(x, Vec3A::cross(z, x), z),
+                translation: camera.scene_from_camera.translation,
+            };
+            if let Some(distance) = camera.focus_distance
+                && !(distance.is_finite() && distance > 0.0)
+            {
+                return Err(SceneError::new(place, "a focus distance above 0", distance.to_string()));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn index(place: &str, value: usize, count: usize, what: &str) -> Result<(), SceneError> {
+    if value < count {
+        return Ok(());
+    }
+    Err(SceneError::new(place, format!("a {what} below {count}"), value.to_string()))
+}
+
+fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<(), SceneError> {
+    let count = mesh.positions.len();
+    index(&format!("{} material", mesh.place), mesh.material, material_count, "material")?;
+    if let Some(at) = mesh.positions.iter().position(|p| !p.is_finite()) {
+        let place = format!("{} POSITION[{at}]", mesh.place);
+        return Err(SceneError::new(place, "finite coordinates", mesh.positions[at].to_string()));
+    }
+    let lengths = [
+        ("NORMAL", mesh.normals.len()),
+        ("TANGENT", mesh.tangents.len()),
+        ("TEXCOORD_0", mesh.uvs[0].len()),
+        ("TEXCOORD_1", mesh.uvs[1].len()),
+        ("COLOR_0", mesh.colors.len()),
+    ];
+    for (name, length) in lengths {
+        if length != 0 && length != count {
+            return Err(SceneError::new(
+                format!("{} {name}", mesh.place),
+                format!("{count} entries, as POSITION has"),
+                length.to_string(),
+            ));
+        }
+    }
+    if let Some(at) = mesh.triangles.iter().position(|t| t.iter().any(|&i| i as usize >= count)) {
+        let place = format!("{} indices of triangle {at}", mesh.place);
+        return Err(SceneError::new(place, format!("vertices below {count}"), format!("{:?}", mesh.triangles[at])));
+    }
+    for (set, uvs) in mesh.uvs.iter().enumerate() {
+        if let Some(at) = uvs.iter().position(|uv| !uv.is_finite()) {
+            let place = format!("{} TEXCOORD_{set}[{at}]", mesh.place);
+            return Err(SceneError::new(place, "finite coordinates", uvs[at].to_string()));
+        }
+    }
+    if let Some(at) = mesh.colors.iter().position(|color| !color.is_finite()) {
+        let place = format!("{} COLOR_0[{at}]", mesh.place);
+        return Err(SceneError::new(place, "finite colours", mesh.colors[at].to_string()));
+    }
+    let before = mesh.triangles.len();
+    let positions = &mesh.positions;
+    mesh.triangles.retain(|&triangle| face_normal(positions, triangle).is_some());
+    let dropped = before - mesh.triangles.len();
+    if dropped > 0 {
+        task.warn(&mesh.place, format!("{dropped} of {before} triangles have no area and are left out"));
+    }
+    mend_normals(mesh, task);
+    Ok(())
+}
+
+/// Unit normal of a triangle; `None` without area.
+fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
+    // in f64 and scaled to the longest edge, so that tiny and huge triangles keep their normals
+    let [a, b, c] = triangle.map(|i| positions[i as usize].as_dvec3());
+    let (u, v) = (b - a, c - a);
+    let scale = u.abs().max_element().max(v.abs().max_element());
+    if scale == 0.0 {
+        return None;
+    }
+    (u / scale).cross(v / scale).try_normalize().map(|n| n.as_vec3())
+}
+
+/// Replaces normals that have no direction by the mean of the faces around the vertex.
+fn mend_normals(mesh: &mut Mesh, task: Task<'_>) {
+    let broken: Vec<usize> = (0..mesh.normals.len()).filter(|&i| mesh.normals[i].try_normalize().is_none()).collect();
+    for normal in &mut mesh.normals {
+        *normal = normal.try_normalize().unwrap_or(Vec3::ZERO);
+    }
+    if broken.is_empty() {
+        return;
+    }
+    let mut sums = vec![Vec3::ZERO; mesh.positions.len()];
+    for &triangle in &mesh.triangles {
+        if let Some(normal) = face_normal(&mesh.positions, triangle) {
+            triangle.iter().for_each(|&i| sums[i as usize] += normal);
+        }
+    }
+    for &i in &broken {
+        mesh.normals[i] = sums[i].try_normalize().unwrap_or(Vec3::Z);
+    }
+    task.warn(
+        &mesh.place,
+        format!("{} normals have no direction and are taken from the faces around them", broken.len()),
+    );
+}
+
+/// Gives every triangle its own vertices and its face normal (glTF: meshes without normals are shaded flat).
+fn generate_flat_normals(mesh: &mut Mesh) {
+    fn spread<T: Copy>(values: &mut Vec<T>, triangles: &[[u32; 3]]) {
+        if !values.is_empty() {
+            *values = triangles.iter().flatten().map(|&i| values[i as usize]).collect();
+        }
+    }
+    mesh.normals = mesh
+        .triangles
+        .iter()
+        .flat_map(|&triangle| [face_normal(&mesh.positions, triangle).unwrap_or(Vec3::Z); 3])
+        .collect();
+    spread(&mut mesh.positions, &mesh.triangles);
+    mesh.uvs.iter_mut().for_each(|uvs| spread(uvs, &mesh.triangles));
+    spread(&mut mesh.colors, &mesh.triangles);
+    mesh.tangents.clear();
+    mesh.triangles = (0..mesh.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+}
+
+/// Tangents along increasing u, averaged over the triangles around a vertex and made perpendicular to its normal. The bitangent
+/// points up in the texture, which is along decreasing v (glTF's normal maps have green up and v down).
+fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
+    let count = mesh.positions.len();
+    let uvs = &mesh.uvs[uv_set];
+    let mut sums = vec![(Vec3::ZERO, Vec3::ZERO); count];
+    if uvs.len() == count {
+        for &triangle in &mesh.triangles {
+            let [a, b, c] = triangle.map(|i| i as usize);
+            let (e1, e2) = (mesh.positions[b] - mesh.positions[a], mesh.positions[c] - mesh.positions[a]);
+            let (d1, d2): (Vec2, Vec2) = (uvs[b] - uvs[a], uvs[c] - uvs[a]);
+            let determinant = d1.perp_dot(d2);
+            if determinant != 0.0 && determinant.is_finite() {
+                let sign = determinant.signum();
+                let tangent = ((e1 * d2.y - e2 * d1.y) * sign).normalize_or_zero();
+                let bitangent = ((e1 * d2.x - e2 * d1.x) * sign).normalize_or_zero();
+                for i in [a, b, c] {
+                    sums[i].0 += tangent;
+                    sums[i].1 += bitangent;
+                }
+            }
+        }
+    }
+    mesh.tangents = sums
+        .iter()
+        .zip(&mesh.normals)
+        .map(|(&(tangent, bitangent), &normal)| {
+            let perpendicular = (tangent - normal * normal.dot(tangent)).try_normalize();
+            let tangent = perpendicular.unwrap_or_else(|| normal.any_orthonormal_vector());
+            let handedness = if normal.cross(tangent).dot(bitangent) < 0.0 { -1.0 } else { 1.0 };
+            tangent.extend(handedness)
+        })
+        .collect();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Instance, Material};
+    use lumistack_core::{Cancel, Collector};
+
+    fn triangle() -> SceneParts {
+        SceneParts {
+            name: "test".into(),
+            meshes: vec![Mesh {
+                place: "/meshes/0/primitives/0".into(),
+                positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+                triangles: vec![[0, 1, 2]],
+                ..Mesh::default()
+            }],
+            instances: vec![Instance { mesh: 0, scene_from_mesh: Affine3A::IDENTITY }],
+            materials: vec![Material::default()],
+            ..SceneParts::default()
+        }
+    }
+
+    fn validate(parts: SceneParts) -> (Result<Scene, SceneError>, Vec<lumistack_core::Warning>) {
+        let (collector, cancel) = (Collector::default(), Cancel::default());
+        let result = parts.validate(Task::quiet(&collector, &cancel));
+        (result, collector.take())
+    }
+
+    #[test]
+    fn a_bare_triangle_gets_its_face_normal() {
+        let (scene, warnings) = validate(triangle());
+        let scene = scene.unwrap();
+        assert_eq!(scene.meshes[0].normals, vec![Vec3::Z; 3]);
+        assert_eq!(scene.bounds().max, Vec3::new(1.0, 1.0, 0.0));
+        assert!(warnings.is_empty() && !scene.is_lit());
+    }
+
+    #[test]
+    fn nan_positions_are_refused_with_their_place() {
+        let mut parts = triangle();
+        parts.meshes[0].positions[1].y = f32::NAN;
+        let error = validate(parts).0.unwrap_err().to_string();
+        assert!(error.starts_with("/meshes/0/primitives/0 POSITION[1]: expected finite coordinates, found"), "{error}");
+    }
+
+    #[test]
+    fn triangles_without_area_are_left_out_and_an_empty_scene_is_refused() {
+        let mut parts = triangle();
+        parts.meshes[0].triangles.push([0, 1, 1]);
+        let (scene, warnings) = validate(parts.clone());
+        assert_eq!(scene.unwrap().triangle_count(), 1);
+        assert_eq!(warnings.len(), 1);
+        parts.meshes[0].triangles.remove(0);
+        assert!(validate(parts).0.unwrap_err().to_string().contains("at least one triangle"));
+        assert!(validate(SceneParts::default()).0.is_err());
+    }
+
+    #[test]
+    fn a_tiny_triangle_is_not_taken_for_an_empty_one() {
+        let mut parts = triangle();
+        parts.meshes[0].positions.iter_mut().for_each(|p| *p *= 1e-22);
+        assert_eq!(validate(parts).0.unwrap().triangle_count(), 1);
+    }
+
+    #[test]
+    fn indices_are_checked() {
+        let mut parts = triangle();
+        parts.meshes[0].triangles[0][2] = 3;
+        assert!(validate(parts).0.unwrap_err().to_string().contains("vertices below 3"));
+        let mut parts = triangle();
+        parts.meshes[0].material = 1;
+        assert!(validate(parts).0.is_err());
+        let mut parts = triangle();
+        parts.instances[0].mesh = 9;
+        assert!(validate(parts).0.is_err());
+    }
+
+    #[test]
+    fn generated_tangents_follow_u() {
+        let mut parts = triangle();
+        parts.materials[0].normal_texture =
+            Some(crate::TextureUse { texture: 0, uv_set: 0, texture_from_mesh: glam::Affine2::IDENTITY });
+        parts.textures.push(crate::Texture {
+            image: 0,
+            wrap_u: crate::Wrap::Repeat,
+            wrap_v: crate::Wrap::Repeat,
+            filter: crate::Filter::Linear,
+        });
+        parts.images.push(crate::Image { name: "n".into(), width: 1, height: 1, pixels: Pixels::Rgba8(vec![[0; 4]]) });
+        // u along x and v along −y, as in an unmirrored picture: up in the texture is +y = normal × tangent
+        parts.meshes[0].uvs[0] = vec![Vec2::new(0.0, 1.0), Vec2::new(1.0, 1.0), Vec2::new(0.0, 0.0)];
+        let scene = validate(parts).0.unwrap();
+        assert_eq!(scene.meshes[0].tangents[0], Vec3::X.extend(1.0));
+    }
+}

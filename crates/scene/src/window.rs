@@ -1,0 +1,185 @@
+//! The display's zero-parallax plane as a rectangle in the scene.
+//!
+//! Display space is right-handed millimetres: origin at the centre of the light field's rectangle,
+//! x right, y up, z to the viewer (design document, section 3).
+
+use glam::{DMat3, DQuat, DVec3, Vec3};
+use thiserror::Error;
+
+use crate::{Bounds, Camera, Projection};
+
+/// A map x ↦ translation + scale · rotation · x, scale > 0: no reflection.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Similarity {
+    /// Unit quaternion.
+    pub rotation: DQuat,
+    /// Scale factor, > 0.
+    pub scale: f64,
+    /// Image of the origin.
+    pub translation: DVec3,
+}
+
+impl Similarity {
+    /// Maps a point.
+    pub fn point(&self, point: DVec3) -> DVec3 {
+        self.translation + self.scale * (self.rotation * point)
+    }
+
+    /// Maps a direction; its length scales.
+    pub fn vector(&self, vector: DVec3) -> DVec3 {
+        self.scale * (self.rotation * vector)
+    }
+
+    /// Maps a point back.
+    pub fn inverse_point(&self, point: DVec3) -> DVec3 {
+        (self.rotation.inverse() * (point - self.translation)) / self.scale
+    }
+}
+
+/// Where the display stands in the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    /// Millimetres of display space to scene units.
+    pub scene_from_display: Similarity,
+    /// Width and height of the light field's rectangle in millimetres, both > 0.
+    pub size_mm: [f64; 2],
+}
+
+/// A window that cannot be placed.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum WindowError {
+    /// The camera gives no plane of finite size.
+    #[error(
+        "camera {name}: expected a focus distance and a field of view that make a window of finite size, found {found}"
+    )]
+    Camera {
+        /// The camera.
+        name: String,
+        /// What it has.
+        found: String,
+    },
+    /// Numbers that make no rectangle.
+    #[error("window: expected {expected}, found {found}")]
+    Given {
+        /// What was needed.
+        expected: &'static str,
+        /// What was given.
+        found: String,
+    },
+}
+
+/// Share of the window that automatic framing leaves free around the scene's bounds.
+const FRAMING_MARGIN: f64 = 0.02;
+
+impl Window {
+    /// The camera's plane of focus, as wide as its frustum there. Without a focus distance the plane goes through the centre of
+    /// the scene's bounds.
+    ///
+    /// # Errors
+    /// If that rectangle is empty, infinite or behind the camera.
+    pub fn from_camera(camera: &Camera, bounds: Bounds, size_mm: [f64; 2]) -> Result<Self, WindowError> {
+        let position = camera.scene_from_camera.translation.as_dvec3();
+        let rotation = DQuat::from_mat3(&DMat3::from_cols(
+            camera.scene_from_camera.matrix3.x_axis.as_dvec3().normalize(),
+            camera.scene_from_camera.matrix3.y_axis.as_dvec3().normalize(),
+            camera.scene_from_camera.matrix3.z_axis.as_dvec3().normalize(),
+        ));
+        let forward = rotation * DVec3::NEG_Z;
+        let distance = match camera.focus_distance {
+            Some(distance) => f64::from(distance),
+            None => (bounds.centre().as_dvec3() - position).dot(forward),
+        };
+        let width = match camera.projection {
+            Projection::Perspective { vertical_fov_rad, aspect } => {
+                let aspect = aspect.map_or(size_mm[0] / size_mm[1], f64::from);
+                2.0 * distance * (0.5 * f64::from(vertical_fov_rad)).tan() * aspect
+            }
+            Projection::Orthographic { half_width, .. } => 2.0 * f64::from(half_width),
+        };
+        let scale = width / size_mm[0];
+        if !(scale.is_finite() && scale > 0.0 && distance.is_finite() && distance > 0.0) {
+            return Err(WindowError::Camera {
+                name: camera.name.clone(),
+                found: format!("distance {distance} and width {width}"),
+            });
+        }
+        let translation = position + distance * forward;
+        Ok(Self { scene_from_display: Similarity { rotation, scale, translation }, size_mm })
+    }
+
+    /// A window at `centre` that looks along `forward` with `up` upwards and is `width` scene units wide.
+    ///
+    /// # Errors
+    /// If the vectors are zero or parallel, or the width is not a positive number.
+    pub fn given(centre: DVec3, forward: DVec3, up: DVec3, width: f64, size_mm: [f64; 2]) -> Result<Self, WindowError> {
+        let z = -forward.normalize_or_zero();
+        let x = up.cross(z).normalize_or_zero();
+        if x == DVec3::ZERO || !centre.is_finite() {
+            return Err(WindowError::Given {
+                expected: "a finite centre and directions forward and up that are neither zero nor parallel",
+                found: format!("centre {centre}, forward {forward}, up {up}"),
+            });
+        }
+        if !(width.is_finite() && width > 0.0) {
+            return Err(WindowError::Given { expected: "a width above 0", found: width.to_string() });
+        }
+        let rotation = DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z));
+        Ok(Self {
+            scene_from_display: Similarity { rotation, scale: width / size_mm[0], translation: centre },
+            size_mm,
+        })
+    }
+
+    /// Frames the bounds from the front (looking along −z, glTF's front of an asset): the plane goes through their centre and just
+    /// holds their width and height.
+    ///
+    /// # Errors
+    /// If the bounds are empty or a single point.
+    pub fn framing(bounds: Bounds, size_mm: [f64; 2]) -> Result<Self, WindowError> {
+        let size = if bounds.is_empty() { Vec3::ZERO } else { bounds.size() }.as_dvec3();
+        let fit = (size.x / size_mm[0]).max(size.y / size_mm[1]) * (1.0 + FRAMING_MARGIN);
+        // a scene that is a line towards the viewer still gets a window
+        let scale = if fit > 0.0 { fit } else { size.z / size_mm[0] };
+        Self::given(bounds.centre().as_dvec3(), DVec3::NEG_Z, DVec3::Y, scale * size_mm[0], size_mm)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{Affine3A, Quat};
+
+    const SIZE_MM: [f64; 2] = [400.0, 250.0];
+
+    #[test]
+    fn a_camera_window_is_as_wide_as_its_frustum() {
+        let camera = Camera {
+            name: "c".into(),
+            scene_from_camera: Affine3A::from_rotation_translation(
+                Quat::from_rotation_y(std::f32::consts::FRAC_PI_2),
+                Vec3::new(3.0, 1.0, 0.0),
+            ),
+            projection: Projection::Perspective { vertical_fov_rad: std::f32::consts::FRAC_PI_2, aspect: Some(1.6) },
+            focus_distance: Some(2.0),
+        };
+        let window = Window::from_camera(&camera, Bounds::EMPTY, SIZE_MM).unwrap();
+        let map = window.scene_from_display;
+        // the camera at (3, 1, 0) looks along −x; half the frustum's width at distance 2 is 3.2
+        assert!((map.point(DVec3::ZERO) - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-6);
+        assert!((map.point(DVec3::new(200.0, 0.0, 0.0)) - DVec3::new(1.0, 1.0, -3.2)).length() < 1e-6);
+        assert!((map.point(DVec3::new(0.0, 0.0, 1.0)) - DVec3::new(1.016, 1.0, 0.0)).length() < 1e-6);
+        assert!(
+            (map.inverse_point(map.point(DVec3::new(1.0, -2.0, 3.0))) - DVec3::new(1.0, -2.0, 3.0)).length() < 1e-9
+        );
+    }
+
+    #[test]
+    fn framing_keeps_orientation_and_holds_the_bounds() {
+        let bounds = Bounds { min: Vec3::new(-1.0, 0.0, -5.0), max: Vec3::new(1.0, 4.0, 5.0) };
+        let window = Window::framing(bounds, SIZE_MM).unwrap();
+        let top = window.scene_from_display.inverse_point(DVec3::new(0.0, 4.0, 0.0));
+        assert!(top.y > 0.95 * 125.0 && top.y < 125.0, "{top}");
+        assert!(Window::framing(Bounds::EMPTY, SIZE_MM).is_err());
+        assert!(Window::given(DVec3::ZERO, DVec3::Y, DVec3::Y, 1.0, SIZE_MM).is_err());
+    }
+}

@@ -1,0 +1,1 @@
+//! Development only: statistical assertions, tolerance constants, image comparison with files on failure.

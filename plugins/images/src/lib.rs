@@ -1,0 +1,1 @@
+//! Output plugin: layer patterns and views as PNG and EXR pictures.
