@@ -4,6 +4,7 @@
 //! No file system, no clock, no threads: the crate also compiles to wasm32.
 
 pub mod colour;
+pub mod config;
 pub mod metrics;
 pub mod seed;
 mod task;

@@ -1,0 +1,240 @@
+//! View grids: which directions a light field samples.
+
+use thiserror::Error;
+
+/// How the rays of one view relate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Projection {
+    /// Every view is a parallel projection (the paper's): one slope for all its rays.
+    Oblique,
+    /// Every view is a pinhole at eye e = D·s: the slope of its ray at x is (e − x)/D.
+    Perspective {
+        /// Viewing distance D from z = 0, millimetres, > 0.
+        distance_mm: f64,
+    },
+}
+
+/// A separable grid of views: the product of view columns and view rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViewGrid {
+    /// How the rays of one view relate.
+    pub projection: Projection,
+    /// Slope of each view column at the centre of the field; increasing from left to right in our own grids.
+    pub slope_x: Vec<f64>,
+    /// Slope of each view row, y up; decreasing from top to bottom in our own grids.
+    pub slope_y: Vec<f64>,
+}
+
+/// A grid that makes no sense.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{what}: expected {expected}, found {found}")]
+pub struct GridError {
+    /// Which number.
+    pub what: &'static str,
+    /// What was needed.
+    pub expected: &'static str,
+    /// What was there.
+    pub found: String,
+}
+
+impl GridError {
+    fn new(what: &'static str, expected: &'static str, found: impl ToString) -> Self {
+        Self { what, expected, found: found.to_string() }
+    }
+}
+
+impl ViewGrid {
+    /// `views` = [horizontal, vertical] views at the centres of equal bins of the slope, over full angles `fov_deg`:
+    /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2), s_y alike with the topmost view first. The spacing is eq. 23's Δv.
+    ///
+    /// # Errors
+    /// If there are no views, or an angle is outside 0..180°, or the viewing distance is not above 0.
+    pub fn uniform(projection: Projection, views: [usize; 2], fov_deg: [f64; 2]) -> Result<Self, GridError> {
+        if views.contains(&0) {
+            return Err(GridError::new("views", "at least 1 × 1", format!("{} × {}", views[0], views[1])));
+        }
+        if fov_deg.iter().any(|fov| !(*fov >= 0.0 && *fov < 180.0)) {
+            return Err(GridError::new("fov_deg", "full angles from 0 to less than 180", format!("{fov_deg:?}")));
+        }
+        let slope = |axis: usize, view: usize| {
+            let count = views[axis] as f64;
+            (view as f64 - (count - 1.0) / 2.0) * (2.0 / count) * (0.5 * fov_deg[axis].to_radians()).tan()
+        };
+        let grid = Self {
+            projection,
+            slope_x: (0..views[0]).map(|view| slope(0, view)).collect(),
+            slope_y: (0..views[1]).map(|view| -slope(1, view)).collect(),
+        };
+        grid.check()?;
+        Ok(grid)
+    }
+
+    /// One view.
+    pub fn single(projection: Projection, slope: [f64; 2]) -> Self {
+        Self { projection, slope_x: vec![slope[0]], slope_y: vec![slope[1]] }
+    }
+
+    /// Checks a grid that came from outside.
+    ///
+    /// # Errors
+    /// If it has no views, a slope that is not finite, or a viewing distance that is not above 0.
+    pub fn check(&self) -> Result<(), GridError> {
+        if self.slope_x.is_empty() || self.slope_y.is_empty() {
+            return Err(GridError::new(
+                "views",
+                "at least 1 × 1",
+                format!("{} × {}", self.slope_x.len(), self.slope_y.len()),
+            ));
+        }
+        if let Some(slope) = self.slope_x.iter().chain(&self.slope_y).find(|slope| !slope.is_finite()) {
+            return Err(GridError::new("slope", "finite tangents", slope));
+        }
+        match self.projection {
+            Projection::Perspective { distance_mm } if !(distance_mm.is_finite() && distance_mm > 0.0) => {
+                Err(GridError::new("distance_mm", "a viewing distance above 0", distance_mm))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Number of views as [vertical, horizontal], the order of the arrays.
+    pub fn views(&self) -> [usize; 2] {
+        [self.slope_y.len(), self.slope_x.len()]
+    }
+
+    /// All views as [view_y, view_x], row by row.
+    pub fn iter(&self) -> impl Iterator<Item = [usize; 2]> + use<> {
+        let [rows, cols] = self.views();
+        (0..rows).flat_map(move |y| (0..cols).map(move |x| [y, x]))
+    }
+
+    /// Slope (s_x, s_y) of the ray of `view` = [view_y, view_x] through the point (x, y) of z = 0.
+    pub fn slope_at(&self, view: [usize; 2], point_mm: [f64; 2]) -> [f64; 2] {
+        [
+            self.projection.slope(self.slope_x[view[1]], point_mm[0]),
+            self.projection.slope(self.slope_y[view[0]], point_mm[1]),
+        ]
+    }
+
+    /// The midpoints between neighbouring views: the grid of in-between views that a display was not optimized for. An axis with one
+    /// view keeps it.
+    pub fn in_between(&self) -> Self {
+        let midpoints = |slopes: &[f64]| match slopes {
+            [only] => vec![*only],
+            _ => slopes.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect(),
+        };
+        Self { projection: self.projection, slope_x: midpoints(&self.slope_x), slope_y: midpoints(&self.slope_y) }
+    }
+
+    /// Width of one view's bin of slopes per axis (x, y): the mean spacing; 0 for an axis with one view.
+    pub fn bin_width(&self) -> [f64; 2] {
+        [&self.slope_x, &self.slope_y].map(|slopes| match slopes.as_slice() {
+            [first, .., last] => (last - first).abs() / (slopes.len() - 1) as f64,
+            _ => 0.0,
+        })
+    }
+}
+
+impl Projection {
+    /// Slope along one axis of a view's ray at position `x_mm`, for the view of slope `view_slope` at the centre.
+    #[inline]
+    pub fn slope(self, view_slope: f64, x_mm: f64) -> f64 {
+        match self {
+            Self::Oblique => view_slope,
+            Self::Perspective { distance_mm } => view_slope - x_mm / distance_mm,
+        }
+    }
+}
+
+/// Sampling of a light field: pixels on z = 0 and views.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FieldGeometry {
+    /// Pixel rows, ≥ 1.
+    pub rows: usize,
+    /// Pixel columns, ≥ 1.
+    pub cols: usize,
+    /// Pixel pitch on z = 0, millimetres, > 0.
+    pub pitch_mm: f64,
+    /// Views.
+    pub grid: ViewGrid,
+}
+
+impl FieldGeometry {
+    /// Checks a geometry that came from outside.
+    ///
+    /// # Errors
+    /// If there are no pixels, the pitch is not above 0, or the grid is wrong.
+    pub fn check(&self) -> Result<(), GridError> {
+        if self.rows == 0 || self.cols == 0 {
+            return Err(GridError::new(
+                "resolution",
+                "at least 1 × 1 pixels",
+                format!("{} × {}", self.cols, self.rows),
+            ));
+        }
+        if !(self.pitch_mm.is_finite() && self.pitch_mm > 0.0) {
+            return Err(GridError::new("pitch_mm", "a number above 0", self.pitch_mm));
+        }
+        self.grid.check()
+    }
+
+    /// Centre of column `col` on z = 0.
+    #[inline]
+    pub fn x_mm(&self, col: usize) -> f64 {
+        (col as f64 - (self.cols as f64 - 1.0) / 2.0) * self.pitch_mm
+    }
+
+    /// Centre of row `row` on z = 0; row 0 is the top.
+    #[inline]
+    pub fn y_mm(&self, row: usize) -> f64 {
+        ((self.rows as f64 - 1.0) / 2.0 - row as f64) * self.pitch_mm
+    }
+
+    /// Width and height in millimetres.
+    pub fn size_mm(&self) -> [f64; 2] {
+        [self.cols as f64 * self.pitch_mm, self.rows as f64 * self.pitch_mm]
+    }
+
+    /// The same pixels with other views.
+    pub fn with_grid(&self, grid: ViewGrid) -> Self {
+        Self { grid, ..self.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Slopes that are written out to 17 digits are compared to this.
+    const EXACT: f64 = 1e-15;
+
+    #[test]
+    fn five_views_over_twenty_degrees_stand_at_bin_centres() {
+        let grid = ViewGrid::uniform(Projection::Oblique, [5, 3], [20.0, 20.0]).unwrap();
+        let expected = [-0.141_061_584_566_771_98, -0.070_530_792_283_385_99, 0.0];
+        for (slope, expected) in grid.slope_x.iter().zip(expected) {
+            assert!((slope - expected).abs() < EXACT);
+        }
+        assert!((grid.slope_y[0] - 0.117_551_320_472_309_98).abs() < EXACT, "the topmost view comes first");
+        assert_eq!(grid.views(), [3, 5]);
+        assert_eq!(grid.in_between().views(), [2, 4]);
+    }
+
+    #[test]
+    fn perspective_rays_meet_at_the_eye() {
+        let projection = Projection::Perspective { distance_mm: 600.0 };
+        let grid = ViewGrid::uniform(projection, [3, 1], [20.0, 20.0]).unwrap();
+        let eye_x = 600.0 * grid.slope_x[2];
+        for x in [-100.0, 0.0, 33.0] {
+            assert!((x + 600.0 * grid.slope_at([0, 2], [x, 0.0])[0] - eye_x).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        assert!(ViewGrid::uniform(Projection::Oblique, [0, 1], [20.0; 2]).is_err());
+        assert!(ViewGrid::uniform(Projection::Oblique, [1, 1], [180.0, 20.0]).is_err());
+        assert!(ViewGrid::uniform(Projection::Oblique, [1, 1], [f64::NAN, 20.0]).is_err());
+        assert!(ViewGrid::uniform(Projection::Perspective { distance_mm: 0.0 }, [1, 1], [20.0; 2]).is_err());
+    }
+}

@@ -1,0 +1,99 @@
+//! The patterns of a tensor display.
+
+use lumistack_core::Tensor;
+use thiserror::Error;
+
+use crate::{Backlight, Display};
+
+/// Patterns for every layer and frame, linear, 0..1, and the brightness they were made for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LayerStack {
+    /// Per layer, rearmost first: `transmittance[frame][row][col][rgb]`.
+    pub layers: Vec<Tensor<4>>,
+    /// Of a directional backlight: `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
+    pub emission: Option<Tensor<6>>,
+    /// β: the display emits β times the target.
+    pub brightness: f64,
+}
+
+/// A stack that does not fit its display.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{what}: expected {expected}, found {found}")]
+pub struct StackError {
+    /// Which part.
+    pub what: String,
+    /// What the display needs.
+    pub expected: String,
+    /// What the stack has.
+    pub found: String,
+}
+
+impl LayerStack {
+    /// Axis names of each layer.
+    pub const LAYER_AXES: [&'static str; 4] = ["frame", "row", "col", "rgb"];
+    /// Axis names of the emission.
+    pub const EMISSION_AXES: [&'static str; 6] = ["frame", "bin_y", "bin_x", "lenslet_row", "lenslet_col", "rgb"];
+
+    /// A stack whose every value is `value`.
+    pub fn filled(display: &Display, value: f32) -> Self {
+        Self {
+            layers: (0..display.layers.len())
+                .map(|n| Tensor::filled(Self::LAYER_AXES, Self::layer_shape(display, n), value))
+                .collect(),
+            emission: Self::emission_shape(display).map(|shape| Tensor::filled(Self::EMISSION_AXES, shape, value)),
+            brightness: display.brightness,
+        }
+    }
+
+    /// Shape of layer `n` of a display.
+    pub fn layer_shape(display: &Display, n: usize) -> [usize; 4] {
+        let [cols, rows] = display.layers[n].resolution;
+        [display.frames, rows, cols, 3]
+    }
+
+    /// Shape of the emission of a display's backlight, when it is directional.
+    pub fn emission_shape(display: &Display) -> Option<[usize; 6]> {
+        match &display.backlight {
+            Backlight::Uniform => None,
+            Backlight::Lenslets(b) => Some([display.frames, b.views[1], b.views[0], b.lenslets[1], b.lenslets[0], 3]),
+        }
+    }
+
+    /// Number of frames M.
+    pub fn frames(&self) -> usize {
+        self.layers.first().map_or(0, |layer| layer.shape()[0])
+    }
+
+    /// Checks that the stack has the shapes of the display and values in 0..1.
+    ///
+    /// # Errors
+    /// On the first part that does not fit.
+    pub fn check(&self, display: &Display) -> Result<(), StackError> {
+        let error = |what: String, expected: String, found: String| Err(StackError { what, expected, found });
+        if self.layers.len() != display.layers.len() {
+            return error("layers".into(), display.layers.len().to_string(), self.layers.len().to_string());
+        }
+        if !(self.brightness > 0.0 && self.brightness <= 1.0) {
+            return error("brightness".into(), "above 0, at most 1".into(), self.brightness.to_string());
+        }
+        for (n, layer) in self.layers.iter().enumerate() {
+            let expected = Self::layer_shape(display, n);
+            if layer.shape() != expected {
+                return error(format!("shape of layer {n}"), format!("{expected:?}"), format!("{:?}", layer.shape()));
+            }
+        }
+        let expected = Self::emission_shape(display);
+        let found = self.emission.as_ref().map(Tensor::shape);
+        if expected != found {
+            return error("shape of the emission".into(), format!("{expected:?}"), format!("{found:?}"));
+        }
+        let parts = self.layers.iter().map(Tensor::data).chain(self.emission.as_ref().map(Tensor::data));
+        for (i, data) in parts.enumerate() {
+            if let Some(value) = data.iter().find(|v| !(0.0..=1.0).contains(*v)) {
+                let what = if i < self.layers.len() { format!("layer {i}") } else { "emission".into() };
+                return error(what, "values in 0..1".into(), value.to_string());
+            }
+        }
+        Ok(())
+    }
+}
