@@ -1,1 +1,40 @@
-fn main() {}
+//! Development tasks: `cargo xtask ci` is what CI runs and what a developer runs before a push.
+
+mod ci;
+mod layers;
+mod tools;
+
+use std::process::ExitCode;
+
+const USAGE: &str = "\
+cargo xtask <task>
+
+  ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
+                --full adds the slow ones
+  layers        the layer and forbidden-edge check alone
+  scenes        write the sample scenes anew
+  bench         time the factorizer and the path tracer (release build)
+";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let result = match arguments.as_slice() {
+        ["ci"] => ci::run_ci(false),
+        ["ci", "--full"] => ci::run_ci(true),
+        ["layers"] => layers::check(),
+        ["scenes"] => tools::cargo(&["run", "--package", "lumistack-scene-generator"]),
+        ["bench"] => ci::bench(),
+        _ => {
+            eprint!("{USAGE}");
+            return ExitCode::from(2);
+        }
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("xtask: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! Everything that must hold before a change lands.
+
+use std::time::Instant;
+
+use crate::layers::{self, PORTABLE};
+use crate::tools::{self, Outcome, cargo, command, output_of, run};
+
+/// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
+const LINTED_WITH: &str = "1.95";
+
+/// Runs all checks; `full` adds the slow tests.
+pub fn run_steps(full: bool) -> Outcome {
+    let version = output_of(command("rustc").arg("--version")).ok_or("rustc does not start")?;
+    let strict = version.contains(&format!("rustc {LINTED_WITH}."));
+    if !strict {
+        println!("lints: {} is not {LINTED_WITH}, so new lints only warn", version.trim());
+    }
+    step("format", || cargo(&["fmt", "--all", "--check"]))?;
+    step("layers", layers::check)?;
+    step("clippy", || {
+        let mut arguments = vec!["clippy", "--workspace", "--all-targets", "--quiet"];
+        if strict {
+            arguments.extend(["--", "-D", "warnings"]);
+        }
+        cargo(&arguments)
+    })?;
+    step("docs", || {
+        let flags = if strict { "-D warnings" } else { "" };
+        run(command("cargo").args(["doc", "--workspace", "--no-deps", "--quiet"]).env("RUSTDOCFLAGS", flags))
+    })?;
+    step("wasm32", wasm)?;
+    let python = tools::python()?;
+    step("tests", || run(command("cargo").args(["test", "--workspace"]).env("LUMISTACK_PYTHON", &python)))?;
+    if full {
+        step("slow tests", || {
+            let mut tests = command("cargo");
+            tests.args(["test", "--workspace", "--release", "--", "--ignored", "--nocapture", "--test-threads=1"]);
+            run(tests.env("LUMISTACK_PYTHON", &python))
+        })?;
+    }
+    Ok(())
+}
+
+/// [`run_steps`], timed as a whole.
+pub fn run_ci(full: bool) -> Outcome {
+    let start = Instant::now();
+    run_steps(full)?;
+    println!("\nci: everything passed in {:.0} s", start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+/// The benchmarks that exist as ignored tests and examples, in a release build.
+pub fn bench() -> Outcome {
+    cargo(&[
+        "test",
+        "--release",
+        "--package",
+        "lumistack-factorizer",
+        "--package",
+        "lumistack-pathtracer",
+        "bench_",
+        "--",
+        "--ignored",
+        "--nocapture",
+        "--test-threads=1",
+    ])
+}
+
+fn step(name: &str, work: impl FnOnce() -> Outcome) -> Outcome {
+    println!("\n=== {name}");
+    let start = Instant::now();
+    work()?;
+    println!("=== {name}: {:.0} s", start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+/// The portable crates compile to wasm32 without threads.
+fn wasm() -> Outcome {
+    if !tools::wasm_target() {
+        println!("wasm32: skipped, this machine cannot get the target");
+        return Ok(());
+    }
+    let mut arguments = vec!["check", "--quiet", "--target", "wasm32-unknown-unknown", "--no-default-features"];
+    for name in PORTABLE {
+        arguments.extend(["--package", name]);
+    }
+    cargo(&arguments)
+}

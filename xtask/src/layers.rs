@@ -1,0 +1,99 @@
+//! The architecture as a check: a crate depends only on lower layers, and some edges are forbidden wherever they stand.
+//!
+//! Each crate names its layer in `[package.metadata.lumistack] layer = n`. Development dependencies are free: tests may look anywhere.
+
+use std::collections::HashMap;
+
+use serde_json::Value;
+
+use crate::tools::{Outcome, command, output_of};
+
+/// External crates that only the named workspace crates may depend on.
+const FORBIDDEN: [(&str, &[&str]); 3] = [
+    ("pyo3", &["lumistack-python"]),
+    ("wgpu", &["lumistack-factorizer-gpu", "lumistack-plugin-panels"]),
+    ("libloading", &["lumistack-plugin-host"]),
+];
+
+/// Crates that must compile to wasm32 and so take no file system, clock or terminal.
+pub const PORTABLE: [&str; 6] = [
+    "lumistack-core",
+    "lumistack-scene",
+    "lumistack-display",
+    "lumistack-gltf",
+    "lumistack-pathtracer",
+    "lumistack-factorizer",
+];
+
+/// Calls that the portable crates must not make; files and clocks come in as arguments.
+const NOT_PORTABLE: [&str; 4] = ["std::fs", "std::time::Instant", "std::time::SystemTime", "std::thread::spawn"];
+
+/// Checks the whole workspace.
+pub fn check() -> Outcome {
+    let text = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
+        .ok_or("cargo metadata failed")?;
+    let metadata: Value = serde_json::from_str(&text).map_err(|error| error.to_string())?;
+    let packages = metadata["packages"].as_array().ok_or("cargo metadata lists no packages")?;
+    let mut layers = HashMap::new();
+    for package in packages {
+        let name = package["name"].as_str().unwrap_or_default();
+        let layer = package["metadata"]["lumistack"]["layer"]
+            .as_u64()
+            .ok_or_else(|| format!("{name} has no layer: add [package.metadata.lumistack] layer = n"))?;
+        layers.insert(name, layer);
+    }
+    let mut problems = Vec::new();
+    for package in packages {
+        let name = package["name"].as_str().unwrap_or_default();
+        for dependency in package["dependencies"].as_array().into_iter().flatten() {
+            let to = dependency["name"].as_str().unwrap_or_default();
+            if dependency["kind"].as_str() == Some("dev") {
+                continue;
+            }
+            if let Some(layer) = layers.get(to)
+                && *layer >= layers[name]
+            {
+                problems.push(format!("{name} (layer {}) depends on {to} (layer {layer})", layers[name]));
+            }
+            for (external, allowed) in FORBIDDEN {
+                if to == external && !allowed.contains(&name) {
+                    problems.push(format!("{name} depends on {external}, which only {} may", allowed.join(" and ")));
+                }
+            }
+        }
+        if PORTABLE.contains(&name) {
+            let manifest = package["manifest_path"].as_str().unwrap_or_default();
+            let source = std::path::Path::new(manifest).with_file_name("src");
+            check_portable(&source, &mut problems)?;
+        }
+    }
+    if problems.is_empty() {
+        println!("layers: {} crates, no upward or forbidden edge", layers.len());
+        Ok(())
+    } else {
+        Err(format!("layers:\n  {}", problems.join("\n  ")))
+    }
+}
+
+/// Looks for banned calls in the code before the tests of each file.
+fn check_portable(folder: &std::path::Path, problems: &mut Vec<String>) -> Outcome {
+    let entries = std::fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    for entry in entries {
+        let path = entry.map_err(|error| error.to_string())?.path();
+        if path.is_dir() {
+            check_portable(&path, problems)?;
+        } else if path.extension().is_some_and(|extension| extension == "rs")
+            && path.file_stem().is_some_and(|stem| stem != "tests")
+        {
+            let text = std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+            let code = text.split("#[cfg(test)]").next().unwrap_or_default();
+            for (number, line) in code.lines().enumerate() {
+                let code = line.split("//").next().unwrap_or_default();
+                if let Some(call) = NOT_PORTABLE.iter().find(|call| code.contains(*call)) {
+                    problems.push(format!("{}:{}: {call} does not exist on wasm32", path.display(), number + 1));
+                }
+            }
+        }
+    }
+    Ok(())
+}
