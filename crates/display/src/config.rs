@@ -348,6 +348,28 @@ impl Display {
         display
     }
 
+    /// The same display for a light field that already exists: masks take its resolution and size, the view grid its angles (as the full
+    /// angle whose bins are as wide as the field's). Distances, frames and backlight stay.
+    #[must_use]
+    pub fn adapted_to(&self, geometry: &FieldGeometry) -> Self {
+        let mut display = self.with_resolution([geometry.cols, geometry.rows]);
+        let pitch_factor = geometry.pitch_mm / display.field.pitch_mm;
+        display.field.pitch_mm = geometry.pitch_mm;
+        for layer in &mut display.layers {
+            layer.pitch_mm *= pitch_factor;
+        }
+        let [view_rows, view_cols] = geometry.grid.views();
+        let bins = geometry.grid.bin_width();
+        display.field.views = [view_cols, view_rows];
+        display.field.fov_deg =
+            [0, 1].map(|axis| 2.0 * (0.5 * bins[axis] * display.field.views[axis] as f64).atan().to_degrees());
+        (display.field.projection, display.field.distance_mm) = match geometry.grid.projection {
+            Projection::Oblique => (ProjectionKind::Oblique, None),
+            Projection::Perspective { distance_mm } => (ProjectionKind::Perspective, Some(distance_mm)),
+        };
+        display
+    }
+
     /// Frames that the eye sees a second.
     pub fn period_hz(&self) -> f64 {
         self.refresh_hz / self.frames as f64
@@ -411,6 +433,21 @@ pitch_mm = 1.0
             let error = Display::from_toml(&SMALL.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(error.starts_with(message), "{error}");
         }
+    }
+
+    #[test]
+    fn an_adapted_display_has_the_light_fields_geometry() {
+        let wide = small_display();
+        let grid = ViewGrid::uniform(Projection::Oblique, [5, 1], [30.0, 10.0]).unwrap();
+        let geometry = FieldGeometry { rows: 7, cols: 9, pitch_mm: 2.0, grid };
+        let display = wide.adapted_to(&geometry);
+        display.check().unwrap();
+        assert_eq!((display.layers[0].resolution, display.layers[2].pitch_mm), ([9, 7], 2.0));
+        let adapted = display.geometry().unwrap();
+        for (a, b) in adapted.grid.slope_x.iter().zip(&geometry.grid.slope_x) {
+            assert!((a - b).abs() < 1e-12);
+        }
+        assert_eq!(adapted.grid.views(), [1, 5]);
     }
 
     #[test]
