@@ -48,6 +48,15 @@ impl SquaredError {
     }
 }
 
+/// The value below which the share `share` (0..1) of the values lies; 0 for no values. Reorders the slice.
+pub fn percentile(values: &mut [f32], share: f64) -> f32 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let rank = (share.clamp(0.0, 1.0) * (values.len() - 1) as f64).round() as usize;
+    *values.select_nth_unstable_by(rank, f32::total_cmp).1
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -58,5 +67,13 @@ mod tests {
         assert!((error.psnr() - 20.0).abs() < 1e-5);
         assert_eq!(SquaredError::between(&[1.0], &[1.0]).psnr(), f64::INFINITY);
         assert!(SquaredError::default().psnr().is_nan());
+    }
+
+    #[test]
+    fn percentiles_are_order_statistics() {
+        let mut values: Vec<f32> = (0..=100).rev().map(|i| i as f32).collect();
+        assert_eq!(percentile(&mut values, 0.25), 25.0);
+        assert_eq!(percentile(&mut values, 1.0), 100.0);
+        assert_eq!(percentile(&mut [], 0.5), 0.0);
     }
 }

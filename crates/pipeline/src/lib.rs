@@ -1,1 +1,33 @@
-//! Job file to scene, light field, layer stack and outputs; cache and resume.
+//! From a job file to its outputs.
+//!
+//! ```text
+//! job.toml ─▶ ingest ─▶ render ─▶ target/ ─▶ factorize ─▶ layers/ ─▶ output plugins ─▶ outputs/ ─▶ report
+//!                        (or a light field that somebody else rendered)
+//! ```
+
+mod cache;
+mod error;
+mod ingest;
+mod job;
+mod light;
+pub mod presets;
+mod render;
+mod run;
+mod simulate;
+
+pub use cache::{KeyBuilder, Stamps};
+pub use error::PipelineError;
+pub use ingest::{Ingested, load_scene, place_window};
+pub use job::{
+    AngularFilter, DisplayJob, FactorizeJob, GeometryJob, Job, LightJob, OutputJob, RenderJob, WindowFrom, WindowJob,
+};
+pub use run::{Summary, render_only, run};
+pub use simulate::{RunFolder, Viewpoint, simulate_to_file};
+
+/// Sets the number of worker threads of the whole program; results do not depend on it. Call it before any work.
+///
+/// # Errors
+/// When work has already started.
+pub fn set_threads(count: usize) -> Result<(), String> {
+    rayon::ThreadPoolBuilder::new().num_threads(count).build_global().map_err(|error| error.to_string())
+}

@@ -1,0 +1,299 @@
+//! The command line.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use clap::{Args as ClapArgs, Parser, Subcommand};
+
+/// Turns 3D scenes into glasses-free 3D: path-traces the light field that a viewer should see and factorizes it into the layer
+/// patterns of a tensor display.
+#[derive(Debug, Parser)]
+#[command(name = "lumistack", version, max_term_width = 110)]
+pub(crate) struct Args {
+    /// Show the causes of errors
+    #[arg(short, long, global = true)]
+    pub(crate) verbose: bool,
+    /// Print progress and results as JSON, one object a line
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+    /// Worker threads; results do not depend on it [default: all cores]
+    #[arg(long, global = true, value_name = "N")]
+    pub(crate) threads: Option<usize>,
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Scene to outputs: render, factorize, write, report
+    #[command(after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n\nA run that was stopped goes on from what is finished when the same command is given again.")]
+    Run(Run),
+    /// The views of a scene only, as a light-field folder
+    Render(Render),
+    /// Layer patterns from a light field that somebody else rendered
+    #[command(after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExample:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views")]
+    Factorize(Factorize),
+    /// What a finished display shows from somewhere
+    #[command(after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      4° from the right, 2° from below\n  lumistack simulate runs/still-life --eye 100,0,600 -o eye.png   an eye 600 mm in front, 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right")]
+    Simulate(Simulate),
+    /// What is in a scene, a light field, a layer stack, a run folder, a display or a job
+    Info(Info),
+    /// What can be written, with each plugin's parameters
+    Plugins,
+    /// The displays that come with the program
+    Displays,
+    /// Shell completions on standard output
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Changes to the display.
+#[derive(Debug, Default, ClapArgs)]
+#[command(next_help_heading = "Display")]
+pub(crate) struct DisplayArgs {
+    /// A preset (see `lumistack displays`) or a display file
+    #[arg(long, value_name = "NAME|FILE")]
+    pub(crate) display: Option<String>,
+    /// Columns and rows of the light field; masks scale along
+    #[arg(long, value_name = "CxR")]
+    pub(crate) resolution: Option<Size>,
+    /// Time-multiplexed frames M
+    #[arg(long, value_name = "M")]
+    pub(crate) frames: Option<usize>,
+    /// Brightness scale β, above 0 and at most 1
+    #[arg(long, value_name = "B")]
+    pub(crate) brightness: Option<f64>,
+}
+
+/// Changes to rendering.
+#[derive(Debug, Default, ClapArgs)]
+#[command(next_help_heading = "Rendering")]
+pub(crate) struct RenderArgs {
+    /// Paths per pixel and view
+    #[arg(long, value_name = "N")]
+    pub(crate) samples: Option<u32>,
+    /// Bounces after the first hit
+    #[arg(long, value_name = "N")]
+    pub(crate) max_bounces: Option<u32>,
+    /// Name or number of the camera whose plane of focus the display takes
+    #[arg(long, value_name = "NAME|N")]
+    pub(crate) camera: Option<String>,
+    /// Environment map (Radiance HDR or EXR) instead of the scene's
+    #[arg(long, value_name = "FILE")]
+    pub(crate) environment: Option<PathBuf>,
+    /// Stops added to the automatic exposure
+    #[arg(long, value_name = "EV", allow_hyphen_values = true)]
+    pub(crate) exposure_ev: Option<f64>,
+    /// Seed of all random streams
+    #[arg(long)]
+    pub(crate) seed: Option<u64>,
+}
+
+/// Changes to the factorization.
+#[derive(Debug, Default, ClapArgs)]
+#[command(next_help_heading = "Factorization")]
+pub(crate) struct FactorizeArgs {
+    /// Full updates of all layers
+    #[arg(long, value_name = "N")]
+    pub(crate) iterations: Option<u32>,
+    /// Solver
+    #[arg(long, value_name = "NAME")]
+    pub(crate) solver: Option<String>,
+    /// Starting values: content or random
+    #[arg(long, value_name = "NAME")]
+    pub(crate) start: Option<String>,
+    /// A `layers` folder to start from
+    #[arg(long, value_name = "DIR")]
+    pub(crate) warm_start: Option<PathBuf>,
+    /// Weights as .npy, [view_y][view_x] or [view_y][view_x][row][col]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) weights: Option<PathBuf>,
+}
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct Run {
+    /// Job file (.toml) or scene (.gltf, .glb)
+    pub(crate) input: PathBuf,
+    /// Folder for the results [default: runs/NAME]
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) output: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) display: DisplayArgs,
+    #[command(flatten)]
+    pub(crate) render: RenderArgs,
+    #[command(flatten)]
+    pub(crate) factorize: FactorizeArgs,
+}
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct Render {
+    /// Scene (.gltf, .glb) or job file (.toml)
+    pub(crate) scene: PathBuf,
+    /// Folder for the views
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) output: PathBuf,
+    #[command(flatten)]
+    pub(crate) display: DisplayArgs,
+    #[command(flatten)]
+    pub(crate) render: RenderArgs,
+}
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct Factorize {
+    /// Light field: a folder, a quilt or .npy
+    pub(crate) light_field: PathBuf,
+    /// Folder for the results
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) output: PathBuf,
+    #[command(flatten)]
+    pub(crate) geometry: GeometryArgs,
+    #[command(flatten)]
+    pub(crate) display: FactorizeDisplayArgs,
+    #[command(flatten)]
+    pub(crate) factorize: FactorizeArgs,
+    /// Seed of all random streams
+    #[arg(long)]
+    pub(crate) seed: Option<u64>,
+}
+
+/// The display; its light field is the one that is read.
+#[derive(Debug, ClapArgs)]
+#[command(next_help_heading = "Display")]
+pub(crate) struct FactorizeDisplayArgs {
+    /// A preset (see `lumistack displays`) or a display file; takes the light field's resolution and views
+    #[arg(long, value_name = "NAME|FILE", default_value = "paper-three-layer")]
+    pub(crate) display: String,
+    /// Time-multiplexed frames M
+    #[arg(long, value_name = "M")]
+    pub(crate) frames: Option<usize>,
+    /// Brightness scale β, above 0 and at most 1
+    #[arg(long, value_name = "B")]
+    pub(crate) brightness: Option<f64>,
+}
+
+/// What a foreign light field does not say itself; a flag wins over what the files say.
+#[derive(Debug, Default, ClapArgs)]
+#[command(next_help_heading = "Light field")]
+pub(crate) struct GeometryArgs {
+    /// View grid
+    #[arg(long, value_name = "KIND", value_parser = ["oblique", "perspective"])]
+    pub(crate) grid: Option<String>,
+    /// Full horizontal and vertical angle of view, degrees
+    #[arg(long, value_name = "HxV")]
+    pub(crate) fov: Option<Angles>,
+    /// Pixel pitch on the display plane, millimetres
+    #[arg(long, value_name = "MM")]
+    pub(crate) pitch_mm: Option<f64>,
+    /// Viewing distance of a perspective grid, millimetres
+    #[arg(long, value_name = "MM")]
+    pub(crate) distance_mm: Option<f64>,
+    /// Views to keep of a larger set
+    #[arg(long, value_name = "HxV")]
+    pub(crate) views: Option<Size>,
+    /// Columns and rows of a quilt whose name does not say
+    #[arg(long, value_name = "CxR")]
+    pub(crate) quilt: Option<Size>,
+    /// Reduce every view to this many columns and rows
+    #[arg(long, value_name = "CxR")]
+    pub(crate) resolution: Option<Size>,
+}
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct Simulate {
+    /// A run folder
+    pub(crate) dir: PathBuf,
+    /// Viewing direction in degrees: X to the right, Y up; a parallel projection
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with_all = ["eye", "sweep"])]
+    pub(crate) view: Option<Numbers<2>>,
+    /// Eye position in millimetres from the display's centre: X right, Y up, Z in front; a perspective view
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "sweep")]
+    pub(crate) eye: Option<Numbers<3>>,
+    /// A film strip of this many views across the horizontal field of view
+    #[arg(long, value_name = "N")]
+    pub(crate) sweep: Option<usize>,
+    /// Show the emitted light itself instead of what an adapted viewer sees (emitted / β)
+    #[arg(long)]
+    pub(crate) raw: bool,
+    /// Picture to write: .png (sRGB-encoded) or .exr (linear)
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) output: PathBuf,
+}
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct Info {
+    /// The file or folder, or the name of a display preset
+    pub(crate) file: PathBuf,
+    #[command(flatten)]
+    pub(crate) geometry: GeometryArgs,
+}
+
+/// Two whole numbers, "420x262".
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Size(pub(crate) [usize; 2]);
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts: Option<Vec<usize>> = text.split(['x', '×']).map(|part| part.trim().parse().ok()).collect();
+        match parts.as_deref() {
+            Some(&[a, b]) if a > 0 && b > 0 => Ok(Self([a, b])),
+            _ => Err("expected two whole numbers above 0, such as 420x262".into()),
+        }
+    }
+}
+
+/// Two angles, "20x20".
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Angles(pub(crate) [f64; 2]);
+
+impl FromStr for Angles {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts: Option<Vec<f64>> = text.split(['x', '×']).map(|part| part.trim().parse().ok()).collect();
+        match parts.as_deref() {
+            Some(&[a, b]) if (0.0..180.0).contains(&a) && (0.0..180.0).contains(&b) => Ok(Self([a, b])),
+            _ => Err("expected two angles of 0 to less than 180 degrees, such as 20x20".into()),
+        }
+    }
+}
+
+/// Numbers between commas.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Numbers<const N: usize>(pub(crate) [f64; N]);
+
+impl<const N: usize> FromStr for Numbers<N> {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        parts
+            .filter(|parts| parts.iter().all(|value| value.is_finite()))
+            .and_then(|parts| parts.try_into().ok())
+            .map(Self)
+            .ok_or_else(|| format!("expected {N} numbers between commas"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_sound() {
+        Args::command().debug_assert();
+    }
+
+    #[test]
+    fn sizes_and_numbers_are_checked() {
+        assert_eq!("420x262".parse::<Size>().unwrap().0, [420, 262]);
+        assert!("420".parse::<Size>().is_err() && "0x3".parse::<Size>().is_err());
+        assert_eq!("-1.5,2".parse::<Numbers<2>>().unwrap().0, [-1.5, 2.0]);
+        assert!("1,nan".parse::<Numbers<2>>().is_err() && "1".parse::<Numbers<2>>().is_err());
+        assert!("20x180".parse::<Angles>().is_err());
+    }
+}

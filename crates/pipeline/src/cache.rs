@@ -1,0 +1,146 @@
+//! What makes a rerun cheap: keys of stages and stamps beside their results.
+//!
+//! A stage is keyed by a hash of its version, its resolved settings and the content of every file it read, never by thread count. Its stamp is
+//! written last, so that a stage that was killed midway has none.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::PipelineError;
+
+/// Collects everything a stage's result depends on.
+#[derive(Clone)]
+pub struct KeyBuilder(blake3::Hasher);
+
+impl KeyBuilder {
+    /// Starts the key of a stage; `version` changes whenever its code gives other results.
+    pub fn new(stage: &str, version: u32) -> Self {
+        let mut builder = Self(blake3::Hasher::new());
+        builder.add("stage", stage.as_bytes());
+        builder.add("version", &version.to_le_bytes());
+        builder
+    }
+
+    /// Adds a labelled value. Lengths are hashed too, so that neighbours cannot run together.
+    pub fn add(&mut self, label: &str, bytes: &[u8]) -> &mut Self {
+        for part in [label.as_bytes(), bytes] {
+            self.0.update(&(part.len() as u64).to_le_bytes());
+            self.0.update(part);
+        }
+        self
+    }
+
+    /// Adds anything that serializes.
+    pub fn add_json(&mut self, label: &str, value: &impl Serialize) -> &mut Self {
+        let text = serde_json::to_string(value).expect("settings serialize");
+        self.add(label, text.as_bytes())
+    }
+
+    /// Adds floats.
+    pub fn add_f32(&mut self, label: &str, values: &[f32]) -> &mut Self {
+        self.0.update(&(label.len() as u64).to_le_bytes());
+        self.0.update(label.as_bytes());
+        self.0.update(&(values.len() as u64).to_le_bytes());
+        let mut buffer = Vec::with_capacity(4 * 4096);
+        for chunk in values.chunks(4096) {
+            buffer.clear();
+            chunk.iter().for_each(|value| buffer.extend_from_slice(&value.to_le_bytes()));
+            self.0.update(&buffer);
+        }
+        self
+    }
+
+    /// The key in hexadecimal.
+    pub fn finish(&self) -> String {
+        self.0.finalize().to_hex().to_string()
+    }
+}
+
+/// The stamps of a run folder.
+#[derive(Clone, Debug)]
+pub struct Stamps {
+    run_dir: PathBuf,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Stamp {
+    key: String,
+    files: Vec<(PathBuf, u64)>,
+}
+
+impl Stamps {
+    /// Stamps of a run folder, kept in `cache/`.
+    pub fn new(run_dir: &Path) -> Self {
+        Self { run_dir: run_dir.to_owned() }
+    }
+
+    /// Whether the stage finished with this key and all its files are still there, with the sizes they had.
+    pub fn is_current(&self, stage: &str, key: &str) -> bool {
+        let Ok(text) = std::fs::read(self.path(stage)) else { return false };
+        let Ok(stamp) = serde_json::from_slice::<Stamp>(&text) else { return false };
+        stamp.key == key
+            && stamp.files.iter().all(|(file, size)| {
+                std::fs::metadata(self.run_dir.join(file)).is_ok_and(|meta| meta.is_file() && meta.len() == *size)
+            })
+    }
+
+    /// Records that the stage has finished; `files` are relative to the run folder.
+    ///
+    /// # Errors
+    /// When a file is missing or the stamp cannot be written.
+    pub fn write(&self, stage: &str, key: &str, files: &[PathBuf]) -> Result<(), PipelineError> {
+        let sized = files.iter().map(|file| {
+            let path = self.run_dir.join(file);
+            let meta = std::fs::metadata(&path).map_err(|source| PipelineError::Read { path, source })?;
+            Ok((file.clone(), meta.len()))
+        });
+        let stamp = Stamp { key: key.into(), files: sized.collect::<Result<_, PipelineError>>()? };
+        let text = serde_json::to_vec_pretty(&stamp).expect("stamps serialize");
+        lumistack_field_io::atomic::write_bytes(&self.path(stage), &text).map_err(PipelineError::Field)
+    }
+
+    /// Forgets a stage, before its files change.
+    ///
+    /// # Errors
+    /// When the stamp cannot be removed.
+    pub fn clear(&self, stage: &str) -> Result<(), PipelineError> {
+        let path = self.path(stage);
+        match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(PipelineError::Write { path, source: error }),
+            _ => Ok(()),
+        }
+    }
+
+    fn path(&self, stage: &str) -> PathBuf {
+        self.run_dir.join("cache").join(format!("{stage}.json"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_depend_on_every_part() {
+        let key = |a: &str, b: &str| KeyBuilder::new("s", 1).add(a, b.as_bytes()).finish();
+        assert_ne!(key("ab", "c"), key("a", "bc"));
+        assert_ne!(KeyBuilder::new("s", 1).finish(), KeyBuilder::new("s", 2).finish());
+        assert_eq!(key("a", "b"), key("a", "b"));
+    }
+
+    #[test]
+    fn a_stamp_counts_while_its_files_are_there() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("cache")).unwrap();
+        std::fs::write(folder.path().join("a.txt"), "one").unwrap();
+        let stamps = Stamps::new(folder.path());
+        assert!(!stamps.is_current("s", "k"));
+        stamps.write("s", "k", &["a.txt".into()]).unwrap();
+        assert!(stamps.is_current("s", "k") && !stamps.is_current("s", "other"));
+        std::fs::write(folder.path().join("a.txt"), "other").unwrap();
+        assert!(!stamps.is_current("s", "k"), "the file has changed");
+        stamps.clear("s").unwrap();
+        stamps.clear("s").unwrap();
+    }
+}

@@ -1,0 +1,218 @@
+//! What can go wrong between a job file and its outputs. Every message names the file, the place in it, what was expected and what was
+//! found.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::Cancelled;
+use lumistack_core::config::ConfigError;
+use lumistack_display::{DisplayError, GridError, StackError, WeightError};
+use lumistack_factorizer::FactorizeError;
+use lumistack_field_io::FieldError;
+use lumistack_gltf::GltfError;
+use lumistack_pathtracer::RenderError;
+use lumistack_plugin_host::HostError;
+use lumistack_report::ReportError;
+use lumistack_scene::{SceneError, WindowError};
+use thiserror::Error;
+
+/// A job that did not finish.
+#[derive(Debug, Error)]
+pub enum PipelineError {
+    /// Somebody asked to stop; what is finished is kept.
+    #[error("stopped; run the same command again to go on from what is finished")]
+    Cancelled,
+    /// A file cannot be read.
+    #[error("{}: expected a readable file, found: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        source: std::io::Error,
+    },
+    /// A file or folder cannot be written.
+    #[error("{}: cannot write: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        source: std::io::Error,
+    },
+    /// The output folder's path is taken by a file.
+    #[error("{}: expected a folder to write to, found a file", path.display())]
+    NotAFolder {
+        /// The path.
+        path: PathBuf,
+    },
+    /// A job file does not parse.
+    #[error("{}: {source}{}", path.display(), excerpt(text, source))]
+    Config {
+        /// The file.
+        path: PathBuf,
+        /// Its text.
+        text: String,
+        /// Place and message.
+        source: ConfigError,
+    },
+    /// A display file is wrong.
+    #[error("{}: {source}{}", path.display(), display_excerpt(text, source))]
+    Display {
+        /// The file or preset.
+        path: PathBuf,
+        /// Its text, or empty when the values come from elsewhere.
+        text: String,
+        /// What is wrong.
+        source: DisplayError,
+    },
+    /// No such preset.
+    #[error("display `{name}`: expected a preset or a .toml file; `lumistack displays` lists the presets{}", nearest.as_ref().map_or(String::new(), |n| format!("; did you mean `{n}`?")))]
+    UnknownDisplay {
+        /// What was asked for.
+        name: String,
+        /// The nearest preset.
+        nearest: Option<String>,
+    },
+    /// A value makes no sense.
+    #[error("{}: {key}: expected {expected}, found {found}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// The key.
+        key: String,
+        /// What was needed.
+        expected: String,
+        /// What was there.
+        found: String,
+    },
+    /// glTF ingest failed.
+    #[error(transparent)]
+    Gltf(#[from] GltfError),
+    /// The scene cannot be rendered.
+    #[error("{name}: {source}")]
+    Scene {
+        /// The scene's file.
+        name: String,
+        /// What is wrong.
+        source: SceneError,
+    },
+    /// The window cannot be placed.
+    #[error("{name}: {source}")]
+    Window {
+        /// The scene's file.
+        name: String,
+        /// What is wrong.
+        source: WindowError,
+    },
+    /// A view grid makes no sense.
+    #[error(transparent)]
+    Grid(#[from] GridError),
+    /// A light field or stack cannot be read or written.
+    #[error(transparent)]
+    Field(FieldError),
+    /// A stack does not fit its display.
+    #[error("{}: {source}", path.display())]
+    Stack {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong.
+        source: StackError,
+    },
+    /// Weights do not fit.
+    #[error("{}: {source}", path.display())]
+    Weights {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: WeightError,
+    },
+    /// Rendering failed.
+    #[error(transparent)]
+    Render(RenderError),
+    /// Factorization failed.
+    #[error(transparent)]
+    Factorize(FactorizeError),
+    /// An output plugin failed.
+    #[error(transparent)]
+    Output(HostError),
+    /// The report could not be made.
+    #[error(transparent)]
+    Report(ReportError),
+}
+
+impl From<Cancelled> for PipelineError {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
+}
+
+impl PipelineError {
+    /// A value that makes no sense.
+    pub fn value(
+        path: impl AsRef<Path>,
+        key: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::Value {
+            path: path.as_ref().to_owned(),
+            key: key.into(),
+            expected: expected.into(),
+            found: found.into(),
+        }
+    }
+
+    /// A failed write, as a conversion for `map_err`.
+    pub fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
+        move |source| Self::Write { path: path.to_owned(), source }
+    }
+}
+
+/// Reads a whole file.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn read(path: &Path) -> Result<Vec<u8>, PipelineError> {
+    std::fs::read(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
+}
+
+/// Reads a whole UTF-8 file.
+///
+/// # Errors
+/// When it cannot be read or is not UTF-8.
+pub fn read_to_string(path: &Path) -> Result<String, PipelineError> {
+    std::fs::read_to_string(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
+}
+
+/// The line of the error with a mark under the place.
+fn excerpt(text: &str, error: &ConfigError) -> String {
+    let Some(line) = text.lines().nth(error.line.saturating_sub(1)) else { return String::new() };
+    let length = error.span.len().clamp(1, line.chars().count().saturating_sub(error.column - 1).max(1));
+    let number = error.line.to_string();
+    let margin = " ".repeat(number.len());
+    format!(
+        "\n {margin} |\n {number} | {line}\n {margin} | {}{}",
+        " ".repeat(error.column.saturating_sub(1)),
+        "^".repeat(length)
+    )
+}
+
+fn display_excerpt(text: &str, error: &DisplayError) -> String {
+    match error {
+        DisplayError::Config(error) => excerpt(text, error),
+        _ => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_typo_in_a_job_is_shown_in_its_line() {
+        let text = "scene = \"a.glb\"\n[display]\npresett = \"x\"\n";
+        let source = lumistack_core::config::parse::<crate::Job>(text).unwrap_err();
+        let error = PipelineError::Config { path: "job.toml".into(), text: text.into(), source }.to_string();
+        assert!(error.starts_with("job.toml: line 3, column 1: unknown field `presett`"), "{error}");
+        assert!(error.contains("did you mean `preset`?"), "{error}");
+        assert!(error.ends_with("\n 3 | presett = \"x\"\n   | ^^^^^^^"), "{error}");
+    }
+}

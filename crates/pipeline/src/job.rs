@@ -1,0 +1,482 @@
+//! The job file: which scene or light field becomes patterns of which display, and what is written.
+//!
+//! Every key has a default except the input and the display; `docs/JOB.md` lists them all. Relative paths are relative to the job file.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::config;
+use lumistack_display::{Display, Missing, Sampling};
+use lumistack_field_io::GeometryFlags;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{PipelineError, read_to_string};
+use crate::presets;
+
+/// A job, as its file says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Job {
+    /// Format of the file.
+    #[serde(default = "schema")]
+    pub schema: String,
+    /// Version of the format.
+    #[serde(default = "version")]
+    pub version: u32,
+    /// Name for people and for the run folder; default: the file's stem.
+    #[serde(default)]
+    pub name: String,
+    /// Scene to render: `.gltf` or `.glb`. Either this or `light_field`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene: Option<PathBuf>,
+    /// Light field that somebody else rendered: a folder, `.npy`, a quilt. Either this or `scene`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub light_field: Option<PathBuf>,
+    /// Seed of all random streams.
+    #[serde(default = "default_seed")]
+    pub seed: u64,
+    /// Geometry that a foreign light field does not state itself.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub geometry: GeometryJob,
+    /// The display.
+    pub display: DisplayJob,
+    /// Where the display stands in the scene.
+    #[serde(default)]
+    pub window: WindowJob,
+    /// Light and exposure.
+    #[serde(default)]
+    pub light: LightJob,
+    /// Path tracer.
+    #[serde(default)]
+    pub render: RenderJob,
+    /// Factorizer.
+    #[serde(default)]
+    pub factorize: FactorizeJob,
+    /// Output plugins; default: `images`.
+    #[serde(default = "default_outputs")]
+    pub outputs: Vec<OutputJob>,
+}
+
+/// Which display, and what to change about it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DisplayJob {
+    /// Name of a preset; see `lumistack displays`. Either this or `file`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub preset: Option<String>,
+    /// A display file. Either this or `preset`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
+    /// [columns, rows] of the light field; masks scale along, the width in millimetres stays.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<[usize; 2]>,
+    /// [horizontal, vertical] views.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub views: Option<[usize; 2]>,
+    /// [horizontal, vertical] full angles of view, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fov_deg: Option<[f64; 2]>,
+    /// Frames M.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames: Option<usize>,
+    /// Brightness scale β.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub brightness: Option<f64>,
+    /// How a ray reads a layer between pixel centres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sampling: Option<Sampling>,
+    /// What a ray reads that leaves a layer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub missing: Option<Missing>,
+}
+
+/// Geometry of a foreign light field; a value here wins over what the files say.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GeometryJob {
+    /// View grid: `oblique` or `perspective`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub grid: Option<lumistack_display::ProjectionKind>,
+    /// [horizontal, vertical] full angles of view, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fov_deg: Option<[f64; 2]>,
+    /// Pixel pitch on the display plane, millimetres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pitch_mm: Option<f64>,
+    /// Viewing distance of a perspective grid, millimetres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distance_mm: Option<f64>,
+    /// [horizontal, vertical] views to keep of a larger set, spread evenly.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub views: Option<[usize; 2]>,
+    /// [columns, rows] of a quilt whose file name does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quilt: Option<[usize; 2]>,
+    /// [columns, rows] of pixels to reduce every view to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<[usize; 2]>,
+}
+
+/// Where the display stands in the scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WindowJob {
+    /// `auto`: the first camera's plane of focus, or framed on the bounds when there is none; `camera`; `bounds`; `given`.
+    #[serde(default)]
+    pub from: WindowFrom,
+    /// Name or number of the camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<String>,
+    /// Distance of the camera's plane of focus, scene units, instead of the file's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focus_distance: Option<f32>,
+    /// `given`: centre in the scene.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub centre: Option<[f64; 3]>,
+    /// `given`: viewing direction, into the scene.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub forward: Option<[f64; 3]>,
+    /// `given`: upward direction.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up: Option<[f64; 3]>,
+    /// `given`: width in scene units.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub width: Option<f64>,
+}
+
+/// How the window is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WindowFrom {
+    /// A camera where the file has one, otherwise the bounds.
+    #[default]
+    Auto,
+    /// A camera.
+    Camera,
+    /// The scene's bounds, seen from the front.
+    Bounds,
+    /// `centre`, `forward`, `up`, `width`.
+    Given,
+}
+
+/// Light and exposure.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightJob {
+    /// Radiance HDR or EXR environment map that replaces the scene's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub environment: Option<PathBuf>,
+    /// Factor on the environment's radiance.
+    #[serde(default = "one")]
+    pub environment_strength: f32,
+    /// Whether a scene without any light gets the built-in studio light.
+    #[serde(default = "yes")]
+    pub automatic: bool,
+    /// Exposure in stops added to the automatic one, or to scene radiance when `automatic_exposure` is off.
+    #[serde(default)]
+    pub exposure_ev: f64,
+    /// Whether exposure follows the brightness of all views together.
+    #[serde(default = "yes")]
+    pub automatic_exposure: bool,
+}
+
+/// Path tracer settings.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RenderJob {
+    /// Paths per pixel and view.
+    #[serde(default = "default_samples")]
+    pub samples: u32,
+    /// Bounces after the first hit.
+    #[serde(default = "default_bounces")]
+    pub max_bounces: u32,
+    /// `point`: rays at the view's slope; `bin`: spread over the view's bin.
+    #[serde(default)]
+    pub angular_filter: AngularFilter,
+    /// In-between views per axis that are rendered for the report only; 0 for none.
+    #[serde(default = "default_held_out")]
+    pub held_out: usize,
+}
+
+/// Angular extent of a view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AngularFilter {
+    /// One slope per view.
+    #[default]
+    Point,
+    /// Slopes spread over the view's bin.
+    Bin,
+}
+
+/// Factorizer settings.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FactorizeJob {
+    /// Name of the solver.
+    #[serde(default = "default_solver")]
+    pub solver: String,
+    /// Full updates.
+    #[serde(default = "default_iterations")]
+    pub iterations: u32,
+    /// Starting values: `content` or `random`.
+    #[serde(default = "default_start")]
+    pub start: String,
+    /// A `layers` folder to start from instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warm_start: Option<PathBuf>,
+    /// `.npy` of weights, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weights: Option<PathBuf>,
+}
+
+/// One output plugin.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OutputJob {
+    /// Id of the plugin; see `lumistack plugins`.
+    pub plugin: String,
+    /// Its parameters.
+    #[serde(default)]
+    pub params: serde_json::Map<String, serde_json::Value>,
+}
+
+fn schema() -> String {
+    Job::SCHEMA.into()
+}
+
+fn version() -> u32 {
+    1
+}
+
+fn default_seed() -> u64 {
+    1
+}
+
+fn one() -> f32 {
+    1.0
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn default_samples() -> u32 {
+    48
+}
+
+fn default_bounces() -> u32 {
+    6
+}
+
+fn default_held_out() -> usize {
+    2
+}
+
+fn default_solver() -> String {
+    "multiplicative".into()
+}
+
+fn default_iterations() -> u32 {
+    200
+}
+
+fn default_start() -> String {
+    "content".into()
+}
+
+fn default_outputs() -> Vec<OutputJob> {
+    vec![OutputJob { plugin: "images".into(), params: serde_json::Map::new() }]
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+impl Default for LightJob {
+    fn default() -> Self {
+        Self {
+            environment: None,
+            environment_strength: one(),
+            automatic: true,
+            exposure_ev: 0.0,
+            automatic_exposure: true,
+        }
+    }
+}
+
+impl Default for RenderJob {
+    fn default() -> Self {
+        Self {
+            samples: default_samples(),
+            max_bounces: default_bounces(),
+            angular_filter: AngularFilter::Point,
+            held_out: default_held_out(),
+        }
+    }
+}
+
+impl Default for FactorizeJob {
+    fn default() -> Self {
+        Self {
+            solver: default_solver(),
+            iterations: default_iterations(),
+            start: default_start(),
+            warm_start: None,
+            weights: None,
+        }
+    }
+}
+
+impl Job {
+    /// Value of the key `schema`.
+    pub const SCHEMA: &'static str = "lumistack/job";
+
+    /// A job with nothing set but its display.
+    pub fn new(display: DisplayJob) -> Self {
+        Self {
+            schema: schema(),
+            version: version(),
+            name: String::new(),
+            scene: None,
+            light_field: None,
+            seed: default_seed(),
+            geometry: GeometryJob::default(),
+            display,
+            window: WindowJob::default(),
+            light: LightJob::default(),
+            render: RenderJob::default(),
+            factorize: FactorizeJob::default(),
+            outputs: default_outputs(),
+        }
+    }
+
+    /// Reads a job file; its relative paths become relative to the working folder.
+    ///
+    /// # Errors
+    /// When the file cannot be read, does not parse, or has unknown keys.
+    pub fn load(path: &Path) -> Result<Self, PipelineError> {
+        let text = read_to_string(path)?;
+        let mut job: Self = config::parse(&text)
+            .map_err(|source| PipelineError::Config { path: path.to_owned(), text: text.clone(), source })?;
+        if job.schema != Self::SCHEMA || job.version != 1 {
+            return Err(PipelineError::value(
+                path,
+                "schema",
+                "lumistack/job, version 1",
+                format!("{}, version {}", job.schema, job.version),
+            ));
+        }
+        if job.name.is_empty() {
+            job.name = path.file_stem().map_or("job".into(), |stem| stem.to_string_lossy().into_owned());
+            // scenes/still-life/job.toml is called still-life
+            if job.name == "job"
+                && let Some(folder) = path.parent().and_then(Path::file_name)
+            {
+                job.name = folder.to_string_lossy().into_owned();
+            }
+        }
+        let base = path.parent().unwrap_or(Path::new(""));
+        for path in job.paths_mut() {
+            *path = base.join(&*path);
+        }
+        Ok(job)
+    }
+
+    /// Every path in the job.
+    pub fn paths_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        [
+            &mut self.scene,
+            &mut self.light_field,
+            &mut self.display.file,
+            &mut self.light.environment,
+            &mut self.factorize.warm_start,
+            &mut self.factorize.weights,
+        ]
+        .into_iter()
+        .flatten()
+    }
+
+    /// The display that the job asks for.
+    ///
+    /// # Errors
+    /// When the preset is unknown, the file does not parse, or a changed value is out of range.
+    pub fn resolve_display(&self) -> Result<Display, PipelineError> {
+        let job = &self.display;
+        let (place, mut display) = match (&job.preset, &job.file) {
+            (Some(name), None) => (PathBuf::from(name), presets::load(name)?),
+            (None, Some(path)) => (path.clone(), presets::load_file(path)?),
+            _ => {
+                let found = if job.preset.is_some() { "both" } else { "neither" };
+                return Err(PipelineError::value("job", "display", "either `preset` or `file`", found));
+            }
+        };
+        if let Some(views) = job.views {
+            display.field.views = views;
+        }
+        if let Some(fov_deg) = job.fov_deg {
+            display.field.fov_deg = fov_deg;
+        }
+        display.frames = job.frames.unwrap_or(display.frames);
+        display.brightness = job.brightness.unwrap_or(display.brightness);
+        display.sampling = job.sampling.unwrap_or(display.sampling);
+        display.missing = job.missing.unwrap_or(display.missing);
+        if let Some(resolution) = job.resolution {
+            if resolution.contains(&0) {
+                let found = format!("{resolution:?}");
+                return Err(PipelineError::value("job", "display.resolution", "at least [1, 1]", found));
+            }
+            display = display.with_resolution(resolution);
+        }
+        display.check().map_err(|source| PipelineError::Display { path: place, text: String::new(), source })?;
+        Ok(display)
+    }
+
+    /// Checks values that no parser checks.
+    ///
+    /// # Errors
+    /// On the first value that makes no sense.
+    pub fn check(&self) -> Result<(), PipelineError> {
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+        match (&self.scene, &self.light_field) {
+            (Some(_), None) | (None, Some(_)) => {}
+            (Some(_), Some(_)) => return fail("scene", "either `scene` or `light_field`", "both".into()),
+            (None, None) => return fail("scene", "either `scene` or `light_field`", "neither".into()),
+        }
+        if !(1..=65536).contains(&self.render.samples) {
+            return fail("render.samples", "1 to 65536", self.render.samples.to_string());
+        }
+        if self.render.max_bounces > 1024 {
+            return fail("render.max_bounces", "0 to 1024", self.render.max_bounces.to_string());
+        }
+        if self.render.held_out > 64 {
+            return fail("render.held_out", "0 to 64", self.render.held_out.to_string());
+        }
+        if !(self.light.exposure_ev.is_finite() && self.light.exposure_ev.abs() <= 100.0) {
+            return fail("light.exposure_ev", "-100 to 100", self.light.exposure_ev.to_string());
+        }
+        if !(self.light.environment_strength.is_finite() && self.light.environment_strength >= 0.0) {
+            return fail("light.environment_strength", "a number ≥ 0", self.light.environment_strength.to_string());
+        }
+        Ok(())
+    }
+
+    /// The job as a file, every default written out.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a job holds nothing that TOML cannot")
+    }
+}
+
+impl GeometryJob {
+    /// As field-io takes it.
+    pub fn flags(&self) -> GeometryFlags {
+        GeometryFlags {
+            grid: self.grid,
+            fov_deg: self.fov_deg,
+            pitch_mm: self.pitch_mm,
+            distance_mm: self.distance_mm,
+            views: self.views,
+            quilt: self.quilt,
+            resolution: self.resolution,
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! Displays that come with the program: the paper's prototypes and figures.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::config::nearest;
+use lumistack_display::Display;
+
+use crate::error::{PipelineError, read_to_string};
+
+macro_rules! presets {
+    ($($name:literal),* $(,)?) => {
+        /// Name and text of every preset.
+        pub const PRESETS: &[(&str, &str)] =
+            &[$(($name, include_str!(concat!("../../../scenes/displays/", $name, ".toml")))),*];
+    };
+}
+
+presets!(
+    "paper-three-layer",
+    "paper-directional",
+    "fig4-two-layer",
+    "fig4-three-layer-static",
+    "fig4-three-layer",
+    "fig4-one-layer-directional",
+    "fig4-two-layer-directional",
+    "fig7-uniform",
+    "fig7-directional",
+    "fig9-five-layer",
+    "fig9-multilayer-only",
+    "fig9-multiframe-only",
+    "fig9-directional",
+);
+
+/// The preset called `name`.
+///
+/// # Errors
+/// When there is none; the error names the nearest.
+pub fn load(name: &str) -> Result<Display, PipelineError> {
+    let Some((_, text)) = PRESETS.iter().find(|(preset, _)| *preset == name) else {
+        return Err(PipelineError::UnknownDisplay {
+            name: name.into(),
+            nearest: nearest(name, PRESETS.iter().map(|(preset, _)| *preset)).map(String::from),
+        });
+    };
+    parse(Path::new(name), text)
+}
+
+/// A display file.
+///
+/// # Errors
+/// When it cannot be read or is wrong.
+pub fn load_file(path: &Path) -> Result<Display, PipelineError> {
+    parse(path, &read_to_string(path)?)
+}
+
+/// What a user typed: the name of a preset or the path of a file.
+pub fn by_name_or_path(text: &str) -> crate::DisplayJob {
+    let is_path = text.ends_with(".toml") || text.contains(['/', '\\']);
+    if is_path {
+        crate::DisplayJob { file: Some(PathBuf::from(text)), ..Default::default() }
+    } else {
+        crate::DisplayJob { preset: Some(text.into()), ..Default::default() }
+    }
+}
+
+fn parse(path: &Path, text: &str) -> Result<Display, PipelineError> {
+    Display::from_toml(text)
+        .map_err(|source| PipelineError::Display { path: path.to_owned(), text: text.into(), source })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_loads_and_every_value_names_its_source() {
+        for (name, text) in PRESETS {
+            let display = load(name).unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert!(display.frames >= 1);
+            for line in text.lines().filter(|line| line.contains(" = ") && !line.starts_with('#')) {
+                let source = line.split_once(" # ").map_or("", |(_, source)| source);
+                let known = ["paper: ", "derived: ", "ours"].iter().any(|tag| source.starts_with(tag));
+                assert!(known, "{name}: `{line}` does not say where its value comes from");
+            }
+        }
+    }
+
+    #[test]
+    fn every_preset_file_is_built_in() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/displays");
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let stem = path.file_stem().unwrap().to_string_lossy().into_owned();
+            assert!(PRESETS.iter().any(|(name, _)| *name == stem), "{stem} is not in the list");
+        }
+    }
+
+    #[test]
+    fn an_unknown_name_suggests_the_nearest() {
+        let error = load("paper-three-layers").unwrap_err().to_string();
+        assert!(error.contains("did you mean `paper-three-layer`"), "{error}");
+    }
+
+    #[test]
+    fn the_prototype_has_the_papers_parameters() {
+        let display = load("paper-three-layer").unwrap();
+        assert_eq!(display.layers.iter().map(|layer| layer.d_mm).collect::<Vec<_>>(), [-40.0, 0.0, 40.0]);
+        assert_eq!((display.frames, display.brightness, display.refresh_hz), (12, 0.2, 120.0));
+        assert_eq!(display.geometry().unwrap().grid.views(), [5, 5]);
+        let directional = load("paper-directional").unwrap();
+        let lumistack_display::Backlight::Lenslets(lenslets) = &directional.backlight else {
+            panic!("no directional backlight")
+        };
+        assert_eq!((lenslets.lenslets, lenslets.d_mm, lenslets.pitch_mm), ([187, 117], -8.5, 2.54));
+    }
+}

@@ -1,0 +1,465 @@
+//! A job from its input to its report. Every stage leaves its result in the run folder and a stamp in `cache/`; a rerun takes what is current.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use lumistack_core::{Collector, Progress, Task, Warning, Warnings};
+use lumistack_display::{Display, LayerStack, LightField, StackError, Weights, score};
+use lumistack_factorizer::{Factorization, FactorizeError, Problem};
+use lumistack_plugin_host::{OutputContext, OutputData, Registry};
+use lumistack_report::{Iteration, OutputFile, ReportInput, Stage};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::cache::{KeyBuilder, Stamps};
+use crate::error::PipelineError;
+use crate::ingest::{self, Ingested};
+use crate::job::Job;
+use crate::render;
+
+/// Changes whenever a solver gives other patterns.
+const FACTORIZE_VERSION: u32 = 1;
+/// Name of the one node of a plain job.
+const NODE: &str = "tensor-display";
+
+/// What a run ended with.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// The report.
+    pub report: PathBuf,
+    /// PSNR of L̃/β against L, dB.
+    pub psnr_view: f64,
+    /// PSNR of L̃ against βL, dB.
+    pub psnr_raw: f64,
+    /// PSNR at in-between views, dB.
+    pub psnr_held_out: Option<f64>,
+    /// Time of the whole run, seconds.
+    pub seconds: f64,
+}
+
+/// A point of the convergence curve, as it is kept between runs.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Step {
+    iteration: u32,
+    objective: f64,
+    psnr_view: Option<f64>,
+    seconds: f64,
+}
+
+/// Runs a whole job into `run_dir`.
+///
+/// # Errors
+/// When any stage fails or is cancelled; finished stages are kept and taken up by the next run.
+pub fn run(job: &Job, run_dir: &Path, command: Option<&str>, task: Task<'_>) -> Result<Summary, PipelineError> {
+    let start = Instant::now();
+    let warnings = Tee { list: Collector::default(), next: task.warnings };
+    let task = Task { warnings: &warnings, ..task };
+    job.check()?;
+    let mut run = Run::open(job, run_dir)?;
+    let input = run.input(task)?;
+    let display = run.display.clone();
+    run.write_settings(&display)?;
+    let weights = run.weights(&input.target)?;
+    let (stack, steps) = run.factorize(&display, &input.target, &weights, task)?;
+    let outputs = run.outputs(&display, &stack, &input.target, task)?;
+
+    let stage = Instant::now();
+    let settings = serde_json::to_value(job).expect("jobs serialize");
+    let total_score = score(&display, &stack, &input.target, &weights);
+    let held_out_score = input.held_out.as_ref().map(|field| score(&display, &stack, field, &Weights::Uniform));
+    let report = lumistack_report::build(
+        &ReportInput {
+            title: &job.name,
+            display: &display,
+            stack: &stack,
+            target: &input.target,
+            weights: &weights,
+            held_out: input.held_out.as_ref(),
+            convergence: &steps,
+            stages: &run.stages,
+            settings: &settings,
+            scene: input.about,
+            warnings: &warnings.list.take(),
+            outputs: &outputs,
+            command,
+            version: env!("CARGO_PKG_VERSION"),
+        },
+        task,
+    )
+    .map_err(PipelineError::Report)?;
+    let path = run_dir.join("report.html");
+    write(&run_dir.join("report.json"), &serde_json::to_vec_pretty(&report.json).expect("reports serialize"))?;
+    write(&path, report.html.as_bytes())?;
+    run.stages.push(Stage { name: "report".into(), seconds: stage.elapsed().as_secs_f64(), cached: false });
+    Ok(Summary {
+        report: path,
+        psnr_view: total_score.psnr_view(),
+        psnr_raw: total_score.psnr_raw(),
+        psnr_held_out: held_out_score.map(|score| score.psnr_view()),
+        seconds: start.elapsed().as_secs_f64(),
+    })
+}
+
+/// Renders the views of a job's scene into `target_dir`, without factorizing.
+///
+/// # Errors
+/// When ingest or rendering fails or is cancelled.
+pub fn render_only(job: &Job, target_dir: &Path, task: Task<'_>) -> Result<(), PipelineError> {
+    let Some(scene) = &job.scene else {
+        return Err(PipelineError::value("job", "scene", "a scene to render", "none"));
+    };
+    check_folder(target_dir)?;
+    let display = job.resolve_display()?;
+    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let ingested = ingest::load_scene(scene, &job.light, task)?;
+    let window = ingest::place_window(&ingested.scene, &job.window, geometry.size_mm())?;
+    let mut job = job.clone();
+    job.render.held_out = 0;
+    let rendered = render::render(&job, &ingested, &window, &geometry, &target_dir.join("cache"), task)?;
+    write_field(target_dir, &rendered.target, Some(rendered.exposure))
+}
+
+/// What the input stage gives.
+struct Input {
+    target: LightField,
+    held_out: Option<LightField>,
+    about: Option<serde_json::Value>,
+}
+
+struct Run<'a> {
+    job: &'a Job,
+    dir: PathBuf,
+    display: Display,
+    stamps: Stamps,
+    stages: Vec<Stage>,
+}
+
+impl<'a> Run<'a> {
+    fn open(job: &'a Job, dir: &Path) -> Result<Self, PipelineError> {
+        let display = job.resolve_display()?;
+        let registry = Registry::builtin();
+        for output in &job.outputs {
+            // found out before an hour of rendering, not after
+            registry.check_params(&output.plugin, &output.params.clone().into()).map_err(PipelineError::Output)?;
+        }
+        check_folder(dir)?;
+        let cache = dir.join("cache");
+        std::fs::create_dir_all(&cache).map_err(PipelineError::write(&cache))?;
+        Ok(Self { job, dir: dir.to_owned(), display, stamps: Stamps::new(dir), stages: Vec::new() })
+    }
+
+    fn timed<T>(
+        &mut self,
+        name: &str,
+        work: impl FnOnce(&mut Self) -> Result<(T, bool), PipelineError>,
+    ) -> Result<T, PipelineError> {
+        let start = Instant::now();
+        let (result, cached) = work(self)?;
+        self.stages.push(Stage { name: name.into(), seconds: start.elapsed().as_secs_f64(), cached });
+        Ok(result)
+    }
+
+    fn input(&mut self, task: Task<'_>) -> Result<Input, PipelineError> {
+        match (&self.job.scene, &self.job.light_field) {
+            (Some(scene), _) => self.render_scene(scene, task),
+            (None, Some(path)) => self.read_field(path, task),
+            (None, None) => Err(PipelineError::value("job", "scene", "either `scene` or `light_field`", "neither")),
+        }
+    }
+
+    fn render_scene(&mut self, path: &Path, task: Task<'_>) -> Result<Input, PipelineError> {
+        let job = self.job;
+        let ingested = self.timed("ingest", |_| Ok((ingest::load_scene(path, &job.light, task)?, false)))?;
+        let geometry = self.display.geometry().map_err(|source| display_error(source, "field"))?;
+        let window = ingest::place_window(&ingested.scene, &job.window, geometry.size_mm())?;
+        let rendered = self.timed("render", |run| {
+            let cache = run.dir.join("cache/views");
+            let rendered = render::render(job, &ingested, &window, &geometry, &cache, task)?;
+            let cached = rendered.cached;
+            Ok((rendered, cached))
+        })?;
+        write_field_if_changed(&self.stamps, &self.dir, "target", &rendered.target, Some(rendered.exposure))?;
+        if let Some(field) = &rendered.held_out {
+            write_field_if_changed(&self.stamps, &self.dir, "held-out", field, Some(rendered.exposure))?;
+        }
+        let about = about_scene(path, &ingested, &window, rendered.exposure);
+        Ok(Input { target: rendered.target, held_out: rendered.held_out, about: Some(about) })
+    }
+
+    fn read_field(&mut self, path: &Path, task: Task<'_>) -> Result<Input, PipelineError> {
+        let job = self.job;
+        let defaults = lumistack_field_io::GeometryDefaults {
+            width_mm: self.display.field_pixels().size_mm()[0],
+            fov_deg: self.display.field.fov_deg,
+        };
+        let target = self.timed("read", |_| {
+            let mut field = lumistack_field_io::open(path, &job.geometry.flags(), &defaults, task).map_err(field_error)?;
+            lumistack_field_io::round_to_half(&mut field);
+            Ok((field, false))
+        })?;
+        self.display = self.display.adapted_to(target.geometry());
+        self.display.check().map_err(|source| display_error(source, "light field"))?;
+        write_field_if_changed(&self.stamps, &self.dir, "target", &target, None)?;
+        let about = json!({ "light field": path.display().to_string() });
+        Ok(Input { target, held_out: None, about: Some(about) })
+    }
+
+    fn write_settings(&self, display: &Display) -> Result<(), PipelineError> {
+        let mut job = self.job.clone();
+        // so that the copy can be run from where it lies
+        for path in job.paths_mut() {
+            if let Ok(absolute) = std::path::absolute(&*path) {
+                *path = absolute;
+            }
+        }
+        write(&self.dir.join("job.toml"), job.to_toml().as_bytes())?;
+        write(&self.dir.join("display.toml"), display.to_toml().as_bytes())
+    }
+
+    fn weights(&self, target: &LightField) -> Result<Weights, PipelineError> {
+        let Some(path) = &self.job.factorize.weights else { return Ok(Weights::Uniform) };
+        let weights = lumistack_field_io::read_weights(path).map_err(field_error)?;
+        weights.check(target.geometry()).map_err(|source| PipelineError::Weights { path: path.clone(), source })?;
+        Ok(weights)
+    }
+
+    fn factorize(
+        &mut self,
+        display: &Display,
+        target: &LightField,
+        weights: &Weights,
+        task: Task<'_>,
+    ) -> Result<(LayerStack, Vec<Iteration>), PipelineError> {
+        let job = &self.job.factorize;
+        let warm = match &job.warm_start {
+            Some(path) => {
+                let stack = lumistack_field_io::read_stack(path).map_err(field_error)?;
+                check_stack(&stack, display, path)?;
+                Some(stack)
+            }
+            None => None,
+        };
+        let mut key = KeyBuilder::new("factorize", FACTORIZE_VERSION);
+        key.add("display", display.to_toml().as_bytes())
+            .add("geometry", format!("{:?}", target.geometry()).as_bytes())
+            .add_f32("target", target.radiance().data())
+            .add_json("settings", &(&job.solver, job.iterations, &job.start, self.job.seed));
+        match weights {
+            Weights::Uniform => {}
+            Weights::PerView(t) => drop(key.add_f32("weights per view", t.data())),
+            Weights::PerRay(t) => drop(key.add_f32("weights per ray", t.data())),
+        }
+        for layer in warm.iter().flat_map(|stack| &stack.layers) {
+            key.add_f32("warm layer", layer.data());
+        }
+        if let Some(emission) = warm.as_ref().and_then(|stack| stack.emission.as_ref()) {
+            key.add_f32("warm emission", emission.data());
+        }
+        let key = key.finish();
+        self.timed("factorize", |run| {
+            let layers = run.dir.join("layers");
+            let curve = run.dir.join("cache/convergence.json");
+            if run.stamps.is_current("factorize", &key)
+                && let Ok(stack) = lumistack_field_io::read_stack(&layers)
+                && check_stack(&stack, display, &layers).is_ok()
+                && let Some(steps) = std::fs::read(&curve).ok().and_then(|text| serde_json::from_slice(&text).ok())
+            {
+                return Ok(((stack, report_steps(steps)), true));
+            }
+            run.stamps.clear("factorize")?;
+            let (factorization, steps) = run.solve(display, target, weights, warm.as_ref(), task)?;
+            let stack = factorization.stack;
+            let mut files = lumistack_field_io::write_stack(&layers, display, &stack).map_err(field_error)?;
+            write(&curve, &serde_json::to_vec(&steps).expect("steps serialize"))?;
+            files.iter_mut().for_each(|file| *file = Path::new("layers").join(&*file));
+            files.push("cache/convergence.json".into());
+            run.stamps.write("factorize", &key, &files)?;
+            Ok(((stack, report_steps(steps)), false))
+        })
+    }
+
+    fn solve(
+        &self,
+        display: &Display,
+        target: &LightField,
+        weights: &Weights,
+        warm: Option<&LayerStack>,
+        task: Task<'_>,
+    ) -> Result<(Factorization, Vec<Step>), PipelineError> {
+        let job = &self.job.factorize;
+        let settings = lumistack_factorizer::Settings {
+            solver: job.solver.clone(),
+            iterations: job.iterations,
+            seed: self.job.seed,
+            start: job.start.parse().map_err(PipelineError::Factorize)?,
+        };
+        let problem = Problem { display, target, weights };
+        let start = Instant::now();
+        let mut steps = Vec::new();
+        task.progress.begin("factorize", u64::from(job.iterations), "updates");
+        let mut last = 0;
+        let result = lumistack_factorizer::factorize(&problem, &settings, warm, task, &mut |step| {
+            let seconds = start.elapsed().as_secs_f64();
+            let psnr_view = step.psnr_view.is_finite().then_some(step.psnr_view);
+            steps.push(Step { iteration: step.iteration, objective: step.objective, psnr_view, seconds });
+            let note = format!("updates, {:.1} dB", step.psnr_view);
+            task.progress.advance(u64::from(step.iteration.saturating_sub(last)), &note);
+            last = step.iteration;
+        });
+        task.progress.end();
+        match result {
+            Ok(factorization) => Ok((factorization, steps)),
+            Err(FactorizeError::Cancelled(_)) => Err(PipelineError::Cancelled),
+            Err(other) => Err(PipelineError::Factorize(other)),
+        }
+    }
+
+    fn outputs(
+        &mut self,
+        display: &Display,
+        stack: &LayerStack,
+        target: &LightField,
+        task: Task<'_>,
+    ) -> Result<Vec<OutputFile>, PipelineError> {
+        let registry = Registry::builtin();
+        let mut files = Vec::new();
+        for output in &self.job.outputs {
+            let relative = Path::new("outputs").join(NODE).join(&output.plugin);
+            let params = output.params.clone().into();
+            let mut key = KeyBuilder::new(&format!("output {}", output.plugin), 1);
+            key.add("plugin", registry.version(&output.plugin).unwrap_or_default().as_bytes())
+                .add("display", display.to_toml().as_bytes())
+                .add_json("params", &params)
+                .add("geometry", format!("{:?}", target.geometry()).as_bytes());
+            stack.layers.iter().for_each(|layer| drop(key.add_f32("layer", layer.data())));
+            stack.emission.iter().for_each(|emission| drop(key.add_f32("emission", emission.data())));
+            let key = key.finish();
+            let stage = format!("output-{}", output.plugin);
+            let written = self.timed(&stage, |run| {
+                let list = run.dir.join("cache").join(format!("{stage}-files.json"));
+                if run.stamps.is_current(&stage, &key)
+                    && let Some(written) = std::fs::read(&list).ok().and_then(|t| serde_json::from_slice(&t).ok())
+                {
+                    return Ok((written, true));
+                }
+                run.stamps.clear(&stage)?;
+                let context = OutputContext {
+                    display,
+                    data: OutputData::LayerStack { stack, geometry: target.geometry() },
+                    time: 0,
+                    out_dir: &run.dir.join(&relative),
+                    task,
+                };
+                let mut written: Vec<PathBuf> =
+                    lumistack_plugin_host::run_output(&registry, &output.plugin, &params, &context)
+                        .map_err(|error| if error.is_cancelled() { PipelineError::Cancelled } else { PipelineError::Output(error) })?;
+                written.iter_mut().for_each(|file| *file = relative.join(&*file));
+                write(&list, &serde_json::to_vec(&written).expect("paths serialize"))?;
+                run.stamps.write(&stage, &key, &written)?;
+                Ok((written, false))
+            })?;
+            files.extend(written.into_iter().map(|path| OutputFile { plugin: output.plugin.clone(), path }));
+        }
+        Ok(files)
+    }
+}
+
+fn report_steps(steps: Vec<Step>) -> Vec<Iteration> {
+    steps
+        .into_iter()
+        .map(|step| Iteration {
+            iteration: step.iteration,
+            objective: step.objective,
+            psnr_view: step.psnr_view.unwrap_or(f64::INFINITY),
+            seconds: step.seconds,
+        })
+        .collect()
+}
+
+fn about_scene(
+    path: &Path,
+    ingested: &Ingested,
+    window: &lumistack_scene::Window,
+    exposure: f64,
+) -> serde_json::Value {
+    let scene = &ingested.scene;
+    let map = window.scene_from_display;
+    json!({
+        "file": path.display().to_string(),
+        "triangles": scene.triangle_count(),
+        "meshes": scene.meshes.len(),
+        "instances": scene.instances.len(),
+        "materials": scene.materials.len(),
+        "textures": scene.textures.len(),
+        "lights": scene.lights.len(),
+        "window centre (scene units)": map.translation.to_array(),
+        "scene units per millimetre": map.scale,
+        "exposure": exposure,
+    })
+}
+
+fn check_stack(stack: &LayerStack, display: &Display, path: &Path) -> Result<(), PipelineError> {
+    stack.check(display).map_err(|source: StackError| PipelineError::Stack { path: path.to_owned(), source })
+}
+
+fn check_folder(path: &Path) -> Result<(), PipelineError> {
+    if path.is_file() { Err(PipelineError::NotAFolder { path: path.to_owned() }) } else { Ok(()) }
+}
+
+fn display_error(source: lumistack_display::DisplayError, place: &str) -> PipelineError {
+    PipelineError::Display { path: place.into(), text: String::new(), source }
+}
+
+pub(crate) fn field_error(error: lumistack_field_io::FieldError) -> PipelineError {
+    if error.is_cancelled() { PipelineError::Cancelled } else { PipelineError::Field(error) }
+}
+
+pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), PipelineError> {
+    lumistack_field_io::atomic::write_bytes(path, bytes).map_err(field_error)
+}
+
+fn write_field(dir: &Path, field: &LightField, exposure: Option<f64>) -> Result<(), PipelineError> {
+    let mut info = serde_json::Map::new();
+    if let Some(exposure) = exposure {
+        info.insert("exposure".into(), exposure.into());
+    }
+    lumistack_field_io::write_field(dir, field, &info).map_err(field_error)?;
+    Ok(())
+}
+
+/// Writes a light-field folder unless it already holds these values.
+fn write_field_if_changed(
+    stamps: &Stamps,
+    run_dir: &Path,
+    name: &str,
+    field: &LightField,
+    exposure: Option<f64>,
+) -> Result<(), PipelineError> {
+    let mut key = KeyBuilder::new(name, 1);
+    key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
+    let key = key.finish();
+    if stamps.is_current(name, &key) {
+        return Ok(());
+    }
+    stamps.clear(name)?;
+    write_field(&run_dir.join(name), field, exposure)?;
+    let mut files = vec![Path::new(name).join("lightfield.json")];
+    files.extend(field.geometry().grid.iter().map(|[y, x]| Path::new(name).join(format!("view_{y:02}_{x:02}.exr"))));
+    stamps.write(name, &key, &files)
+}
+
+/// Keeps warnings for the report and passes them on.
+struct Tee<'a> {
+    list: Collector,
+    next: &'a dyn Warnings,
+}
+
+impl Warnings for Tee<'_> {
+    fn warn(&self, warning: Warning) {
+        self.list.warn(warning.clone());
+        self.next.warn(warning);
+    }
+}
+
+/// Reexported so that shells can implement it without another dependency.
+pub type ProgressSink<'a> = &'a dyn Progress;

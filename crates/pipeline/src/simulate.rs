@@ -1,0 +1,119 @@
+//! What a finished display shows from somewhere.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::{Tensor, colour};
+use lumistack_display::forward::{view_from_eye, view_from_slope};
+use lumistack_display::{Display, LayerStack};
+
+use crate::error::PipelineError;
+use crate::presets;
+use crate::run::{field_error, write};
+
+/// A finished run: the display and its patterns.
+pub struct RunFolder {
+    /// Where it lies.
+    pub dir: PathBuf,
+    /// The display.
+    pub display: Display,
+    /// Its patterns.
+    pub stack: LayerStack,
+}
+
+/// Where the viewer stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Viewpoint {
+    /// A parallel projection from these angles, degrees: right and up.
+    Angle([f64; 2]),
+    /// An eye in display space, millimetres: right, up, in front.
+    Eye([f64; 3]),
+    /// This many parallel projections side by side, from left to right across the horizontal field of view.
+    Sweep(usize),
+}
+
+impl RunFolder {
+    /// Reads the display and the patterns of a run.
+    ///
+    /// # Errors
+    /// When they are missing, wrong or do not fit each other.
+    pub fn open(dir: &Path) -> Result<Self, PipelineError> {
+        let display = presets::load_file(&dir.join("display.toml"))?;
+        let layers = dir.join("layers");
+        let stack = lumistack_field_io::read_stack(&layers).map_err(field_error)?;
+        stack.check(&display).map_err(|source| PipelineError::Stack { path: layers, source })?;
+        Ok(Self { dir: dir.to_owned(), display, stack })
+    }
+
+    /// The picture from a viewpoint: `[row][col][rgb]`, linear; L̃/β, or L̃ itself when `raw`.
+    ///
+    /// # Errors
+    /// When the viewpoint is behind the display or beside all views.
+    pub fn picture(&self, viewpoint: Viewpoint, raw: bool) -> Result<Tensor<3>, PipelineError> {
+        let scale = if raw { 1.0 } else { (1.0 / self.stack.brightness) as f32 };
+        let mut picture = match viewpoint {
+            Viewpoint::Angle(degrees) => {
+                if degrees.iter().any(|angle| angle.abs() >= 90.0) {
+                    let found = format!("{degrees:?}");
+                    return Err(PipelineError::value("--view", "X,Y", "angles between -90 and 90 degrees", found));
+                }
+                view_from_slope(&self.display, &self.stack, degrees.map(|angle| angle.to_radians().tan())).radiance
+            }
+            Viewpoint::Eye(eye_mm) => {
+                if eye_mm[2] <= 0.0 {
+                    let found = eye_mm[2].to_string();
+                    return Err(PipelineError::value("--eye", "Z", "a distance above 0 in front of the display", found));
+                }
+                view_from_eye(&self.display, &self.stack, eye_mm).radiance
+            }
+            Viewpoint::Sweep(count) => self.strip(count)?,
+        };
+        picture.data_mut().iter_mut().for_each(|value| *value *= scale);
+        Ok(picture)
+    }
+
+    fn strip(&self, count: usize) -> Result<Tensor<3>, PipelineError> {
+        if !(1..=64).contains(&count) {
+            return Err(PipelineError::value("--sweep", "N", "1 to 64 views", count.to_string()));
+        }
+        let half_width = (0.5 * self.display.field.fov_deg[0].to_radians()).tan();
+        let views: Vec<Tensor<3>> = (0..count)
+            .map(|i| {
+                // the same bin centres as a view grid of `count` views
+                let slope = (2.0 * i as f64 + 1.0 - count as f64) / count as f64 * half_width;
+                view_from_slope(&self.display, &self.stack, [slope, 0.0]).radiance
+            })
+            .collect();
+        let [rows, cols, _] = views[0].shape();
+        let mut strip = Tensor::zeros(["row", "col", "rgb"], [rows, cols * count, 3]);
+        for row in 0..rows {
+            let line = strip.block_mut([row]);
+            for (i, view) in views.iter().enumerate() {
+                line[3 * cols * i..3 * cols * (i + 1)].copy_from_slice(view.block([row]));
+            }
+        }
+        Ok(strip)
+    }
+}
+
+/// Writes a linear picture as PNG (sRGB-encoded) or EXR (linear), by the file's extension.
+///
+/// # Errors
+/// When the extension is another, or the file cannot be written.
+pub fn simulate_to_file(picture: &Tensor<3>, path: &Path) -> Result<(), PipelineError> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    match extension.as_str() {
+        "exr" => lumistack_field_io::picture::write_rgb_f32(path, picture).map_err(field_error),
+        "png" => {
+            let [rows, cols, _] = picture.shape();
+            let codes: Vec<u8> = picture.data().iter().map(|&value| colour::srgb_code(value)).collect();
+            let image = image::RgbImage::from_raw(cols as u32, rows as u32, codes)
+                .ok_or_else(|| PipelineError::value(path, "picture", "a size that PNG can hold", format!("{cols} × {rows}")))?;
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            image
+                .write_to(&mut bytes, image::ImageFormat::Png)
+                .map_err(|error| PipelineError::value(path, "picture", "a picture that PNG can hold", error.to_string()))?;
+            write(path, bytes.get_ref())
+        }
+        other => Err(PipelineError::value(path, "extension", "png or exr", format!("`{other}`"))),
+    }
+}

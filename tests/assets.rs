@@ -1,0 +1,72 @@
+//! Real files that other people made, given with nothing but a display: window and light are found, and the result is worth looking at.
+
+mod common;
+
+use common::{assets, lumistack, number, report, succeed};
+
+/// Share of the window that the object covers, at least.
+const COVERAGE: f64 = 0.25;
+/// Distance between the 1st and the 99th percentile of the target, at least.
+const SPAN: f64 = 0.3;
+/// Mean PSNR of the views at β = 0.2, at least, dB.
+const PSNR_DB: f64 = 25.0;
+
+/// The files that must look right with nothing set.
+const FILES: [&str; 5] = [
+    "FlightHelmet/FlightHelmet.gltf",
+    "CornellBox/CornellBox.glb",
+    "2CylinderEngine/2CylinderEngine.glb",
+    "Lights/Lights.glb",
+    "TransmissionRoughnessTest/TransmissionRoughnessTest.glb",
+];
+
+fn check(flags: &[&str]) {
+    let Some(assets) = assets() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for file in FILES {
+        let run = folder.path().join(file.split('/').next().unwrap());
+        let scene = assets.join("gltf").join(file);
+        succeed(lumistack().arg("run").arg(&scene).args(["--display", "paper-three-layer"]).arg("-o").arg(&run).args(flags));
+        let report = report(&run);
+        let scene = &report["scene"];
+        let (coverage, span) = (number(scene, "coverage"), number(scene, "target span"));
+        let views = report["views"]["psnr_view"].as_array().unwrap();
+        let values: Vec<f64> = views.iter().flat_map(|row| row.as_array().unwrap()).map(|v| v.as_f64().unwrap()).collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        println!("{file}: coverage {coverage:.2}, span {span:.2}, mean psnr_view {mean:.1} dB");
+        assert!(coverage >= COVERAGE, "{file}: the object covers {coverage} of the window");
+        assert!(span >= SPAN, "{file}: the target spans {span}");
+        assert!(mean >= PSNR_DB, "{file}: {mean} dB");
+    }
+}
+
+#[test]
+fn files_with_nothing_set_small() {
+    check(&["--resolution", "168x105", "--samples", "16"]);
+}
+
+/// At the display's own resolution and frames.
+#[test]
+#[ignore = "slow: renders five scenes at 840 × 525"]
+fn files_with_nothing_set() {
+    check(&[]);
+}
+
+/// Light fields that somebody else rendered.
+#[test]
+fn foreign_light_fields() {
+    let Some(assets) = assets() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for (name, flags) in [
+        ("shop-9x9", ["--views", "5x5", "--resolution", "120x80"].as_slice()),
+        ("quilt-4x8-solids/example02.png", &["--quilt", "4x8", "--fov", "35x1", "--resolution", "96x64"]),
+    ] {
+        let run = folder.path().join(name.split('/').next().unwrap());
+        let mut command = lumistack();
+        command.arg("factorize").arg(assets.join("lightfields").join(name)).arg("-o").arg(&run).args(flags);
+        succeed(command.args(["--frames", "6", "--iterations", "50"]));
+        let psnr = number(&report(&run), "psnr_view");
+        println!("{name}: {psnr:.1} dB");
+        assert!(psnr > 18.0, "{name}: {psnr} dB");
+    }
+}

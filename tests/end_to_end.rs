@@ -1,0 +1,220 @@
+//! Whole runs of the binary: jobs in `tests/cases`, foreign light fields, resuming, and the same bytes on any number of threads.
+
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use common::{files, light_fields, lumistack, number, python, report, root, succeed, write_test_field};
+
+/// PSNR of the report against an independent forward model, dB.
+const PSNR_AGREEMENT_DB: f64 = 0.01;
+
+/// Each folder of `tests/cases` is a job and `expected.json`: a PSNR to reach and files that must exist.
+#[test]
+fn every_case_gives_what_it_says() {
+    let mut count = 0;
+    for entry in std::fs::read_dir(root().join("tests/cases")).unwrap() {
+        let case = entry.unwrap().path();
+        let expected: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(case.join("expected.json")).unwrap()).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let run = folder.path().join("run");
+        let text = succeed(lumistack().arg("run").arg(case.join("job.toml")).arg("-o").arg(&run));
+        let last = text.lines().last().unwrap_or_default();
+        assert_eq!(Path::new(last), run.join("report.html"), "the last line is the report's path");
+        for file in expected["files"].as_array().unwrap() {
+            assert!(run.join(file.as_str().unwrap()).is_file(), "{}: {file} is missing", case.display());
+        }
+        let report = report(&run);
+        let (psnr, wanted) = (number(&report, "psnr_view"), expected["psnr_view_at_least"].as_f64().unwrap());
+        println!("{}: {psnr:.2} dB (at least {wanted})", case.display());
+        assert!(psnr >= wanted, "{}: {psnr} dB, expected at least {wanted}", case.display());
+        count += 1;
+    }
+    assert!(count >= 3, "the cases are found");
+}
+
+#[test]
+fn a_numpy_forward_model_gives_the_reports_figures() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let field = folder.path().join("views.npy");
+    write_test_field(&field, [3, 5, 31, 50], 20.0, 3.0);
+    let run = folder.path().join("run");
+    let flags = ["--grid", "oblique", "--fov", "20x20", "--pitch-mm", "3", "--frames", "3", "--iterations", "20"];
+    succeed(lumistack().arg("factorize").arg(&field).arg("-o").arg(&run).args(flags));
+    check_with_numpy(&python, &field, &run, ["3.0", "20", "20", "0.2"]);
+    let Some(folder) = light_fields() else { return };
+    let field = folder.join("main_5x5_160x100_fov20.npy");
+    succeed(lumistack().arg("factorize").arg(&field).arg("-o").arg(&run).args(["--frames", "6", "--iterations", "10"]));
+    check_with_numpy(&python, &field, &run, ["2.961", "20", "20", "0.2"]);
+}
+
+fn check_with_numpy(python: &Path, field: &Path, run: &Path, geometry: [&str; 4]) {
+    let mut command = Command::new(python);
+    command.arg(root().join("tests/forward.py")).arg(field).arg(run.join("layers")).arg("-40,0,40").args(geometry);
+    let figures: Vec<f64> = succeed(&mut command).split_whitespace().map(|word| word.parse().unwrap()).collect();
+    let report = report(run);
+    for (figure, key) in figures.iter().zip(["psnr_view", "psnr_raw"]) {
+        let ours = number(&report, key);
+        assert!((figure - ours).abs() <= PSNR_AGREEMENT_DB, "{key}: numpy {figure}, report {ours}");
+    }
+}
+
+const SMALL_RUN: [&str; 10] =
+    ["--resolution", "84x52", "--frames", "2", "--samples", "4", "--iterations", "10", "--max-bounces", "3"];
+
+fn small_run(run: &Path) -> Command {
+    let mut command = lumistack();
+    command.arg("run").arg(root().join("scenes/still-life/still-life.gltf")).arg("-o").arg(run).args(SMALL_RUN);
+    command
+}
+
+#[test]
+fn the_same_bytes_on_one_and_two_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let [one, two] = ["1", "2"].map(|threads| {
+        let run = folder.path().join(threads);
+        succeed(small_run(&run).args(["--threads", threads]));
+        run
+    });
+    for part in ["target", "held-out", "layers", "outputs"] {
+        assert!(files(&one.join(part)) == files(&two.join(part)), "{part} differs");
+    }
+}
+
+#[test]
+fn a_rerun_takes_everything_from_the_cache() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    succeed(&mut small_run(&run));
+    let before = files(&run.join("layers"));
+    succeed(&mut small_run(&run));
+    let stages = report(&run)["stages"].clone();
+    for name in ["render", "factorize", "output-images"] {
+        let stage = stages.as_array().unwrap().iter().find(|stage| stage["name"] == name).unwrap();
+        assert_eq!(stage["cached"], true, "{name} ran again");
+    }
+    assert!(before == files(&run.join("layers")));
+    // other settings of a later stage leave the views alone
+    succeed(small_run(&run).args(["--iterations", "11"]));
+    let stages = report(&run)["stages"].clone();
+    let cached = |name: &str| stages.as_array().unwrap().iter().find(|s| s["name"] == name).unwrap()["cached"].clone();
+    assert_eq!((cached("render"), cached("factorize")), (true.into(), false.into()));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_killed_run_goes_on_from_what_is_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let (killed, whole) = (folder.path().join("killed"), folder.path().join("whole"));
+    for signal in ["-KILL", "-INT"] {
+        let mut child = small_run(&killed)
+            .args(["--samples", "16"])
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        let views = || files_below(&killed.join("cache"), "exr");
+        let start = Instant::now();
+        let before = views();
+        while views() < before + 3 && child.try_wait().unwrap().is_none() {
+            assert!(start.elapsed() < Duration::from_secs(120), "no view was rendered in two minutes");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        succeed(Command::new("kill").arg(signal).arg(child.id().to_string()));
+        let status = child.wait().unwrap();
+        if signal == "-INT" {
+            assert_eq!(status.code(), Some(130));
+        }
+        assert!(!killed.join("report.html").exists());
+    }
+    let finished = files_below(&killed.join("cache"), "exr");
+    let text = succeed(small_run(&killed).args(["--samples", "16", "--json"]));
+    let begin = text.lines().find(|line| line.contains("\"begin\"") && line.contains("render")).unwrap();
+    let begin: serde_json::Value = serde_json::from_str(begin).unwrap();
+    let left = begin["total"].as_u64().unwrap();
+    assert_eq!(left + finished, 25 + 4, "{finished} views were finished, {left} were rendered again");
+    succeed(small_run(&whole).args(["--samples", "16"]));
+    for part in ["target", "layers", "outputs"] {
+        assert!(files(&killed.join(part)) == files(&whole.join(part)), "{part} differs from an uninterrupted run");
+    }
+}
+
+fn files_below(folder: &Path, extension: &str) -> u64 {
+    let Ok(entries) = std::fs::read_dir(folder) else { return 0 };
+    entries
+        .flatten()
+        .map(|entry| entry.path())
+        .map(|path| {
+            if path.is_dir() {
+                files_below(&path, extension)
+            } else {
+                u64::from(path.extension().is_some_and(|found| found == extension))
+            }
+        })
+        .sum()
+}
+
+#[test]
+fn simulate_shows_parallax_in_the_right_direction() {
+    let folder = tempfile::tempdir().unwrap();
+    let (field, run) = (folder.path().join("views.npy"), folder.path().join("run"));
+    write_test_field(&field, [3, 5, 31, 50], 20.0, 3.0);
+    let flags = ["--fov", "20x20", "--pitch-mm", "3", "--frames", "4", "--iterations", "100"];
+    succeed(lumistack().arg("factorize").arg(&field).arg("-o").arg(&run).args(flags));
+    // the red card floats 30 mm in front of the display: from the right it is seen further left
+    let centre_of_red = |angle: &str| {
+        let path = folder.path().join("view.exr");
+        succeed(lumistack().arg("simulate").arg(&run).args(["--view", angle]).arg("-o").arg(&path));
+        let picture = lumistack_field_io::picture::Picture::read(&path).unwrap();
+        let [rows, cols] = picture.size();
+        let values = picture.into_linear();
+        let (mut sum, mut weight) = ([0.0; 2], 0.0);
+        for row in 0..rows {
+            for col in 0..cols {
+                let pixel = &values[3 * (row * cols + col)..][..3];
+                let red = f64::from((pixel[0] - pixel[2]).max(0.0));
+                sum = [sum[0] + red * col as f64, sum[1] + red * row as f64];
+                weight += red;
+            }
+        }
+        sum.map(|s| s / weight)
+    };
+    let (left, right) = (centre_of_red("-8,0"), centre_of_red("8,0"));
+    let expected = 2.0 * 30.0 * 8f64.to_radians().tan() / 3.0;
+    assert!((left[0] - right[0] - expected).abs() < 0.5, "moved by {} px, expected {expected}", left[0] - right[0]);
+    // from above it is seen further down: at a larger row
+    let (above, below) = (centre_of_red("0,6"), centre_of_red("0,-6"));
+    assert!(above[1] > below[1] + 1.0, "{above:?} {below:?}");
+}
+
+#[test]
+fn the_small_commands_answer() {
+    let folder = tempfile::tempdir().unwrap();
+    assert!(succeed(lumistack().arg("plugins")).contains("images"));
+    assert!(succeed(lumistack().arg("displays")).contains("paper-three-layer"));
+    assert!(succeed(lumistack().args(["completions", "bash"])).contains("lumistack"));
+    let info = succeed(lumistack().arg("info").arg(root().join("scenes/still-life/still-life.gltf")));
+    assert!(info.contains("triangles"), "{info}");
+    let info = succeed(lumistack().args(["info", "paper-directional"]));
+    assert!(info.contains("187"), "{info}");
+    let field = folder.path().join("views.npy");
+    write_test_field(&field, [1, 2, 3, 4], 20.0, 3.0);
+    let info = succeed(lumistack().arg("info").arg(&field));
+    assert!(info.contains('4') && info.contains("views"), "{info}");
+    let out = folder.path().join("views");
+    let mut render = lumistack();
+    render.arg("render").arg(root().join("scenes/glass/job.toml")).arg("-o").arg(&out);
+    succeed(render.args(["--resolution", "42x26", "--samples", "1"]));
+    assert!(out.join("lightfield.json").is_file() && out.join("view_04_04.exr").is_file());
+    assert!(succeed(lumistack().arg("info").arg(&out)).contains("42"));
+    // what render wrote is what factorize reads
+    let run = folder.path().join("run");
+    succeed(lumistack().arg("factorize").arg(&out).arg("-o").arg(&run).args(["--iterations", "2", "--frames", "2"]));
+    let strip = folder.path().join("strip.png");
+    succeed(lumistack().arg("simulate").arg(&run).args(["--sweep", "3"]).arg("-o").arg(&strip));
+    assert!(strip.is_file());
+}

@@ -1,0 +1,212 @@
+//! Bad input gets one clear error that names the file, the place in it, what was expected and what was found; nothing half-written is left.
+
+mod common;
+
+use std::path::Path;
+
+use common::{fail, lumistack, root, succeed, write_test_field};
+
+/// A scene of one triangle; `{}` marks what the test breaks.
+fn triangle(position: &str, extra: &str) -> String {
+    use base64::Engine as _;
+    let mut bytes = Vec::new();
+    for value in [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0] {
+        bytes.extend(value.to_le_bytes());
+    }
+    match position {
+        "nan" => bytes[4..8].copy_from_slice(&f32::NAN.to_le_bytes()),
+        "flat" => bytes[28..32].copy_from_slice(&0.0f32.to_le_bytes()),
+        _ => {}
+    }
+    let data = base64::engine::general_purpose::STANDARD.encode(&bytes);
+    format!(
+        r#"{{"asset": {{"version": "2.0"}}, "scene": 0, "scenes": [{{"nodes": [0]}}], "nodes": [{{"mesh": 0}}],
+        "meshes": [{{"primitives": [{{"attributes": {{"POSITION": 0}} {extra} }}]}}],
+        "accessors": [{{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}}],
+        "bufferViews": [{{"buffer": 0, "byteLength": 36}}],
+        "buffers": [{{"byteLength": 36, "uri": "data:application/octet-stream;base64,{data}"}}]"#
+    )
+}
+
+/// `lumistack run` on a scene text; returns the error.
+fn run_fails(name: &str, content: &[u8]) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join(name);
+    std::fs::write(&scene, content).unwrap();
+    let run = folder.path().join("run");
+    let text = fail(lumistack().arg("run").arg(&scene).arg("-o").arg(&run).args(["--resolution", "20x12", "--samples", "1"]));
+    assert!(text.contains(name), "the error names the file: {text}");
+    assert!(!run.join("report.html").exists() && !run.join("layers").exists());
+    text
+}
+
+#[test]
+fn scenes() {
+    let text = run_fails("nan.gltf", format!("{}}}", triangle("nan", "")).as_bytes());
+    assert!(text.contains("POSITION") && text.contains("finite"), "{text}");
+    let text = run_fails("flat.gltf", format!("{}}}", triangle("flat", "")).as_bytes());
+    assert!(text.contains("at least one triangle"), "{text}");
+    let text = run_fails("empty.gltf", br#"{"asset": {"version": "2.0"}}"#);
+    assert!(text.contains("expected") && text.contains("found"), "{text}");
+    let texture = r#", "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "textures": [{"source": 0}], "images": [{"uri": "missing.png"}]}"#;
+    let text = run_fails("texture.gltf", format!("{}{texture}", triangle("", r#", "material": 0"#)).as_bytes());
+    assert!(text.contains("missing.png") && text.contains("/images/0"), "{text}");
+    let required = r#", "extensionsRequired": ["KHR_draco_mesh_compression"], "extensionsUsed": ["KHR_draco_mesh_compression"]}"#;
+    let text = run_fails("draco.gltf", format!("{}{required}", triangle("", "")).as_bytes());
+    assert!(text.contains("KHR_draco_mesh_compression"), "{text}");
+    run_fails("text.gltf", b"this is not JSON");
+    run_fails("empty-file.glb", b"");
+    let text = run_fails("model.obj", b"v 0 0 0");
+    assert!(text.contains("expected a .gltf or .glb file"), "{text}");
+}
+
+#[test]
+fn a_truncated_glb() {
+    let Some(assets) = common::assets() else { return };
+    let bytes = std::fs::read(assets.join("gltf/Box/Box.glb")).unwrap();
+    for length in [3, 15, 200, bytes.len() - 5] {
+        let text = run_fails("box.glb", &bytes[..length]);
+        assert!(text.contains("expected") && text.contains("found"), "{text}");
+    }
+}
+
+#[test]
+fn jobs() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = folder.path().join("job.toml");
+    let run = folder.path().join("run");
+    let scene = root().join("scenes/glass/glass.gltf");
+    let mut check = |text: &str, parts: &[&str]| {
+        std::fs::write(&job, text.replace("SCENE", &scene.display().to_string())).unwrap();
+        let error = fail(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
+        for part in parts {
+            assert!(error.contains(part), "`{part}` is not in: {error}");
+        }
+        assert!(!run.exists(), "nothing is written");
+    };
+    let display = "[display]\npreset = \"fig7-uniform\"\n";
+    check(
+        &format!("scene = \"SCENE\"\n{display}[render]\nsampels = 3\n"),
+        &["job.toml", "line 5, column 1", "sampels", "did you mean `samples`"],
+    );
+    check(&format!("scene = 3\n{display}"), &["line 1", "string"]);
+    check(display, &["either `scene` or `light_field`", "neither"]);
+    check("scene = \"SCENE\"\n[display]\npreset = \"fig7-unifrom\"\n", &["fig7-unifrom", "did you mean `fig7-uniform`"]);
+    check("scene = \"SCENE\"\n[display]\npreset = \"fig7-uniform\"\nbrightness = 2.0\n", &["brightness", "found 2"]);
+    check(&format!("scene = \"SCENE\"\n{display}[factorize]\nsolver = \"magic\"\n"), &["magic", "multiplicative"]);
+    check(&format!("scene = \"SCENE\"\n{display}[factorize]\nstart = \"contnet\"\n"), &["contnet", "content"]);
+    check(&format!("scene = \"SCENE\"\n{display}[[outputs]]\nplugin = \"imagse\"\n"), &["imagse", "images"]);
+    check(
+        &format!("scene = \"SCENE\"\n{display}[[outputs]]\nplugin = \"images\"\nparams = {{ pgn8 = true }}\n"),
+        &["pgn8", "png8"],
+    );
+    check(&format!("scene = \"nowhere.glb\"\n{display}"), &["nowhere.glb"]);
+    check(&format!("scene = \"SCENE\"\n{display}[window]\ncamera = \"left\"\n"), &["window.camera", "left"]);
+    check(&format!("scene = \"SCENE\"\n{display}[window]\nfrom = \"given\"\n"), &["window.centre"]);
+}
+
+#[test]
+fn a_display_file_with_a_typo() {
+    let folder = tempfile::tempdir().unwrap();
+    let display = folder.path().join("display.toml");
+    let text = std::fs::read_to_string(root().join("scenes/displays/fig7-uniform.toml")).unwrap();
+    std::fs::write(&display, text.replacen("d_mm =", "d_m =", 1)).unwrap();
+    let scene = root().join("scenes/glass/glass.gltf");
+    let error = fail(lumistack().arg("run").arg(scene).arg("--display").arg(&display).arg("-o").arg(folder.path().join("run")));
+    assert!(error.contains("display.toml: line") && error.contains("did you mean `d_mm`"), "{error}");
+}
+
+#[test]
+fn an_output_path_that_is_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let taken = folder.path().join("taken");
+    std::fs::write(&taken, "precious").unwrap();
+    let scene = root().join("scenes/glass/glass.gltf");
+    let error = fail(lumistack().arg("run").arg(&scene).arg("-o").arg(&taken));
+    assert!(error.contains("taken: expected a folder to write to, found a file"), "{error}");
+    let error = fail(lumistack().arg("render").arg(&scene).arg("-o").arg(&taken));
+    assert!(error.contains("taken"), "{error}");
+    assert_eq!(std::fs::read_to_string(&taken).unwrap(), "precious");
+}
+
+#[test]
+fn light_fields() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let factorize = |path: &Path, flags: &[&str]| {
+        let error = fail(lumistack().arg("factorize").arg(path).arg("-o").arg(&run).args(flags));
+        assert!(!run.join("report.html").exists() && !run.join("layers").exists(), "{error}");
+        error
+    };
+    // views of different sizes
+    let views = folder.path().join("views");
+    std::fs::create_dir(&views).unwrap();
+    for (index, width) in [4u32, 4, 5, 4].into_iter().enumerate() {
+        let path = views.join(format!("out_{:02}_{:02}_{}.0_{}.0.png", index / 2, index % 2, index / 2, index % 2));
+        image::RgbImage::from_pixel(width, 3, image::Rgb([90, 80, 70])).save(path).unwrap();
+    }
+    let error = factorize(&views, &[]);
+    assert!(error.contains("out_01_00") && error.contains('5') && error.contains('4'), "{error}");
+    let error = factorize(&folder.path().join("nowhere"), &[]);
+    assert!(error.contains("nowhere"), "{error}");
+    let array = folder.path().join("views.npy");
+    write_test_field(&array, [1, 2, 3, 4], 20.0, 3.0);
+    let bytes = std::fs::read(&array).unwrap();
+    std::fs::write(&array, &bytes[..bytes.len() - 10]).unwrap();
+    let error = factorize(&array, &["--fov", "20x20", "--pitch-mm", "3"]);
+    assert!(error.contains("views.npy"), "{error}");
+    let mut broken = bytes.clone();
+    let at = broken.len() - 4;
+    broken[at..].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&array, &broken).unwrap();
+    let error = factorize(&array, &["--fov", "20x20", "--pitch-mm", "3"]);
+    assert!(error.contains("views.npy") && error.contains("NaN"), "{error}");
+}
+
+#[test]
+fn one_pixel_views_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let array = folder.path().join("views.npy");
+    write_test_field(&array, [2, 2, 1, 1], 20.0, 3.0);
+    let run = folder.path().join("run");
+    let flags = ["--fov", "20x20", "--pitch-mm", "3", "--iterations", "5", "--display", "fig7-uniform"];
+    succeed(lumistack().arg("factorize").arg(&array).arg("-o").arg(&run).args(flags));
+    assert!(run.join("report.html").is_file());
+}
+
+#[test]
+fn wrong_usage_ends_with_code_2() {
+    for arguments in [vec!["run"], vec!["run", "a.glb", "--resolution", "12"], vec!["paint"], vec![]] {
+        let output = lumistack().args(&arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_writer_that_fails_midway_leaves_the_old_output_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let array = folder.path().join("views.npy");
+    write_test_field(&array, [1, 3, 20, 30], 20.0, 3.0);
+    let run = folder.path().join("run");
+    let flags = ["--fov", "20x20", "--pitch-mm", "3", "--frames", "2", "--display", "fig7-uniform"];
+    let factorize = |iterations: &str| {
+        let mut command = lumistack();
+        command.arg("factorize").arg(&array).arg("-o").arg(&run).args(flags).args(["--iterations", iterations]);
+        command
+    };
+    succeed(&mut factorize("3"));
+    let before = common::files(&run.join("outputs"));
+    // files larger than 2 kB cannot be written any more: the writer fails on its way
+    let mut limited = std::process::Command::new("bash");
+    let line = format!("trap '' XFSZ; ulimit -f 2; exec {:?}", factorize("4"));
+    let output = limited.arg("-c").arg(line).output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(before == common::files(&run.join("outputs")), "the old pictures are still there, whole");
+    let stray = common::files(&run).into_iter().find(|(path, _)| path.to_string_lossy().contains(".tmp"));
+    assert!(stray.is_none(), "{:?} was left behind", stray.map(|(path, _)| path));
+    // and the next run mends everything
+    succeed(&mut factorize("4"));
+    assert!(before != common::files(&run.join("outputs")));
+}
