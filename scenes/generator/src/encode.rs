@@ -1,0 +1,49 @@
+//! Pictures to PNG and JPEG bytes.
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+
+use crate::paint::Picture;
+use crate::{GeneratorError, SceneFile};
+
+/// High enough that ringing stays below the fine pattern's own contrast.
+const JPEG_QUALITY: u8 = 88;
+
+/// What a PNG stores of a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Channels {
+    /// The red channel only.
+    Gray,
+    /// Three channels.
+    Rgb,
+    /// Three channels and alpha.
+    Rgba,
+}
+
+/// A PNG file.
+pub(crate) fn png(file: &str, picture: &Picture, channels: Channels) -> Result<SceneFile, GeneratorError> {
+    let (kept, color) = match channels {
+        Channels::Gray => (1, ExtendedColorType::L8),
+        Channels::Rgb => (3, ExtendedColorType::Rgb8),
+        Channels::Rgba => (4, ExtendedColorType::Rgba8),
+    };
+    let mut bytes = Vec::new();
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Best, FilterType::Adaptive)
+        .write_image(&samples(picture, kept), picture.width, picture.height, color)
+        .map_err(|source| GeneratorError::Encode { file: file.into(), source })?;
+    Ok((file.into(), bytes))
+}
+
+/// A JPEG file, for pictures full of grain.
+pub(crate) fn jpeg(file: &str, picture: &Picture) -> Result<SceneFile, GeneratorError> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
+        .write_image(&samples(picture, 3), picture.width, picture.height, ExtendedColorType::Rgb8)
+        .map_err(|source| GeneratorError::Encode { file: file.into(), source })?;
+    Ok((file.into(), bytes))
+}
+
+fn samples(picture: &Picture, kept: usize) -> Vec<u8> {
+    picture.pixels.iter().flat_map(|pixel| pixel[..kept].to_vec()).collect()
+}

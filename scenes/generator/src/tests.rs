@@ -1,0 +1,176 @@
+//! The committed scenes: same bytes, valid structure, right camera, and nothing in view that should not be.
+
+mod reader;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use glam::DVec3;
+
+use crate::window::{WINDOW_HEIGHT_M, WINDOW_WIDTH_M, Window};
+use crate::{build_scenes, glass, letters, still_life, write_scenes};
+use reader::{Scene, Triangle};
+
+/// Outermost slope that the scenes are made for: the edge view of the 48 degree display with five views,
+/// 0.8 tan 24 degrees.
+const LARGEST_SLOPE: f64 = 0.357;
+/// Upper bound on everything under `scenes/` that the generator writes.
+const BYTE_BUDGET: usize = 4_000_000;
+/// Lengths in the files are rounded to nine decimals of a metre, angles of a radian.
+const LENGTH_TOLERANCE_M: f64 = 1e-7;
+
+const WINDOWS: [(&str, Window); 3] =
+    [("still-life", still_life::WINDOW), ("letters", letters::WINDOW), ("glass", glass::WINDOW)];
+
+fn committed_folder() -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Files of a scene's folder by name, but for the job files that people write beside a scene.
+fn files_in(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    std::fs::read_dir(folder)
+        .unwrap_or_else(|error| panic!("{}: {error}", folder.display()))
+        .map(|entry| entry.expect("the folder can be listed").path())
+        .filter(|path| path.extension().is_none_or(|extension| extension != "toml"))
+        .map(|path| {
+            let name = path.file_name().expect("an entry has a name").to_string_lossy().into_owned();
+            let bytes = std::fs::read(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
+            (name, bytes)
+        })
+        .collect()
+}
+
+fn committed_scene(name: &str) -> Scene {
+    Scene::read(files_in(&committed_folder().join(name)), &format!("{name}.gltf"))
+}
+
+#[test]
+fn regenerating_gives_the_committed_bytes() {
+    let scratch = tempfile::tempdir().expect("a temporary folder");
+    let total = write_scenes(scratch.path()).expect("the scenes can be written");
+    assert!(total < BYTE_BUDGET, "{total} bytes");
+    for (name, _) in WINDOWS {
+        let fresh = files_in(&scratch.path().join(name));
+        let committed = files_in(&committed_folder().join(name));
+        assert_eq!(
+            fresh.keys().collect::<Vec<_>>(),
+            committed.keys().collect::<Vec<_>>(),
+            "files of {name}; run `cargo run -p lumistack-scene-generator`"
+        );
+        for (file, bytes) in &fresh {
+            assert!(bytes == &committed[file], "{name}/{file} differs; run `cargo run -p lumistack-scene-generator`");
+        }
+    }
+}
+
+#[test]
+fn every_scene_is_listed_once() {
+    let names: Vec<_> = build_scenes().expect("the scenes can be built").into_iter().map(|s| s.0).collect();
+    assert_eq!(names, WINDOWS.map(|(name, _)| name));
+}
+
+#[test]
+fn structure_is_valid() {
+    for (name, _) in WINDOWS {
+        committed_scene(name).check_structure();
+    }
+}
+
+#[test]
+fn the_glass_scene_has_what_its_description_says() {
+    let scene = committed_scene("glass");
+    let primitives = scene.primitives();
+    let with = |key: &str| primitives.iter().filter(|p| p.get(key).is_some()).count();
+    assert_eq!(primitives.iter().filter(|p| p["mode"] == 5).count(), 1);
+    assert_eq!(with("indices"), primitives.len() - 2, "the strip and the gem have no indices");
+    let sparse = scene.list("accessors").iter().filter(|a| a.get("sparse").is_some()).count();
+    assert_eq!(sparse, 2);
+    let modes: Vec<_> = scene.list("materials").iter().filter_map(|m| m["alphaMode"].as_str()).collect();
+    assert_eq!(modes.iter().filter(|m| **m == "BLEND").count(), 3);
+    assert_eq!(modes.iter().filter(|m| **m == "MASK").count(), 1);
+}
+
+#[test]
+fn the_camera_frames_the_window() {
+    for (name, window) in WINDOWS {
+        let scene = committed_scene(name);
+        let camera = &scene.list("cameras")[0];
+        let focus = camera["extras"]["lumistack"]["focus_distance"].as_f64().expect("a focus distance");
+        let yfov = camera["perspective"]["yfov"].as_f64().expect("a field of view");
+        let aspect = camera["perspective"]["aspectRatio"].as_f64().expect("an aspect ratio");
+        let height = 2.0 * focus * (0.5 * yfov).tan();
+        assert!((height - WINDOW_HEIGHT_M).abs() < LENGTH_TOLERANCE_M, "{name}: {height}");
+        assert!((height * aspect - WINDOW_WIDTH_M).abs() < LENGTH_TOLERANCE_M, "{name}");
+        let world_from_camera = scene.camera_transform();
+        let middle = world_from_camera.transform_point3(DVec3::new(0.0, 0.0, -focus));
+        assert!(middle.length() < LENGTH_TOLERANCE_M, "{name}: {middle}");
+        for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+            let seen = world_from_camera.transform_vector3(axis);
+            assert!((seen - window.world_from_display() * axis).length() < LENGTH_TOLERANCE_M, "{name}");
+        }
+    }
+}
+
+/// Slopes of a 5 x 5 grid of views and 9 x 9 points of the window, as rays that come from the viewer's side.
+fn viewing_rays(window: &Window) -> Vec<(DVec3, DVec3)> {
+    let world_from_display = window.world_from_display();
+    let steps = |count: i32| (-count..=count).map(move |k| f64::from(k) / f64::from(count));
+    let mut rays = Vec::new();
+    for (sx, sy) in steps(2).flat_map(|x| steps(2).map(move |y| (x, y))) {
+        for (px, py) in steps(4).flat_map(|x| steps(4).map(move |y| (x, y))) {
+            let point = DVec3::new(0.5 * px * WINDOW_WIDTH_M, 0.5 * py * WINDOW_HEIGHT_M, 0.0);
+            let towards_viewer = DVec3::new(LARGEST_SLOPE * sx, LARGEST_SLOPE * sy, 1.0);
+            rays.push((world_from_display * (point + 2.0 * towards_viewer), world_from_display * -towards_viewer));
+        }
+    }
+    rays
+}
+
+#[test]
+fn no_view_sees_past_the_scene_or_into_a_lamp() {
+    for (name, window) in WINDOWS {
+        let triangles = committed_scene(name).world_triangles();
+        assert!(triangles.len() > 1000, "{name}");
+        for (origin, direction) in viewing_rays(&window) {
+            let nearest = triangles
+                .iter()
+                .filter_map(|triangle| triangle.hit(origin, direction).map(|t| (t, triangle)))
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            let (_, hit) = nearest.unwrap_or_else(|| panic!("{name}: {origin} along {direction} hits nothing"));
+            assert!(!hit.emissive, "{name}: {origin} along {direction} sees a lamp");
+        }
+    }
+}
+
+#[test]
+fn nothing_stands_below_its_floor() {
+    for name in ["still-life", "glass"] {
+        let scene = committed_scene(name);
+        let lowest = |triangles: &[Triangle]| {
+            triangles.iter().flat_map(|t| t.corners).map(|p| p.y).fold(f64::INFINITY, f64::min)
+        };
+        let bottom = lowest(&scene.world_triangles());
+        assert!((bottom + 0.09).abs() < LENGTH_TOLERANCE_M, "{name}: {bottom}");
+    }
+}
+
+#[test]
+fn depths_lie_on_both_sides_of_the_display_plane() {
+    // Display depths of what stands in the window: behind to at least -0.14 m, in front to at least 0.08 m.
+    for (name, window) in WINDOWS {
+        let display_from_world = window.world_from_display().transpose();
+        let (mut rearmost, mut foremost) = (0f64, 0f64);
+        for triangle in committed_scene(name).world_triangles() {
+            let corners = triangle.corners.map(|corner| display_from_world * corner);
+            let inside = corners.iter().all(|p| p.x.abs() < 0.5 * WINDOW_WIDTH_M && p.y.abs() < 0.5 * WINDOW_HEIGHT_M);
+            if inside {
+                for corner in corners {
+                    rearmost = rearmost.min(corner.z);
+                    foremost = foremost.max(corner.z);
+                }
+            }
+        }
+        assert!((-0.20..-0.14).contains(&rearmost), "{name}: {rearmost}");
+        assert!((0.08..0.13).contains(&foremost), "{name}: {foremost}");
+    }
+}

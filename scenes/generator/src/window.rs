@@ -1,0 +1,74 @@
+//! The display's window, the camera that frames it, and placement by display depth.
+//!
+//! Display axes: x right, y up, z to the viewer; the window is z = 0 with its centre at the origin. A scene
+//! with a floor tilts the camera down by `pitch_rad`, so that parallel views see the floor from above:
+//! `world_from_display` is then the rotation by -pitch about x. World y is up.
+
+use glam::{DMat3, DQuat, DVec3};
+use serde_json::{Value, json};
+
+use crate::gltf_document::{Document, rounded};
+
+/// The window's size in metres: 840 x 525 pixels of 0.5655 mm.
+pub(crate) const WINDOW_WIDTH_M: f64 = 840.0 * 0.5655e-3;
+/// See [`WINDOW_WIDTH_M`].
+pub(crate) const WINDOW_HEIGHT_M: f64 = 525.0 * 0.5655e-3;
+
+/// Where the window stands in the world and how its camera looks at it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Window {
+    /// Downward tilt of the camera in radians, 0 for a camera that looks along world -z.
+    pub(crate) pitch_rad: f64,
+    /// Distance from the camera to the window in metres.
+    pub(crate) focus_distance_m: f64,
+}
+
+impl Window {
+    /// Rotation that takes display axes to world axes.
+    pub(crate) fn world_from_display(&self) -> DMat3 {
+        DMat3::from_rotation_x(-self.pitch_rad)
+    }
+
+    /// The world point at height `y_m`, display column `x_m` and display depth `depth_m` (positive = in front).
+    pub(crate) fn at(&self, x_m: f64, y_m: f64, depth_m: f64) -> DVec3 {
+        let (sin, cos) = self.pitch_rad.sin_cos();
+        DVec3::new(x_m, y_m, (depth_m - y_m * sin) / cos)
+    }
+
+    /// Adds the camera and its node; returns the node's index.
+    pub(crate) fn add_camera(&self, document: &mut Document) -> usize {
+        let yfov_rad = 2.0 * (0.5 * WINDOW_HEIGHT_M / self.focus_distance_m).atan();
+        let camera = document.add_camera(json!({
+            "name": "window camera",
+            "type": "perspective",
+            "perspective": {
+                "aspectRatio": rounded(WINDOW_WIDTH_M / WINDOW_HEIGHT_M),
+                "yfov": rounded(yfov_rad),
+                "znear": 0.05,
+                "zfar": 20.0
+            },
+            "extras": { "lumistack": { "focus_distance": rounded(self.focus_distance_m) } }
+        }));
+        let eye = self.world_from_display() * DVec3::new(0.0, 0.0, self.focus_distance_m);
+        let mut node = node_at("window camera", eye, DQuat::from_rotation_x(-self.pitch_rad));
+        node["camera"] = json!(camera);
+        document.add_node(node)
+    }
+}
+
+/// A node with a translation in metres and a rotation.
+pub(crate) fn node_at(name: &str, translation: DVec3, rotation: DQuat) -> Value {
+    let mut node = json!({ "name": name });
+    if translation != DVec3::ZERO {
+        node["translation"] = json!(translation.to_array().map(rounded));
+    }
+    if rotation != DQuat::IDENTITY {
+        node["rotation"] = json!(rotation.normalize().to_array().map(rounded));
+    }
+    node
+}
+
+/// A node's scale by the same factor on every axis.
+pub(crate) fn uniform_scale(factor: f64) -> Value {
+    json!([rounded(factor), rounded(factor), rounded(factor)])
+}
