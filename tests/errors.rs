@@ -95,7 +95,7 @@ fn jobs() {
     check("scene = \"SCENE\"\n[display]\npreset = \"fig7-unifrom\"\n", &["fig7-unifrom", "did you mean `fig7-uniform`"]);
     check("scene = \"SCENE\"\n[display]\npreset = \"fig7-uniform\"\nbrightness = 2.0\n", &["brightness", "found 2"]);
     check(&format!("scene = \"SCENE\"\n{display}[factorize]\nsolver = \"magic\"\n"), &["magic", "multiplicative"]);
-    check(&format!("scene = \"SCENE\"\n{display}[factorize]\nstart = \"contnet\"\n"), &["contnet", "content"]);
+    check(&format!("scene = \"SCENE\"\n{display}[factorize]\nstart = \"randon\"\n"), &["randon", "did you mean `random`"]);
     check(&format!("scene = \"SCENE\"\n{display}[[outputs]]\nplugin = \"imagse\"\n"), &["imagse", "images"]);
     check(
         &format!("scene = \"SCENE\"\n{display}[[outputs]]\nplugin = \"images\"\nparams = {{ pgn8 = true }}\n"),

@@ -101,7 +101,7 @@ pub(crate) struct FactorizeArgs {
     /// Solver
     #[arg(long, value_name = "NAME")]
     pub(crate) solver: Option<String>,
-    /// Starting values: content or random
+    /// Starting values: random
     #[arg(long, value_name = "NAME")]
     pub(crate) start: Option<String>,
     /// A `layers` folder to start from
@@ -195,9 +195,21 @@ pub(crate) struct GeometryArgs {
     /// Columns and rows of a quilt whose name does not say
     #[arg(long, value_name = "CxR")]
     pub(crate) quilt: Option<Size>,
+    /// Views of a single picture of tiles, view (0, 0) at the top left
+    #[arg(long, value_name = "HxV")]
+    pub(crate) tiles: Option<Size>,
     /// Reduce every view to this many columns and rows
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
+    /// Disparity that is put on the display plane: pixels by which content moves left per view to the right
+    #[arg(long, value_name = "PX", allow_hyphen_values = true)]
+    pub(crate) focus_px: Option<f64>,
+    /// Reverse the order of views from left to right
+    #[arg(long)]
+    pub(crate) mirror_x: bool,
+    /// Reverse the order of views from top to bottom
+    #[arg(long)]
+    pub(crate) mirror_y: bool,
 }
 
 #[derive(Debug, ClapArgs)]

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
+use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, GeometryJob, Job, PipelineError, RunFolder, Viewpoint, presets, render_only, run as run_job,
+    DisplayJob, Job, PipelineError, RunFolder, Viewpoint, presets, render_only, run as run_job,
     set_threads, simulate_to_file,
 };
 use serde_json::json;
@@ -167,8 +168,8 @@ fn change_factorize(job: &mut Job, args: &FactorizeArgs) {
 }
 
 /// The geometry flags as the job has them.
-pub(crate) fn geometry(args: &GeometryArgs) -> GeometryJob {
-    GeometryJob {
+pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
+    GeometryFlags {
         grid: args.grid.as_deref().map(|grid| match grid {
             "perspective" => lumistack_display::ProjectionKind::Perspective,
             _ => lumistack_display::ProjectionKind::Oblique,
@@ -178,6 +179,9 @@ pub(crate) fn geometry(args: &GeometryArgs) -> GeometryJob {
         distance_mm: args.distance_mm,
         views: args.views.map(|views| views.0),
         quilt: args.quilt.map(|quilt| quilt.0),
+        tiles: args.tiles.map(|tiles| tiles.0),
         resolution: args.resolution.map(|resolution| resolution.0),
+        focus_px: args.focus_px,
+        mirror: [args.mirror_x, args.mirror_y],
     }
 }

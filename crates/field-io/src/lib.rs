@@ -1,1 +1,37 @@
-//! Light fields and layer stacks on disk: folders, EXR, NPY, quilts.
+//! Light fields and layer stacks on disk.
+//!
+//! ```text
+//! our folder (EXR) ─┐
+//! .npy + .json ─────┤
+//! camera folders ───┼──▶ open() ──▶ LightField ──▶ write_field() ──▶ lightfield.json, view_YY_XX.exr
+//! quilts, tiles ────┘              LayerStack ──▶ write_stack() ──▶ stack.json, layer_L.npy, emission.npy
+//! ```
+//!
+//! Whatever the source, views come out in one order: view (0, 0) is the leftmost and topmost viewpoint, values are linear light. Every
+//! file is written beside its target and renamed, so nothing half-written is ever seen under its final name.
+
+mod array;
+mod assemble;
+pub mod atomic;
+mod cameras;
+mod describe;
+mod detect;
+mod disparity;
+mod error;
+mod folder;
+mod geometry;
+mod hci;
+pub mod npy;
+pub mod picture;
+mod quilt;
+mod resample;
+mod source;
+mod stack;
+
+pub use assemble::open;
+pub use describe::{Description, describe};
+pub use error::FieldError;
+pub use folder::{read_field_folder, round_to_half, view_file_name, write_field, write_index, write_view};
+pub use geometry::{GeometryDefaults, GeometryFlags};
+pub use source::Kind;
+pub use stack::{BacklightEntry, LayerEntry, StackIndex, read_stack, read_stack_index, write_stack};

@@ -1,1 +1,33 @@
-//! Unbiased path tracer: Scene, Window and view grid to radiance.
+//! Unbiased path tracer: [`Scene`](lumistack_scene::Scene), [`Window`](lumistack_scene::Window) and view grid to radiance.
+//!
+//! ```text
+//! L(x, s) = ∫ over paths of the light that reaches the point x of z = 0 along slope s          (scene-linear, unexposed)
+//! ```
+//!
+//! Paths start at the viewer's side of the scene and are traced backwards: each vertex takes light from a sampled light and from the
+//! next scattered ray, weighted by the power heuristic (Veach, Guibas 1995), and ends by Russian roulette or after
+//! [`Settings::max_bounces`]. Any number of views share one [`Renderer`]; a held-out view is one more call with another geometry.
+//!
+//! ```text
+//! Scene ─▶ Geometry ─▶ Bvh                            PrimaryRays (window, geometry, view)
+//!       ├▶ Materials ─▶ Textures        Renderer          │
+//!       └▶ Lights ─▶ Distribution          └── tiles ──▶ Tracer ─▶ Bsdf, Lights, Sampler ─▶ radiance[row][col][rgb]
+//! ```
+//!
+//! The same bytes come out on any number of threads. No file system, no clock: the crate compiles to wasm32.
+
+mod bsdf;
+mod bvh;
+mod distribution;
+mod geometry;
+mod light;
+mod primary;
+mod renderer;
+mod sampler;
+mod settings;
+mod shading;
+mod texture;
+mod tracer;
+
+pub use renderer::{RenderError, Renderer};
+pub use settings::{AngularFilter, Settings, SettingsError};

@@ -2,6 +2,7 @@
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 use lumistack_core::Task;
@@ -9,13 +10,13 @@ use lumistack_gltf::AssetResolver;
 use lumistack_scene::{Camera, Scene, Window};
 
 use crate::error::{PipelineError, read};
-use crate::job::{Job, LightJob, WindowFrom, WindowJob};
+use crate::job::{LightJob, WindowFrom, WindowJob};
 use crate::light;
 
 /// A loaded scene and what it was made from.
 pub struct Ingested {
     /// Lit scene.
-    pub scene: Scene,
+    pub scene: Arc<Scene>,
     /// Every file that was read, with a hash of its content.
     pub files: Vec<(PathBuf, String)>,
 }
@@ -58,7 +59,7 @@ pub fn load_scene(path: &Path, light_job: &LightJob, task: Task<'_>) -> Result<I
             Ok(())
         })?;
     }
-    Ok(Ingested { scene, files })
+    Ok(Ingested { scene: Arc::new(scene), files })
 }
 
 /// Places the display in the scene.

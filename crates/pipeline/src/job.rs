@@ -36,7 +36,7 @@ pub struct Job {
     pub seed: u64,
     /// Geometry that a foreign light field does not state itself.
     #[serde(default, skip_serializing_if = "is_default")]
-    pub geometry: GeometryJob,
+    pub geometry: GeometryFlags,
     /// The display.
     pub display: DisplayJob,
     /// Where the display stands in the scene.
@@ -87,33 +87,6 @@ pub struct DisplayJob {
     /// What a ray reads that leaves a layer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub missing: Option<Missing>,
-}
-
-/// Geometry of a foreign light field; a value here wins over what the files say.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GeometryJob {
-    /// View grid: `oblique` or `perspective`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub grid: Option<lumistack_display::ProjectionKind>,
-    /// [horizontal, vertical] full angles of view, degrees.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fov_deg: Option<[f64; 2]>,
-    /// Pixel pitch on the display plane, millimetres.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub pitch_mm: Option<f64>,
-    /// Viewing distance of a perspective grid, millimetres.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub distance_mm: Option<f64>,
-    /// [horizontal, vertical] views to keep of a larger set, spread evenly.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub views: Option<[usize; 2]>,
-    /// [columns, rows] of a quilt whose file name does not say.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub quilt: Option<[usize; 2]>,
-    /// [columns, rows] of pixels to reduce every view to.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub resolution: Option<[usize; 2]>,
 }
 
 /// Where the display stands in the scene.
@@ -218,7 +191,7 @@ pub struct FactorizeJob {
     /// Full updates.
     #[serde(default = "default_iterations")]
     pub iterations: u32,
-    /// Starting values: `content` or `random`.
+    /// Starting values: `random`.
     #[serde(default = "default_start")]
     pub start: String,
     /// A `layers` folder to start from instead.
@@ -281,7 +254,7 @@ fn default_iterations() -> u32 {
 }
 
 fn default_start() -> String {
-    "content".into()
+    "random".into()
 }
 
 fn default_outputs() -> Vec<OutputJob> {
@@ -340,7 +313,7 @@ impl Job {
             scene: None,
             light_field: None,
             seed: default_seed(),
-            geometry: GeometryJob::default(),
+            geometry: GeometryFlags::default(),
             display,
             window: WindowJob::default(),
             light: LightJob::default(),
@@ -463,20 +436,5 @@ impl Job {
     /// The job as a file, every default written out.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a job holds nothing that TOML cannot")
-    }
-}
-
-impl GeometryJob {
-    /// As field-io takes it.
-    pub fn flags(&self) -> GeometryFlags {
-        GeometryFlags {
-            grid: self.grid,
-            fov_deg: self.fov_deg,
-            pitch_mm: self.pitch_mm,
-            distance_mm: self.distance_mm,
-            views: self.views,
-            quilt: self.quilt,
-            resolution: self.resolution,
-        }
     }
 }

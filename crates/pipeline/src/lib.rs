@@ -8,6 +8,7 @@
 mod cache;
 mod error;
 mod ingest;
+mod inspect;
 mod job;
 mod light;
 pub mod presets;
@@ -19,9 +20,10 @@ pub use cache::{KeyBuilder, Stamps};
 pub use error::PipelineError;
 pub use ingest::{Ingested, load_scene, place_window};
 pub use job::{
-    AngularFilter, DisplayJob, FactorizeJob, GeometryJob, Job, LightJob, OutputJob, RenderJob, WindowFrom, WindowJob,
+    AngularFilter, DisplayJob, FactorizeJob, Job, LightJob, OutputJob, RenderJob, WindowFrom, WindowJob,
 };
 pub use run::{Summary, render_only, run};
+pub use inspect::{describe_light_field, plugin_list, plugin_text};
 pub use simulate::{RunFolder, Viewpoint, simulate_to_file};
 
 /// Sets the number of worker threads of the whole program; results do not depend on it. Call it before any work.

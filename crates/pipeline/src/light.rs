@@ -4,9 +4,11 @@ use std::path::Path;
 
 use glam::{Quat, Vec3};
 use lumistack_core::metrics::percentile;
+use lumistack_field_io::picture::Picture;
 use lumistack_scene::{Environment, Image, Pixels, Scene, SceneError, SceneParts};
 
 use crate::error::{PipelineError, read};
+use crate::run::field_error;
 
 /// Size of the studio map; it is smooth.
 const STUDIO: [usize; 2] = [128, 64];
@@ -48,9 +50,9 @@ pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> R
     let bytes = read(path)?;
     let is_exr = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
     let (width, height, texels) = if is_exr {
-        let picture = lumistack_field_io::exr::read_rgb(path)?;
-        let [height, width, _] = picture.shape();
-        (width, height, picture.data().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
+        let picture = Picture::read(path).map_err(field_error)?;
+        let [width, height] = picture.size();
+        (width, height, picture.into_linear().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
     } else {
         let picture = image::load_from_memory(&bytes)
             .map_err(|error| {

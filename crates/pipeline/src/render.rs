@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use lumistack_core::{Task, Tensor};
+use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid};
+use lumistack_field_io::picture::{self, Picture, Precision};
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_scene::Window;
 
@@ -12,6 +13,7 @@ use crate::error::PipelineError;
 use crate::ingest::Ingested;
 use crate::job::{AngularFilter, Job};
 use crate::light::automatic_exposure;
+use crate::run::field_error;
 
 /// Changes whenever the path tracer gives other pixels.
 const RENDER_VERSION: u32 = 1;
@@ -24,6 +26,8 @@ pub struct Rendered {
     pub held_out: Option<LightField>,
     /// Factor from scene-linear to display-referred radiance.
     pub exposure: f64,
+    /// Share of the window where the middle view sees a surface, 0..1.
+    pub coverage: f64,
     /// Whether no view had to be traced.
     pub cached: bool,
 }
@@ -91,10 +95,17 @@ pub fn render(
         }
         fields.push((geometry.clone(), folder));
     }
-    let cached = todo.is_empty();
+    let coverage_path = fields[0].1.join("coverage.json");
+    let read_coverage = || serde_json::from_slice::<f64>(&std::fs::read(&coverage_path).ok()?).ok();
+    let cached = todo.is_empty() && read_coverage().is_some();
     if !cached {
-        trace(&todo, &fields, ingested, window, &settings, task)?;
+        let renderer = Renderer::new(ingested.scene.clone(), task).map_err(render_error)?;
+        let middle = geometry.grid.views().map(|count| count / 2);
+        let coverage = renderer.coverage(window, geometry, middle, task).map_err(render_error)?;
+        crate::run::write(&coverage_path, &serde_json::to_vec(&coverage).expect("numbers serialize"))?;
+        trace(&renderer, &todo, &fields, window, &settings, task)?;
     }
+    let coverage = read_coverage().unwrap_or(f64::NAN);
     let mut radiance = Vec::new();
     for (geometry, folder) in &fields {
         let mut field = LightField::black(geometry.clone())?;
@@ -103,7 +114,7 @@ pub fn render(
             let picture = read_view(&path, geometry).ok_or_else(|| {
                 PipelineError::value(&path, "cached view", "the picture just written", "another or none")
             })?;
-            field.view_mut(view).copy_from_slice(picture.data());
+            field.view_mut(view).copy_from_slice(&picture);
         }
         radiance.push(field);
     }
@@ -117,26 +128,25 @@ pub fn render(
         field
     });
     let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
-    Ok(Rendered { target, held_out: exposed.next(), exposure, cached })
+    Ok(Rendered { target, held_out: exposed.next(), exposure, coverage, cached })
 }
 
 fn trace(
+    renderer: &Renderer,
     todo: &[(usize, [usize; 2], PathBuf)],
     fields: &[(FieldGeometry, PathBuf)],
-    ingested: &Ingested,
     window: &Window,
     settings: &Settings,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let renderer = Renderer::new(&ingested.scene, task).map_err(render_error)?;
-    task.progress.begin("render", todo.len() as u64, "views");
-    let result = todo.iter().try_for_each(|(field, view, path)| {
+    let steps: u64 = todo.iter().map(|(field, ..)| Renderer::steps_per_view(&fields[*field].0)).sum();
+    task.progress.begin("render", steps, "tiles");
+    let result = todo.iter().enumerate().try_for_each(|(number, (field, view, path))| {
         let settings = Settings { seed: lumistack_core::seed::derive(settings.seed, &[*field as u64]), ..settings.clone() };
-        let quiet = Task { progress: &lumistack_core::NoProgress, ..task };
-        let picture =
-            renderer.render_view(window, &fields[*field].0, *view, &settings, quiet).map_err(render_error)?;
-        lumistack_field_io::exr::write_rgb_f32(path, &picture).map_err(PipelineError::Field)?;
-        task.progress.advance(1, "views");
+        let picture = renderer.render_view(window, &fields[*field].0, *view, &settings, task).map_err(render_error)?;
+        let [rows, cols, _] = picture.shape();
+        picture::write_exr(path, [cols, rows], picture.data(), Precision::Float).map_err(field_error)?;
+        task.progress.advance(0, &format!("tiles, view {} of {}", number + 1, todo.len()));
         Ok(())
     });
     task.progress.end();
@@ -154,9 +164,9 @@ fn view_path(folder: &Path, view: [usize; 2]) -> PathBuf {
     folder.join(format!("view_{:02}_{:02}.exr", view[0], view[1]))
 }
 
-fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Tensor<3>> {
-    let picture = lumistack_field_io::exr::read_rgb(path).ok()?;
-    (picture.shape() == [geometry.rows, geometry.cols, 3]).then_some(picture)
+fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
+    let picture = Picture::read(path).ok()?;
+    (picture.size() == [geometry.cols, geometry.rows]).then(|| picture.into_linear())
 }
 
 /// One exposure for all views, from the brightest channel of every pixel.

@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use lumistack_core::{Collector, Progress, Task, Warning, Warnings};
-use lumistack_display::{Display, LayerStack, LightField, StackError, Weights, score};
-use lumistack_factorizer::{Factorization, FactorizeError, Problem};
+use lumistack_core::{Collector, Task, Tensor, Warning, Warnings};
+use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
+use lumistack_core::config::nearest;
+use lumistack_factorizer::{Factorization, FactorizeError, Problem, StartKind};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry};
-use lumistack_report::{Iteration, OutputFile, ReportInput, Stage};
+use lumistack_report::{Iteration, Output, ReportInput, Stage};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -19,6 +20,8 @@ use crate::render;
 
 /// Changes whenever a solver gives other patterns.
 const FACTORIZE_VERSION: u32 = 1;
+/// Points of the convergence curve: enough for a plot; each costs a part of an update.
+const CURVE_POINTS: u32 = 40;
 /// Name of the one node of a plain job.
 const NODE: &str = "tensor-display";
 
@@ -65,8 +68,6 @@ pub fn run(job: &Job, run_dir: &Path, command: Option<&str>, task: Task<'_>) -> 
 
     let stage = Instant::now();
     let settings = serde_json::to_value(job).expect("jobs serialize");
-    let total_score = score(&display, &stack, &input.target, &weights);
-    let held_out_score = input.held_out.as_ref().map(|field| score(&display, &stack, field, &Weights::Uniform));
     let report = lumistack_report::build(
         &ReportInput {
             title: &job.name,
@@ -78,7 +79,7 @@ pub fn run(job: &Job, run_dir: &Path, command: Option<&str>, task: Task<'_>) -> 
             convergence: &steps,
             stages: &run.stages,
             settings: &settings,
-            scene: input.about,
+            scene: input.about.as_ref(),
             warnings: &warnings.list.take(),
             outputs: &outputs,
             command,
@@ -91,11 +92,13 @@ pub fn run(job: &Job, run_dir: &Path, command: Option<&str>, task: Task<'_>) -> 
     write(&run_dir.join("report.json"), &serde_json::to_vec_pretty(&report.json).expect("reports serialize"))?;
     write(&path, report.html.as_bytes())?;
     run.stages.push(Stage { name: "report".into(), seconds: stage.elapsed().as_secs_f64(), cached: false });
+    // infinity is a text in JSON
+    let figure = |value: &serde_json::Value| value.as_f64().or_else(|| value.as_str()?.parse().ok());
     Ok(Summary {
         report: path,
-        psnr_view: total_score.psnr_view(),
-        psnr_raw: total_score.psnr_raw(),
-        psnr_held_out: held_out_score.map(|score| score.psnr_view()),
+        psnr_view: figure(&report.json["psnr_view"]).unwrap_or(f64::NAN),
+        psnr_raw: figure(&report.json["psnr_raw"]).unwrap_or(f64::NAN),
+        psnr_held_out: figure(&report.json["held_out"]["overall_psnr_view"]),
         seconds: start.elapsed().as_secs_f64(),
     })
 }
@@ -137,6 +140,8 @@ struct Run<'a> {
 impl<'a> Run<'a> {
     fn open(job: &'a Job, dir: &Path) -> Result<Self, PipelineError> {
         let display = job.resolve_display()?;
+        start_kind(&job.factorize.start)?;
+        lumistack_factorizer::solver(&job.factorize.solver).map_err(PipelineError::Factorize)?;
         let registry = Registry::builtin();
         for output in &job.outputs {
             // found out before an hour of rendering, not after
@@ -182,18 +187,18 @@ impl<'a> Run<'a> {
         if let Some(field) = &rendered.held_out {
             write_field_if_changed(&self.stamps, &self.dir, "held-out", field, Some(rendered.exposure))?;
         }
-        let about = about_scene(path, &ingested, &window, rendered.exposure);
+        let about = about_scene(path, &ingested, &window, &rendered);
         Ok(Input { target: rendered.target, held_out: rendered.held_out, about: Some(about) })
     }
 
     fn read_field(&mut self, path: &Path, task: Task<'_>) -> Result<Input, PipelineError> {
         let job = self.job;
         let defaults = lumistack_field_io::GeometryDefaults {
-            width_mm: self.display.field_pixels().size_mm()[0],
-            fov_deg: self.display.field.fov_deg,
+            width_mm: Some(self.display.field_pixels().size_mm()[0]),
+            fov_deg: Some(self.display.field.fov_deg),
         };
         let target = self.timed("read", |_| {
-            let mut field = lumistack_field_io::open(path, &job.geometry.flags(), &defaults, task).map_err(field_error)?;
+            let mut field = lumistack_field_io::open(path, &job.geometry, &defaults, task).map_err(field_error)?;
             lumistack_field_io::round_to_half(&mut field);
             Ok((field, false))
         })?;
@@ -218,7 +223,18 @@ impl<'a> Run<'a> {
 
     fn weights(&self, target: &LightField) -> Result<Weights, PipelineError> {
         let Some(path) = &self.job.factorize.weights else { return Ok(Weights::Uniform) };
-        let weights = lumistack_field_io::read_weights(path).map_err(field_error)?;
+        let (shape, data) = lumistack_field_io::npy::read(path).map_err(field_error)?;
+        let weights = match shape.as_slice() {
+            &[y, x] => Tensor::from_vec(["view_y", "view_x"], [y, x], data).map(Weights::PerView),
+            &[y, x, rows, cols] => {
+                Tensor::from_vec(["view_y", "view_x", "row", "col"], [y, x, rows, cols], data).map(Weights::PerRay)
+            }
+            other => {
+                let expected = "[view_y][view_x] or [view_y][view_x][row][col]";
+                return Err(PipelineError::value(path, "shape", expected, format!("{other:?}")));
+            }
+        }
+        .map_err(|error| PipelineError::value(path, "weights", "values that fill the shape", error.to_string()))?;
         weights.check(target.geometry()).map_err(|source| PipelineError::Weights { path: path.clone(), source })?;
         Ok(weights)
     }
@@ -246,8 +262,12 @@ impl<'a> Run<'a> {
             .add_json("settings", &(&job.solver, job.iterations, &job.start, self.job.seed));
         match weights {
             Weights::Uniform => {}
-            Weights::PerView(t) => drop(key.add_f32("weights per view", t.data())),
-            Weights::PerRay(t) => drop(key.add_f32("weights per ray", t.data())),
+            Weights::PerView(t) => {
+                key.add_f32("weights per view", t.data());
+            }
+            Weights::PerRay(t) => {
+                key.add_f32("weights per ray", t.data());
+            }
         }
         for layer in warm.iter().flat_map(|stack| &stack.layers) {
             key.add_f32("warm layer", layer.data());
@@ -269,10 +289,12 @@ impl<'a> Run<'a> {
             run.stamps.clear("factorize")?;
             let (factorization, steps) = run.solve(display, target, weights, warm.as_ref(), task)?;
             let stack = factorization.stack;
-            let mut files = lumistack_field_io::write_stack(&layers, display, &stack).map_err(field_error)?;
+            lumistack_field_io::write_stack(&layers, display, &stack).map_err(field_error)?;
             write(&curve, &serde_json::to_vec(&steps).expect("steps serialize"))?;
-            files.iter_mut().for_each(|file| *file = Path::new("layers").join(&*file));
-            files.push("cache/convergence.json".into());
+            let index = lumistack_field_io::read_stack_index(&layers).map_err(field_error)?;
+            let mut files: Vec<PathBuf> = vec!["layers/stack.json".into(), "cache/convergence.json".into()];
+            files.extend(index.layers.iter().map(|layer| Path::new("layers").join(&layer.file)));
+            files.extend(index.backlight.iter().map(|backlight| Path::new("layers").join(&backlight.file)));
             run.stamps.write("factorize", &key, &files)?;
             Ok(((stack, report_steps(steps)), false))
         })
@@ -291,22 +313,17 @@ impl<'a> Run<'a> {
             solver: job.solver.clone(),
             iterations: job.iterations,
             seed: self.job.seed,
-            start: job.start.parse().map_err(PipelineError::Factorize)?,
+            start: start_kind(&job.start)?,
+            report_every: (job.iterations / CURVE_POINTS).max(1),
         };
         let problem = Problem { display, target, weights };
         let start = Instant::now();
         let mut steps = Vec::new();
-        task.progress.begin("factorize", u64::from(job.iterations), "updates");
-        let mut last = 0;
         let result = lumistack_factorizer::factorize(&problem, &settings, warm, task, &mut |step| {
             let seconds = start.elapsed().as_secs_f64();
             let psnr_view = step.psnr_view.is_finite().then_some(step.psnr_view);
             steps.push(Step { iteration: step.iteration, objective: step.objective, psnr_view, seconds });
-            let note = format!("updates, {:.1} dB", step.psnr_view);
-            task.progress.advance(u64::from(step.iteration.saturating_sub(last)), &note);
-            last = step.iteration;
         });
-        task.progress.end();
         match result {
             Ok(factorization) => Ok((factorization, steps)),
             Err(FactorizeError::Cancelled(_)) => Err(PipelineError::Cancelled),
@@ -320,7 +337,7 @@ impl<'a> Run<'a> {
         stack: &LayerStack,
         target: &LightField,
         task: Task<'_>,
-    ) -> Result<Vec<OutputFile>, PipelineError> {
+    ) -> Result<Vec<Output>, PipelineError> {
         let registry = Registry::builtin();
         let mut files = Vec::new();
         for output in &self.job.outputs {
@@ -331,8 +348,12 @@ impl<'a> Run<'a> {
                 .add("display", display.to_toml().as_bytes())
                 .add_json("params", &params)
                 .add("geometry", format!("{:?}", target.geometry()).as_bytes());
-            stack.layers.iter().for_each(|layer| drop(key.add_f32("layer", layer.data())));
-            stack.emission.iter().for_each(|emission| drop(key.add_f32("emission", emission.data())));
+            for layer in &stack.layers {
+                key.add_f32("layer", layer.data());
+            }
+            if let Some(emission) = &stack.emission {
+                key.add_f32("emission", emission.data());
+            }
             let key = key.finish();
             let stage = format!("output-{}", output.plugin);
             let written = self.timed(&stage, |run| {
@@ -358,10 +379,22 @@ impl<'a> Run<'a> {
                 run.stamps.write(&stage, &key, &written)?;
                 Ok((written, false))
             })?;
-            files.extend(written.into_iter().map(|path| OutputFile { plugin: output.plugin.clone(), path }));
+            files.extend(written.into_iter().map(|path: PathBuf| Output {
+                label: format!("{}: {}", output.plugin, path.file_name().unwrap_or_default().to_string_lossy()),
+                path: path.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/"),
+            }));
         }
         Ok(files)
     }
+}
+
+fn start_kind(name: &str) -> Result<StartKind, PipelineError> {
+    StartKind::from_name(name).ok_or_else(|| {
+        let names: Vec<&str> = StartKind::ALL.iter().map(|(name, _)| *name).collect();
+        let hint = nearest(name, names.iter().copied()).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
+        let expected = format!("one of {}", names.join(", "));
+        PipelineError::value("job", "factorize.start", expected, format!("`{name}`{hint}"))
+    })
 }
 
 fn report_steps(steps: Vec<Step>) -> Vec<Iteration> {
@@ -380,9 +413,12 @@ fn about_scene(
     path: &Path,
     ingested: &Ingested,
     window: &lumistack_scene::Window,
-    exposure: f64,
+    rendered: &render::Rendered,
 ) -> serde_json::Value {
     let scene = &ingested.scene;
+    let mut values = rendered.target.radiance().data().to_vec();
+    let percentile = |values: &mut [f32], share| f64::from(lumistack_core::metrics::percentile(values, share));
+    let span = percentile(&mut values, 0.99) - percentile(&mut values, 0.01);
     let map = window.scene_from_display;
     json!({
         "file": path.display().to_string(),
@@ -394,7 +430,10 @@ fn about_scene(
         "lights": scene.lights.len(),
         "window centre (scene units)": map.translation.to_array(),
         "scene units per millimetre": map.scale,
-        "exposure": exposure,
+        "exposure": rendered.exposure,
+        // shares of the window and of the range 0..1: whether framing, light and exposure fit the scene
+        "coverage": rendered.coverage,
+        "target span": span,
     })
 }
 
@@ -411,7 +450,10 @@ fn display_error(source: lumistack_display::DisplayError, place: &str) -> Pipeli
 }
 
 pub(crate) fn field_error(error: lumistack_field_io::FieldError) -> PipelineError {
-    if error.is_cancelled() { PipelineError::Cancelled } else { PipelineError::Field(error) }
+    match error {
+        lumistack_field_io::FieldError::Cancelled(_) => PipelineError::Cancelled,
+        other => PipelineError::Field(other),
+    }
 }
 
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), PipelineError> {
@@ -460,6 +502,3 @@ impl Warnings for Tee<'_> {
         self.next.warn(warning);
     }
 }
-
-/// Reexported so that shells can implement it without another dependency.
-pub type ProgressSink<'a> = &'a dyn Progress;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use lumistack_core::{Tensor, colour};
 use lumistack_display::forward::{view_from_eye, view_from_slope};
 use lumistack_display::{Display, LayerStack};
+use lumistack_field_io::picture::{Precision, write_exr};
 
 use crate::error::PipelineError;
 use crate::presets;
@@ -101,10 +102,10 @@ impl RunFolder {
 /// When the extension is another, or the file cannot be written.
 pub fn simulate_to_file(picture: &Tensor<3>, path: &Path) -> Result<(), PipelineError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    let [rows, cols, _] = picture.shape();
     match extension.as_str() {
-        "exr" => lumistack_field_io::picture::write_rgb_f32(path, picture).map_err(field_error),
+        "exr" => write_exr(path, [cols, rows], picture.data(), Precision::Float).map_err(field_error),
         "png" => {
-            let [rows, cols, _] = picture.shape();
             let codes: Vec<u8> = picture.data().iter().map(|&value| colour::srgb_code(value)).collect();
             let image = image::RgbImage::from_raw(cols as u32, rows as u32, codes)
                 .ok_or_else(|| PipelineError::value(path, "picture", "a size that PNG can hold", format!("{cols} × {rows}")))?;

@@ -1,1 +1,214 @@
-//! The versioned C boundary between the host and its plugins: repr(C) types only.
+//! The C boundary between the host and its plugins: `repr(C)` types only, no dependencies.
+//!
+//! One boundary serves plugins that are compiled in and plugins that are loaded. A plugin offers one [`Descriptor`]; the host finds
+//! it through a function named [`ENTRY_PREFIX`] + id (the suffix keeps two plugins in one binary apart).
+//!
+//! ```text
+//! host                                   plugin
+//!  │  open(HostServices, params, display) ─▶ │   JSON in, a handle out
+//!  │  submit(Time, Data) ──────────────────▶ │   any thread; the plugin fetches one lent Plane at a time
+//!  │ ◀── file_open / append / commit ─────── │   bytes leave only through the host
+//!  │  run() ───────────────────────────────▶ │   presenters only: the main thread until closed
+//!  │  finish() ────────────────────────────▶ │   all data are in
+//!  │  close() ─────────────────────────────▶ │   frees the handle, finished or not
+//! ```
+//!
+//! Rules that both sides keep:
+//! * A struct starts with its own size in bytes ([`Descriptor`] with the version numbers) and only ever grows at the end. Who reads a
+//!   struct of the other side reads no further than that size; who has one filled in sets its `size` first.
+//! * A change that is not growth raises [`ABI_MAJOR`]; both sides must have the same one. Growth raises [`ABI_MINOR`].
+//! * Text is UTF-8, never null-terminated. JSON may gain keys; readers ignore the ones that they do not know.
+//! * Everything lent is valid until the call returns, except where its documentation says otherwise. Nothing is freed by the other
+//!   side: error texts are copied by the [`ErrorSink`] of the call, planes have a release function.
+//! * No unwinding crosses the boundary: each side catches its panics.
+
+#![cfg_attr(not(test), no_std)]
+
+mod data;
+mod descriptor;
+mod host;
+
+pub use data::{Data, Plane, Time, View, dtype, view};
+pub use descriptor::{Descriptor, Entry, OutputVtable, kind, port};
+pub use host::{HostServices, level};
+
+use core::ffi::c_void;
+
+/// Version of everything that already exists. It stays 0 until every first-party plugin has lived with it.
+pub const ABI_MAJOR: u32 = 0;
+
+/// Version of what was added at the ends of structs.
+pub const ABI_MINOR: u32 = 1;
+
+/// A plugin's entry symbol is this followed by its id; see [`Entry`].
+pub const ENTRY_PREFIX: &str = "lumistack_plugin_entry_";
+
+/// Lent UTF-8 text.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct Str {
+    /// First byte; not read when `len` is 0.
+    pub ptr: *const u8,
+    /// Number of bytes.
+    pub len: usize,
+}
+
+impl Str {
+    /// Lends a text.
+    pub const fn new(text: &str) -> Self {
+        Self { ptr: text.as_ptr(), len: text.len() }
+    }
+}
+
+/// Lent bytes.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct Bytes {
+    /// First byte; not read when `len` is 0.
+    pub ptr: *const u8,
+    /// Number of bytes.
+    pub len: usize,
+}
+
+impl Bytes {
+    /// Lends bytes.
+    pub const fn new(bytes: &[u8]) -> Self {
+        Self { ptr: bytes.as_ptr(), len: bytes.len() }
+    }
+}
+
+/// Outcome of a call.
+#[repr(transparent)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Status(pub i32);
+
+impl Status {
+    /// Done.
+    pub const OK: Self = Self(0);
+    /// The call failed; the error text says why.
+    pub const FAILED: Self = Self(1);
+    /// Stopped because the host asked to stop; nothing is wrong with the input.
+    pub const CANCELLED: Self = Self(2);
+    /// Parameters or data that the callee does not take; the error text names them.
+    pub const REFUSED: Self = Self(3);
+    /// The callee panicked; the error text is the panic's message.
+    pub const PANICKED: Self = Self(4);
+}
+
+/// Takes the error text of one call. The caller provides it, so that no memory changes hands and calls from several threads do not
+/// mix their texts.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct ErrorSink {
+    /// Size of this struct in bytes.
+    pub size: usize,
+    /// Passed to `write`.
+    pub context: *mut c_void,
+    /// Copies `text`; a later text replaces an earlier one.
+    pub write: unsafe extern "C" fn(context: *mut c_void, text: Str),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::mem::{align_of, offset_of, size_of};
+
+    /// The layout that every 64-bit C compiler gives these structs. A change here that is not growth at the end is a new major version.
+    #[test]
+    #[cfg(target_pointer_width = "64")]
+    fn layouts_are_what_a_c_header_would_say() {
+        assert_eq!((size_of::<Str>(), offset_of!(Str, len)), (16, 8));
+        assert_eq!((size_of::<Bytes>(), offset_of!(Bytes, len)), (16, 8));
+        assert_eq!((size_of::<Status>(), align_of::<Status>()), (4, 4));
+        assert_eq!((offset_of!(ErrorSink, context), offset_of!(ErrorSink, write), size_of::<ErrorSink>()), (8, 16, 24));
+
+        let descriptor = [
+            offset_of!(Descriptor, abi_major),
+            offset_of!(Descriptor, abi_minor),
+            offset_of!(Descriptor, size),
+            offset_of!(Descriptor, kind),
+            offset_of!(Descriptor, ports),
+            offset_of!(Descriptor, id),
+            offset_of!(Descriptor, version),
+            offset_of!(Descriptor, doc),
+            offset_of!(Descriptor, schema_json),
+            offset_of!(Descriptor, vtable),
+            size_of::<Descriptor>(),
+        ];
+        assert_eq!(descriptor, [0, 4, 8, 16, 20, 24, 40, 56, 72, 88, 96]);
+
+        let vtable = [
+            offset_of!(OutputVtable, open),
+            offset_of!(OutputVtable, submit),
+            offset_of!(OutputVtable, run),
+            offset_of!(OutputVtable, finish),
+            offset_of!(OutputVtable, close),
+            size_of::<OutputVtable>(),
+        ];
+        assert_eq!(vtable, [8, 16, 24, 32, 40, 48]);
+
+        let host = [
+            offset_of!(HostServices, context),
+            offset_of!(HostServices, log),
+            offset_of!(HostServices, progress_begin),
+            offset_of!(HostServices, progress_advance),
+            offset_of!(HostServices, progress_end),
+            offset_of!(HostServices, is_cancelled),
+            offset_of!(HostServices, file_open),
+            offset_of!(HostServices, file_append),
+            offset_of!(HostServices, file_commit),
+            offset_of!(HostServices, file_abort),
+            offset_of!(HostServices, simulate),
+            size_of::<HostServices>(),
+        ];
+        assert_eq!(host, [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96]);
+
+        let data = [
+            offset_of!(Data, port),
+            offset_of!(Data, context),
+            offset_of!(Data, description_json),
+            offset_of!(Data, layer_plane),
+            offset_of!(Data, emission_plane),
+            offset_of!(Data, view_plane),
+            size_of::<Data>(),
+        ];
+        assert_eq!(data, [8, 16, 24, 40, 48, 56, 64]);
+
+        let plane = [
+            offset_of!(Plane, data),
+            offset_of!(Plane, dtype),
+            offset_of!(Plane, ndim),
+            offset_of!(Plane, shape),
+            offset_of!(Plane, strides),
+            offset_of!(Plane, owner),
+            offset_of!(Plane, release),
+            size_of::<Plane>(),
+        ];
+        assert_eq!(plane, [8, 16, 20, 24, 56, 88, 96, 104]);
+
+        assert_eq!((offset_of!(Time, index), offset_of!(Time, seconds), size_of::<Time>()), (8, 16, 24));
+        assert_eq!((offset_of!(View, kind), offset_of!(View, value), size_of::<View>()), (8, 16, 40));
+    }
+
+    #[test]
+    fn every_struct_starts_with_its_size_or_its_version() {
+        assert_eq!(offset_of!(Descriptor, abi_major), 0);
+        let sizes = [
+            offset_of!(ErrorSink, size),
+            offset_of!(OutputVtable, size),
+            offset_of!(HostServices, size),
+            offset_of!(Data, size),
+            offset_of!(Plane, size),
+            offset_of!(Time, size),
+            offset_of!(View, size),
+        ];
+        assert_eq!(sizes, [0; 7]);
+    }
+
+    #[test]
+    fn ports_are_distinct_bits() {
+        let ports = [port::SCENE, port::LIGHT_FIELD, port::LAYER_STACK, port::FILE];
+        assert!(ports.iter().all(|bit| bit.count_ones() == 1));
+        assert_eq!(ports.iter().fold(0, |set, bit| set | bit).count_ones(), 4);
+    }
+}

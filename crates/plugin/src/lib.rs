@@ -1,1 +1,91 @@
-//! What a plugin author depends on: safe traits, parameter schema, export macro.
+//! What a plugin author depends on: safe traits over the C boundary of `lumistack-plugin-abi`, a parameter schema, the export macro, and
+//! (feature `testkit`) conformance checks.
+//!
+//! An output plugin is a type that implements [`OutputPlugin`] and one line at the end of the file:
+//!
+//! ```
+//! use lumistack_plugin::{Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, Time, export_plugin};
+//! use lumistack_plugin::serde::Deserialize;
+//!
+//! /// Writes the mean transmittance of every layer and frame as text.
+//! pub struct Means {
+//!     host: Host,
+//!     params: MeansParams,
+//! }
+//!
+//! #[derive(Deserialize)]
+//! #[serde(crate = "lumistack_plugin::serde")]
+//! pub struct MeansParams {
+//!     digits: usize,
+//! }
+//!
+//! impl OutputPlugin for Means {
+//!     const DOC: &'static str = "Writes the mean transmittance of every layer and frame as text.";
+//!     const PORTS: &'static [Port] = &[Port::LayerStack];
+//!     type Params = MeansParams;
+//!
+//!     fn schema() -> Schema {
+//!         Schema::new([Param::int("digits", 3, 1..=9, "Digits after the point.")])
+//!     }
+//!
+//!     fn open(host: Host, params: MeansParams, _display: Display) -> Result<Self, PluginError> {
+//!         Ok(Self { host, params })
+//!     }
+//!
+//!     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
+//!         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
+//!         let mut text = String::new();
+//!         for layer in 0..stack.layer_count() {
+//!             for frame in 0..stack.frames() {
+//!                 self.host.check_cancelled()?;
+//!                 let values = stack.layer(layer, frame)?.to_vec();
+//!                 let mean = values.iter().sum::<f32>() / values.len() as f32;
+//!                 text += &format!("{layer} {frame} {mean:.*}\n", self.params.digits);
+//!             }
+//!         }
+//!         self.host.write(&format!("means_{}.txt", time.index), text.as_bytes())
+//!     }
+//!
+//!     fn finish(self) -> Result<(), PluginError> {
+//!         Ok(())
+//!     }
+//! }
+//!
+//! export_plugin!("means", Means);
+//! # fn main() {}
+//! ```
+//!
+//! A plugin is a plain library. Compiled in, the host lists its `PLUGIN`; loaded, the host finds the symbol
+//! `lumistack_plugin_entry_<id>` in `lumistack_plugin_<id>`. Both ways every call goes through the same C functions, and a panic of the
+//! plugin comes back as an error.
+//!
+//! [`serve`] is the other side of the same boundary, for the host and the test kit.
+
+mod boundary;
+mod describe;
+pub mod encoding;
+mod error;
+mod export;
+mod host;
+mod input;
+mod output;
+mod plane;
+mod schema;
+pub mod serve;
+#[cfg(any(test, feature = "testkit"))]
+pub mod testkit;
+
+pub use error::PluginError;
+pub use export::{Export, Port, entry_of, is_plugin_id};
+pub use host::{Host, OutputFile, Stage};
+pub use input::{FieldInput, Input, StackInput, ViewPoint};
+pub use output::{OutputPlugin, Time};
+pub use plane::PlaneView;
+pub use schema::{Choice, Kind, Param, ParamError, Schema};
+
+pub use lumistack_core as core;
+pub use lumistack_display as display;
+pub use lumistack_display::Display;
+pub use lumistack_plugin_abi as abi;
+pub use serde;
+pub use serde_json;

@@ -1,1 +1,3 @@
 //! Development only: statistical assertions, tolerance constants, image comparison with files on failure.
+
+pub mod statistics;

@@ -1,0 +1,192 @@
+//! `lumistack info`, `plugins` and `displays`.
+
+use std::path::Path;
+
+use lumistack_core::Task;
+use lumistack_display::{Backlight, Display};
+use lumistack_pipeline::{Job, LightJob, PipelineError, describe_light_field, load_scene, plugin_list, presets};
+use serde_json::{Value, json};
+
+use crate::args::Info;
+use crate::commands::geometry;
+
+pub(crate) fn print(args: &Info, as_json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+    let value = describe(args, task)?;
+    if as_json {
+        println!("{value}");
+    } else {
+        show(&value, 0);
+    }
+    Ok(())
+}
+
+fn describe(args: &Info, task: Task<'_>) -> Result<Value, PipelineError> {
+    let path = args.file.as_path();
+    let name = path.to_string_lossy();
+    if !path.exists() && presets::PRESETS.iter().any(|(preset, _)| *preset == name) {
+        return Ok(display(&presets::load(&name)?));
+    }
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    match extension.as_str() {
+        "gltf" | "glb" => scene(path, task),
+        "toml" => toml(path),
+        _ if path.join("layers/stack.json").is_file() => run_folder(path),
+        _ if path.join("stack.json").is_file() => stack(path),
+        _ => {
+            let description = describe_light_field(path, &geometry(&args.geometry), task)?;
+            Ok(json!({ "light field": serde_json::to_value(description).expect("descriptions serialize") }))
+        }
+    }
+}
+
+fn scene(path: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
+    // without the studio light: what the file itself has
+    let light = LightJob { automatic: false, ..LightJob::default() };
+    let scene = load_scene(path, &light, task)?.scene;
+    let bounds = scene.bounds();
+    let texels: usize = scene.images.iter().map(|image| image.width * image.height).sum();
+    Ok(json!({ "scene": {
+        "file": path,
+        "triangles": scene.triangle_count(),
+        "meshes": scene.meshes.len(),
+        "instances": scene.instances.len(),
+        "materials": scene.materials.iter().map(|material| material.name.as_str()).collect::<Vec<_>>(),
+        "images": format!("{} ({:.1} megapixels)", scene.images.len(), texels as f64 / 1e6),
+        "punctual lights": scene.lights.len(),
+        "emissive materials": scene.materials.iter().filter(|material| material.is_emissive()).count(),
+        "environment": scene.environment.is_some(),
+        "cameras": scene.cameras.iter().map(|camera| camera.name.as_str()).collect::<Vec<_>>(),
+        "bounds min": bounds.min.to_array(),
+        "bounds max": bounds.max.to_array(),
+    }}))
+}
+
+fn toml(path: &Path) -> Result<Value, PipelineError> {
+    let job = match Job::load(path) {
+        Ok(job) => job,
+        Err(job_error) => {
+            // a display file has layers, a job file a [display]; the error shown is that of what the file looks like
+            return match presets::load_file(path) {
+                Ok(found) => Ok(display(&found)),
+                Err(display_error) => {
+                    let text = std::fs::read_to_string(path).unwrap_or_default();
+                    Err(if text.contains("[[layers]]") { display_error } else { job_error })
+                }
+            };
+        }
+    };
+    let resolved = job.resolve_display()?;
+    Ok(json!({ "job": serde_json::to_value(&job).expect("jobs serialize"), "display": display(&resolved)["display"] }))
+}
+
+fn display(display: &Display) -> Value {
+    let backlight = match &display.backlight {
+        Backlight::Uniform => json!("uniform"),
+        Backlight::Lenslets(lenslets) => serde_json::to_value(lenslets).expect("backlights serialize"),
+    };
+    let size = display.field_pixels().size_mm();
+    json!({ "display": {
+        "name": display.name,
+        "frames": display.frames,
+        "refresh": format!("{} Hz, {:.1} periods a second", display.refresh_hz, display.period_hz()),
+        "brightness": display.brightness,
+        "light field": format!(
+            "{} × {} pixels of {} mm ({:.1} × {:.1} mm)",
+            display.field.resolution[0], display.field.resolution[1], display.field.pitch_mm, size[0], size[1]
+        ),
+        "views": format!(
+            "{} × {} over {}° × {}°, {}",
+            display.field.views[0], display.field.views[1], display.field.fov_deg[0], display.field.fov_deg[1],
+            serde_json::to_value(display.field.projection).expect("names serialize").as_str().unwrap_or_default()
+        ),
+        "layers": display.layers.iter().map(|layer| format!(
+            "z = {} mm: {} × {} pixels of {} mm", layer.d_mm, layer.resolution[0], layer.resolution[1], layer.pitch_mm
+        )).collect::<Vec<_>>(),
+        "backlight": backlight,
+    }})
+}
+
+fn run_folder(path: &Path) -> Result<Value, PipelineError> {
+    let run = lumistack_pipeline::RunFolder::open(path)?;
+    let mut value = json!({ "run folder": path.display().to_string(), "display": display(&run.display)["display"] });
+    if let Ok(text) = std::fs::read(path.join("report.json"))
+        && let Ok(report) = serde_json::from_slice::<Value>(&text)
+    {
+        value["result"] = json!({
+            "title": report["title"], "psnr_view": report["psnr_view"], "psnr_raw": report["psnr_raw"],
+            "psnr in between": report["held_out"]["overall_psnr_view"], "command": report["command"],
+        });
+    }
+    Ok(value)
+}
+
+fn stack(path: &Path) -> Result<Value, PipelineError> {
+    let index = lumistack_field_io::read_stack_index(path).map_err(PipelineError::Field)?;
+    Ok(json!({ "layer stack": serde_json::to_value(index).expect("indices serialize") }))
+}
+
+/// Plain text: keys with their values, nested by indentation.
+fn show(value: &Value, depth: usize) {
+    let margin = "  ".repeat(depth);
+    let Value::Object(map) = value else {
+        println!("{margin}{}", short(value));
+        return;
+    };
+    for (key, value) in map {
+        let key = key.replace('_', " ");
+        match value {
+            Value::Null => {}
+            Value::Object(inner) if !inner.is_empty() => {
+                println!("{margin}{key}");
+                show(value, depth + 1);
+            }
+            Value::Array(items) if items.iter().any(|item| item.is_object() || item.is_string()) => {
+                println!("{margin}{key}: {}", items.len());
+                items.iter().for_each(|item| match item {
+                    Value::Object(_) => {
+                        println!("{margin}  -");
+                        show(item, depth + 2);
+                    }
+                    _ => println!("{margin}  {}", short(item)),
+                });
+            }
+            _ => println!("{margin}{key}: {}", short(value)),
+        }
+    }
+}
+
+fn short(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Number(number) if number.is_f64() => {
+            let number = number.as_f64().unwrap_or(f64::NAN);
+            let text = format!("{number:.4}");
+            text.trim_end_matches('0').trim_end_matches('.').to_string()
+        }
+        Value::Array(items) => format!("[{}]", items.iter().map(short).collect::<Vec<_>>().join(", ")),
+        Value::Bool(yes) => if *yes { "yes" } else { "no" }.into(),
+        other => other.to_string(),
+    }
+}
+
+pub(crate) fn print_plugins(as_json: bool) -> Result<(), PipelineError> {
+    let list = plugin_list();
+    if as_json {
+        println!("{list}");
+    } else {
+        println!("{}", lumistack_pipeline::plugin_text());
+    }
+    Ok(())
+}
+
+pub(crate) fn print_displays(as_json: bool) -> Result<(), PipelineError> {
+    for (name, text) in presets::PRESETS {
+        if as_json {
+            println!("{}", json!({ "name": name, "display": presets::load(name)? }));
+        } else {
+            // the first comment line of the file says what it is
+            println!("{name:28} {}", text.lines().next().unwrap_or_default().trim_start_matches("# "));
+        }
+    }
+    Ok(())
+}

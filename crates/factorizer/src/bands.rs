@@ -1,0 +1,37 @@
+//! Work in bands: on all threads of the current rayon pool, or on one.
+//!
+//! Every band owns its part of the output and works in a fixed order, so results do not depend on the number of threads.
+
+/// Calls `work(scratch, index, chunk)` for every chunk of `data`; `scratch` is whatever `init` makes, reused between chunks in an order that is
+/// not defined.
+pub(crate) fn for_each_chunk<T: Send, S>(
+    data: &mut [T],
+    chunk: usize,
+    init: impl Fn() -> S + Sync + Send,
+    work: impl Fn(&mut S, usize, &mut [T]) + Sync + Send,
+) {
+    #[cfg(feature = "parallel")]
+    {
+        use rayon::prelude::*;
+        data.par_chunks_mut(chunk)
+            .enumerate()
+            .with_min_len(2)
+            .for_each_init(init, |scratch, (index, chunk)| work(scratch, index, chunk));
+    }
+    #[cfg(not(feature = "parallel"))]
+    {
+        let mut scratch = init();
+        data.chunks_mut(chunk).enumerate().for_each(|(index, chunk)| work(&mut scratch, index, chunk));
+    }
+}
+
+/// `work(scratch, index)` for every index below `count`, in order.
+pub(crate) fn map<T: Send + Clone + Default, S>(
+    count: usize,
+    init: impl Fn() -> S + Sync + Send,
+    work: impl Fn(&mut S, usize) -> T + Sync + Send,
+) -> Vec<T> {
+    let mut results = vec![T::default(); count];
+    for_each_chunk(&mut results, 1, init, |scratch, index, result| result[0] = work(scratch, index));
+    results
+}

@@ -1,0 +1,127 @@
+//! Storage of one factor: a layer, or the directional backlight seen as one more layer.
+//!
+//! `values[channel][line][frame][x]`: one line of all frames is contiguous, so that a band of lines can be handed to a thread and the rows that
+//! one ray row needs lie together. Lines are padded by [`PAD`] and more values on both sides, and one more line follows the last: padding holds
+//! what a ray reads that misses the factor, so no inner loop asks whether it does.
+//!
+//! The backlight's line is bin_y·R + lenslet row and its column bin_x·C + lenslet column: its map is separable too.
+
+use std::ops::Range;
+
+use crate::bands;
+
+/// Padding on both sides of every line; the widest vector.
+pub(crate) const PAD: usize = 16;
+
+/// Sizes of a factor.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Layout {
+    /// Angular bins [vertical, horizontal]; [1, 1] for a layer.
+    pub(crate) bins: [usize; 2],
+    /// Rows and columns within one bin.
+    pub(crate) size: [usize; 2],
+    /// Frames M.
+    pub(crate) frames: usize,
+    /// Values before the first column.
+    pub(crate) pad: usize,
+    /// Values from one line of a frame to that of the next.
+    pub(crate) stride: usize,
+    /// What a ray reads that misses the factor: 1 for a layer, 0 for a backlight's bins.
+    pub(crate) outside: f32,
+}
+
+impl Layout {
+    /// Lines that rays can meet.
+    pub(crate) fn lines(&self) -> usize {
+        self.bins[0] * self.size[0]
+    }
+
+    /// Columns that rays can meet.
+    pub(crate) fn cols(&self) -> usize {
+        self.bins[1] * self.size[1]
+    }
+
+    /// Values of one line, all frames.
+    pub(crate) fn line_len(&self) -> usize {
+        self.frames * self.stride
+    }
+
+    /// Lines of one channel, with the one that stands for a miss.
+    pub(crate) fn stored_lines(&self) -> usize {
+        self.lines() + 1
+    }
+
+    /// Where the columns of a frame lie within a line.
+    #[inline(always)]
+    pub(crate) fn columns(&self, frame: usize) -> Range<usize> {
+        let start = frame * self.stride + self.pad;
+        start..start + self.cols()
+    }
+
+    /// Offset of the red value in the tensor of a layer or of the emission.
+    fn tensor_offset(&self, frame: usize, line: usize, col: usize) -> usize {
+        let ([bins_y, bins_x], [rows, cols]) = (self.bins, self.size);
+        let (bin_y, row, bin_x, col) = (line / rows, line % rows, col / cols, col % cols);
+        ((((frame * bins_y + bin_y) * bins_x + bin_x) * rows + row) * cols + col) * 3
+    }
+}
+
+/// Values of one factor.
+#[derive(Clone, Debug)]
+pub(crate) struct Factor {
+    pub(crate) layout: Layout,
+    pub(crate) values: Vec<f32>,
+}
+
+impl Factor {
+    /// From a tensor's values, moved into `floor`..1.
+    pub(crate) fn upload(layout: &Layout, tensor: &[f32], floor: f32) -> Self {
+        let mut values = vec![layout.outside; 3 * layout.stored_lines() * layout.line_len()];
+        bands::for_each_chunk(
+            &mut values,
+            layout.line_len(),
+            || (),
+            |(), index, chunk| {
+                let (channel, line) = (index / layout.stored_lines(), index % layout.stored_lines());
+                if line == layout.lines() {
+                    return;
+                }
+                for (frame, row) in chunk.chunks_exact_mut(layout.stride).enumerate() {
+                    for (col, value) in row[layout.pad..layout.pad + layout.cols()].iter_mut().enumerate() {
+                        *value = tensor[layout.tensor_offset(frame, line, col) + channel].clamp(floor, 1.0);
+                    }
+                }
+            },
+        );
+        Self { layout: layout.clone(), values }
+    }
+
+    /// Into a tensor's values.
+    pub(crate) fn download(&self, tensor: &mut [f32]) {
+        let layout = &self.layout;
+        for channel in 0..3 {
+            for line in 0..layout.lines() {
+                for frame in 0..layout.frames {
+                    let row = self.row(channel, line, frame);
+                    for col in 0..layout.cols() {
+                        tensor[layout.tensor_offset(frame, line, col) + channel] = row[layout.pad + col];
+                    }
+                }
+            }
+        }
+    }
+
+    /// One padded row.
+    #[inline(always)]
+    pub(crate) fn row(&self, channel: usize, line: usize, frame: usize) -> &[f32] {
+        let at = (channel * self.layout.stored_lines() + line) * self.layout.line_len() + frame * self.layout.stride;
+        &self.values[at..at + self.layout.stride]
+    }
+
+    /// One line of all frames, padded rows one after another.
+    #[inline(always)]
+    pub(crate) fn line(&self, channel: usize, line: usize) -> &[f32] {
+        let at = (channel * self.layout.stored_lines() + line) * self.layout.line_len();
+        &self.values[at..at + self.layout.line_len()]
+    }
+}

@@ -1,0 +1,271 @@
+//! The tables of a run: which line and column of every factor a ray reads, and which rays meet a line.
+//!
+//! All follow from [`RayMap`]: one entry per view column and field column, and one per view row and field row.
+
+use std::ops::Range;
+
+use lumistack_display::{AxisTaps, Backlight, BacklightTap, Display, LayerMap, Missing, RayMap, Tap};
+
+use crate::Problem;
+use crate::factor::{Layout, PAD};
+use crate::target::Target;
+
+/// Everything about a problem that does not change between steps.
+#[derive(Clone, Debug)]
+pub(crate) struct Plan {
+    /// View rows and view columns.
+    pub(crate) views: [usize; 2],
+    /// Field rows.
+    pub(crate) rows: usize,
+    /// Field columns.
+    pub(crate) cols: usize,
+    /// Layers rear to front, then the directional backlight.
+    pub(crate) maps: Vec<FactorMap>,
+    /// Per view column: the field columns whose rays count, normally one range.
+    pub(crate) runs: Vec<Vec<Range<usize>>>,
+    /// Per view row: whether a field row's rays count.
+    pub(crate) valid_rows: Vec<Vec<bool>>,
+    pub(crate) target: Target,
+}
+
+/// Where rays meet one factor.
+#[derive(Clone, Debug)]
+pub(crate) struct FactorMap {
+    pub(crate) layout: Layout,
+    /// Per view column.
+    pub(crate) x: Vec<ColumnTaps>,
+    /// Per view row: one entry per field row.
+    pub(crate) y: Vec<Vec<LineTap>>,
+    /// Per view row.
+    rays: Vec<RaysOfLine>,
+}
+
+/// Columns of one view column's rays, as indices into a padded line.
+#[derive(Clone, Debug)]
+pub(crate) struct ColumnTaps {
+    pub(crate) first: Vec<u32>,
+    pub(crate) second: Vec<u32>,
+    /// Weight of `second`.
+    pub(crate) t: Vec<f32>,
+    /// Whether every `t` is 0.
+    pub(crate) exact: bool,
+    /// Index minus field column, where that is the same for every ray that counts and every `t` is 0.
+    pub(crate) shift: Option<isize>,
+}
+
+/// Lines of one field row's rays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct LineTap {
+    pub(crate) first: u32,
+    pub(crate) second: u32,
+    /// Weight of `second`.
+    pub(crate) t: f32,
+}
+
+/// The field rows whose rays meet each line, for one view row: 0, 1 or 2 of them at equal pitch.
+#[derive(Clone, Debug)]
+struct RaysOfLine {
+    /// Range of `entries` per line.
+    starts: Vec<u32>,
+    /// Field row and weight of the line in its rays.
+    entries: Vec<(u32, f32)>,
+}
+
+impl Plan {
+    pub(crate) fn new(problem: &Problem) -> Self {
+        let geometry = problem.target.geometry();
+        let map = RayMap::new(problem.display, geometry);
+        let views = geometry.grid.views();
+        let (rows, cols) = (geometry.rows, geometry.cols);
+        let drop = problem.display.missing == Missing::Drop;
+        let valid = |view: usize, i: usize, axis: fn(&LayerMap) -> &AxisTaps, lit: &dyn Fn(usize, usize) -> bool| {
+            (!drop || map.layers.iter().all(|layer| !axis(layer).of_view(view)[i].is_missed())) && lit(view, i)
+        };
+        let backlight = map.backlight.as_ref();
+        let lit_x = |view: usize, i: usize| backlight.is_none_or(|b| b.x(view)[i] != BacklightTap::Missed);
+        let lit_y = |view: usize, i: usize| backlight.is_none_or(|b| b.y(view)[i] != BacklightTap::Missed);
+        let runs: Vec<_> = (0..views[1])
+            .map(|view| runs_of(&(0..cols).map(|i| valid(view, i, |l| &l.x, &lit_x)).collect::<Vec<_>>()))
+            .collect();
+        let valid_rows: Vec<Vec<bool>> =
+            (0..views[0]).map(|view| (0..rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect()).collect();
+        let maps = raw_maps(problem.display, &map, views)
+            .into_iter()
+            .map(|raw| FactorMap::new(raw, problem.display.frames, &runs, &valid_rows))
+            .collect();
+        Self { views, rows, cols, maps, runs, valid_rows, target: Target::new(problem) }
+    }
+
+    /// Number of rays that count.
+    pub(crate) fn rays(&self) -> u64 {
+        let mut count = 0;
+        for (view_y, rows) in self.valid_rows.iter().enumerate() {
+            for row in (0..self.rows).filter(|&row| rows[row]) {
+                for (view_x, runs) in self.runs.iter().enumerate() {
+                    count += runs.iter().map(|run| self.target.count(self.view(view_y, view_x), row, run)).sum::<u64>();
+                }
+            }
+        }
+        count
+    }
+
+    /// Index of a view in the target.
+    #[inline(always)]
+    pub(crate) fn view(&self, view_y: usize, view_x: usize) -> usize {
+        view_y * self.views[1] + view_x
+    }
+}
+
+impl FactorMap {
+    /// Field rows whose rays count and meet `line`, with the line's weight.
+    #[inline(always)]
+    pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
+        let rays = &self.rays[view_y];
+        &rays.entries[rays.starts[line] as usize..rays.starts[line + 1] as usize]
+    }
+
+    /// Whether every ray reads exactly one pixel, at a column that is the field column plus a constant of the view.
+    pub(crate) fn is_shifted(&self, runs: &[Vec<Range<usize>>]) -> bool {
+        let columns =
+            self.x.iter().zip(runs).all(|(x, runs)| runs.is_empty() || (x.shift.is_some() && runs.len() == 1));
+        columns && self.y.iter().flatten().all(|tap| tap.t == 0.0)
+    }
+
+    fn new(raw: RawMap, frames: usize, runs: &[Vec<Range<usize>>], valid_rows: &[Vec<bool>]) -> Self {
+        let (lines, cols) = (raw.bins[0] * raw.size[0], raw.bins[1] * raw.size[1]);
+        let shifts: Vec<_> = raw.x.iter().zip(runs).map(|(taps, runs)| constant_shift(taps, runs, cols)).collect();
+        // a shifted line reads beyond the layer's edge where rays may miss it
+        let (mut before, mut after) = (0, 0);
+        for (shift, runs) in shifts.iter().zip(runs) {
+            if let (Some(shift), [first, ..]) = (*shift, runs.as_slice()) {
+                let end = runs[runs.len() - 1].end;
+                before = before.max(-(first.start as isize + shift));
+                after = after.max(end as isize + shift - cols as isize);
+            }
+        }
+        let pad = PAD + before as usize;
+        let stride = (pad + cols + after as usize + PAD).next_multiple_of(PAD);
+        let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
+        let x = raw.x.iter().zip(&shifts).map(|(taps, shift)| ColumnTaps::new(taps, *shift, pad)).collect();
+        let y: Vec<Vec<LineTap>> = raw
+            .y
+            .iter()
+            .map(|taps| {
+                let line = |tap: &Option<Tap>| match tap {
+                    Some(tap) => LineTap { first: tap.first, second: tap.second, t: tap.t },
+                    None => LineTap { first: lines as u32, second: lines as u32, t: 0.0 },
+                };
+                taps.iter().map(line).collect()
+            })
+            .collect();
+        let rays = y.iter().zip(valid_rows).map(|(taps, valid)| RaysOfLine::new(taps, valid, lines)).collect();
+        Self { layout, x, y, rays }
+    }
+}
+
+impl ColumnTaps {
+    fn new(taps: &[Option<Tap>], shift: Option<isize>, pad: usize) -> Self {
+        // a miss reads the padding
+        let index = |i: Option<u32>| i.map_or(0, |i| i + pad as u32);
+        Self {
+            first: taps.iter().map(|tap| index(tap.map(|tap| tap.first))).collect(),
+            second: taps.iter().map(|tap| index(tap.map(|tap| tap.second))).collect(),
+            t: taps.iter().map(|tap| tap.map_or(0.0, |tap| tap.t)).collect(),
+            exact: taps.iter().flatten().all(|tap| tap.t == 0.0),
+            shift: shift.map(|shift| shift + pad as isize),
+        }
+    }
+}
+
+impl RaysOfLine {
+    fn new(taps: &[LineTap], valid: &[bool], lines: usize) -> Self {
+        let mut of_line: Vec<Vec<(u32, f32)>> = vec![Vec::new(); lines];
+        for (row, tap) in taps.iter().enumerate() {
+            if !valid[row] || tap.first as usize == lines {
+                continue;
+            }
+            if tap.t < 1.0 {
+                of_line[tap.first as usize].push((row as u32, 1.0 - tap.t));
+            }
+            if tap.t > 0.0 {
+                of_line[tap.second as usize].push((row as u32, tap.t));
+            }
+        }
+        let mut starts = vec![0];
+        let mut entries = Vec::with_capacity(taps.len());
+        for rows in of_line {
+            entries.extend(rows);
+            starts.push(entries.len() as u32);
+        }
+        Self { starts, entries }
+    }
+}
+
+/// A factor's taps before padding is known; `None` where a ray misses it.
+struct RawMap {
+    bins: [usize; 2],
+    size: [usize; 2],
+    outside: f32,
+    x: Vec<Vec<Option<Tap>>>,
+    y: Vec<Vec<Option<Tap>>>,
+}
+
+fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
+    let hit = |taps: &[Tap]| taps.iter().map(|tap| (!tap.is_missed()).then_some(*tap)).collect();
+    let mut maps: Vec<RawMap> = map
+        .layers
+        .iter()
+        .map(|layer| RawMap {
+            bins: [1, 1],
+            size: [layer.rows, layer.cols],
+            outside: 1.0,
+            x: (0..views[1]).map(|view| hit(layer.x.of_view(view))).collect(),
+            y: (0..views[0]).map(|view| hit(layer.y.of_view(view))).collect(),
+        })
+        .collect();
+    if let (Backlight::Lenslets(lenslets), Some(map)) = (&display.backlight, &map.backlight) {
+        let lit = |taps: &[BacklightTap], count: usize| {
+            let tap = |tap: &BacklightTap| match tap {
+                BacklightTap::Lit { lenslet, bin } => {
+                    let index = bin * count as u32 + lenslet;
+                    Some(Tap { first: index, second: index, t: 0.0 })
+                }
+                _ => None,
+            };
+            taps.iter().map(tap).collect()
+        };
+        let ([cols, rows], [bins_x, bins_y]) = (lenslets.lenslets, lenslets.views);
+        maps.push(RawMap {
+            bins: [bins_y, bins_x],
+            size: [rows, cols],
+            outside: 0.0,
+            x: (0..views[1]).map(|view| lit(map.x(view), cols)).collect(),
+            y: (0..views[0]).map(|view| lit(map.y(view), rows)).collect(),
+        });
+    }
+    maps
+}
+
+/// Ranges of consecutive `true`.
+fn runs_of(valid: &[bool]) -> Vec<Range<usize>> {
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    for i in (0..valid.len()).filter(|&i| valid[i]) {
+        match runs.last_mut() {
+            Some(run) if run.end == i => run.end = i + 1,
+            _ => runs.push(i..i + 1),
+        }
+    }
+    runs
+}
+
+/// Pixel index minus field column, where that is one number for all rays of the runs that hit, and the others would fall outside under it.
+fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
+    let mut counted = runs.iter().flat_map(Clone::clone);
+    let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;
+    counted
+        .all(|c| match taps[c] {
+            Some(tap) => tap.t == 0.0 && tap.first as isize - c as isize == shift,
+            None => !(0..cols as isize).contains(&(c as isize + shift)),
+        })
+        .then_some(shift)
+}

@@ -1,0 +1,64 @@
+//! What every solver offers: start on a problem, step, report the objective, hand the patterns back.
+
+use lumistack_core::{Cancel, Cancelled};
+use lumistack_display::LayerStack;
+
+use crate::{FactorizeError, Multiplicative, Problem};
+
+/// A method that improves patterns iteration by iteration.
+pub trait Solver: Sync {
+    /// Name by which it is chosen.
+    fn name(&self) -> &'static str;
+
+    /// One sentence for people who choose.
+    fn doc(&self) -> &'static str;
+
+    /// Prepares a run that begins at `start`; values outside the solver's box are moved into it.
+    ///
+    /// # Errors
+    /// If the problem or the start is unusable.
+    fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError>;
+}
+
+/// A factorization under way. The patterns may live elsewhere (on a GPU) until they are downloaded.
+pub trait Run {
+    /// One iteration: every factor once.
+    ///
+    /// # Errors
+    /// When cancelled between two factors; the patterns so far remain usable.
+    fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled>;
+
+    /// The objective of the present patterns.
+    fn objective(&mut self) -> Objective;
+
+    /// Number of rays with w > 0 that meet the display.
+    fn rays(&self) -> u64;
+
+    /// The present patterns.
+    fn download(&self) -> LayerStack;
+}
+
+/// How far patterns are from the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Objective {
+    /// Σ w (βL − L̃)² over all rays and channels (eq. 27).
+    pub value: f64,
+    /// PSNR in dB of L̃/β against L, peak 1, over all rays with w > 0 and all channels; NaN when no ray counts.
+    pub psnr_view: f64,
+}
+
+/// All solvers.
+pub fn solvers() -> &'static [&'static dyn Solver] {
+    &[&Multiplicative]
+}
+
+/// The solver of a name.
+///
+/// # Errors
+/// If there is none; the error lists all names.
+pub fn solver(name: &str) -> Result<&'static dyn Solver, FactorizeError> {
+    solvers().iter().copied().find(|solver| solver.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {
+        expected: solvers().iter().map(|solver| solver.name()).collect::<Vec<_>>().join(", "),
+        found: name.into(),
+    })
+}

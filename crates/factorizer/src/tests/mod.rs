@@ -1,0 +1,8 @@
+//! Tests of the crate against oracles, closed forms and published figures.
+
+mod behaviour;
+mod card;
+mod fields;
+mod oracle;
+mod problems;
+mod updates;

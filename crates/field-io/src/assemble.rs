@@ -1,0 +1,265 @@
+//! From a source to a light field in memory: choose views, put the plane in focus, crop and reduce, check values.
+//!
+//! A camera at position p (in steps, right and up) sees content of disparity k (pixels a step) k·p pixels left of and below where the
+//! middle camera sees it. Reading view p from column c − k·p and row r + k·p puts that content on z = 0. The result keeps what every
+//! view has.
+
+use std::path::Path;
+
+use lumistack_core::{Task, Tensor};
+use lumistack_display::LightField;
+
+use crate::disparity::{self, Motion};
+use crate::geometry::{self, GeometryDefaults, GeometryFlags, Pixels, pick};
+use crate::npy::zeros;
+use crate::resample::{Rect, area};
+use crate::source::Source;
+use crate::{FieldError, detect};
+
+/// Largest amount of light that is taken for real: the largest half float.
+pub(crate) const LARGEST: f32 = 65504.0;
+/// Values below this are more than the overshoot of a filter.
+const OVERSHOOT: f32 = -1e-3;
+/// Pixels whose width and height differ by less count as square.
+const SQUARE: f64 = 0.01;
+/// A plane is looked for only if content moves by more than this, in pixels a view.
+const STILL_PX: f64 = 0.5;
+
+/// Reads a light field of any kind: our folder (or a run's folder), `.npy` with or without a `.json` beside it, a folder of pictures as
+/// in the Stanford archive, the HCI benchmark or `RR_CC.png`, a quilt, a picture of tiles.
+///
+/// # Errors
+/// If the path is none of these, a file is damaged, views differ in size, values are not finite, or the geometry is incomplete.
+pub fn open(
+    path: &Path,
+    flags: &GeometryFlags,
+    defaults: &GeometryDefaults,
+    task: Task<'_>,
+) -> Result<LightField, FieldError> {
+    let mut source = detect::detect(path, flags, task)?;
+    source.mirror(flags.mirror);
+    assemble(&mut source, flags, defaults, task)
+}
+
+pub(crate) fn assemble(
+    source: &mut Source,
+    flags: &GeometryFlags,
+    defaults: &GeometryDefaults,
+    task: Task<'_>,
+) -> Result<LightField, FieldError> {
+    let path = source.path.clone();
+    let picks = picks(source, flags)?;
+    let focus_px = match flags.focus_px {
+        Some(focus_px) if !focus_px.is_finite() => {
+            return Err(FieldError::malformed(&path, "--focus-px", "a finite number", focus_px.to_string()));
+        }
+        Some(focus_px) => focus_px,
+        None => find_focus(source, task)?,
+    };
+    let window = Window::new(source, flags, &picks, focus_px)?;
+    let pixels = Pixels { size: window.out_size, window_cols: window.size[0], focus_px };
+    let geometry = geometry::resolve(&path, flags, defaults, &source.hints, &picks, &pixels, task)?;
+
+    let shape = LightField::shape_of(&geometry);
+    let count = Tensor::element_count(shape)
+        .ok_or_else(|| FieldError::malformed(&path, "size", "an array that fits in memory", format!("{shape:?}")))?;
+    let mut data = zeros(&path, count)?;
+    let mut range = Range::default();
+    task.progress.begin("read views", (shape[0] * shape[1]) as u64, "views");
+    for (index, part) in data.chunks_exact_mut(count / (shape[0] * shape[1])).enumerate() {
+        task.cancel.check()?;
+        let view = [picks[0][index / shape[1]], picks[1][index % shape[1]]];
+        let mut values = source.reader.load(view)?;
+        check_values(source, view, &mut values, &mut range)?;
+        area(&values, source.size, window.rect(view), window.out_size, part);
+        task.progress.advance(1, "");
+    }
+    task.progress.end();
+    range.warn(&path, task);
+    let radiance = Tensor::from_vec(LightField::AXES, shape, data)
+        .map_err(|error| FieldError::malformed(&path, "size", shape_text(shape), error.to_string()))?;
+    LightField::new(geometry, radiance).map_err(FieldError::geometry(&path))
+}
+
+fn shape_text(shape: [usize; 5]) -> String {
+    format!("{shape:?}")
+}
+
+fn picks(source: &Source, flags: &GeometryFlags) -> Result<[Vec<usize>; 2], FieldError> {
+    let [rows, cols] = source.views;
+    let [kept_cols, kept_rows] = flags.views.unwrap_or([cols, rows]);
+    if !(1..=cols).contains(&kept_cols) || !(1..=rows).contains(&kept_rows) {
+        let expected = format!("1 × 1 to {cols} × {rows} views, which it has");
+        return Err(FieldError::malformed(&source.path, "--views", expected, format!("{kept_cols} × {kept_rows}")));
+    }
+    Ok([pick(rows, kept_rows), pick(cols, kept_cols)])
+}
+
+/// Where each view is read.
+struct Window {
+    corner: [f64; 2],
+    size: [f64; 2],
+    out_size: [usize; 2],
+    /// Added to the corner: per view column, per view row.
+    shift: [Vec<f64>; 2],
+}
+
+impl Window {
+    fn new(source: &Source, flags: &GeometryFlags, picks: &[Vec<usize>; 2], focus_px: f64) -> Result<Self, FieldError> {
+        let positions = positions(source);
+        let mut window = Self { corner: [0.0; 2], size: [0.0; 2], out_size: source.size, shift: [vec![], vec![]] };
+        for axis in 0..2 {
+            let sign = [-1.0, 1.0][axis];
+            window.shift[axis] = positions[axis].iter().map(|position| sign * focus_px * position).collect();
+            let kept = picks[1 - axis].iter().map(|&view| window.shift[axis][view]);
+            let low = kept.clone().fold(f64::INFINITY, f64::min);
+            let high = kept.fold(f64::NEG_INFINITY, f64::max);
+            window.corner[axis] = -low;
+            window.size[axis] = (source.size[axis] as f64 - (high - low)).floor();
+            if window.size[axis] < 1.0 {
+                let expected = "a disparity that leaves pixels which all views have";
+                return Err(FieldError::malformed(&source.path, "--focus-px", expected, focus_px.to_string()));
+            }
+        }
+        let tile_aspect = source.size[0] as f64 / source.size[1] as f64;
+        let pixel_aspect = source.hints.view_aspect.map_or(1.0, |aspect| aspect / tile_aspect);
+        window.fit(source, flags.resolution, pixel_aspect)?;
+        Ok(window)
+    }
+
+    /// Makes pixels square and reduces to `resolution`. `pixel_aspect` = width over height of a file's pixel.
+    fn fit(&mut self, source: &Source, resolution: Option<[usize; 2]>, pixel_aspect: f64) -> Result<(), FieldError> {
+        let pixel_aspect = if (pixel_aspect - 1.0).abs() < SQUARE { 1.0 } else { pixel_aspect };
+        let rounded = |length: f64| (length.round() as usize).max(1);
+        let Some([cols, rows]) = resolution else {
+            self.out_size = [self.size[0] as usize, self.size[1] as usize];
+            if pixel_aspect > 1.0 {
+                self.out_size[1] = rounded(self.size[1] / pixel_aspect);
+            } else if pixel_aspect < 1.0 {
+                self.out_size[0] = rounded(self.size[0] * pixel_aspect);
+            }
+            return Ok(());
+        };
+        if cols == 0 || rows == 0 || cols as f64 > self.size[0] || rows as f64 > self.size[1] {
+            let expected = format!("1 × 1 to {} × {} pixels: views are only reduced", self.size[0], self.size[1]);
+            return Err(FieldError::malformed(&source.path, "--resolution", expected, format!("{cols} × {rows}")));
+        }
+        let wanted = cols as f64 / rows as f64;
+        let aspect = self.size[0] * pixel_aspect / self.size[1];
+        let axis = usize::from(aspect < wanted);
+        let cropped =
+            if axis == 0 { self.size[1] * wanted / pixel_aspect } else { self.size[0] * pixel_aspect / wanted };
+        // A rounding error must not crop a sliver off a picture of the right aspect.
+        let cropped = if (cropped - self.size[axis]).abs() < 1e-6 { self.size[axis] } else { cropped };
+        self.corner[axis] += 0.5 * (self.size[axis] - cropped);
+        self.size[axis] = cropped;
+        self.out_size = [cols, rows];
+        Ok(())
+    }
+
+    fn rect(&self, [view_y, view_x]: [usize; 2]) -> Rect {
+        let shift = [self.shift[0][view_x], self.shift[1][view_y]];
+        Rect { corner: [self.corner[0] + shift[0], self.corner[1] + shift[1]], size: self.size }
+    }
+}
+
+/// Positions of view columns (right) and view rows (up) around the middle, in steps.
+fn positions(source: &Source) -> [Vec<f64>; 2] {
+    if let Some(cameras) = &source.hints.cameras {
+        return cameras.positions.clone();
+    }
+    let centred =
+        |count: usize, sign: f64| (0..count).map(|i| sign * (i as f64 - (count as f64 - 1.0) / 2.0)).collect();
+    [centred(source.views[1], 1.0), centred(source.views[0], -1.0)]
+}
+
+/// Where the pictures may be unsheared: the disparity of their middle depth, a whole number of pixels, if all content is on one side of
+/// their plane; otherwise 0.
+fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
+    if !source.hints.cameras.as_ref().is_some_and(|cameras| cameras.plane_unknown) {
+        return Ok(0.0);
+    }
+    let Some(Motion { low, median, high }) = disparity_per_step(source)? else { return Ok(0.0) };
+    if low < STILL_PX && high > -STILL_PX {
+        return Ok(0.0);
+    }
+    let focus_px = median.round();
+    let mut message = format!(
+        "no content lies on the pictures' common plane: content moves by {low:.1} to {high:.1} pixels a view; {focus_px} is put on z = 0 (--focus-px sets it)"
+    );
+    if median < 0.0 {
+        message += "; it moves with the camera, so if it looks inside out, its views are in reverse order (--mirror)";
+    }
+    task.warn(geometry::place(&source.path), message);
+    Ok(focus_px)
+}
+
+/// Disparity between the two middle views: how far content moves left (down) when the viewpoint moves right (up) by one step.
+fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError> {
+    let positions = positions(source);
+    let [rows, cols] = source.views;
+    let middle = [rows / 2, cols / 2];
+    let (axis, other) = if cols > 1 {
+        (0, [middle[0], middle[1] - 1])
+    } else if rows > 1 {
+        (1, [middle[0] - 1, middle[1]])
+    } else {
+        return Ok(None);
+    };
+    let first = source.reader.load(other)?;
+    let second = source.reader.load(middle)?;
+    let index = 1 - axis;
+    let step = (positions[axis][middle[index]] - positions[axis][other[index]]).abs();
+    let motion = disparity::motion(&first, &second, source.size, axis);
+    Ok(motion.map(|m| Motion { low: -m.high / step, median: -m.median / step, high: -m.low / step }))
+}
+
+/// What was odd about values.
+#[derive(Default)]
+struct Range {
+    negative: usize,
+    lowest: f32,
+    highest: f32,
+}
+
+impl Range {
+    fn warn(&self, path: &Path, task: Task<'_>) {
+        if self.negative > 0 {
+            let (count, lowest) = (self.negative, self.lowest);
+            task.warn(geometry::place(path), format!("{count} negative values (down to {lowest}) are taken as 0"));
+        }
+        if self.highest > 1.0 {
+            let message = format!("values go up to {}; a display shows 1 at most", self.highest);
+            task.warn(geometry::place(path), message);
+        }
+    }
+}
+
+/// Refuses what is no amount of light; sets negative values to 0.
+fn check_values(
+    source: &Source,
+    [view_y, view_x]: [usize; 2],
+    values: &mut [f32],
+    range: &mut Range,
+) -> Result<(), FieldError> {
+    for (index, value) in values.iter_mut().enumerate() {
+        if (0.0..=1.0).contains(value) {
+            continue;
+        }
+        if !value.is_finite() || *value > LARGEST || *value < -LARGEST {
+            let (pixel, rgb) = (index / 3, index % 3);
+            let (row, col) = (pixel / source.size[0], pixel % source.size[0]);
+            let place = format!("[view_y, view_x, row, col, rgb] = [{view_y}, {view_x}, {row}, {col}, {rgb}]");
+            let expected = format!("a number from 0 to {LARGEST}");
+            let file = source.reader.file([view_y, view_x]);
+            return Err(FieldError::malformed(file, place, expected, value.to_string()));
+        }
+        if *value < 0.0 {
+            range.negative += usize::from(*value < OVERSHOOT);
+            range.lowest = range.lowest.min(*value);
+            *value = 0.0;
+        }
+        range.highest = range.highest.max(*value);
+    }
+    Ok(())
+}

@@ -1,0 +1,142 @@
+//! Files that are either complete or absent: written beside the target, flushed to disk, then renamed over it.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+use crate::FieldError;
+
+/// What [`write`] lends to its closure: buffered, seekable.
+pub type Writer<'a> = BufWriter<&'a mut File>;
+
+/// Writes a file through `fill`. When `fill` or the disk fails, the target stays as it was and nothing is left beside it.
+///
+/// # Errors
+/// If the folder does not exist, the target is a folder, or writing fails.
+pub fn write(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) -> Result<(), FieldError> {
+    let error = FieldError::io(path, "write");
+    replace(path, fill).map_err(error)
+}
+
+/// Writes a file whose content is at hand.
+///
+/// # Errors
+/// Those of [`write`].
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), FieldError> {
+    write(path, |writer| writer.write_all(bytes))
+}
+
+/// Makes an output folder with its parents.
+///
+/// # Errors
+/// If the path or one of its parents is a file (the message names it), or the folder cannot be made.
+pub fn create_folder(path: &Path) -> Result<(), FieldError> {
+    for part in path.ancestors() {
+        match fs::metadata(part) {
+            Ok(found) if found.is_dir() => break,
+            Ok(_) => return Err(FieldError::malformed(part, "output folder", "a folder or nothing", "a file")),
+            Err(_) => {}
+        }
+    }
+    fs::create_dir_all(path).map_err(FieldError::io(path, "make the folder"))
+}
+
+/// Removes a file that may be absent: an index goes first when the files that it lists are about to change.
+///
+/// # Errors
+/// If the file is there and cannot be removed.
+pub(crate) fn remove(path: &Path) -> Result<(), FieldError> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(FieldError::io(path, "remove")(error)),
+        _ => Ok(()),
+    }
+}
+
+fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) -> io::Result<()> {
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    if path.is_dir() {
+        return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
+    }
+    let mut beside = temporary_beside(folder)?;
+    {
+        let mut writer = BufWriter::with_capacity(1 << 16, beside.as_file_mut());
+        fill(&mut writer)?;
+        writer.flush()?;
+    }
+    beside.as_file().sync_all()?;
+    beside.persist(path).map_err(|error| error.error)?;
+    sync_folder(folder);
+    Ok(())
+}
+
+fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".lumistack-").suffix(".tmp");
+    // Temporary files are private by default; results are as readable as the user's other files.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.tempfile_in(folder)
+}
+
+/// Makes the rename itself durable. A file system that cannot do this has still written the file, so failure is no error.
+fn sync_folder(folder: &Path) {
+    if cfg!(unix)
+        && let Ok(folder) = File::open(folder)
+    {
+        folder.sync_all().ok();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+    }
+
+    #[test]
+    fn a_writer_that_fails_midway_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        write_bytes(&path, b"old").unwrap();
+        let error = write(&path, |writer| {
+            writer.write_all(&[0; 100_000])?;
+            Err(io::Error::other("disk full"))
+        })
+        .unwrap_err();
+        assert!(error.to_string().ends_with("a.bin: cannot write: disk full"), "{error}");
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(names(folder.path()), ["a.bin"]);
+    }
+
+    #[test]
+    fn a_file_in_the_way_of_a_folder_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("out");
+        write_bytes(&file, b"x").unwrap();
+        for path in [file.clone(), file.join("layers/deeper")] {
+            let error = create_folder(&path).unwrap_err().to_string();
+            assert!(error.ends_with("out: output folder: expected a folder or nothing, found a file"), "{error}");
+        }
+        let error = write_bytes(folder.path(), b"x").unwrap_err().to_string();
+        assert!(error.contains("a folder has this name"), "{error}");
+        assert_eq!(names(folder.path()), ["out"]);
+        create_folder(&folder.path().join("new/deeper")).unwrap();
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn results_are_readable_by_others() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        write_bytes(&path, b"x").unwrap();
+        fs::write(folder.path().join("plain"), b"x").unwrap();
+        let mode = |name: &str| fs::metadata(folder.path().join(name)).unwrap().permissions().mode();
+        assert_eq!(mode("a.bin"), mode("plain"));
+    }
+}

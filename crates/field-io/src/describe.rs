@@ -1,0 +1,93 @@
+//! What is in a light field: geometry as far as the files give it, and the range of values, read view by view.
+
+use std::path::Path;
+
+use lumistack_core::Task;
+use lumistack_display::ProjectionKind;
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use crate::geometry::{GeometryFlags, full_angle_deg};
+use crate::source::Kind;
+use crate::{FieldError, detect};
+
+/// Summary of a light field on disk; `None` where neither files nor flags say.
+#[derive(Clone, Debug, Serialize)]
+pub struct Description {
+    /// Kind of files.
+    pub kind: Kind,
+    /// Where it was found.
+    pub path: String,
+    /// [horizontal, vertical] views.
+    pub views: [usize; 2],
+    /// [columns, rows] of every view.
+    pub resolution: [usize; 2],
+    /// How the rays of one view relate.
+    pub projection: Option<ProjectionKind>,
+    /// Viewing distance of a perspective grid.
+    pub distance_mm: Option<f64>,
+    /// Pixel pitch on z = 0.
+    pub pitch_mm: Option<f64>,
+    /// [horizontal, vertical] full angle.
+    pub fov_deg: Option<[f64; 2]>,
+    /// Slopes of view columns, left to right.
+    pub slope_x: Option<Vec<f64>>,
+    /// Slopes of view rows, y up, top to bottom.
+    pub slope_y: Option<Vec<f64>>,
+    /// Smallest finite value, linear.
+    pub minimum: f32,
+    /// Largest finite value, linear.
+    pub maximum: f32,
+    /// Mean of the finite values, linear.
+    pub mean: f64,
+    /// Values that are infinite or not a number.
+    pub not_finite: u64,
+    /// What the writer of our own folder noted.
+    pub info: Map<String, Value>,
+}
+
+/// Describes a light field of any kind that [`open`](crate::open) reads; holds one view (or one quilt) at a time.
+///
+/// # Errors
+/// Those of [`open`](crate::open), save for incomplete geometry and odd values, which are part of the answer.
+pub fn describe(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, FieldError> {
+    let mut source = detect::detect(path, flags, task)?;
+    let [rows, cols] = source.views;
+    let (mut minimum, mut maximum) = (f32::INFINITY, f32::NEG_INFINITY);
+    let (mut sum, mut finite, mut not_finite) = (0.0, 0u64, 0);
+    task.progress.begin("read views", (rows * cols) as u64, "views");
+    for view in (0..rows).flat_map(|y| (0..cols).map(move |x| [y, x])) {
+        task.cancel.check()?;
+        for value in source.reader.load(view)? {
+            if value.is_finite() {
+                (minimum, maximum) = (minimum.min(value), maximum.max(value));
+                sum += f64::from(value);
+                finite += 1;
+            } else {
+                not_finite += 1;
+            }
+        }
+        task.progress.advance(1, "");
+    }
+    task.progress.end();
+    let hints = source.hints;
+    let [slope_x, slope_y] = hints.slopes;
+    let from_slopes = slope_x.as_ref().zip(slope_y.as_ref()).map(|(x, y)| [full_angle_deg(x), full_angle_deg(y)]);
+    Ok(Description {
+        kind: source.kind,
+        path: source.path.display().to_string(),
+        views: [cols, rows],
+        resolution: source.size,
+        projection: flags.grid.or(hints.projection),
+        distance_mm: flags.distance_mm.or(hints.distance_mm),
+        pitch_mm: flags.pitch_mm.or(hints.pitch_mm),
+        fov_deg: flags.fov_deg.or(hints.fov_deg).or(from_slopes),
+        slope_x,
+        slope_y,
+        minimum,
+        maximum,
+        mean: sum / finite as f64,
+        not_finite,
+        info: source.info,
+    })
+}

@@ -1,0 +1,108 @@
+//! What can be wrong with files: every message names the file, the place in it, what was expected and what was found.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use lumistack_core::Cancelled;
+use lumistack_display::{GridError, StackError};
+use thiserror::Error;
+
+/// A light field or layer stack that cannot be read or written.
+#[derive(Debug, Error)]
+pub enum FieldError {
+    /// The operating system refused.
+    #[error("{}: cannot {action}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was tried: "read", "write", "list the folder".
+        action: &'static str,
+        /// Why it failed.
+        #[source]
+        source: io::Error,
+    },
+    /// The content is not what it should be.
+    #[error("{}: {place}: expected {expected}, found {found}", path.display())]
+    Malformed {
+        /// The file or folder.
+        path: PathBuf,
+        /// Where in it: a key, an axis, an index.
+        place: String,
+        /// What was needed.
+        expected: String,
+        /// What was there.
+        found: String,
+    },
+    /// Two views of one light field differ in size.
+    #[error(
+        "views of different sizes: {} has {} × {} pixels, {} has {} × {}",
+        first.display(), first_size[0], first_size[1], second.display(), second_size[0], second_size[1]
+    )]
+    ViewSizes {
+        /// One view.
+        first: PathBuf,
+        /// Its [columns, rows].
+        first_size: [usize; 2],
+        /// The first view that differs from it.
+        second: PathBuf,
+        /// Its [columns, rows].
+        second_size: [usize; 2],
+    },
+    /// The files do not say where the views are, and nobody else did.
+    #[error("{}: {what} is not known: give {flag}", path.display())]
+    MissingGeometry {
+        /// The light field.
+        path: PathBuf,
+        /// Which number.
+        what: &'static str,
+        /// The flag that supplies it, with an example.
+        flag: &'static str,
+    },
+    /// The geometry makes no sense.
+    #[error("{}: {source}", path.display())]
+    Geometry {
+        /// The light field.
+        path: PathBuf,
+        /// What is wrong.
+        #[source]
+        source: GridError,
+    },
+    /// The stack does not fit its display.
+    #[error("{}: {source}", path.display())]
+    Stack {
+        /// The stack's folder.
+        path: PathBuf,
+        /// What is wrong.
+        #[source]
+        source: StackError,
+    },
+    /// Somebody asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl FieldError {
+    pub(crate) fn malformed(
+        path: impl AsRef<Path>,
+        place: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::Malformed {
+            path: path.as_ref().to_path_buf(),
+            place: place.into(),
+            expected: expected.into(),
+            found: found.into(),
+        }
+    }
+
+    pub(crate) fn io(path: impl AsRef<Path>, action: &'static str) -> impl FnOnce(io::Error) -> Self {
+        let path = path.as_ref().to_path_buf();
+        move |source| Self::Io { path, action, source }
+    }
+
+    pub(crate) fn geometry(path: impl AsRef<Path>) -> impl FnOnce(GridError) -> Self {
+        let path = path.as_ref().to_path_buf();
+        move |source| Self::Geometry { path, source }
+    }
+}

@@ -1,0 +1,289 @@
+//! Our light-field folder: `lightfield.json` with the geometry of every view, and one half-float OpenEXR picture per view.
+//!
+//! ```json
+//! { "schema": "lumistack/lightfield", "version": 1, "axes": ["view_y", "view_x", "row", "col", "rgb"], "linear": true,
+//!   "resolution": [cols, rows], "pitch_mm": 0.5, "projection": "perspective", "distance_mm": 600.0,
+//!   "slope_x": [left, ..., right], "slope_y": [top, ..., bottom], "info": { },
+//!   "views": [{ "file": "view_00_00.exr", "view": [view_y, view_x], "slope": [s_x, s_y], "eye_mm": [x, y, z] }] }
+//! ```
+//!
+//! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The index is written last.
+
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+
+use exr::prelude::f16;
+use lumistack_core::{Cancel, Collector, Task};
+use lumistack_display::{FieldGeometry, LightField, Projection, ProjectionKind};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use crate::assemble::{LARGEST, assemble};
+use crate::cameras::PictureGrid;
+use crate::geometry::{GeometryDefaults, GeometryFlags, GeometryJson};
+use crate::picture::{Precision, write_exr};
+use crate::source::{Kind, Source};
+use crate::{FieldError, atomic};
+
+/// Name of the index in a light field's folder.
+pub(crate) const INDEX: &str = "lightfield.json";
+const SCHEMA: &str = "lumistack/lightfield";
+const VERSION: u32 = 1;
+/// Largest difference of a view's own slope from its row's and column's.
+const SLOPE_TOLERANCE: f64 = 1e-6;
+/// Views per axis above which an index is taken to be damaged.
+const VIEW_LIMIT: usize = 1 << 14;
+
+#[derive(Serialize)]
+struct Index<'a> {
+    schema: &'a str,
+    version: u32,
+    axes: [&'a str; 5],
+    linear: bool,
+    resolution: [usize; 2],
+    pitch_mm: f64,
+    projection: ProjectionKind,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distance_mm: Option<f64>,
+    slope_x: &'a [f64],
+    slope_y: &'a [f64],
+    info: &'a Map<String, Value>,
+    views: Vec<ViewEntry>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct ViewEntry {
+    file: String,
+    view: [usize; 2],
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    slope: Option<[f64; 2]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    eye_mm: Option<[f64; 3]>,
+}
+
+/// What [`GeometryJson`] leaves over.
+#[derive(Deserialize)]
+struct Listing {
+    schema: String,
+    version: u32,
+    resolution: [usize; 2],
+    views: Vec<ViewEntry>,
+    #[serde(default)]
+    info: Map<String, Value>,
+}
+
+/// Rounds every value to the nearest half float, which is what a light field's folder stores: whoever factorizes the result works on
+/// exactly what is on disk.
+pub fn round_to_half(field: &mut LightField) {
+    for value in field.radiance_mut().data_mut() {
+        *value = f16::from_f32(value.clamp(-LARGEST, LARGEST)).to_f32();
+    }
+}
+
+/// Name of a view's file: `view_YY_XX.exr`, more digits where there are more than 100 views along an axis.
+pub fn view_file_name(views: [usize; 2], view: [usize; 2]) -> String {
+    let digits = (views[0].max(views[1]).saturating_sub(1)).to_string().len().max(2);
+    format!("view_{:0digits$}_{:0digits$}.exr", view[0], view[1])
+}
+
+/// Writes a light field into a folder, which is made where it is missing. `info` goes into the index as it is.
+///
+/// # Errors
+/// If a value is not finite, or the files cannot be written.
+pub fn write_field(folder: &Path, field: &LightField, info: &Map<String, Value>) -> Result<(), FieldError> {
+    atomic::create_folder(folder)?;
+    atomic::remove(&folder.join(INDEX))?;
+    for view in field.geometry().grid.iter() {
+        write_view(folder, field.geometry(), view, field.view(view))?;
+    }
+    write_index(folder, field.geometry(), info)
+}
+
+/// Writes one view, `[row][col][rgb]`, into an existing folder; for views that are made one by one.
+///
+/// # Errors
+/// If a value is not finite, or the file cannot be written.
+///
+/// # Panics
+/// If `rgb` does not hold the geometry's number of values.
+pub fn write_view(folder: &Path, geometry: &FieldGeometry, view: [usize; 2], rgb: &[f32]) -> Result<(), FieldError> {
+    let path = folder.join(view_file_name(geometry.grid.views(), view));
+    if let Some(index) = rgb.iter().position(|value| !value.is_finite()) {
+        let (row, col) = (index / 3 / geometry.cols, index / 3 % geometry.cols);
+        let place = format!("[row, col, rgb] = [{row}, {col}, {}]", index % 3);
+        return Err(FieldError::malformed(path, place, "a finite number", rgb[index].to_string()));
+    }
+    write_exr(&path, [geometry.cols, geometry.rows], rgb, Precision::Half)
+}
+
+/// Writes the index of a folder whose views are complete.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_index(folder: &Path, geometry: &FieldGeometry, info: &Map<String, Value>) -> Result<(), FieldError> {
+    let grid = &geometry.grid;
+    let distance_mm = match grid.projection {
+        Projection::Oblique => None,
+        Projection::Perspective { distance_mm } => Some(distance_mm),
+    };
+    let entry = |view: [usize; 2]| {
+        let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
+        ViewEntry {
+            file: view_file_name(grid.views(), view),
+            view,
+            slope: Some(slope),
+            eye_mm: distance_mm.map(|distance| [slope[0] * distance, slope[1] * distance, distance]),
+        }
+    };
+    let index = Index {
+        schema: SCHEMA,
+        version: VERSION,
+        axes: LightField::AXES,
+        linear: true,
+        resolution: [geometry.cols, geometry.rows],
+        pitch_mm: geometry.pitch_mm,
+        projection: if distance_mm.is_some() { ProjectionKind::Perspective } else { ProjectionKind::Oblique },
+        distance_mm,
+        slope_x: &grid.slope_x,
+        slope_y: &grid.slope_y,
+        info,
+        views: grid.iter().map(entry).collect(),
+    };
+    write_json(&folder.join(INDEX), &index)
+}
+
+/// Reads a light field's folder, with the `info` of its index.
+///
+/// # Errors
+/// If the index is malformed, a view is missing, damaged or of another size, or a value is not finite.
+pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value>), FieldError> {
+    let mut source = source(folder)?;
+    let info = std::mem::take(&mut source.info);
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    Ok((assemble(&mut source, &GeometryFlags::default(), &GeometryDefaults::default(), task)?, info))
+}
+
+/// Opens a light field's folder without reading its pictures.
+pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
+    let path = folder.join(INDEX);
+    let text = fs::read(&path).map_err(FieldError::io(&path, "read"))?;
+    let listing: Listing = parse_json(&path, &text)?;
+    let geometry: GeometryJson = parse_json(&path, &text)?;
+    check_schema(&path, &listing.schema, SCHEMA, listing.version, VERSION)?;
+    if geometry.linear == Some(false) {
+        return Err(FieldError::malformed(&path, "linear", "true", "false"));
+    }
+    let missing = |key: &str| FieldError::malformed(&path, key, "a value", "none");
+    let slope_x = geometry.slope_x.clone().ok_or_else(|| missing("slope_x"))?;
+    let slope_y = geometry.slope_y.clone().ok_or_else(|| missing("slope_y"))?;
+    geometry.pitch_mm.ok_or_else(|| missing("pitch_mm"))?;
+    let kind = geometry.projection.ok_or_else(|| missing("projection"))?;
+    if kind == ProjectionKind::Perspective && geometry.distance_mm.is_none() {
+        return Err(missing("distance_mm"));
+    }
+    let views = [slope_y.len(), slope_x.len()];
+    if views.iter().any(|count| !(1..=VIEW_LIMIT).contains(count)) {
+        let found = format!("{} × {}", views[1], views[0]);
+        return Err(FieldError::malformed(
+            &path,
+            "slope_x, slope_y",
+            format!("1 to {VIEW_LIMIT} views an axis"),
+            found,
+        ));
+    }
+    let distance_mm = geometry.distance_mm;
+    let files = listed_files(folder, &path, &listing.views, &slope_x, &slope_y, distance_mm)?;
+    let reader = PictureGrid::new(files, views)?;
+    let size = reader.size();
+    if size != listing.resolution {
+        let expected = format!("{} × {} as in {INDEX}", listing.resolution[0], listing.resolution[1]);
+        let place = reader.first_file().to_path_buf();
+        return Err(FieldError::malformed(place, "size", expected, format!("{} × {}", size[0], size[1])));
+    }
+    Ok(Source {
+        kind: Kind::Folder,
+        path: folder.to_path_buf(),
+        views,
+        size,
+        hints: geometry.into_hints(&path, views)?,
+        info: listing.info,
+        reader: Box::new(reader),
+    })
+}
+
+/// The files of all views, row by row.
+fn listed_files(
+    folder: &Path,
+    index: &Path,
+    entries: &[ViewEntry],
+    slope_x: &[f64],
+    slope_y: &[f64],
+    distance_mm: Option<f64>,
+) -> Result<Vec<PathBuf>, FieldError> {
+    let [rows, cols] = [slope_y.len(), slope_x.len()];
+    if entries.len() != rows * cols {
+        let expected = format!("{cols} × {rows} views, one per slope");
+        return Err(FieldError::malformed(index, "views", expected, entries.len().to_string()));
+    }
+    let mut files = vec![None; rows * cols];
+    for (i, entry) in entries.iter().enumerate() {
+        let bad = |key: &str, expected: String, found: String| {
+            Err(FieldError::malformed(index, format!("views[{i}].{key}"), expected, found))
+        };
+        let [view_y, view_x] = entry.view;
+        if view_y >= rows || view_x >= cols {
+            return bad("view", format!("[view_y, view_x] below [{rows}, {cols}]"), format!("{:?}", entry.view));
+        }
+        let expected = [slope_x[view_x], slope_y[view_y]];
+        let from_eye = entry.eye_mm.zip(distance_mm).map(|(eye, distance)| [eye[0] / distance, eye[1] / distance]);
+        for (key, own) in [("slope", entry.slope), ("eye_mm", from_eye)] {
+            if let Some(own) = own
+                && !own.iter().zip(expected).all(|(own, slope)| (own - slope).abs() <= SLOPE_TOLERANCE)
+            {
+                return bad(key, format!("slope {expected:?}, as in slope_x and slope_y"), format!("{own:?}"));
+            }
+        }
+        let name = Path::new(&entry.file);
+        let plain = name.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+        if !plain || entry.file.is_empty() {
+            return bad("file", "a name inside the folder".into(), entry.file.clone());
+        }
+        let slot = &mut files[view_y * cols + view_x];
+        if slot.is_some() {
+            return bad("view", "each view once".into(), format!("[{view_y}, {view_x}] again"));
+        }
+        *slot = Some(folder.join(name));
+    }
+    Ok(files.into_iter().flatten().collect())
+}
+
+pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), FieldError> {
+    atomic::write(path, |writer| {
+        serde_json::to_writer_pretty(&mut *writer, value)?;
+        std::io::Write::write_all(writer, b"\n")
+    })
+}
+
+pub(crate) fn parse_json<'a, T: Deserialize<'a>>(path: &Path, text: &'a [u8]) -> Result<T, FieldError> {
+    serde_json::from_slice(text).map_err(|error| {
+        let place = format!("line {}, column {}", error.line(), error.column());
+        FieldError::malformed(path, place, "JSON of this kind", error.to_string())
+    })
+}
+
+pub(crate) fn check_schema(
+    path: &Path,
+    schema: &str,
+    expected_schema: &str,
+    version: u32,
+    newest: u32,
+) -> Result<(), FieldError> {
+    if schema != expected_schema {
+        return Err(FieldError::malformed(path, "schema", expected_schema, schema));
+    }
+    if version == 0 || version > newest {
+        return Err(FieldError::malformed(path, "version", format!("1 to {newest}"), version.to_string()));
+    }
+    Ok(())
+}

@@ -1,0 +1,331 @@
+//! Where the views of a light field are: what flags say, what files say, what is assumed.
+//!
+//! Flags win over files, files over defaults. Every default that is used gives a warning that names its flag.
+
+use std::path::Path;
+
+use lumistack_core::Task;
+use lumistack_display::{FieldGeometry, Projection, ProjectionKind, ViewGrid};
+use serde::{Deserialize, Serialize};
+
+use crate::FieldError;
+
+/// What a user says about a light field. Everything is optional and wins over the files.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GeometryFlags {
+    /// How the rays of one view relate. `distance_mm` alone implies perspective where the files do not say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grid: Option<ProjectionKind>,
+    /// [horizontal, vertical] full angle over which the views that are kept spread, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fov_deg: Option<[f64; 2]>,
+    /// Pitch of the resulting pixels on z = 0, millimetres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pitch_mm: Option<f64>,
+    /// Viewing distance of a perspective grid, millimetres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distance_mm: Option<f64>,
+    /// [horizontal, vertical] views to keep: evenly spaced, as wide apart as they fit, around the middle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub views: Option<[usize; 2]>,
+    /// [columns, rows] of tiles of a quilt whose name does not say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quilt: Option<[usize; 2]>,
+    /// [horizontal, vertical] views of a single picture of tiles, view (0, 0) at the top left.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tiles: Option<[usize; 2]>,
+    /// [columns, rows] to reduce every view to, by area averaging after a crop to this aspect.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<[usize; 2]>,
+    /// Disparity that is put on z = 0: pixels of the files by which content moves left when the viewpoint moves right by one view.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub focus_px: Option<f64>,
+    /// Reverse the order of views along [x, y].
+    #[serde(skip_serializing_if = "is_unset")]
+    pub mirror: [bool; 2],
+}
+
+fn is_unset(mirror: &[bool; 2]) -> bool {
+    *mirror == [false; 2]
+}
+
+/// What is assumed where neither flags nor files say; `None` makes it an error.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GeometryDefaults {
+    /// Width of the light field on z = 0, millimetres.
+    pub width_mm: Option<f64>,
+    /// [horizontal, vertical] full angle, degrees.
+    pub fov_deg: Option<[f64; 2]>,
+}
+
+/// What the files say.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Hints {
+    pub(crate) projection: Option<ProjectionKind>,
+    pub(crate) distance_mm: Option<f64>,
+    pub(crate) pitch_mm: Option<f64>,
+    pub(crate) fov_deg: Option<[f64; 2]>,
+    /// Slopes of view columns (x) and view rows (y, up).
+    pub(crate) slopes: [Option<Vec<f64>>; 2],
+    pub(crate) cameras: Option<Cameras>,
+    /// Width over height of one view, where tiles may be anamorphic.
+    pub(crate) view_aspect: Option<f64>,
+}
+
+/// Cameras in a plane that look the same way.
+#[derive(Clone, Debug)]
+pub(crate) struct Cameras {
+    /// Positions of view columns (x, right) and view rows (y, up), in steps: the mean distance of neighbours along x.
+    pub(crate) positions: [Vec<f64>; 2],
+    /// Focal length in pixels of the files.
+    pub(crate) focal_px: Option<f64>,
+    /// Step over distance of the plane whose disparity is zero: 0 for parallel cameras, whose plane is infinitely far.
+    pub(crate) slope_per_step: f64,
+    /// The pictures may be unsheared or sheared to any plane: find out from the pictures.
+    pub(crate) plane_unknown: bool,
+}
+
+/// Geometry as JSON files have it: our `lightfield.json`, and the file beside an array. Unknown keys are left alone.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(crate) struct GeometryJson {
+    pub(crate) axes: Option<Vec<String>>,
+    pub(crate) linear: Option<bool>,
+    pub(crate) pitch_mm: Option<f64>,
+    #[serde(alias = "grid")]
+    pub(crate) projection: Option<ProjectionKind>,
+    pub(crate) distance_mm: Option<f64>,
+    pub(crate) slope_x: Option<Vec<f64>>,
+    #[serde(alias = "slope_y_up")]
+    pub(crate) slope_y: Option<Vec<f64>>,
+    pub(crate) fov_deg: Option<[f64; 2]>,
+}
+
+impl GeometryJson {
+    /// Checks it against the `views` = [vertical, horizontal] of the data.
+    pub(crate) fn into_hints(self, path: &Path, views: [usize; 2]) -> Result<Hints, FieldError> {
+        let axes = lumistack_display::LightField::AXES;
+        if let Some(found) = &self.axes
+            && !found.iter().eq(axes.iter())
+        {
+            return Err(FieldError::malformed(path, "axes", format!("{axes:?}"), format!("{found:?}")));
+        }
+        for (key, slopes, count) in [("slope_x", &self.slope_x, views[1]), ("slope_y", &self.slope_y, views[0])] {
+            if let Some(slopes) = slopes
+                && slopes.len() != count
+            {
+                let expected = format!("{count} slopes, one per view");
+                return Err(FieldError::malformed(path, key, expected, slopes.len().to_string()));
+            }
+        }
+        Ok(Hints {
+            projection: self.projection,
+            distance_mm: self.distance_mm,
+            pitch_mm: self.pitch_mm,
+            fov_deg: self.fov_deg,
+            slopes: [self.slope_x, self.slope_y],
+            ..Hints::default()
+        })
+    }
+}
+
+/// What the pixels of the result are, next to those of the files.
+pub(crate) struct Pixels {
+    /// [columns, rows] of the result.
+    pub(crate) size: [usize; 2],
+    /// Width of the part of a file's view that the result shows, file pixels.
+    pub(crate) window_cols: f64,
+    /// Disparity in file pixels that was put on z = 0.
+    pub(crate) focus_px: f64,
+}
+
+/// `count` of `available` indices: evenly spaced, as wide apart as they fit, around the middle.
+pub(crate) fn pick(available: usize, count: usize) -> Vec<usize> {
+    let stride = if count > 1 { (available - 1) / (count - 1) } else { 1 };
+    let first = (available - 1 - (count - 1) * stride) / 2;
+    (0..count).map(|index| first + index * stride).collect()
+}
+
+/// Settles the geometry of a light field of which the view rows `picks[0]` and columns `picks[1]` are kept.
+pub(crate) fn resolve(
+    path: &Path,
+    flags: &GeometryFlags,
+    defaults: &GeometryDefaults,
+    hints: &Hints,
+    picks: &[Vec<usize>; 2],
+    pixels: &Pixels,
+    task: Task<'_>,
+) -> Result<FieldGeometry, FieldError> {
+    let pitch_mm = pitch(path, flags, defaults, hints, pixels, task)?;
+    let own_slopes = physical_slopes(hints, picks, pixels);
+    let (slopes, physical) = slopes(path, flags, defaults, hints, picks, own_slopes, task)?;
+    let kind = flags.grid.or(hints.projection).unwrap_or(match flags.distance_mm {
+        None if !physical => ProjectionKind::Oblique,
+        _ => ProjectionKind::Perspective,
+    });
+    let projection = match kind {
+        ProjectionKind::Oblique => {
+            if flags.distance_mm.is_some() {
+                task.warn(place(path), "the viewing distance is not used: the views are parallel projections");
+            }
+            Projection::Oblique
+        }
+        ProjectionKind::Perspective => {
+            let focal_px = hints.cameras.as_ref().and_then(|cameras| cameras.focal_px);
+            let width_mm = pitch_mm * pixels.size[0] as f64;
+            let from_lens = focal_px.map(|focal_px| width_mm * focal_px / pixels.window_cols);
+            let distance_mm = flags.distance_mm.or(hints.distance_mm).or(from_lens);
+            Projection::Perspective { distance_mm: distance_mm.ok_or_else(|| missing_distance(path))? }
+        }
+    };
+    let [slope_x, slope_y] = slopes;
+    let geometry = FieldGeometry {
+        rows: pixels.size[1],
+        cols: pixels.size[0],
+        pitch_mm,
+        grid: ViewGrid { projection, slope_x, slope_y },
+    };
+    geometry.check().map_err(FieldError::geometry(path))?;
+    Ok(geometry)
+}
+
+fn pitch(
+    path: &Path,
+    flags: &GeometryFlags,
+    defaults: &GeometryDefaults,
+    hints: &Hints,
+    pixels: &Pixels,
+    task: Task<'_>,
+) -> Result<f64, FieldError> {
+    let cols = pixels.size[0] as f64;
+    if let Some(pitch_mm) = flags.pitch_mm {
+        return Ok(pitch_mm);
+    }
+    if let Some(pitch_mm) = hints.pitch_mm {
+        return Ok(pitch_mm * (pixels.window_cols / cols));
+    }
+    let width_mm = defaults.width_mm.ok_or_else(|| FieldError::MissingGeometry {
+        path: path.into(),
+        what: "the size of its pixels",
+        flag: "--pitch-mm, for example --pitch-mm 0.5",
+    })?;
+    task.warn(place(path), format!("it has no physical size; it is made {width_mm} mm wide (--pitch-mm sets it)"));
+    Ok(width_mm / cols)
+}
+
+/// Slopes per axis (x, y), and whether they are the cameras' own.
+fn slopes(
+    path: &Path,
+    flags: &GeometryFlags,
+    defaults: &GeometryDefaults,
+    hints: &Hints,
+    picks: &[Vec<usize>; 2],
+    own_slopes: Option<[Vec<f64>; 2]>,
+    task: Task<'_>,
+) -> Result<([Vec<f64>; 2], bool), FieldError> {
+    let counts = [picks[1].len(), picks[0].len()];
+    let spread = |fov_deg: [f64; 2]| spread(path, fov_deg, hints, picks);
+    if let Some(fov_deg) = flags.fov_deg {
+        return Ok((spread(fov_deg)?, false));
+    }
+    let explicit = [0, 1].map(|axis| {
+        let all = hints.slopes[axis].as_ref()?;
+        Some(picks[1 - axis].iter().map(|&view| all[view]).collect::<Vec<f64>>())
+    });
+    if let [Some(slope_x), Some(slope_y)] = explicit {
+        return Ok(([slope_x, slope_y], false));
+    }
+    let [given_x, given_y] = explicit;
+    let filled = |fallback: [Vec<f64>; 2]| {
+        let [x, y] = fallback;
+        [given_x.clone().unwrap_or(x), given_y.clone().unwrap_or(y)]
+    };
+    if let Some(fov_deg) = hints.fov_deg {
+        return Ok((filled(spread(fov_deg)?), false));
+    }
+    if counts == [1, 1] {
+        return Ok((filled([vec![0.0], vec![0.0]]), false));
+    }
+    if let Some(fov_deg) = defaults.fov_deg {
+        let [x, y] = fov_deg;
+        let mut message = format!("its views are spread over {x}° × {y}° (--fov sets the angles)");
+        if let Some(own) = &own_slopes {
+            let own = own.each_ref().map(|slopes| full_angle_deg(slopes));
+            message += &format!("; the cameras' own angles are {:.1}° × {:.1}°", own[0], own[1]);
+        }
+        task.warn(place(path), message);
+        return Ok((filled(spread(fov_deg)?), false));
+    }
+    let missing = || FieldError::MissingGeometry {
+        path: path.into(),
+        what: "the angles of its views",
+        flag: "--fov, for example --fov 20x20",
+    };
+    own_slopes.map(|slopes| (filled(slopes), true)).ok_or_else(missing)
+}
+
+/// Views over full angles: at the centres of equal bins, or in proportion to where the cameras stood.
+fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]) -> Result<[Vec<f64>; 2], FieldError> {
+    let counts = [picks[1].len(), picks[0].len()];
+    let uniform = ViewGrid::uniform(Projection::Oblique, counts, fov_deg).map_err(FieldError::geometry(path))?;
+    let Some(cameras) = &hints.cameras else {
+        return Ok([uniform.slope_x, uniform.slope_y]);
+    };
+    Ok([0, 1].map(|axis| {
+        let positions: Vec<f64> = picks[1 - axis].iter().map(|&view| cameras.positions[axis][view]).collect();
+        let [first, .., last] = positions.as_slice() else { return vec![0.0; positions.len()] };
+        let count = positions.len() as f64;
+        let spacing = (last - first).abs() / (count - 1.0);
+        let step = 2.0 / count * (0.5 * fov_deg[axis].to_radians()).tan();
+        positions.iter().map(|position| (position - 0.5 * (first + last)) / spacing * step).collect()
+    }))
+}
+
+/// The slopes at which the cameras really saw the plane that is now z = 0: with disparity k at focal length f (both in pixels), a step
+/// to the side is k/f of the plane's distance.
+fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> Option<[Vec<f64>; 2]> {
+    let cameras = hints.cameras.as_ref()?;
+    let per_step = cameras.slope_per_step + pixels.focus_px / cameras.focal_px?;
+    (per_step > 0.0).then(|| {
+        [0, 1].map(|axis| picks[1 - axis].iter().map(|&view| per_step * cameras.positions[axis][view]).collect())
+    })
+}
+
+/// Full angle that views cover, bins included; 0 for one view.
+pub(crate) fn full_angle_deg(slopes: &[f64]) -> f64 {
+    match slopes {
+        [first, .., last] => {
+            let count = slopes.len() as f64;
+            2.0 * (0.5 * (last - first).abs() * count / (count - 1.0)).atan().to_degrees()
+        }
+        _ => 0.0,
+    }
+}
+
+fn missing_distance(path: &Path) -> FieldError {
+    FieldError::MissingGeometry {
+        path: path.into(),
+        what: "the viewing distance of its perspective views",
+        flag: "--distance-mm, for example --distance-mm 600 (or --grid oblique)",
+    }
+}
+
+pub(crate) fn place(path: &Path) -> String {
+    path.display().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn picks_are_even_and_centred() {
+        assert_eq!(pick(9, 5), [0, 2, 4, 6, 8]);
+        assert_eq!(pick(9, 3), [0, 4, 8]);
+        assert_eq!(pick(9, 1), [4]);
+        assert_eq!(pick(9, 4), [1, 3, 5, 7]);
+        assert_eq!(pick(17, 7), [2, 4, 6, 8, 10, 12, 14]);
+        assert_eq!(pick(5, 5), [0, 1, 2, 3, 4]);
+        assert_eq!(pick(1, 1), [0]);
+    }
+}

@@ -1,0 +1,127 @@
+//! PNG, JPEG, WebP and Radiance HDR through the `image` crate.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use image::{DynamicImage, ImageFormat, ImageReader};
+
+use super::{PIXEL_LIMIT, Picture, Samples};
+use crate::FieldError;
+
+/// Bytes at a JPEG's end in which its end marker must lie; cameras append small extras.
+const JPEG_TAIL: u64 = 1 << 16;
+/// Most bytes that a decoder may take.
+const DECODER_BYTES: u64 = 3 << 30;
+
+pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
+    let (cols, rows) = reader(path)?.into_dimensions().map_err(|error| damaged(path, &error))?;
+    checked(path, [cols as usize, rows as usize])
+}
+
+pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
+    size(path)?;
+    let mut reader = reader(path)?;
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(DECODER_BYTES);
+    reader.limits(limits);
+    if reader.format() == Some(ImageFormat::Jpeg) {
+        check_jpeg_end(path)?;
+    }
+    let decoded = reader.decode().map_err(|error| damaged(path, &error))?;
+    Ok(from_decoded(decoded))
+}
+
+fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FieldError> {
+    let reader = ImageReader::open(path).map_err(FieldError::io(path, "read"))?;
+    reader.with_guessed_format().map_err(FieldError::io(path, "read"))
+}
+
+/// The decoder paints what is missing of a JPEG grey; a light field must not contain that silently.
+fn check_jpeg_end(path: &Path) -> Result<(), FieldError> {
+    let tail = || {
+        let mut file = File::open(path)?;
+        let length = file.metadata()?.len();
+        file.seek(SeekFrom::Start(length.saturating_sub(JPEG_TAIL)))?;
+        let mut tail = Vec::new();
+        file.read_to_end(&mut tail)?;
+        std::io::Result::Ok(tail)
+    };
+    let tail = tail().map_err(FieldError::io(path, "read"))?;
+    if tail.windows(2).any(|pair| pair == [0xff, 0xd9]) {
+        Ok(())
+    } else {
+        Err(FieldError::malformed(path, "end of file", "a JPEG's end marker", "none: the file is cut short"))
+    }
+}
+
+fn checked(path: &Path, size: [usize; 2]) -> Result<[usize; 2], FieldError> {
+    if size[0].saturating_mul(size[1]) > PIXEL_LIMIT || size.contains(&0) {
+        let expected = format!("1 to {PIXEL_LIMIT} pixels");
+        return Err(FieldError::malformed(path, "size", expected, format!("{} × {}", size[0], size[1])));
+    }
+    Ok(size)
+}
+
+fn damaged(path: &Path, error: &image::ImageError) -> FieldError {
+    FieldError::malformed(path, "content", "a complete PNG, JPEG, WebP or HDR picture", error.to_string())
+}
+
+fn from_decoded(decoded: DynamicImage) -> Picture {
+    let (cols, rows) = (decoded.width() as usize, decoded.height() as usize);
+    let has_alpha = decoded.color().has_alpha();
+    let samples = match decoded {
+        DynamicImage::ImageRgb32F(picture) => Samples::Linear(picture.into_raw()),
+        DynamicImage::ImageRgba32F(picture) => Samples::Linear(over_black(picture.as_raw(), |v| v, 1.0)),
+        wide @ (DynamicImage::ImageLuma16(_)
+        | DynamicImage::ImageLumaA16(_)
+        | DynamicImage::ImageRgb16(_)
+        | DynamicImage::ImageRgba16(_)) => {
+            if has_alpha {
+                let raw: Vec<f32> = wide.into_rgba16().into_raw().into_iter().map(f32::from).collect();
+                Samples::Linear(over_black(&raw, decode_over(65535.0), 65535.0))
+            } else {
+                Samples::Srgb16(wide.into_rgb16().into_raw())
+            }
+        }
+        narrow if has_alpha => {
+            let raw: Vec<f32> = narrow.into_rgba8().into_raw().into_iter().map(f32::from).collect();
+            Samples::Linear(over_black(&raw, decode_over(255.0), 255.0))
+        }
+        narrow => Samples::Srgb8(narrow.into_rgb8().into_raw()),
+    };
+    Picture { cols, rows, samples }
+}
+
+fn decode_over(top: f32) -> impl Fn(f32) -> f32 {
+    move |code| lumistack_core::colour::srgb_decode(code / top)
+}
+
+fn over_black(rgba: &[f32], decode: impl Fn(f32) -> f32, opaque: f32) -> Vec<f32> {
+    rgba.chunks_exact(4).flat_map(|p| [0, 1, 2].map(|channel| decode(p[channel]) * (p[3] / opaque))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_transparent_white_is_half_the_light() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        image::RgbaImage::from_raw(2, 1, vec![255, 255, 255, 51, 255, 0, 255, 255]).unwrap().save(&path).unwrap();
+        let picture = Picture::read(&path).unwrap();
+        assert_eq!(picture.size(), [2, 1]);
+        assert_eq!(picture.into_linear(), [0.2, 0.2, 0.2, 1.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn sixteen_bits_are_not_rounded_to_eight() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let code = 30_001u16;
+        image::ImageBuffer::<image::Rgb<u16>, _>::from_raw(1, 1, vec![code, 0, u16::MAX]).unwrap().save(&path).unwrap();
+        let expected = lumistack_core::colour::srgb_decode(f32::from(code) / 65535.0);
+        assert_eq!(Picture::read(&path).unwrap().into_linear(), [expected, 0.0, 1.0]);
+    }
+}

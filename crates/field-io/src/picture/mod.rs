@@ -1,0 +1,112 @@
+//! Single pictures as linear RGB: OpenEXR (linear), PNG, JPEG, WebP (sRGB-encoded), Radiance HDR (linear).
+//!
+//! Alpha, where there is any, is resolved against black: a light field has no background of its own.
+
+mod encoded;
+mod openexr;
+
+use std::path::Path;
+use std::sync::OnceLock;
+
+use lumistack_core::colour;
+
+use crate::FieldError;
+
+pub use openexr::{Precision, exr_bytes, write_exr};
+
+/// Most pixels of one picture; a header that claims more is refused before memory is taken.
+pub(crate) const PIXEL_LIMIT: usize = 1 << 28;
+
+/// One decoded picture, as compact as its file had it.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    cols: usize,
+    rows: usize,
+    samples: Samples,
+}
+
+/// `[row][col][rgb]`.
+#[derive(Clone, Debug)]
+enum Samples {
+    /// sRGB code values.
+    Srgb8(Vec<u8>),
+    /// sRGB code values.
+    Srgb16(Vec<u16>),
+    /// Linear light.
+    Linear(Vec<f32>),
+}
+
+impl Picture {
+    /// Reads a picture; the kind follows from the name's extension.
+    ///
+    /// # Errors
+    /// On unknown extensions, and files that are damaged, cut short or too large.
+    pub fn read(path: &Path) -> Result<Self, FieldError> {
+        if is_exr(path) { openexr::read(path) } else { encoded::read(path) }
+    }
+
+    /// [columns, rows] from the file's header.
+    ///
+    /// # Errors
+    /// On a file without a readable header.
+    pub fn size_of(path: &Path) -> Result<[usize; 2], FieldError> {
+        if is_exr(path) { openexr::size(path) } else { encoded::size(path) }
+    }
+
+    /// [columns, rows].
+    pub fn size(&self) -> [usize; 2] {
+        [self.cols, self.rows]
+    }
+
+    /// All pixels, `[row][col][rgb]`, linear.
+    pub fn into_linear(self) -> Vec<f32> {
+        match self.samples {
+            Samples::Linear(data) => data,
+            _ => self.linear_part([0, 0], [self.cols, self.rows]),
+        }
+    }
+
+    /// The pixels of the rectangle at `corner` = [column, row] of `size` = [columns, rows], `[row][col][rgb]`, linear.
+    ///
+    /// # Panics
+    /// If the rectangle leaves the picture.
+    pub fn linear_part(&self, corner: [usize; 2], size: [usize; 2]) -> Vec<f32> {
+        assert!(corner[0] + size[0] <= self.cols && corner[1] + size[1] <= self.rows, "the part lies in the picture");
+        let mut part = Vec::with_capacity(3 * size[0] * size[1]);
+        for row in corner[1]..corner[1] + size[1] {
+            let start = 3 * (row * self.cols + corner[0]);
+            let range = start..start + 3 * size[0];
+            match &self.samples {
+                Samples::Srgb8(data) => part.extend(data[range].iter().map(|&code| linear_table8()[usize::from(code)])),
+                Samples::Srgb16(data) => {
+                    part.extend(data[range].iter().map(|&code| linear_table16()[usize::from(code)]));
+                }
+                Samples::Linear(data) => part.extend_from_slice(&data[range]),
+            }
+        }
+        part
+    }
+}
+
+/// Whether a name's extension is one of a picture that can be read.
+pub(crate) fn has_picture_extension(path: &Path) -> bool {
+    extension(path).is_some_and(|e| matches!(e.as_str(), "png" | "jpg" | "jpeg" | "webp" | "hdr" | "exr"))
+}
+
+pub(crate) fn extension(path: &Path) -> Option<String> {
+    path.extension()?.to_str().map(str::to_ascii_lowercase)
+}
+
+fn is_exr(path: &Path) -> bool {
+    extension(path).as_deref() == Some("exr")
+}
+
+fn linear_table8() -> &'static [f32] {
+    static TABLE: OnceLock<Vec<f32>> = OnceLock::new();
+    TABLE.get_or_init(|| (0..=255u8).map(|code| colour::srgb_decode(f32::from(code) / 255.0)).collect())
+}
+
+fn linear_table16() -> &'static [f32] {
+    static TABLE: OnceLock<Vec<f32>> = OnceLock::new();
+    TABLE.get_or_init(|| (0..=u16::MAX).map(|code| colour::srgb_decode(f32::from(code) / 65535.0)).collect())
+}

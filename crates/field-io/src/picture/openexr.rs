@@ -1,0 +1,195 @@
+//! OpenEXR pictures: one RGB picture per file, linear light.
+
+use std::fs::File;
+use std::io::{self, BufReader};
+use std::path::Path;
+
+use exr::meta::MetaData;
+use exr::prelude::{
+    AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
+    ReadChannels, ReadLayers, WritableImage, f16, read as read_exr,
+};
+
+use super::{PIXEL_LIMIT, Picture, Samples};
+use crate::{FieldError, atomic};
+
+/// How samples are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Precision {
+    /// Half float: 11 significant bits, largest value 65504.
+    Half,
+    /// Single float.
+    Float,
+}
+
+/// Bytes of a chunk's entry in the offset table, plus its own header.
+const LEAST_BYTES_PER_CHUNK: u64 = 16;
+
+/// Writes one RGB picture, `[row][col][rgb]` linear, `size` = [columns, rows]. The same values give the same bytes.
+///
+/// # Errors
+/// If writing fails.
+///
+/// # Panics
+/// If `rgb` does not hold the size's number of values.
+pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precision) -> Result<(), FieldError> {
+    atomic::write(path, |writer| encode(writer, size, rgb, precision))
+}
+
+/// The bytes that [`write_exr`] writes, for those who write files in their own way.
+///
+/// # Errors
+/// If the picture is larger than the format allows.
+///
+/// # Panics
+/// If `rgb` does not hold the size's number of values.
+pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    encode(io::Cursor::new(&mut bytes), size, rgb, precision)?;
+    Ok(bytes)
+}
+
+fn encode(writer: impl io::Write + io::Seek, size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Result<()> {
+    assert_eq!(rgb.len(), 3 * size[0] * size[1], "values fill the picture");
+    let channel = |name: &str, index: usize| {
+        let values = rgb.iter().skip(index).step_by(3).copied();
+        let samples = match precision {
+            Precision::Half => FlatSamples::F16(values.map(f16::from_f32).collect()),
+            Precision::Float => FlatSamples::F32(values.collect()),
+        };
+        AnyChannel::new(name, samples)
+    };
+    let channels = AnyChannels::sort([channel("R", 0), channel("G", 1), channel("B", 2)].into_iter().collect());
+    let encoding =
+        Encoding { compression: Compression::ZIP16, line_order: LineOrder::Increasing, ..Encoding::default() };
+    let encoding = Encoding { blocks: exr::prelude::Blocks::ScanLines, ..encoding };
+    let layer = Layer::new((size[0], size[1]), LayerAttributes::default(), encoding, channels);
+    Image::from_layer(layer).write().non_parallel().to_buffered(writer).map_err(|error| match error {
+        exr::error::Error::Io(error) => error,
+        other => io::Error::other(other),
+    })
+}
+
+/// [columns, rows] of the first layer, after checking that the file can hold what its header claims.
+pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
+    let file = File::open(path).map_err(FieldError::io(path, "read"))?;
+    let length = file.metadata().map_err(FieldError::io(path, "read"))?.len();
+    let meta = MetaData::read_from_buffered(BufReader::new(file), false).map_err(|error| damaged(path, &error))?;
+    let header = meta
+        .headers
+        .first()
+        .ok_or_else(|| FieldError::malformed(path, "header", "at least one OpenEXR layer", "none"))?;
+    if header.deep {
+        return Err(FieldError::malformed(path, "header", "a flat picture", "deep data"));
+    }
+    let size = [header.layer_size.0, header.layer_size.1];
+    if size.contains(&0) || size[0].saturating_mul(size[1]) > PIXEL_LIMIT {
+        let expected = format!("1 to {PIXEL_LIMIT} pixels");
+        return Err(FieldError::malformed(path, "dataWindow", expected, format!("{} × {}", size[0], size[1])));
+    }
+    let chunks: u64 = meta.headers.iter().map(|header| header.chunk_count as u64).fold(0, u64::saturating_add);
+    if chunks.saturating_mul(LEAST_BYTES_PER_CHUNK) > length {
+        let found = format!("{length}: the file is cut short");
+        return Err(FieldError::malformed(path, "content", format!("{chunks} blocks of pixels in more bytes"), found));
+    }
+    Ok(size)
+}
+
+pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
+    let [cols, rows] = size(path)?;
+    let image = read_exr()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .from_file(path)
+        .map_err(|error| damaged(path, &error))?;
+    let list = image.layer_data.channel_data.list;
+    let names: Vec<String> = list.iter().map(|channel| channel.name.to_string()).collect();
+    let indices = rgb_channels(&names).ok_or_else(|| {
+        FieldError::malformed(path, "channels", "R, G and B, or Y", format!("[{}]", names.join(", ")))
+    })?;
+    let mut data = vec![0.0; 3 * cols * rows];
+    for (channel, index) in indices.into_iter().enumerate() {
+        let samples = &list[index].sample_data;
+        if samples.len() != cols * rows {
+            let found = format!("{} of {}", samples.len(), cols * rows);
+            return Err(FieldError::malformed(path, &names[index], "one sample per pixel", found));
+        }
+        let targets = data.iter_mut().skip(channel).step_by(3);
+        match samples {
+            FlatSamples::F16(values) => targets.zip(values).for_each(|(target, value)| *target = value.to_f32()),
+            FlatSamples::F32(values) => targets.zip(values).for_each(|(target, value)| *target = *value),
+            FlatSamples::U32(values) => targets.zip(values).for_each(|(target, value)| *target = *value as f32),
+        }
+    }
+    Ok(Picture { cols, rows, samples: Samples::Linear(data) })
+}
+
+/// Indices of R, G, B: without a prefix, or with the first prefix ("layer.R") that has all three, or luminance three times.
+/// Colours in OpenEXR are premultiplied by alpha, hence already resolved against black.
+fn rgb_channels(names: &[String]) -> Option<[usize; 3]> {
+    let find = |prefix: &str, name: &str| {
+        names.iter().position(|n| n.strip_prefix(prefix).is_some_and(|rest| rest.eq_ignore_ascii_case(name)))
+    };
+    let rgb = |prefix: &str| Some([find(prefix, "R")?, find(prefix, "G")?, find(prefix, "B")?]);
+    let prefixes = names.iter().filter_map(|name| name.rfind('.').map(|dot| &name[..=dot]));
+    std::iter::once("").chain(prefixes).find_map(rgb).or_else(|| find("", "Y").map(|y| [y; 3]))
+}
+
+fn damaged(path: &Path, error: &exr::error::Error) -> FieldError {
+    FieldError::malformed(path, "content", "a complete OpenEXR picture", error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use exr::prelude::SmallVec;
+
+    use super::*;
+
+    #[test]
+    fn both_precisions_survive_and_bytes_repeat() {
+        let folder = tempfile::tempdir().unwrap();
+        let rgb: Vec<f32> = (0..3 * 35).map(|i| f16::from_f32(0.013 * i as f32).to_f32()).collect();
+        for precision in [Precision::Half, Precision::Float] {
+            let paths = ["a.exr", "b.exr"].map(|name| folder.path().join(name));
+            for path in &paths {
+                write_exr(path, [7, 5], &rgb, precision).unwrap();
+            }
+            let bytes = paths.each_ref().map(|path| std::fs::read(path).unwrap());
+            assert!(bytes[0] == bytes[1]);
+            let picture = Picture::read(&paths[0]).unwrap();
+            assert_eq!(picture.size(), [7, 5]);
+            assert_eq!(picture.into_linear(), rgb);
+        }
+    }
+
+    #[test]
+    fn other_channel_orders_alpha_and_types_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        let write = |channels: Vec<(&str, FlatSamples)>| {
+            let list: SmallVec<_> =
+                channels.into_iter().map(|(name, samples)| AnyChannel::new(name, samples)).collect();
+            let encoding = Encoding { compression: Compression::PIZ, ..Encoding::default() };
+            let layer = Layer::new((2, 1), LayerAttributes::default(), encoding, AnyChannels::sort(list));
+            Image::from_layer(layer).write().to_file(&path).unwrap();
+        };
+        write(vec![
+            ("A", FlatSamples::F32(vec![1.0, 0.5])),
+            ("R", FlatSamples::U32(vec![1, 2])),
+            ("B", FlatSamples::F16(vec![f16::from_f32(0.25); 2])),
+            ("G", FlatSamples::F32(vec![0.5, 0.75])),
+        ]);
+        assert_eq!(Picture::read(&path).unwrap().into_linear(), [1.0, 0.5, 0.25, 2.0, 0.75, 0.25]);
+        write(vec![("Y", FlatSamples::F32(vec![0.5, 0.75]))]);
+        assert_eq!(Picture::read(&path).unwrap().into_linear(), [0.5, 0.5, 0.5, 0.75, 0.75, 0.75]);
+        write(vec![("Z", FlatSamples::F32(vec![0.5, 0.75]))]);
+        let error = Picture::read(&path).unwrap_err().to_string();
+        assert!(error.ends_with("channels: expected R, G and B, or Y, found [Z]"), "{error}");
+        let names = ["view.R", "view.G", "view.B"].map(String::from);
+        assert_eq!(rgb_channels(&names), Some([0, 1, 2]));
+    }
+}

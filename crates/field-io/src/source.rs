@@ -1,0 +1,113 @@
+//! What every kind of light field on disk has in common before its geometry is settled: a grid of views that can be read one at a time.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use crate::FieldError;
+use crate::geometry::Hints;
+
+/// Kinds of light fields on disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// Our own folder: `lightfield.json` and one OpenEXR picture per view.
+    Folder,
+    /// One `.npy` array.
+    Array,
+    /// Pictures named by row, column and camera centre, as in the Stanford archive.
+    Stanford,
+    /// Pictures named `RR_CC`.
+    Numbered,
+    /// Pictures named `input_Cam000`, as in the HCI 4D light field benchmark.
+    Hci,
+    /// One picture of tiles, the leftmost view at the bottom left.
+    Quilt,
+    /// One picture of tiles, the leftmost and topmost view at the top left.
+    Tiles,
+}
+
+/// Reads views in our order: `view` = [view_y, view_x], (0, 0) leftmost and topmost.
+pub(crate) trait Views {
+    /// `[row][col][rgb]`, linear, as stored.
+    fn load(&mut self, view: [usize; 2]) -> Result<Vec<f32>, FieldError>;
+    /// The file that holds a view.
+    fn file(&self, view: [usize; 2]) -> PathBuf;
+}
+
+/// A light field on disk whose headers have been read.
+pub(crate) struct Source {
+    pub(crate) kind: Kind,
+    pub(crate) path: PathBuf,
+    /// [vertical, horizontal].
+    pub(crate) views: [usize; 2],
+    /// [columns, rows] of every view.
+    pub(crate) size: [usize; 2],
+    pub(crate) hints: Hints,
+    pub(crate) info: Map<String, Value>,
+    pub(crate) reader: Box<dyn Views>,
+}
+
+impl std::fmt::Debug for Source {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Source")
+            .field("kind", &self.kind)
+            .field("path", &self.path)
+            .field("views", &self.views)
+            .finish()
+    }
+}
+
+impl Source {
+    /// Reverses the order of views along the axes (x, y) that are set.
+    pub(crate) fn mirror(&mut self, mirror: [bool; 2]) {
+        if mirror == [false; 2] {
+            return;
+        }
+        let inner = std::mem::replace(&mut self.reader, Box::new(NoViews));
+        self.reader = Box::new(Mirrored { inner, views: self.views, mirror });
+        if let Some(cameras) = &mut self.hints.cameras {
+            for (positions, _) in cameras.positions.iter_mut().zip(mirror).filter(|(_, mirror)| *mirror) {
+                positions.reverse();
+                positions.iter_mut().for_each(|position| *position = -*position);
+            }
+        }
+    }
+}
+
+struct Mirrored {
+    inner: Box<dyn Views>,
+    views: [usize; 2],
+    mirror: [bool; 2],
+}
+
+impl Mirrored {
+    fn original(&self, [y, x]: [usize; 2]) -> [usize; 2] {
+        let flip = |index: usize, count: usize, mirror: bool| if mirror { count - 1 - index } else { index };
+        [flip(y, self.views[0], self.mirror[1]), flip(x, self.views[1], self.mirror[0])]
+    }
+}
+
+impl Views for Mirrored {
+    fn load(&mut self, view: [usize; 2]) -> Result<Vec<f32>, FieldError> {
+        self.inner.load(self.original(view))
+    }
+
+    fn file(&self, view: [usize; 2]) -> PathBuf {
+        self.inner.file(self.original(view))
+    }
+}
+
+/// Stands in while a reader is being wrapped.
+struct NoViews;
+
+impl Views for NoViews {
+    fn load(&mut self, _view: [usize; 2]) -> Result<Vec<f32>, FieldError> {
+        Ok(Vec::new())
+    }
+
+    fn file(&self, _view: [usize; 2]) -> PathBuf {
+        PathBuf::new()
+    }
+}

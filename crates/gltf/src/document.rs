@@ -1,0 +1,188 @@
+//! The opened file: checked look-ups, the bytes of buffers and files, and the memory that may still be spent on it.
+
+use std::borrow::Cow;
+use std::cell::{Cell, OnceCell};
+
+use base64::Engine;
+use base64::alphabet::STANDARD;
+use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
+use gltf::json;
+use gltf::json::root::Get;
+use lumistack_core::Task;
+use percent_encoding::percent_decode_str;
+use serde_json::Value;
+
+use crate::AssetResolver;
+use crate::container::Container;
+use crate::error::Fault;
+
+/// Bytes that one scene may decode to. Small files can ask for any amount (many primitives over one accessor, images
+/// of one colour); past this they are refused instead of exhausting the machine.
+const MAX_DECODED_BYTES: u64 = 8 << 30;
+
+/// Longest quotation from the file in a message.
+const MAX_QUOTE_CHARS: usize = 60;
+
+/// An opened file.
+pub(crate) struct Document<'a> {
+    pub(crate) root: json::Root,
+    pub(crate) task: Task<'a>,
+    raw: Value,
+    bin: Option<&'a [u8]>,
+    buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
+    resolver: &'a dyn AssetResolver,
+    decoded_bytes: Cell<u64>,
+}
+
+/// The bytes of a buffer view.
+pub(crate) struct View<'a> {
+    pub(crate) place: String,
+    pub(crate) bytes: &'a [u8],
+    pub(crate) stride: Option<usize>,
+}
+
+impl<'a> Document<'a> {
+    pub(crate) fn new(container: Container<'a>, resolver: &'a dyn AssetResolver, task: Task<'a>) -> Self {
+        let Container { raw, root, bin, is_animated } = container;
+        if is_animated {
+            task.warn("/animations", "animations are not read; the scene is loaded as its nodes stand");
+        }
+        let buffers = root.buffers.iter().map(|_| OnceCell::new()).collect();
+        Self { root, task, raw, bin, buffers, resolver, decoded_bytes: Cell::new(0) }
+    }
+
+    /// The JSON at a pointer.
+    pub(crate) fn json(&self, place: &str) -> Option<&Value> {
+        self.raw.pointer(place)
+    }
+
+    /// The JSON at a pointer, for messages.
+    pub(crate) fn quote(&self, place: &str) -> String {
+        quote(self.json(place))
+    }
+
+    /// The object that the index at `place` refers to.
+    pub(crate) fn get<T>(&self, index: json::Index<T>, place: &str) -> Result<&T, Fault>
+    where
+        json::Root: Get<T> + AsRef<[T]>,
+    {
+        // the typed reader keeps 32 bits only, so the number as written is compared too
+        let written = self.json(place).and_then(Value::as_u64);
+        match self.root.get(index) {
+            Some(item) if written == Some(index.value() as u64) => Ok(item),
+            _ => {
+                let count = AsRef::<[T]>::as_ref(&self.root).len();
+                Err(Fault::new(place, format!("an index below {count}"), self.quote(place)))
+            }
+        }
+    }
+
+    /// Counts bytes that are about to be allocated for decoded content.
+    pub(crate) fn spend(&self, place: &str, elements: usize, element_bytes: usize) -> Result<(), Fault> {
+        let bytes = elements as u64 * element_bytes as u64;
+        let total = self.decoded_bytes.get().saturating_add(bytes);
+        if total > MAX_DECODED_BYTES {
+            let expected = format!("a scene that decodes to at most {} GiB", MAX_DECODED_BYTES >> 30);
+            return Err(Fault::new(place, expected, format!("{bytes} bytes more here")));
+        }
+        self.decoded_bytes.set(total);
+        Ok(())
+    }
+
+    /// The bytes of a buffer view.
+    pub(crate) fn view(&self, index: json::Index<json::buffer::View>, place: &str) -> Result<View<'_>, Fault> {
+        let view = self.get(index, place)?;
+        let place = format!("/bufferViews/{}", index.value());
+        let buffer = self.buffer(view.buffer, &format!("{place}/buffer"))?;
+        let offset = view.byte_offset.unwrap_or_default().0;
+        let range = offset.checked_add(view.byte_length.0).and_then(|end| {
+            let (start, end) = (usize::try_from(offset).ok()?, usize::try_from(end).ok()?);
+            buffer.get(start..end)
+        });
+        let Some(bytes) = range else {
+            let room = (buffer.len() as u64).saturating_sub(offset);
+            let expected = format!("at most {room} bytes, which buffer {} has there", view.buffer.value());
+            return Err(Fault::new(format!("{place}/byteLength"), expected, view.byte_length.0));
+        };
+        Ok(View { place, bytes, stride: view.byte_stride.map(|stride| stride.0) })
+    }
+
+    /// The bytes of a buffer, read on first use.
+    fn buffer(&self, index: json::Index<json::Buffer>, place: &str) -> Result<&[u8], Fault> {
+        let buffer = self.get(index, place)?;
+        let cell = &self.buffers[index.value()];
+        if let Some(bytes) = cell.get() {
+            return Ok(bytes);
+        }
+        let place = format!("/buffers/{}", index.value());
+        let bytes = match (&buffer.uri, self.bin) {
+            (Some(uri), _) => Cow::Owned(self.read_uri(uri, &format!("{place}/uri"))?),
+            (None, Some(bin)) if index.value() == 0 => Cow::Borrowed(bin),
+            (None, _) => {
+                let expected = "a file, a data URI or the binary chunk of a .glb";
+                return Err(Fault::new(format!("{place}/uri"), expected, "none"));
+            }
+        };
+        // the binary chunk is padded, files may be longer
+        let Some(length) = usize::try_from(buffer.byte_length.0).ok().filter(|&length| length <= bytes.len()) else {
+            let expected = format!("at most {} bytes, which the buffer's data has", bytes.len());
+            return Err(Fault::new(format!("{place}/byteLength"), expected, buffer.byte_length.0));
+        };
+        let bytes = match bytes {
+            Cow::Borrowed(bytes) => Cow::Borrowed(&bytes[..length]),
+            Cow::Owned(mut bytes) => {
+                bytes.truncate(length);
+                Cow::Owned(bytes)
+            }
+        };
+        Ok(cell.get_or_init(|| bytes))
+    }
+
+    /// What a URI stands for: a data URI's own content, or a file beside the glTF file.
+    pub(crate) fn read_uri(&self, uri: &str, place: &str) -> Result<Vec<u8>, Fault> {
+        self.task.cancel.check()?;
+        if let Some(data) = uri.strip_prefix("data:") {
+            return decode_data_uri(data, place);
+        }
+        let scheme = uri.split_once(':').map(|(scheme, _)| scheme);
+        // one letter is a Windows drive, for the resolver to judge
+        if scheme.is_some_and(|scheme| {
+            scheme.len() > 1 && scheme.bytes().all(|b| b.is_ascii_alphanumeric() || b"+-.".contains(&b))
+        }) {
+            return Err(Fault::new(place, "a path relative to the file, or a data URI", shorten(uri)));
+        }
+        let path = percent_decode_str(uri).decode_utf8();
+        let path = path.map_err(|_| Fault::new(place, "percent-encoded UTF-8", shorten(uri)))?;
+        let read = self.resolver.read(&path);
+        read.map_err(|reason| Fault::new(place, "a readable file", format!("{path}: {reason}")))
+    }
+}
+
+/// Padding is optional: some writers leave it out.
+const BASE64: GeneralPurpose = GeneralPurpose::new(
+    &STANDARD,
+    GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
+);
+
+/// Content of `data:<data>` (RFC 2397).
+fn decode_data_uri(data: &str, place: &str) -> Result<Vec<u8>, Fault> {
+    let Some((kind, content)) = data.split_once(',') else {
+        return Err(Fault::new(place, "a comma before the content of the data URI", shorten(data)));
+    };
+    if !kind.ends_with(";base64") {
+        return Ok(percent_decode_str(content).collect());
+    }
+    BASE64.decode(content).map_err(|error| Fault::new(place, "base64", error))
+}
+
+/// JSON for messages.
+pub(crate) fn quote(value: Option<&Value>) -> String {
+    value.map_or_else(|| "nothing".to_owned(), |value| shorten(&value.to_string()))
+}
+
+fn shorten(text: &str) -> String {
+    match text.char_indices().nth(MAX_QUOTE_CHARS) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text.to_owned(),
+    }
+}

@@ -1,0 +1,76 @@
+//! Errors of glTF ingest: each names the file, the place in it, what was needed and what was there.
+
+use std::fmt::Display;
+
+use lumistack_core::Cancelled;
+use lumistack_scene::SceneError;
+use thiserror::Error;
+
+/// A glTF file that could not be loaded.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum GltfError {
+    /// The file, or a file that it refers to, is broken.
+    #[error("{file}: {place}: expected {expected}, found {found}")]
+    Malformed {
+        /// The file as the caller named it.
+        file: String,
+        /// JSON pointer (RFC 6901) such as `/accessors/3/count`, or a byte or line of the file.
+        place: String,
+        /// What was needed.
+        expected: String,
+        /// What was there.
+        found: String,
+    },
+    /// The file is sound and says that nobody should show it without an extension that is not supported.
+    #[error("{file}: {place}: expected extensions that can be read ({supported}), found {name}")]
+    UnsupportedExtension {
+        /// The file as the caller named it.
+        file: String,
+        /// JSON pointer to the extension's name.
+        place: String,
+        /// The extension.
+        name: String,
+        /// Every extension that a file may require.
+        supported: String,
+    },
+    /// The task was stopped.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// [`GltfError`] before it knows the file's name.
+#[derive(Debug)]
+pub(crate) enum Fault {
+    Malformed { place: String, expected: String, found: String },
+    UnsupportedExtension { place: String, name: String, supported: String },
+    Cancelled(Cancelled),
+}
+
+impl Fault {
+    pub(crate) fn new(place: impl Into<String>, expected: impl Into<String>, found: impl Display) -> Self {
+        Self::Malformed { place: place.into(), expected: expected.into(), found: found.to_string() }
+    }
+
+    pub(crate) fn in_file(self, file: &str) -> GltfError {
+        let file = file.to_owned();
+        match self {
+            Self::Malformed { place, expected, found } => GltfError::Malformed { file, place, expected, found },
+            Self::UnsupportedExtension { place, name, supported } => {
+                GltfError::UnsupportedExtension { file, place, name, supported }
+            }
+            Self::Cancelled(cancelled) => GltfError::Cancelled(cancelled),
+        }
+    }
+}
+
+impl From<Cancelled> for Fault {
+    fn from(cancelled: Cancelled) -> Self {
+        Self::Cancelled(cancelled)
+    }
+}
+
+impl From<SceneError> for Fault {
+    fn from(SceneError { place, expected, found }: SceneError) -> Self {
+        Self::Malformed { place, expected, found }
+    }
+}

@@ -1,0 +1,174 @@
+//! From an opened file to the parts of a scene.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::ops::Range;
+
+use glam::DAffine3;
+use gltf::json;
+use lumistack_core::{Task, Warning, Warnings};
+use lumistack_scene::{Instance, Material, Scene, SceneParts};
+
+use crate::container::Container;
+use crate::document::Document;
+use crate::error::Fault;
+use crate::material::Materials;
+use crate::nodes::Nodes;
+use crate::skin::Pose;
+use crate::{AssetResolver, GltfError, extensions, lights_cameras, material, mesh, nodes, skin};
+
+/// Loads a `.gltf` or `.glb` file.
+///
+/// `name` stands for the file in messages, `bytes` is its content, and `resolver` reads the files it refers to. Only what the default
+/// scene shows is read.
+///
+/// # Errors
+/// [`GltfError`] with the place in the file: when the file or one it refers to is missing or broken, when it requires an extension
+/// that is not supported, when nothing in it can be rendered, and when the task is cancelled.
+pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
+    let warnings = InFile { name, inner: task.warnings };
+    let task = Task { warnings: &warnings, ..task };
+    load_scene(name, bytes, resolver, task).map_err(|fault| fault.in_file(name))
+}
+
+/// Puts the file's name before the place of every warning.
+struct InFile<'a> {
+    name: &'a str,
+    inner: &'a dyn Warnings,
+}
+
+impl Warnings for InFile<'_> {
+    fn warn(&self, warning: Warning) {
+        self.inner.warn(Warning { place: format!("{}: {}", self.name, warning.place), message: warning.message });
+    }
+}
+
+fn load_scene(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, Fault> {
+    let document = Document::new(Container::open(bytes)?, resolver, task);
+    extensions::check(&document)?;
+    let nodes = nodes::load(&document)?;
+    let mut materials = material::load(&document, &used_materials(&document, &nodes)?)?;
+    let environment = lights_cameras::environment(&document, &nodes, &mut materials.images)?;
+    let mut parts = SceneParts {
+        name: name.to_owned(),
+        lights: lights_cameras::lights(&document, &nodes)?,
+        cameras: lights_cameras::cameras(&document, &nodes)?,
+        environment,
+        ..SceneParts::default()
+    };
+    place_meshes(&document, &nodes, &mut materials, &mut parts)?;
+    let Materials { materials, textures, images, .. } = materials;
+    (parts.materials, parts.textures, parts.images) = (materials, textures, images.decoded);
+    task.cancel.check()?;
+    let scene_place = nodes.scene_place.unwrap_or_else(|| "/nodes".to_owned());
+    parts.validate(task).map_err(|mut error| {
+        // the validator speaks of the whole scene by its name, which the message begins with anyway
+        if error.place == name {
+            error.place = scene_place;
+        }
+        error.into()
+    })
+}
+
+/// Which materials the meshes of the scene use.
+fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
+    let mut used = vec![false; document.root.materials.len()];
+    for &node in &nodes.shown {
+        let Some(index) = document.root.nodes[node].mesh else { continue };
+        let mesh = document.get(index, &format!("/nodes/{node}/mesh"))?;
+        for (i, primitive) in mesh.primitives.iter().enumerate() {
+            if let Some(material) = primitive.material {
+                let place = format!("/meshes/{}/primitives/{i}/material", index.value());
+                document.get(material, &place)?;
+                used[material.value()] = true;
+            }
+        }
+    }
+    Ok(used)
+}
+
+/// Reads every mesh that the scene shows once, and places it wherever a node does.
+fn place_meshes(
+    document: &Document<'_>,
+    nodes: &Nodes,
+    materials: &mut Materials,
+    parts: &mut SceneParts,
+) -> Result<(), Fault> {
+    // a skin or weights of its own give a node its own shape of the mesh
+    let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
+    let mut default_material = None;
+    for &number in &nodes.shown {
+        let node = &document.root.nodes[number];
+        let Some(index) = node.mesh else { continue };
+        let mesh = document.get(index, &format!("/nodes/{number}/mesh"))?;
+        let mut scene_from_node = nodes.scene_from_node[number];
+        let mut pose = None;
+        if let Some(skin) = node.skin {
+            let place = format!("/nodes/{number}/skin");
+            document.get(skin, &place)?;
+            if skin::has_joints(mesh) {
+                scene_from_node = DAffine3::IDENTITY;
+                pose = Some(Pose::load(document, skin, &place, &nodes.scene_from_node)?);
+            } else {
+                document.task.warn(place, "the mesh has no joints; the skin has no effect");
+            }
+        }
+        let own_shape = pose.is_some() || node.weights.is_some();
+        let positions = match loaded.entry((index.value(), own_shape.then_some(number))) {
+            Entry::Occupied(entry) => entry.into_mut(),
+            Entry::Vacant(entry) => {
+                let first = parts.meshes.len();
+                let shape = Shape { node, mesh, number: index.value(), pose };
+                parts.meshes.extend(read_mesh(document, &shape, materials, &mut default_material)?);
+                entry.insert(first..parts.meshes.len())
+            }
+        };
+        let copies = nodes::copies(document, number)?.unwrap_or_else(|| vec![DAffine3::IDENTITY]);
+        document.spend(&format!("/nodes/{number}"), positions.len() * copies.len(), size_of::<Instance>())?;
+        for node_from_copy in copies {
+            let scene_from_mesh = lights_cameras::affine(&(scene_from_node * node_from_copy));
+            parts.instances.extend(positions.clone().map(|mesh| Instance { mesh, scene_from_mesh }));
+        }
+    }
+    Ok(())
+}
+
+/// A mesh as one node, or all nodes that share it, show it.
+struct Shape<'a> {
+    node: &'a json::Node,
+    mesh: &'a json::Mesh,
+    number: usize,
+    pose: Option<Pose>,
+}
+
+/// The primitives of a mesh that make triangles.
+fn read_mesh(
+    document: &Document<'_>,
+    shape: &Shape<'_>,
+    materials: &mut Materials,
+    default_material: &mut Option<usize>,
+) -> Result<Vec<lumistack_scene::Mesh>, Fault> {
+    let Shape { node, mesh, number, pose } = shape;
+    let mut meshes = Vec::new();
+    for (i, primitive) in mesh.primitives.iter().enumerate() {
+        let material = match primitive.material {
+            Some(material) => material.value(),
+            None => *default_material.get_or_insert_with(|| {
+                materials.materials.push(Material::default());
+                materials.uv_sets.push([0, 1]);
+                materials.materials.len() - 1
+            }),
+        };
+        let request = mesh::Request {
+            place: format!("/meshes/{number}/primitives/{i}"),
+            primitive,
+            material,
+            appearance: &materials.materials[material],
+            uv_sets: materials.uv_sets[material],
+            weights: node.weights.as_deref().or(mesh.weights.as_deref()).unwrap_or_default(),
+            pose: pose.as_ref(),
+        };
+        meshes.extend(mesh::load(document, &request)?);
+    }
+    Ok(meshes)
+}

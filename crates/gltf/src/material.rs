@@ -1,0 +1,247 @@
+//! Materials and their textures: the metallic-roughness model with the extensions that change how a path tracer shades.
+//!
+//! Source: glTF 2.0, section 3.9, and the KHR_materials_* extensions. Occlusion textures are left out: a path tracer finds
+//! occlusion itself.
+
+use std::collections::HashMap;
+
+use glam::{Affine2, Vec2, Vec3, Vec4};
+use gltf::json;
+use gltf::json::extensions::texture::TextureTransform;
+use gltf::json::validation::Checked;
+use lumistack_core::Task;
+use lumistack_scene::{AlphaMode, Filter, Material, Texture, TextureUse, Wrap};
+use serde_json::Value;
+
+use crate::document::{Document, quote};
+use crate::error::Fault;
+use crate::images::Images;
+
+/// Materials in the file's order, with what they need.
+pub(crate) struct Materials {
+    pub(crate) materials: Vec<Material>,
+    /// Per material, the texture coordinate sets of the file that the mesh's sets 0 and 1 are to hold.
+    pub(crate) uv_sets: Vec<[u32; 2]>,
+    pub(crate) textures: Vec<Texture>,
+    pub(crate) images: Images,
+}
+
+/// Reads the materials of the file. Those that nothing uses keep their place but get no textures, so that a picture which
+/// nobody sees cannot be missing.
+pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, Fault> {
+    let mut loader = Loader { document, textures: Vec::new(), images: Images::default(), position: HashMap::new() };
+    let (mut materials, mut uv_sets) = (Vec::new(), Vec::new());
+    for (i, material) in document.root.materials.iter().enumerate() {
+        let (material, sets) = if used.get(i) == Some(&true) {
+            loader.material(material, &format!("/materials/{i}"))?
+        } else {
+            (Material::default(), [0, 1])
+        };
+        materials.push(material);
+        uv_sets.push(sets);
+    }
+    let Loader { textures, images, .. } = loader;
+    Ok(Materials { materials, uv_sets, textures, images })
+}
+
+struct Loader<'d, 'f> {
+    document: &'d Document<'f>,
+    textures: Vec<Texture>,
+    images: Images,
+    /// From the file's texture number to a position in `textures`.
+    position: HashMap<usize, usize>,
+}
+
+/// A texture reference of any of glTF's kinds.
+struct Reference<'a> {
+    index: json::Index<json::Texture>,
+    uv_set: u32,
+    transform: Option<&'a TextureTransform>,
+    place: String,
+}
+
+impl Loader<'_, '_> {
+    fn material(&mut self, source: &json::Material, place: &str) -> Result<(Material, [u32; 2]), Fault> {
+        let pbr = &source.pbr_metallic_roughness;
+        let extensions = source.extensions.clone().unwrap_or_default();
+        let strength = extensions.emissive_strength.map_or(1.0, |strength| strength.emissive_strength.0);
+        let emission = Vec3::from(source.emissive_factor.0) * strength;
+        if !(emission.is_finite() && emission.min_element() >= 0.0) {
+            let expected = "a factor and a strength whose product is finite and ≥ 0";
+            return Err(Fault::new(format!("{place}/emissiveFactor"), expected, format!("{emission}")));
+        }
+        let mut material = Material {
+            name: source.name.clone().unwrap_or_default(),
+            base_color: Vec4::from(pbr.base_color_factor.0),
+            metallic: pbr.metallic_factor.0,
+            roughness: pbr.roughness_factor.0,
+            emission,
+            alpha_mode: self.alpha_mode(source, place)?,
+            double_sided: source.double_sided,
+            unlit: extensions.unlit.is_some(),
+            ior: extensions.ior.map_or(1.5, |ior| ior.ior.0),
+            ..Material::default()
+        };
+        if material.ior == 0.0 {
+            // the extension's way to say that nothing enters the material; the nearest thing there is here
+            let message = "an index of refraction of 0 (specular workflow) is not supported and is taken as 1.5";
+            self.document.task.warn(format!("{place}/extensions/KHR_materials_ior/ior"), message);
+            material.ior = 1.5;
+        }
+        if let Some(volume) = &extensions.volume {
+            material.solid = volume.thickness_factor.0 > 0.0;
+            material.attenuation_color = volume.attenuation_color.0.into();
+            material.attenuation_distance = volume.attenuation_distance.0;
+        }
+
+        let pbr_place = format!("{place}/pbrMetallicRoughness");
+        let base_color = pbr.base_color_texture.as_ref().map(|info| plain(info, &pbr_place, "baseColorTexture"));
+        material.base_color_texture = self.texture_use(base_color)?;
+        let metallic = pbr.metallic_roughness_texture.as_ref();
+        let metallic = metallic.map(|info| plain(info, &pbr_place, "metallicRoughnessTexture"));
+        material.metallic_roughness_texture = self.texture_use(metallic)?;
+        if let Some(normal) = &source.normal_texture {
+            let place = format!("{place}/normalTexture");
+            material.normal_scale = normal.scale;
+            let others = normal.extensions.as_ref().map(|extensions| &extensions.others);
+            let transform = others.and_then(|others| others.get("KHR_texture_transform"));
+            let transform = transform.map(|value| untyped_transform(value, &place)).transpose()?;
+            let reference =
+                Reference { index: normal.index, uv_set: normal.tex_coord, transform: transform.as_ref(), place };
+            material.normal_texture = self.texture_use(Some(reference))?;
+        }
+        let emissive = source.emissive_texture.as_ref().map(|info| plain(info, place, "emissiveTexture"));
+        material.emission_texture = self.texture_use(emissive)?;
+        if let Some(transmission) = &extensions.transmission {
+            material.transmission = transmission.transmission_factor.0;
+            let place = format!("{place}/extensions/KHR_materials_transmission");
+            let texture = transmission.transmission_texture.as_ref();
+            let texture = texture.map(|info| plain(info, &place, "transmissionTexture"));
+            material.transmission_texture = self.texture_use(texture)?;
+        }
+        let sets = fit_uv_sets(&mut material, place, self.document.task);
+        Ok((material, sets))
+    }
+
+    fn alpha_mode(&self, source: &json::Material, place: &str) -> Result<AlphaMode, Fault> {
+        use gltf::json::material::AlphaMode as Source;
+        match source.alpha_mode {
+            Checked::Valid(Source::Opaque) => Ok(AlphaMode::Opaque),
+            Checked::Valid(Source::Mask) => Ok(AlphaMode::Mask { cutoff: source.alpha_cutoff.unwrap_or_default().0 }),
+            Checked::Valid(Source::Blend) => Ok(AlphaMode::Blend),
+            Checked::Invalid => {
+                let place = format!("{place}/alphaMode");
+                let found = self.document.quote(&place);
+                Err(Fault::new(place, "OPAQUE, MASK or BLEND", found))
+            }
+        }
+    }
+
+    fn texture_use(&mut self, reference: Option<Reference<'_>>) -> Result<Option<TextureUse>, Fault> {
+        let Some(Reference { index, uv_set, transform, place }) = reference else { return Ok(None) };
+        let texture = self.texture(index, &format!("{place}/index"))?;
+        let uv_set = transform.and_then(|transform| transform.tex_coord).unwrap_or(uv_set) as usize;
+        let texture_from_mesh = transform.map_or(Affine2::IDENTITY, affine);
+        Ok(Some(TextureUse { texture, uv_set, texture_from_mesh }))
+    }
+
+    /// Position of a texture of the file, with its image decoded.
+    fn texture(&mut self, index: json::Index<json::Texture>, used_at: &str) -> Result<usize, Fault> {
+        let document = self.document;
+        let texture = document.get(index, used_at)?;
+        if let Some(&position) = self.position.get(&index.value()) {
+            return Ok(position);
+        }
+        let place = format!("/textures/{}", index.value());
+        let webp = format!("{place}/extensions/EXT_texture_webp/source");
+        let image = match document.json(&webp).and_then(Value::as_u64) {
+            // the picture in the better format; `source` is there for readers without the extension
+            Some(source) => self.images.texture(document, json::Index::new(source as u32), &webp)?,
+            None => self.images.texture(document, texture.source, &format!("{place}/source"))?,
+        };
+        let sampler = match texture.sampler {
+            Some(sampler) => Some((document.get(sampler, &format!("{place}/sampler"))?, sampler.value())),
+            None => None,
+        };
+        let (wrap_u, wrap_v, filter) = match sampler {
+            Some((sampler, number)) => (
+                self.wrap(sampler.wrap_s, number, "wrapS")?,
+                self.wrap(sampler.wrap_t, number, "wrapT")?,
+                match sampler.mag_filter {
+                    Some(Checked::Valid(json::texture::MagFilter::Nearest)) => Filter::Nearest,
+                    Some(Checked::Invalid) => return Err(self.sampler_fault(number, "magFilter")),
+                    _ => Filter::Linear,
+                },
+            ),
+            None => Default::default(),
+        };
+        self.position.insert(index.value(), self.textures.len());
+        self.textures.push(Texture { image, wrap_u, wrap_v, filter });
+        Ok(self.textures.len() - 1)
+    }
+
+    fn wrap(&self, mode: Checked<json::texture::WrappingMode>, number: usize, field: &str) -> Result<Wrap, Fault> {
+        use gltf::json::texture::WrappingMode;
+        match mode {
+            Checked::Valid(WrappingMode::Repeat) => Ok(Wrap::Repeat),
+            Checked::Valid(WrappingMode::MirroredRepeat) => Ok(Wrap::MirroredRepeat),
+            Checked::Valid(WrappingMode::ClampToEdge) => Ok(Wrap::ClampToEdge),
+            Checked::Invalid => Err(self.sampler_fault(number, field)),
+        }
+    }
+
+    fn sampler_fault(&self, number: usize, field: &str) -> Fault {
+        let place = format!("/samplers/{number}/{field}");
+        let found = self.document.quote(&place);
+        Fault::new(place, "a value that glTF 2.0 defines", found)
+    }
+}
+
+fn plain<'a>(info: &'a json::texture::Info, parent: &str, slot: &str) -> Reference<'a> {
+    let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.as_ref());
+    Reference { index: info.index, uv_set: info.tex_coord, transform, place: format!("{parent}/{slot}") }
+}
+
+/// The `gltf` crate has no type for extensions of a normal texture.
+fn untyped_transform(value: &Value, place: &str) -> Result<TextureTransform, Fault> {
+    serde_json::from_value(value.clone()).map_err(|_| {
+        let place = format!("{place}/extensions/KHR_texture_transform");
+        Fault::new(place, "offset, rotation, scale, texCoord", quote(Some(value)))
+    })
+}
+
+/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v (v points down, so this is
+/// counter-clockwise to the eye); the extension's text leaves the sense open, its test scene and all common viewers agree.
+fn affine(transform: &TextureTransform) -> Affine2 {
+    let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
+    Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)
+}
+
+/// Assigns the texture coordinate sets of the file that a material uses to the two that a mesh can hold. Returns the file's
+/// sets in the mesh's order: 0 and 1 unless another is used.
+fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2] {
+    let mut used: Vec<usize> = material.textures().map(|(_, texture)| texture.uv_set).collect();
+    used.sort_unstable();
+    used.dedup();
+    if used.iter().all(|&set| set < 2) {
+        return [0, 1];
+    }
+    if used.len() > 2 {
+        let message = format!(
+            "more than two sets of texture coordinates ({used:?}) are not supported; the first is used instead"
+        );
+        task.warn(place, message);
+    }
+    let textures = [
+        &mut material.base_color_texture,
+        &mut material.metallic_roughness_texture,
+        &mut material.normal_texture,
+        &mut material.emission_texture,
+        &mut material.transmission_texture,
+    ];
+    for texture in textures.into_iter().flatten() {
+        texture.uv_set = used[..used.len().min(2)].iter().position(|&set| set == texture.uv_set).unwrap_or(0);
+    }
+    let set = |i: usize| used.get(i).map_or(0, |&set| set as u32);
+    [set(0), set(1)]
+}

@@ -1,0 +1,213 @@
+//! The node hierarchy: which nodes the scene shows and where they stand.
+//!
+//! scene_from_node = scene_from_parent · parent_from_node, with parent_from_node a matrix or translation · rotation · scale
+//! (glTF 2.0, section 3.5). Products are taken in f64.
+
+use glam::{DAffine3, DMat4, DQuat, DVec3};
+use gltf::json;
+use gltf::json::accessor::{ComponentType, Type};
+use serde_json::Value;
+
+use crate::accessor::{Accessor, Format, Selection};
+use crate::document::{Document, quote};
+use crate::error::Fault;
+
+use ComponentType::{F32, I8, I16};
+
+/// The nodes of the scene that is loaded.
+pub(crate) struct Nodes {
+    /// JSON pointer to the scene, where the file has one.
+    pub(crate) scene_place: Option<String>,
+    /// Nodes of the scene, parents before children.
+    pub(crate) shown: Vec<usize>,
+    /// Placement of every node of the file.
+    pub(crate) scene_from_node: Vec<DAffine3>,
+}
+
+/// Reads the hierarchy of the default scene: the file's choice, or its first scene, or, without scenes, all nodes.
+pub(crate) fn load(document: &Document<'_>) -> Result<Nodes, Fault> {
+    let parents = parents(document)?;
+    let scene_from_node = placements(document, &parents)?;
+    let root = &document.root;
+    let scene = match root.scene {
+        Some(scene) => Some((document.get(scene, "/scene")?, scene.value())),
+        None => root.scenes.first().map(|scene| (scene, 0)),
+    };
+    let mut roots = Vec::new();
+    match scene {
+        Some((scene, number)) => {
+            let mut listed = vec![false; root.nodes.len()];
+            for (i, &node) in scene.nodes.iter().enumerate() {
+                let place = format!("/scenes/{number}/nodes/{i}");
+                document.get(node, &place)?;
+                if std::mem::replace(&mut listed[node.value()], true) {
+                    return Err(Fault::new(place, "every node once", format!("node {} again", node.value())));
+                }
+                if let Some(parent) = parents[node.value()] {
+                    let expected = "a node without a parent";
+                    return Err(Fault::new(
+                        place,
+                        expected,
+                        format!("node {}, a child of node {parent}", node.value()),
+                    ));
+                }
+                roots.push(node.value());
+            }
+        }
+        None => roots.extend((0..root.nodes.len()).filter(|&node| parents[node].is_none())),
+    }
+    // no node has two parents, so every node is met once
+    let mut shown = Vec::new();
+    let mut open: Vec<usize> = roots.into_iter().rev().collect();
+    while let Some(node) = open.pop() {
+        shown.push(node);
+        open.extend(children(&root.nodes[node]).iter().rev().map(json::Index::value));
+    }
+    let scene_place = scene.map(|(_, number)| format!("/scenes/{number}"));
+    Ok(Nodes { scene_place, shown, scene_from_node })
+}
+
+fn children(node: &json::Node) -> &[json::Index<json::Node>] {
+    node.children.as_deref().unwrap_or_default()
+}
+
+/// The parent of every node; refuses second parents.
+fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
+    let mut parents = vec![None; document.root.nodes.len()];
+    for (parent, node) in document.root.nodes.iter().enumerate() {
+        for (i, &child) in children(node).iter().enumerate() {
+            let place = format!("/nodes/{parent}/children/{i}");
+            document.get(child, &place)?;
+            if let Some(first) = parents[child.value()].replace(parent) {
+                let found = format!("node {}, which is also a child of node {first}", child.value());
+                return Err(Fault::new(place, "nodes with one parent", found));
+            }
+        }
+    }
+    Ok(parents)
+}
+
+/// The placement of every node; refuses cycles.
+fn placements(document: &Document<'_>, parents: &[Option<usize>]) -> Result<Vec<DAffine3>, Fault> {
+    let nodes = &document.root.nodes;
+    let mut placements: Vec<Option<DAffine3>> = vec![None; nodes.len()];
+    for start in 0..nodes.len() {
+        // up to the nearest ancestor that is placed already, then down again
+        let mut path = Vec::new();
+        let mut at = Some(start);
+        while let Some(node) = at.filter(|&node| placements[node].is_none()) {
+            if path.len() >= nodes.len() {
+                return Err(Fault::new(format!("/nodes/{start}"), "a tree of nodes", "a node among its own ancestors"));
+            }
+            path.push(node);
+            at = parents[node];
+        }
+        let mut placement = at.and_then(|node| placements[node]).unwrap_or(DAffine3::IDENTITY);
+        for node in path.into_iter().rev() {
+            placement *= parent_from_node(document, &nodes[node], &format!("/nodes/{node}"))?;
+            placements[node] = Some(placement);
+        }
+    }
+    Ok(placements.into_iter().map(Option::unwrap_or_default).collect())
+}
+
+fn parent_from_node(document: &Document<'_>, node: &json::Node, place: &str) -> Result<DAffine3, Fault> {
+    let placement = match node.matrix {
+        Some(matrix) => {
+            let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
+            if matrix.row(3) != glam::DVec4::W {
+                let place = format!("{place}/matrix");
+                return Err(Fault::new(place, "a last row of 0 0 0 1", matrix.row(3)));
+            }
+            if node.translation.is_some() || node.rotation.is_some() || node.scale.is_some() {
+                document.task.warn(place, "has a matrix; its translation, rotation and scale have no effect");
+            }
+            DAffine3::from_mat4(matrix)
+        }
+        None => {
+            let vector = |value: Option<[f32; 3]>, default| value.map_or(default, |v| DVec3::from(v.map(f64::from)));
+            let rotation = rotation(node.rotation.unwrap_or_default().0, || format!("{place}/rotation"))?;
+            DAffine3::from_scale_rotation_translation(
+                vector(node.scale, DVec3::ONE),
+                rotation,
+                vector(node.translation, DVec3::ZERO),
+            )
+        }
+    };
+    if placement.is_finite() { Ok(placement) } else { Err(Fault::new(place, "a finite placement", placement)) }
+}
+
+/// A unit quaternion from four numbers that need not have length one.
+pub(crate) fn rotation(xyzw: [f32; 4], place: impl FnOnce() -> String) -> Result<DQuat, Fault> {
+    let quaternion = DQuat::from_array(xyzw.map(f64::from));
+    let length = quaternion.length();
+    if length > 0.0 && length.is_finite() {
+        return Ok(quaternion / length);
+    }
+    Err(Fault::new(place(), "a unit quaternion", format!("{xyzw:?}")))
+}
+
+const TRANSLATION: Format = Format { types: &[Type::Vec3], components: &[F32], text: "VEC3 of FLOAT" };
+const ROTATION: Format =
+    Format { types: &[Type::Vec4], components: &[F32, I8, I16], text: "VEC4 of FLOAT, BYTE or SHORT" };
+
+/// `EXT_mesh_gpu_instancing`: the copies of the node's mesh, in the node's space. `None` without the extension.
+pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<DAffine3>>, Fault> {
+    let place = format!("/nodes/{node}/extensions/EXT_mesh_gpu_instancing");
+    if document.json(&place).is_none() {
+        return Ok(None);
+    }
+    let open = |name: &str, format: &Format| -> Result<Option<Accessor<'_>>, Fault> {
+        let place = format!("{place}/attributes/{name}");
+        let Some(value) = document.json(&place) else { return Ok(None) };
+        let index = value.as_u64().and_then(|index| u32::try_from(index).ok());
+        let index = index.ok_or_else(|| Fault::new(&place, "an accessor's index", quote(Some(value))))?;
+        Accessor::open(document, json::Index::new(index), &place, format).map(Some)
+    };
+    let translations = open("TRANSLATION", &TRANSLATION)?;
+    let rotations = open("ROTATION", &ROTATION)?.map(Accessor::assume_normalized);
+    let scales = open("SCALE", &TRANSLATION)?;
+    let counts = [&translations, &rotations, &scales].map(|accessor| accessor.as_ref().map(|a| a.count));
+    let Some(count) = counts.into_iter().flatten().next() else {
+        return Err(Fault::new(
+            format!("{place}/attributes"),
+            "TRANSLATION, ROTATION or SCALE",
+            quote(document.json(&place)),
+        ));
+    };
+    if counts.into_iter().flatten().any(|other| other != count) {
+        return Err(Fault::new(format!("{place}/attributes"), "one count for all", format!("{counts:?}")));
+    }
+    document.spend(&place, count, size_of::<DAffine3>())?;
+    let translations = vectors(document, translations)?;
+    let scales = vectors(document, scales)?;
+    let rotations = rotations.map(|accessor| accessor.finite::<4>(document, &Selection::All, 0.0)).transpose()?;
+    let vector = |values: &Option<Vec<[f32; 3]>>, i: usize, default| {
+        values.as_ref().map_or(default, |values| DVec3::from(values[i].map(f64::from)))
+    };
+    let copy = |i: usize| {
+        let turned = rotations.as_ref().map_or([0.0, 0.0, 0.0, 1.0], |rotations| rotations[i]);
+        Ok(DAffine3::from_scale_rotation_translation(
+            vector(&scales, i, DVec3::ONE),
+            rotation(turned, || format!("{place}/attributes/ROTATION"))?,
+            vector(&translations, i, DVec3::ZERO),
+        ))
+    };
+    (0..count).map(copy).collect::<Result<_, _>>().map(Some)
+}
+
+fn vectors(document: &Document<'_>, accessor: Option<Accessor<'_>>) -> Result<Option<Vec<[f32; 3]>>, Fault> {
+    accessor.map(|accessor| accessor.finite::<3>(document, &Selection::All, 0.0)).transpose()
+}
+
+/// Our own notes `extras.lumistack` of the object at `owner`; warns of those that are not in `known`.
+pub(crate) fn extras<'a>(document: &'a Document<'_>, owner: &str, known: &[&str]) -> Option<&'a Value> {
+    let place = format!("{owner}/extras/lumistack");
+    let value = document.json(&place)?;
+    for key in value.as_object().into_iter().flatten().map(|(key, _)| key) {
+        if !known.contains(&key.as_str()) {
+            document.task.warn(format!("{place}/{key}"), format!("unknown; known here: {}", known.join(", ")));
+        }
+    }
+    Some(value)
+}

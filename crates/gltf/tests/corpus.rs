@@ -1,0 +1,322 @@
+//! Files that others made: sample assets, which load, and hostile ones, which must do no harm; and the scenes of this project.
+
+mod support;
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use glam::Vec3;
+use lumistack_gltf::GltfError;
+use lumistack_scene::Scene;
+use serde_json::{Value, json};
+use support::{Builder, Folder, assets, load_file, load_with, workspace};
+
+/// No file of the corpus may take longer to load or refuse.
+const MAX_LOAD_TIME: Duration = Duration::from_secs(20);
+
+/// Triangles with instances counted, as the corpus' own inventory gives them.
+const TRIANGLES: [(&str, usize); 22] = [
+    ("AttenuationTest/AttenuationTest.glb", 292),
+    ("Box/Box.glb", 12),
+    ("Box/Box.gltf", 12),
+    ("BoxTextured/BoxTextured.gltf", 12),
+    ("BoxTextured-Embedded/BoxTextured.gltf", 12),
+    ("BoxVertexColors/BoxVertexColors.glb", 12),
+    ("Cameras/Cameras.gltf", 2),
+    ("ClearCoatTest/ClearCoatTest.glb", 37116),
+    ("CornellBox/CornellBox.glb", 36),
+    ("Cube/Cube.gltf", 12),
+    ("FlightHelmet/FlightHelmet.gltf", 94722),
+    ("Fox/Fox.glb", 576),
+    ("Iray-extensions/issue-261.gltf", 12),
+    ("Lights/Lights.glb", 12),
+    ("MorphStressTest/MorphStressTest.gltf", 2412),
+    ("SimpleSkin/SimpleSkin.gltf", 8),
+    ("TextureTransformTest/TextureTransformTest.gltf", 24),
+    ("TransmissionRoughnessTest/TransmissionRoughnessTest.glb", 77792),
+    ("TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb", 77792),
+    ("many-cubes/many-cubes.gltf", 6012),
+    // 12 triangles, 125 copies
+    ("simple-instancing/simple-instancing.glb", 1500),
+    // 121496 in the inventory; the others have no area
+    ("2CylinderEngine/2CylinderEngine.glb", 110_336),
+];
+
+/// Files that are refused for an extension that they require.
+const REFUSED: [(&str, &str); 3] = [
+    ("BoxMeshopt/BoxMeshopt.glb", "EXT_meshopt_compression"),
+    ("BoxMeshopt/BoxMeshopt.gltf", "EXT_meshopt_compression"),
+    ("jet-fighter/jet-fighter.glb", "KHR_draco_mesh_compression"),
+];
+
+fn gltf_files(folder: &Path) -> Vec<(String, PathBuf)> {
+    let mut files = Vec::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(directory) = open.pop() {
+        for entry in std::fs::read_dir(directory).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                open.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "gltf" || extension == "glb") {
+                files.push((path.strip_prefix(folder).unwrap().display().to_string(), path));
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+fn timed<T>(name: &str, work: impl FnOnce() -> T) -> T {
+    let start = Instant::now();
+    let result = work();
+    assert!(start.elapsed() < MAX_LOAD_TIME, "{name} took {:?}", start.elapsed());
+    result
+}
+
+#[test]
+fn sample_assets_load_or_are_refused_for_their_extensions() {
+    let Some(folder) = assets("gltf") else { return };
+    for (name, path) in gltf_files(&folder) {
+        let start = Instant::now();
+        let (result, warnings) = timed(&name, || load_file(&path));
+        match &result {
+            Ok(scene) => println!(
+                "{name}: {} triangles, {} instances of {} meshes, {} images, {} lights, {} cameras, {} warnings, {:.0?}",
+                scene.triangle_count(),
+                scene.instances.len(),
+                scene.meshes.len(),
+                scene.images.len(),
+                scene.lights.len(),
+                scene.cameras.len(),
+                warnings.len(),
+                start.elapsed(),
+            ),
+            Err(error) => println!("{error} ({name})"),
+        }
+        if let Some((_, expected)) = TRIANGLES.iter().find(|(file, _)| *file == name) {
+            assert_eq!(result.unwrap().triangle_count(), *expected, "{name}");
+        } else if let Some((_, extension)) = REFUSED.iter().find(|(file, _)| *file == name) {
+            let is_named = matches!(&result, Err(GltfError::UnsupportedExtension { name, .. }) if name == extension);
+            assert!(is_named, "{name}");
+        } else if let Some(rest) = name.split("Mesh_PrimitiveMode_").nth(2) {
+            check_primitive_mode(rest[..2].parse().unwrap(), result);
+        }
+    }
+}
+
+/// glTF-Asset-Generator: modes 0 to 6 without indices, then with; the last two have indices of other sizes. Those that make
+/// triangles show one unit square that faces +z.
+fn check_primitive_mode(file: usize, result: Result<Scene, GltfError>) {
+    if file % 7 < 4 && file < 14 {
+        assert!(result.unwrap_err().to_string().contains("at least one triangle"));
+        return;
+    }
+    let scene = result.unwrap();
+    assert_eq!((scene.triangle_count(), scene.bounds().size()), (2, Vec3::new(1.0, 1.0, 0.0)), "mode {file}");
+    assert!(scene.meshes[0].normals.iter().all(|&normal| normal == Vec3::Z), "mode {file}");
+}
+
+#[test]
+fn quantized_and_plain_meshes_are_the_same_surface() {
+    let Some(folder) = assets("gltf") else { return };
+    let plain = load_file(&folder.join("TransmissionRoughnessTest/TransmissionRoughnessTest.glb")).0.unwrap();
+    let name = "TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb";
+    let quantized = load_file(&folder.join(name)).0.unwrap();
+    // 14 bits over the extent of 2
+    let tolerance = 2.0 / 16384.0;
+    let corners = |scene: &Scene| -> Vec<Vec3> {
+        let placed = scene.instances.iter().flat_map(|instance| {
+            let mesh = &scene.meshes[instance.mesh];
+            let corner = |&i: &u32| instance.scene_from_mesh.transform_point3(mesh.positions[i as usize]);
+            mesh.triangles.as_flattened().iter().map(corner).collect::<Vec<_>>()
+        });
+        placed.collect()
+    };
+    let mut largest = 0.0f32;
+    for (a, b) in corners(&plain).into_iter().zip(corners(&quantized)) {
+        largest = largest.max((a - b).abs().max_element());
+    }
+    println!("largest difference {largest}");
+    assert!(largest < tolerance && largest > 0.0);
+}
+
+#[test]
+fn hostile_files_do_no_harm() {
+    let Some(folder) = assets("hostile/gltf") else { return };
+    let (mut loaded, mut refused) = (0, 0);
+    for (name, path) in gltf_files(&folder) {
+        let (result, _) = timed(&name, || load_file(&path));
+        let report = std::fs::read(path.with_added_extension("report.json")).unwrap_or_default();
+        let report: Value = serde_json::from_slice(&report).unwrap_or_default();
+        let verdict = report.pointer("/issues/numErrors").map_or("no verdict".into(), |n| format!("{n} errors"));
+        match &result {
+            Ok(_) => loaded += 1,
+            Err(_) => refused += 1,
+        }
+        println!("{name} (validator: {verdict}): {}", result.map_or_else(|e| e.to_string(), |_| "loads".to_owned()));
+    }
+    println!("{loaded} load, {refused} refused");
+    // the rest of the corpus shows nothing, or is broken
+    let named = [
+        ("assimp-BoxWithInfinites/BoxWithInfinites.glb", "/attributes/POSITION: expected finite numbers"),
+        ("assimp-IndexOutOfRange/IndexOutOfRange.gltf", "/indices: expected vertices below 24, found 255"),
+        ("assimp-MissingBin/BoxTextured.gltf", "/images/0/uri: expected a readable file"),
+        ("assimp-RecursiveNodes/RecursiveNodes.gltf", "/nodes/0: expected a tree of nodes"),
+        ("validator/glb/length_mismatch.glb", "byte 8: expected a file of 49 bytes, found 48"),
+        ("validator/node/node_loop.gltf", "/nodes/0: expected a tree of nodes"),
+        ("validator/node/unresolved_child_node.gltf", "/nodes/0/children/0: expected an index below 1, found 1"),
+    ];
+    for (name, expected) in named {
+        let message = load_file(&folder.join(name)).0.unwrap_err().to_string();
+        assert!(message.contains(expected), "{name}: {message}");
+    }
+}
+
+/// Most hostile files keep their defect in an object that nothing shows. Here every object is shown in turn.
+#[test]
+fn hostile_objects_do_no_harm_when_shown() {
+    let Some(folder) = assets("hostile/gltf") else { return };
+    let (mut loaded, mut refused) = (0, 0);
+    let mut messages = Vec::new();
+    for (name, path) in gltf_files(&folder) {
+        let Ok(file) = serde_json::from_slice::<Value>(&std::fs::read(&path).unwrap()) else { continue };
+        for (what, variant) in shown_in_turn(&file) {
+            let text = variant.to_string();
+            let (result, _) = timed(&name, || load_with(text.as_bytes(), &Folder::of(&path)));
+            match result {
+                Ok(_) => loaded += 1,
+                Err(error) => {
+                    refused += 1;
+                    messages.push(format!("{name} {what}: {error}"));
+                }
+            }
+        }
+    }
+    messages.iter().for_each(|message| println!("{message}"));
+    println!("{loaded} load, {refused} refused");
+    // an index just past the end of a list finds what was appended, so those are tested elsewhere
+    for (file, expected) in [
+        ("mesh/accessor_unequal_count", "/attributes/COLOR_0: expected"),
+        ("mesh/position_accessor_invalid_format", "/attributes/POSITION: expected VEC3"),
+        ("mesh/indices_bytestride", "byteStride: expected no stride"),
+        ("accessor/small_stride", "byteStride: expected at least"),
+        ("mesh_data/index_buffer_oob", "/indices: expected vertices below"),
+        ("node/unresolved_skin", "/skin: expected an index below"),
+        ("image/unrecognized_format", "expected a picture in the format"),
+        ("buffer/not_found", "/buffers/0/uri: expected a readable file"),
+    ] {
+        let is_named = messages.iter().any(|message| message.contains(file) && message.contains(expected));
+        let of_file: Vec<_> = messages.iter().filter(|message| message.contains(file)).collect();
+        assert!(is_named, "{file}: expected {expected}, found {of_file:#?}");
+    }
+}
+
+/// Copies of a file that show a triangle and, each, one more of its objects.
+fn shown_in_turn(file: &Value) -> Vec<(String, Value)> {
+    let count = |list: &str| file.get(list).and_then(Value::as_array).map_or(0, Vec::len);
+    let mut variants = Vec::new();
+    let mut show = |what: String, change: &dyn Fn(&mut Builder, Value)| {
+        let mut b = Builder { json: file.clone(), bin: Vec::new() };
+        for list in ["scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "materials", "textures"] {
+            // a list that is no list is for the unchanged file to test
+            if b.json.get(list).is_some_and(|list| !list.is_array()) {
+                return;
+            }
+        }
+        // buffers that the corpus left without data hold zeros
+        let buffers = b.json.get_mut("buffers").and_then(Value::as_array_mut);
+        for buffer in buffers.into_iter().flatten().filter_map(Value::as_object_mut) {
+            let length = buffer.get("byteLength").and_then(Value::as_u64).filter(|&length| length <= 1 << 16);
+            if let (Some(length), false) = (length, buffer.contains_key("uri")) {
+                let zeros = "%00".repeat(length as usize);
+                buffer.insert("uri".into(), json!(format!("data:,{zeros}")));
+            }
+        }
+        let triangle = "data:;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA";
+        let buffer = b.push("buffers", json!({"byteLength": 36, "uri": triangle}));
+        let view = b.push("bufferViews", json!({"buffer": buffer, "byteLength": 36}));
+        let positions = json!({"bufferView": view, "componentType": 5126, "type": "VEC3", "count": 3});
+        let positions = b.push("accessors", positions);
+        let mesh = b.push("meshes", json!({"primitives": [{"attributes": {"POSITION": positions}}]}));
+        let node = b.push("nodes", json!({"mesh": mesh}));
+        let scene = b.push("scenes", json!({"nodes": [node]}));
+        b.json["scene"] = json!(scene);
+        change(&mut b, json!({"mesh": mesh, "node": node, "scene": scene}));
+        variants.push((what, b.json));
+    };
+    for i in 0..count("meshes") {
+        show(format!("mesh {i}"), &|b, at| _ = b.set(&format!("/nodes/{}/mesh", at["node"]), json!(i)));
+    }
+    for i in 0..count("nodes") {
+        show(format!("node {i}"), &|b, at| {
+            b.set(&format!("/scenes/{}/nodes", at["scene"]), json!([at["node"], i]));
+            if b.json["nodes"][i].get("mesh").is_none() {
+                b.json["nodes"][i]["mesh"] = json!(0);
+            }
+        });
+    }
+    for i in 0..count("accessors") {
+        for attribute in ["POSITION", "NORMAL", "TANGENT", "TEXCOORD_0", "COLOR_0"] {
+            show(format!("accessor {i} as {attribute}"), &|b, at| {
+                b.set(&format!("/meshes/{}/primitives/0/attributes/{attribute}", at["mesh"]), json!(i));
+            });
+        }
+        show(format!("accessor {i} as indices"), &|b, at| {
+            b.set(&format!("/meshes/{}/primitives/0/indices", at["mesh"]), json!(i));
+        });
+    }
+    for i in 0..count("images") {
+        show(format!("image {i}"), &|b, at| {
+            let texture = b.push("textures", json!({"source": i}));
+            let material = b.push("materials", json!({"emissiveTexture": {"index": texture}}));
+            b.set(&format!("/meshes/{}/primitives/0/material", at["mesh"]), json!(material));
+        });
+    }
+    for i in 0..count("bufferViews") {
+        show(format!("buffer view {i}"), &|b, at| {
+            let accessor =
+                b.push("accessors", json!({"bufferView": i, "componentType": 5121, "type": "SCALAR", "count": 1}));
+            b.set(&format!("/meshes/{}/primitives/0/indices", at["mesh"]), json!(accessor));
+        });
+    }
+    for i in 0..count("buffers") {
+        show(format!("buffer {i}"), &|b, at| {
+            let view = b.push("bufferViews", json!({"buffer": i, "byteLength": 1}));
+            let accessor =
+                b.push("accessors", json!({"bufferView": view, "componentType": 5121, "type": "SCALAR", "count": 1}));
+            b.set(&format!("/meshes/{}/primitives/0/indices", at["mesh"]), json!(accessor));
+        });
+    }
+    for i in 0..count("cameras") {
+        show(format!("camera {i}"), &|b, at| _ = b.set(&format!("/nodes/{}/camera", at["node"]), json!(i)));
+    }
+    variants
+}
+
+#[test]
+fn the_scenes_of_this_project_load_without_a_warning() {
+    for name in ["still-life", "letters", "glass"] {
+        let path = workspace().join(format!("scenes/{name}/{name}.gltf"));
+        let resolver = Folder::of(&path);
+        let (result, warnings) = load_with(&std::fs::read(&path).unwrap(), &resolver);
+        let scene = result.unwrap();
+        println!(
+            "{name}: {} triangles, {} instances of {} meshes, {} images, reads {:?}",
+            scene.triangle_count(),
+            scene.instances.len(),
+            scene.meshes.len(),
+            scene.images.len(),
+            resolver.read.borrow(),
+        );
+        assert_eq!(warnings, Vec::<String>::new(), "{name}");
+        assert!(scene.environment.is_some() && scene.is_lit(), "{name}");
+        assert!(scene.cameras[0].focus_distance.is_some_and(|distance| distance > 0.0), "{name}");
+        assert!(scene.materials.iter().any(|material| material.base_color_texture.is_some()), "{name}");
+        // the binary, the sky and the pictures, each once
+        let mut read = resolver.read.borrow().clone();
+        read.sort();
+        let before = read.len();
+        read.dedup();
+        assert_eq!((read.len(), read.contains(&"sky.hdr".to_owned())), (before, true), "{name}");
+    }
+}

@@ -1,0 +1,280 @@
+//! Light from infinity: an equirectangular map, bilinear, sampled by its luminance.
+//!
+//! The map is covered by a grid of cells with constant density in (u, v); a cell's weight is the integral over it of bilinear
+//! luminance times sin θ. Large maps share a cell between several texels, small ones split their texels, so that the grid is
+//! neither huge nor so coarse that sin θ varies much inside a cell.
+
+use std::f32::consts::PI;
+use std::sync::Arc;
+
+use glam::{Quat, Vec3};
+use lumistack_core::colour::luminance;
+use lumistack_scene::{Pixels, Scene};
+
+use crate::distribution::Distribution;
+
+/// Limits of the number of cell rows and columns.
+const MOST_CELLS: usize = 1024;
+const FEWEST_CELLS: usize = 64;
+
+pub(crate) struct EnvironmentLight {
+    scene: Arc<Scene>,
+    environment_from_scene: Quat,
+    scene_from_environment: Quat,
+    width: usize,
+    height: usize,
+    columns: Cells,
+    rows: Cells,
+    row_choice: Distribution,
+    column_choices: Vec<Option<Distribution>>,
+    mean_luminance: f32,
+}
+
+/// Division of one axis of the map into cells, by whole texels or by whole parts of texels.
+#[derive(Clone, Copy)]
+struct Cells {
+    texels: usize,
+    /// Texels per cell, or 1.
+    joined: usize,
+    /// Cells per texel, or 1; even, so that bilinear kinks fall between cells.
+    split: usize,
+}
+
+impl EnvironmentLight {
+    /// `None` without an environment or when it is black.
+    pub(crate) fn new(scene: &Arc<Scene>) -> Option<Self> {
+        let environment = scene.environment?;
+        let image = &scene.images[environment.image];
+        let (columns, rows) = (Cells::new(image.width), Cells::new(image.height));
+        let mut this = Self {
+            scene: scene.clone(),
+            environment_from_scene: environment.scene_from_environment.inverse(),
+            scene_from_environment: environment.scene_from_environment,
+            width: image.width,
+            height: image.height,
+            columns,
+            rows,
+            row_choice: Distribution::new(&[1.0])?,
+            column_choices: Vec::new(),
+            mean_luminance: 0.0,
+        };
+        let mut row_weights = Vec::with_capacity(rows.count());
+        for row in 0..rows.count() {
+            let weights: Vec<f64> = (0..columns.count()).map(|column| this.cell_weight(row, column)).collect();
+            row_weights.push(weights.iter().sum());
+            this.column_choices.push(Distribution::new(&weights));
+        }
+        this.row_choice = Distribution::new(&row_weights)?;
+        // ∫ L sin θ du dv · 2π² / 4π
+        this.mean_luminance = (row_weights.iter().sum::<f64>() * std::f64::consts::FRAC_PI_2) as f32;
+        Some(this)
+    }
+
+    pub(crate) fn mean_luminance(&self) -> f32 {
+        self.mean_luminance
+    }
+
+    /// Radiance from a direction.
+    pub(crate) fn radiance(&self, direction: Vec3) -> Vec3 {
+        let (u, v, _) = self.map_coordinates(direction);
+        self.bilinear(u, v)
+    }
+
+    /// Density per solid angle with which [`sample`](Self::sample) finds a direction.
+    pub(crate) fn pdf(&self, direction: Vec3) -> f32 {
+        let (u, v, sine) = self.map_coordinates(direction);
+        self.map_density(self.rows.at(v), self.columns.at(u)) / (2.0 * PI * PI * sine).max(f32::MIN_POSITIVE)
+    }
+
+    /// A direction and its density per solid angle.
+    pub(crate) fn sample(&self, u: [f32; 2]) -> Option<(Vec3, f32)> {
+        let (row, inside_row) = self.row_choice.sample(u[1]);
+        let (column, inside_column) = self.column_choices[row].as_ref()?.sample(u[0]);
+        let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
+        let (phi, theta) =
+            (2.0 * PI * (u0 + (u1 - u0) * inside_column - 0.5), PI * (v0 + (v1 - v0) * inside_row));
+        let sine = theta.sin();
+        let direction = Vec3::new(sine * phi.sin(), theta.cos(), -sine * phi.cos());
+        let density = self.map_density(row, column) / (2.0 * PI * PI * sine);
+        (sine > 0.0 && density.is_finite()).then(|| (self.scene_from_environment * direction, density))
+    }
+
+    /// u, v and sin θ of a direction.
+    fn map_coordinates(&self, direction: Vec3) -> (f32, f32, f32) {
+        let d = self.environment_from_scene * direction;
+        let sine = (d.x * d.x + d.z * d.z).sqrt();
+        (0.5 + d.x.atan2(-d.z) / (2.0 * PI), sine.atan2(d.y) / PI, sine)
+    }
+
+    fn map_density(&self, row: usize, column: usize) -> f32 {
+        let Some(columns) = &self.column_choices[row] else { return 0.0 };
+        let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
+        self.row_choice.probability(row) * columns.probability(column) / ((u1 - u0) * (v1 - v0))
+    }
+
+    /// ∫ luminance sin θ du dv over a cell.
+    fn cell_weight(&self, row: usize, column: usize) -> f64 {
+        let mut sum = 0.0;
+        let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
+        let (across, down) = (self.columns.joined, self.rows.joined);
+        // corner points of texel-sized parts; the outermost points count half, since neighbours share them
+        for j in 0..=2 * down {
+            let v = v0 + (v1 - v0) * j as f32 / (2 * down) as f32;
+            let mut line = 0.0;
+            for i in 0..=2 * across {
+                let u = u0 + (u1 - u0) * i as f32 / (2 * across) as f32;
+                let share = if i == 0 || i == 2 * across { 0.5 } else { 1.0 };
+                line += share * f64::from(luminance(self.bilinear(u, v).to_array()));
+            }
+            let share = if j == 0 || j == 2 * down { 0.5 } else { 1.0 };
+            // at the poles the line itself has no weight, but the cell beside it must have some
+            sum += share * line * f64::from((PI * v).sin()).max(1e-6);
+        }
+        sum / (4 * across * down) as f64 * f64::from((u1 - u0) * (v1 - v0))
+    }
+
+    fn bilinear(&self, u: f32, v: f32) -> Vec3 {
+        let environment = &self.scene.environment;
+        let Some(environment) = environment else { return Vec3::ZERO };
+        let Pixels::RgbF32(texels) = &self.scene.images[environment.image].pixels else { return Vec3::ZERO };
+        let (x, y) = (u * self.width as f32 - 0.5, v * self.height as f32 - 0.5);
+        let (x0, y0) = (x.floor(), y.floor());
+        let (fx, fy) = (x - x0, y - y0);
+        let column = |x: f32| (x as i64).rem_euclid(self.width as i64) as usize;
+        let row = |y: f32| (y as i64).clamp(0, self.height as i64 - 1) as usize;
+        let (left, right) = (column(x0), column(x0 + 1.0));
+        let (top, bottom) = (row(y0) * self.width, row(y0 + 1.0) * self.width);
+        let at = |index: usize| Vec3::from_array(texels[index]);
+        environment.strength
+            * at(top + left)
+                .lerp(at(top + right), fx)
+                .lerp(at(bottom + left).lerp(at(bottom + right), fx), fy)
+    }
+}
+
+impl Cells {
+    fn new(texels: usize) -> Self {
+        let joined = texels.div_ceil(MOST_CELLS);
+        let split = if texels < FEWEST_CELLS { FEWEST_CELLS.div_ceil(texels).next_multiple_of(2) } else { 1 };
+        Self { texels, joined, split }
+    }
+
+    fn count(self) -> usize {
+        (self.texels * self.split).div_ceil(self.joined)
+    }
+
+    /// Range of the map coordinate of a cell.
+    fn range(self, cell: usize) -> (f32, f32) {
+        let parts = self.texels * self.split;
+        let edge = |cell: usize| (cell * self.joined).min(parts) as f32 / parts as f32;
+        (edge(cell), edge(cell + 1))
+    }
+
+    /// Cell of a map coordinate.
+    fn at(self, coordinate: f32) -> usize {
+        let parts = self.texels * self.split;
+        ((coordinate * parts as f32) as usize).min(parts - 1) / self.joined
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Affine3A;
+    use lumistack_core::seed::Stream;
+    use lumistack_core::{Cancel, Collector, Task};
+    use lumistack_scene::{Environment, Image, Instance, Material, Mesh, SceneParts};
+    use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts};
+
+    fn light(width: usize, height: usize, rotation: Quat, texel: impl Fn(usize, usize) -> f32) -> EnvironmentLight {
+        let texels = (0..width * height).map(|i| [texel(i % width, i / width); 3]).collect();
+        let parts = SceneParts {
+            meshes: vec![Mesh {
+                positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+                triangles: vec![[0, 1, 2]],
+                ..Mesh::default()
+            }],
+            instances: vec![Instance { mesh: 0, scene_from_mesh: Affine3A::IDENTITY }],
+            materials: vec![Material::default()],
+            images: vec![Image { name: "sky".into(), width, height, pixels: Pixels::RgbF32(texels) }],
+            environment: Some(Environment { image: 0, strength: Vec3::ONE, scene_from_environment: rotation }),
+            ..SceneParts::default()
+        };
+        let (collector, cancel) = (Collector::default(), Cancel::default());
+        EnvironmentLight::new(&Arc::new(parts.validate(Task::quiet(&collector, &cancel)).unwrap())).unwrap()
+    }
+
+    fn uneven(x: usize, y: usize) -> f32 {
+        if (x * 7 + y * 5 + 3) % 11 < 3 { 0.0 } else { 0.2 + ((x * 13 + y * 29) % 17) as f32 }
+    }
+
+    #[test]
+    fn the_picture_stands_as_documented() {
+        // 4 × 2 texels of different value; looked at in the middle of each texel
+        let sky = light(4, 2, Quat::IDENTITY, |x, y| (4 * y + x) as f32);
+        let direction = |yaw_right: f32, up: f32| {
+            let (yaw, pitch) = (yaw_right.to_radians(), up.to_radians());
+            Vec3::new(pitch.cos() * yaw.sin(), pitch.sin(), -pitch.cos() * yaw.cos())
+        };
+        for (yaw, up, expected) in [(45.0, 45.0, 2.0), (-45.0, 45.0, 1.0), (135.0, 45.0, 3.0), (45.0, -45.0, 6.0)] {
+            assert!((sky.radiance(direction(yaw, up)).x - expected).abs() < 1e-4, "{yaw} {up}");
+        }
+        // turned a quarter to the left around y: what was at −z is now at −x
+        let turned = light(4, 2, Quat::from_rotation_y(std::f32::consts::FRAC_PI_2), |x, y| (4 * y + x) as f32);
+        assert!((turned.radiance(direction(45.0 - 90.0, 45.0)).x - 2.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn sampled_directions_follow_the_density_and_the_density_is_the_one_reported() {
+        for (width, height, seed) in [(1, 1, 1), (3, 2, 2), (70, 66, 3), (2100, 40, 4)] {
+            let sky = light(width, height, Quat::from_euler(glam::EulerRot::XYZ, 0.3, 1.0, -0.4), uneven);
+            let (rows, cols) = (16, 16);
+            let mut stream = Stream::new(seed);
+            let count = 100_000;
+            let mut observed = vec![0u64; rows * cols];
+            for _ in 0..count {
+                let (direction, density) = sky.sample([stream.next_f32(), stream.next_f32()]).unwrap();
+                // near a cell's edge the two roundings may choose different neighbours
+                let reported = sky.pdf(direction);
+                assert!(reported > 0.0 || density < 1e-3, "{direction}");
+                let cell = |z: f32, n: usize| ((0.5 * (z + 1.0) * n as f32) as usize).min(n - 1);
+                let phi = direction.y.atan2(direction.x) / PI;
+                observed[cell(direction.z, rows) * cols + cell(phi, cols)] += 1;
+            }
+            let points = 64;
+            let mut expected = vec![0.0f64; rows * cols];
+            for i in 0..rows * points {
+                for j in 0..cols * points {
+                    let z = 2.0 * (i as f32 + 0.5) / (rows * points) as f32 - 1.0;
+                    let phi = PI * (2.0 * (j as f32 + 0.5) / (cols * points) as f32 - 1.0);
+                    let sine = (1.0 - z * z).sqrt();
+                    let pdf = sky.pdf(Vec3::new(sine * phi.cos(), sine * phi.sin(), z));
+                    expected[i / points * cols + j / points] += f64::from(pdf);
+                }
+            }
+            let scale = f64::from(count) * 4.0 * std::f64::consts::PI / (rows * cols * points * points) as f64;
+            expected.iter_mut().for_each(|e| *e *= scale);
+            assert!((expected.iter().sum::<f64>() / f64::from(count) - 1.0).abs() < 5e-3);
+            assert_counts(&observed, &expected, FALSE_ALARM_RATE);
+        }
+    }
+
+    #[test]
+    fn importance_sampling_gives_the_mean_of_uniform_sampling() {
+        let sky = light(40, 20, Quat::IDENTITY, uneven);
+        let mut stream = Stream::new(5);
+        let important = Mean::of((0..20_000).map(|_| {
+            let (direction, pdf) = sky.sample([stream.next_f32(), stream.next_f32()]).unwrap();
+            f64::from(sky.radiance(direction).x / pdf)
+        }));
+        let uniform = Mean::of((0..200_000).map(|_| {
+            let (z, phi) = (2.0 * stream.next_f32() - 1.0, 2.0 * PI * stream.next_f32());
+            let sine = (1.0 - z * z).sqrt();
+            f64::from(sky.radiance(Vec3::new(sine * phi.cos(), sine * phi.sin(), z)).x * 4.0 * PI)
+        }));
+        important.assert_same(uniform, 0.0, FALSE_ALARM_RATE);
+        important.assert_is(f64::from(4.0 * PI * sky.mean_luminance()), 1e-3, FALSE_ALARM_RATE);
+        // ten times the samples make a standard error 3.2 times smaller
+        assert!(important.standard_error < 0.5 * 3.2 * uniform.standard_error, "{important:?} {uniform:?}");
+    }
+}

@@ -1,0 +1,239 @@
+//! Everything that emits: triangles, the environment, punctual lights; chosen with a chance that follows their power.
+
+mod environment;
+mod punctual;
+
+use std::f32::consts::PI;
+use std::sync::Arc;
+
+use glam::Vec3;
+use lumistack_core::colour::luminance;
+use lumistack_scene::Scene;
+
+use self::environment::EnvironmentLight;
+use self::punctual::PunctualLight;
+use crate::distribution::Distribution;
+use crate::geometry::Geometry;
+use crate::shading::Materials;
+
+/// Part of the choice that is shared equally between the kinds of light that exist, so that a kind of little power that shines
+/// from close by is not starved.
+const EQUAL_SHARE: f64 = 0.3;
+/// Points per triangle at which a textured emission is looked at to estimate its power, per edge.
+const POWER_POINTS: usize = 6;
+/// No light.
+const NONE: u32 = u32::MAX;
+
+/// All lights of a scene.
+pub(crate) struct Lights {
+    triangles: Vec<TriangleLight>,
+    /// Light of each triangle of the scene, [`NONE`] for most; empty without emitting triangles.
+    light_of_triangle: Vec<u32>,
+    environment: Option<EnvironmentLight>,
+    punctual: Vec<PunctualLight>,
+    /// Over triangles, then punctual lights, then the environment.
+    choice: Option<Distribution>,
+}
+
+struct TriangleLight {
+    triangle: u32,
+    area: f32,
+    double_sided: bool,
+}
+
+/// Light that could arrive at a point.
+pub(crate) struct LightSample {
+    /// Towards the light.
+    pub(crate) direction: Vec3,
+    /// To the light; infinite for light from infinity.
+    pub(crate) distance: f32,
+    /// Radiance over density: multiply by f |cos|, visibility and the heuristic's weight.
+    pub(crate) weight: Vec3,
+    /// Density per solid angle, including the choice of the light; infinite for punctual lights.
+    pub(crate) pdf: f32,
+}
+
+impl Lights {
+    pub(crate) fn new(scene: &Arc<Scene>, geometry: &Geometry, materials: &Materials) -> Self {
+        let (triangles, triangle_powers) = emitting_triangles(geometry, materials);
+        let mut light_of_triangle = Vec::new();
+        if !triangles.is_empty() {
+            light_of_triangle = vec![NONE; geometry.triangles.len()];
+            for (index, light) in triangles.iter().enumerate() {
+                light_of_triangle[light.triangle as usize] = index as u32;
+            }
+        }
+        let punctual: Vec<_> = scene.lights.iter().map(|light| PunctualLight::new(light, geometry.space)).collect();
+        let punctual_powers: Vec<f64> = punctual.iter().map(|light| light.power(geometry.space.radius)).collect();
+        let environment = EnvironmentLight::new(scene);
+        let radius = geometry.space.radius;
+        let environment_power =
+            environment.as_ref().map(|light| f64::from(light.mean_luminance() * PI * PI * radius * radius));
+        let weights = share(&[triangle_powers, punctual_powers, environment_power.into_iter().collect()]);
+        let choice = Distribution::new(&weights);
+        Self { triangles, light_of_triangle, environment, punctual, choice }
+    }
+
+    /// Whether nothing emits.
+    pub(crate) fn is_dark(&self) -> bool {
+        self.choice.is_none()
+    }
+
+    /// Radiance from infinity, and the density with which [`sample`](Self::sample) finds its direction.
+    pub(crate) fn infinite(&self, direction: Vec3) -> (Vec3, f32) {
+        let Some(environment) = &self.environment else { return (Vec3::ZERO, 0.0) };
+        let chance = self.chance(self.triangles.len() + self.punctual.len());
+        (environment.radiance(direction), chance * environment.pdf(direction))
+    }
+
+    /// Density per solid angle with which [`sample`](Self::sample), called at `distance` from it, finds a point on a triangle.
+    pub(crate) fn triangle_pdf(&self, triangle: u32, distance: f32, cosine: f32) -> f32 {
+        match self.light_of_triangle.get(triangle as usize) {
+            None | Some(&NONE) => 0.0,
+            Some(&light) => {
+                let area = self.triangles[light as usize].area;
+                self.chance(light as usize) * distance * distance / (area * cosine.abs()).max(f32::MIN_POSITIVE)
+            }
+        }
+    }
+
+    /// Chooses a light and a point of it, as seen from `from`.
+    pub(crate) fn sample(
+        &self,
+        geometry: &Geometry,
+        materials: &Materials,
+        from: Vec3,
+        u_choice: f32,
+        u: [f32; 2],
+    ) -> Option<LightSample> {
+        let (index, _) = self.choice.as_ref()?.sample(u_choice);
+        let chance = self.chance(index);
+        if let Some(light) = self.triangles.get(index) {
+            return light.sample(geometry, materials, from, chance, u);
+        }
+        if let Some(light) = self.punctual.get(index - self.triangles.len()) {
+            let (direction, distance, intensity) = light.sample(from)?;
+            return Some(LightSample { direction, distance, weight: intensity / chance, pdf: f32::INFINITY });
+        }
+        let environment = self.environment.as_ref()?;
+        let (direction, density) = environment.sample(u)?;
+        let pdf = chance * density;
+        Some(LightSample { direction, distance: f32::INFINITY, weight: environment.radiance(direction) / pdf, pdf })
+    }
+
+    fn chance(&self, index: usize) -> f32 {
+        self.choice.as_ref().map_or(0.0, |choice| choice.probability(index))
+    }
+}
+
+impl TriangleLight {
+    fn sample(
+        &self,
+        geometry: &Geometry,
+        materials: &Materials,
+        from: Vec3,
+        chance: f32,
+        u: [f32; 2],
+    ) -> Option<LightSample> {
+        let point = geometry.point(self.triangle, uniform_barycentric(u));
+        let to_light = point.position - from;
+        let distance = to_light.length();
+        let direction = to_light / distance;
+        let cosine = -direction.dot(point.geometric_normal);
+        if !(distance > 0.0 && cosine.abs() > 0.0 && (cosine > 0.0 || self.double_sided)) {
+            return None;
+        }
+        let material = geometry.material_index(self.triangle);
+        let radiance = materials.emission(material, &point, 0.0, cosine > 0.0) * materials.coverage(material, &point);
+        let pdf = chance * distance * distance / (self.area * cosine.abs());
+        // the shadow ray must end before it reaches the light
+        let distance = distance - 2.0 * point.offset / cosine.abs().max(1e-2);
+        (radiance != Vec3::ZERO && pdf.is_finite()).then(|| LightSample { direction, distance, weight: radiance / pdf, pdf })
+    }
+}
+
+/// Uniform over a triangle, with little distortion (Heitz 2019, "A low-distortion map between triangle and square").
+fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
+    if y > x {
+        x *= 0.5;
+        y -= x;
+    } else {
+        y *= 0.5;
+        x -= y;
+    }
+    [x, y, 1.0 - x - y]
+}
+
+/// Triangles that emit, with their powers.
+fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<TriangleLight>, Vec<f64>) {
+    let mut lights = Vec::new();
+    let mut powers = Vec::new();
+    for triangle in 0..geometry.triangles.len() as u32 {
+        let material = geometry.material(triangle);
+        if !material.is_emissive() {
+            continue;
+        }
+        let index = geometry.material_index(triangle);
+        let mut sum = 0.0;
+        let mut area = 0.0;
+        for i in 0..POWER_POINTS * POWER_POINTS {
+            let at = |k: usize| (k as f32 + 0.5) / POWER_POINTS as f32;
+            let point = geometry.point(triangle, uniform_barycentric([at(i % POWER_POINTS), at(i / POWER_POINTS)]));
+            area = 0.5 * point.doubled_area;
+            let emission = materials.emission(index, &point, 0.0, true) * materials.coverage(index, &point);
+            sum += f64::from(luminance(emission.to_array()));
+        }
+        let sides = if material.double_sided { 2.0 } else { 1.0 };
+        let power = sides * std::f64::consts::PI * f64::from(area) * sum / (POWER_POINTS * POWER_POINTS) as f64;
+        // what light sampling cannot choose is still found by scattering
+        if power > 0.0 && area.is_normal() {
+            lights.push(TriangleLight { triangle, area, double_sided: material.double_sided });
+            powers.push(power);
+        }
+    }
+    (lights, powers)
+}
+
+/// Weights for the choice of a light: by power, mixed with an equal share for each kind that exists.
+fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
+    let sums = kinds.each_ref().map(|powers| powers.iter().sum::<f64>());
+    let total: f64 = sums.iter().sum();
+    let present = sums.iter().filter(|&&sum| sum > 0.0).count().max(1) as f64;
+    let weight = |power: f64, sum: f64| {
+        if sum > 0.0 { (1.0 - EQUAL_SHARE) * power / total + EQUAL_SHARE / present * power / sum } else { 0.0 }
+    };
+    kinds.iter().zip(sums).flat_map(|(powers, sum)| powers.iter().map(move |&power| weight(power, sum))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weak_kinds_keep_their_share() {
+        let weights = share(&[vec![1.0, 3.0], vec![], vec![996.0]]);
+        let sum: f64 = weights.iter().sum();
+        assert!((sum - 1.0).abs() < 1e-12);
+        assert!((weights[0] + weights[1] - (0.7 * 0.004 + 0.15)).abs() < 1e-12);
+        assert!((weights[1] / weights[0] - 3.0).abs() < 1e-12);
+        assert_eq!(share(&[vec![0.0], vec![], vec![]]), [0.0]);
+    }
+
+    #[test]
+    fn barycentric_points_are_uniform() {
+        // the mean of each weight over a triangle is 1/3, of its square 1/6
+        let n = 300;
+        let (mut first, mut second) = ([0.0f64; 3], [0.0f64; 3]);
+        for i in 0..n * n {
+            let b = uniform_barycentric([((i % n) as f32 + 0.5) / n as f32, ((i / n) as f32 + 0.5) / n as f32]);
+            for k in 0..3 {
+                assert!(b[k] >= 0.0);
+                first[k] += f64::from(b[k]) / f64::from(n * n);
+                second[k] += f64::from(b[k] * b[k]) / f64::from(n * n);
+            }
+        }
+        for k in 0..3 {
+            assert!((first[k] - 1.0 / 3.0).abs() < 1e-3 && (second[k] - 1.0 / 6.0).abs() < 1e-3, "{first:?} {second:?}");
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! Lights without size (`KHR_lights_punctual`): intensity over distance squared, spots with the extension's smooth cone.
+
+use std::f64::consts::PI;
+
+use glam::Vec3;
+use lumistack_core::colour::luminance;
+use lumistack_scene::{Light, LightKind};
+
+use crate::geometry::RenderSpace;
+
+/// Smallest difference of the cosines of a spot's cones, from the extension's formula.
+const LEAST_CONE_DIFFERENCE: f32 = 1e-3;
+
+/// A punctual light in render space.
+pub(crate) struct PunctualLight {
+    position: Vec3,
+    direction: Vec3,
+    intensity: Vec3,
+    kind: LightKind,
+}
+
+impl PunctualLight {
+    pub(crate) fn new(light: &Light, space: RenderSpace) -> Self {
+        // irradiance I/d² must not depend on the scale of render space
+        let scale = match light.kind {
+            LightKind::Directional => 1.0,
+            LightKind::Point | LightKind::Spot { .. } => (space.scale * space.scale) as f32,
+        };
+        Self {
+            position: space.point(light.position.as_dvec3()).as_vec3(),
+            direction: light.direction,
+            intensity: scale * light.intensity,
+            kind: light.kind,
+        }
+    }
+
+    /// Light's power, or the power that reaches a sphere of `radius`.
+    pub(crate) fn power(&self, radius: f32) -> f64 {
+        let intensity = f64::from(luminance(self.intensity.to_array()));
+        match self.kind {
+            LightKind::Point => 4.0 * PI * intensity,
+            LightKind::Spot { outer_cone_rad, .. } => 2.0 * PI * (1.0 - f64::from(outer_cone_rad).cos()) * intensity,
+            LightKind::Directional => PI * f64::from(radius * radius) * intensity,
+        }
+    }
+
+    /// Direction to the light, its distance, and the irradiance it gives to a surface that faces it.
+    pub(crate) fn sample(&self, from: Vec3) -> Option<(Vec3, f32, Vec3)> {
+        if matches!(self.kind, LightKind::Directional) {
+            return Some((-self.direction, f32::INFINITY, self.intensity));
+        }
+        let to_light = self.position - from;
+        let distance = to_light.length();
+        let direction = to_light / distance;
+        let falloff = match self.kind {
+            LightKind::Spot { inner_cone_rad, outer_cone_rad } => {
+                let (inner, outer) = (inner_cone_rad.cos(), outer_cone_rad.cos());
+                let along = -direction.dot(self.direction);
+                ((along - outer) / (inner - outer).max(LEAST_CONE_DIFFERENCE)).clamp(0.0, 1.0).powi(2)
+            }
+            LightKind::Point | LightKind::Directional => 1.0,
+        };
+        (distance > 0.0 && falloff > 0.0).then(|| (direction, distance, self.intensity * (falloff / (distance * distance))))
+    }
+}

@@ -1,0 +1,76 @@
+//! What a caller may choose.
+
+use thiserror::Error;
+
+/// Quality and reproducibility of a render.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Paths per pixel and view, 1..=65536. Powers of two stratify best. Default 32.
+    pub samples: u32,
+    /// Scattering events after the first hit, 0..=1024; 0 shows only what emits. Longer paths are cut off, which is the only
+    /// systematic error of the renderer. Default 8.
+    pub max_bounces: u32,
+    /// Bounce after which Russian roulette may end a path, 0..=1024; the estimate stays unbiased. Default 3.
+    pub roulette_start: u32,
+    /// Every random number derives from this. Default 0.
+    pub seed: u64,
+    /// What a view averages over directions. Default [`AngularFilter::Point`].
+    pub angular_filter: AngularFilter,
+}
+
+/// Directions that a view averages.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AngularFilter {
+    /// Only the slope of the view itself.
+    #[default]
+    Point,
+    /// All slopes of the view's bin: a box as wide as the spacing of the grid, centred on the view. An axis with a single view has no
+    /// spacing and stays a point.
+    Bin,
+}
+
+/// A setting outside its range.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{name}: expected {expected}, found {found}")]
+pub struct SettingsError {
+    /// Name of the setting.
+    pub name: &'static str,
+    /// Its range.
+    pub expected: &'static str,
+    /// What it was.
+    pub found: u32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { samples: 32, max_bounces: 8, roulette_start: 3, seed: 0, angular_filter: AngularFilter::Point }
+    }
+}
+
+impl Settings {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// On the first value outside its range.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        let check = |name, value: u32, range: std::ops::RangeInclusive<u32>, expected| {
+            if range.contains(&value) { Ok(()) } else { Err(SettingsError { name, expected, found: value }) }
+        };
+        check("samples", self.samples, 1..=65536, "1 to 65536")?;
+        check("max_bounces", self.max_bounces, 0..=1024, "0 to 1024")?;
+        check("roulette_start", self.roulette_start, 0..=1024, "0 to 1024")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_outside_their_range_are_named() {
+        assert!(Settings::default().check().is_ok());
+        let error = Settings { samples: 0, ..Settings::default() }.check().unwrap_err();
+        assert_eq!(error.to_string(), "samples: expected 1 to 65536, found 0");
+        assert!(Settings { max_bounces: 2000, ..Settings::default() }.check().is_err());
+    }
+}

@@ -1,0 +1,269 @@
+//! Filtered texture lookups: image pyramids, trilinear.
+//!
+//! The finest level is the scene's own image; only the coarser ones are made here, by averaging 2 × 2 texels (fewer at odd edges)
+//! in linear light. Colours keep the storage of their image: 8-bit codes stay 8-bit codes, 16-bit codes become linear 16-bit.
+
+use std::collections::HashMap;
+use std::sync::{Arc, OnceLock};
+
+use glam::{Vec2, Vec4};
+use lumistack_core::colour::{srgb_code, srgb_decode};
+use lumistack_scene::{Filter, Image, Pixels, Scene, Texture, TextureUse, Wrap};
+
+/// What the codes of an image mean in one slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Encoding {
+    /// RGB is sRGB-encoded, alpha linear.
+    Srgb,
+    /// All channels are linear.
+    Linear,
+}
+
+/// The pyramids of all images that the scene's materials use.
+pub(crate) struct Textures {
+    scene: Arc<Scene>,
+    /// Coarser levels per image and encoding, level 1 first.
+    pyramids: Vec<Vec<Level>>,
+    /// Pyramid by [image, encoding].
+    by_image: HashMap<(usize, Encoding), usize>,
+}
+
+/// One texture slot of a material, ready for lookups.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Slot {
+    pub(crate) source: TextureUse,
+    texture: Texture,
+    pyramid: usize,
+    encoding: Encoding,
+}
+
+struct Level {
+    width: usize,
+    height: usize,
+    texels: Texels,
+}
+
+enum Texels {
+    Codes8(Vec<[u8; 4]>),
+    Linear16(Vec<[u16; 4]>),
+    Float(Vec<[f32; 4]>),
+}
+
+impl Textures {
+    /// Starts without pyramids; [`slot`](Self::slot) makes them as they are asked for.
+    pub(crate) fn new(scene: Arc<Scene>) -> Self {
+        Self { scene, pyramids: Vec::new(), by_image: HashMap::new() }
+    }
+
+    /// Prepares a material's texture.
+    pub(crate) fn slot(&mut self, source: TextureUse, encoding: Encoding) -> Slot {
+        let texture = self.scene.textures[source.texture];
+        let image = &self.scene.images[texture.image];
+        let pyramid = *self.by_image.entry((texture.image, encoding)).or_insert_with(|| {
+            self.pyramids.push(pyramid(image, encoding));
+            self.pyramids.len() - 1
+        });
+        Slot { source, texture, pyramid, encoding }
+    }
+
+    /// Size of the slot's image in texels.
+    pub(crate) fn size(&self, slot: &Slot) -> Vec2 {
+        let image = &self.scene.images[slot.texture.image];
+        Vec2::new(image.width as f32, image.height as f32)
+    }
+
+    /// The texture at mesh coordinates `uv`, averaged over a footprint `texels_wide` texels of the finest level wide.
+    pub(crate) fn lookup(&self, slot: &Slot, uv: Vec2, texels_wide: f32) -> Vec4 {
+        let uv = slot.source.texture_from_mesh.transform_point2(uv);
+        let coarser = &self.pyramids[slot.pyramid];
+        let level = texels_wide.max(1.0).log2().min(coarser.len() as f32);
+        let lower = level as usize;
+        let fine = self.level(slot, lower, uv);
+        let share = level - lower as f32;
+        if share <= 0.0 || lower >= coarser.len() { fine } else { fine.lerp(self.level(slot, lower + 1, uv), share) }
+    }
+
+    fn level(&self, slot: &Slot, level: usize, uv: Vec2) -> Vec4 {
+        if level > 0 {
+            let level = &self.pyramids[slot.pyramid][level - 1];
+            let fetch = |x: usize, y: usize| level.fetch(x, y, slot.encoding);
+            return interpolate(&slot.texture, level.width, level.height, uv, Filter::Linear, fetch);
+        }
+        let image = &self.scene.images[slot.texture.image];
+        let fetch = |x: usize, y: usize| fetch(image, y * image.width + x, slot.encoding);
+        interpolate(&slot.texture, image.width, image.height, uv, slot.texture.filter, fetch)
+    }
+}
+
+impl Level {
+    #[inline]
+    fn fetch(&self, x: usize, y: usize, encoding: Encoding) -> Vec4 {
+        let index = y * self.width + x;
+        match &self.texels {
+            Texels::Codes8(texels) => decode8(texels[index], encoding),
+            Texels::Linear16(texels) => Vec4::from_array(texels[index].map(|code| f32::from(code) / 65535.0)),
+            Texels::Float(texels) => Vec4::from_array(texels[index]),
+        }
+    }
+}
+
+/// One texel of an image, linear.
+#[inline]
+fn fetch(image: &Image, index: usize, encoding: Encoding) -> Vec4 {
+    match &image.pixels {
+        Pixels::Rgba8(texels) => decode8(texels[index], encoding),
+        Pixels::Rgba16(texels) => {
+            let [r, g, b, a] = texels[index].map(|code| f32::from(code) / 65535.0);
+            match encoding {
+                Encoding::Srgb => Vec4::new(srgb_decode(r), srgb_decode(g), srgb_decode(b), a),
+                Encoding::Linear => Vec4::new(r, g, b, a),
+            }
+        }
+        Pixels::RgbF32(texels) => {
+            let [r, g, b] = texels[index];
+            Vec4::new(r, g, b, 1.0)
+        }
+    }
+}
+
+#[inline]
+fn decode8(texel: [u8; 4], encoding: Encoding) -> Vec4 {
+    let [r, g, b, a] = texel;
+    match encoding {
+        Encoding::Srgb => {
+            let table = srgb_table();
+            Vec4::new(table[r as usize], table[g as usize], table[b as usize], f32::from(a) / 255.0)
+        }
+        Encoding::Linear => Vec4::from_array(texel.map(f32::from)) / 255.0,
+    }
+}
+
+fn srgb_table() -> &'static [f32; 256] {
+    static TABLE: OnceLock<[f32; 256]> = OnceLock::new();
+    TABLE.get_or_init(|| std::array::from_fn(|code| srgb_decode(code as f32 / 255.0)))
+}
+
+/// Bilinear or nearest; texel centres stand at half-integers.
+#[inline]
+fn interpolate(
+    texture: &Texture,
+    width: usize,
+    height: usize,
+    uv: Vec2,
+    filter: Filter,
+    fetch: impl Fn(usize, usize) -> Vec4,
+) -> Vec4 {
+    let (x, y) = (uv.x * width as f32, uv.y * height as f32);
+    let column = |x: f32| wrap(x, width, texture.wrap_u);
+    let row = |y: f32| wrap(y, height, texture.wrap_v);
+    if filter == Filter::Nearest {
+        return fetch(column(x.floor()), row(y.floor()));
+    }
+    let (x, y) = (x - 0.5, y - 0.5);
+    let (x0, y0) = (x.floor(), y.floor());
+    let (fx, fy) = (x - x0, y - y0);
+    let (left, right) = (column(x0), column(x0 + 1.0));
+    let (top, bottom) = (row(y0), row(y0 + 1.0));
+    fetch(left, top)
+        .lerp(fetch(right, top), fx)
+        .lerp(fetch(left, bottom).lerp(fetch(right, bottom), fx), fy)
+}
+
+/// Texel index of a whole coordinate.
+#[inline]
+fn wrap(coordinate: f32, size: usize, wrap: Wrap) -> usize {
+    // saturating: coordinates beyond ±2⁶³ texels have no meaningful texel
+    let coordinate = coordinate as i64;
+    let n = size as i64;
+    let index = match wrap {
+        Wrap::Repeat => coordinate.rem_euclid(n),
+        Wrap::ClampToEdge => coordinate.clamp(0, n - 1),
+        Wrap::MirroredRepeat => {
+            let folded = coordinate.rem_euclid(2 * n);
+            if folded < n { folded } else { 2 * n - 1 - folded }
+        }
+    };
+    index as usize
+}
+
+/// Levels 1, 2, ... down to a single texel.
+fn pyramid(image: &Image, encoding: Encoding) -> Vec<Level> {
+    let mut levels: Vec<Level> = Vec::new();
+    loop {
+        let (width, height) = levels.last().map_or((image.width, image.height), |level| (level.width, level.height));
+        if width == 1 && height == 1 {
+            return levels;
+        }
+        let fetch = |x: usize, y: usize| match levels.last() {
+            Some(level) => level.fetch(x, y, encoding),
+            None => fetch(image, y * width + x, encoding),
+        };
+        let averages = halve(width, height, fetch);
+        let texels = match &image.pixels {
+            Pixels::Rgba8(_) => Texels::Codes8(averages.map(|v| encode8(v, encoding)).collect()),
+            Pixels::Rgba16(_) => {
+                Texels::Linear16(averages.map(|v| v.to_array().map(|c| (c * 65535.0 + 0.5) as u16)).collect())
+            }
+            Pixels::RgbF32(_) => Texels::Float(averages.map(|v| v.to_array()).collect()),
+        };
+        levels.push(Level { width: width.div_ceil(2), height: height.div_ceil(2), texels });
+    }
+}
+
+/// Averages of 2 × 2 texels, fewer at odd edges, row by row.
+fn halve(width: usize, height: usize, fetch: impl Fn(usize, usize) -> Vec4) -> impl Iterator<Item = Vec4> {
+    (0..height.div_ceil(2) * width.div_ceil(2)).map(move |index| {
+        let (x, y) = (2 * (index % width.div_ceil(2)), 2 * (index / width.div_ceil(2)));
+        let (x1, y1) = ((x + 1).min(width - 1), (y + 1).min(height - 1));
+        0.25 * (fetch(x, y) + fetch(x1, y) + fetch(x, y1) + fetch(x1, y1))
+    })
+}
+
+fn encode8(value: Vec4, encoding: Encoding) -> [u8; 4] {
+    let [r, g, b, a] = value.to_array();
+    let linear = |v: f32| (v * 255.0 + 0.5) as u8;
+    match encoding {
+        Encoding::Srgb => [srgb_code(r), srgb_code(g), srgb_code(b), linear(a)],
+        Encoding::Linear => [linear(r), linear(g), linear(b), linear(a)],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(width: usize, height: usize, texel: impl Fn(usize, usize) -> [u8; 4]) -> Image {
+        let pixels = (0..width * height).map(|i| texel(i % width, i / width)).collect();
+        Image { name: "t".into(), width, height, pixels: Pixels::Rgba8(pixels) }
+    }
+
+    #[test]
+    fn a_checkerboard_averages_to_half_in_linear_light() {
+        let board = image(6, 4, |x, y| if (x + y) % 2 == 0 { [255; 4] } else { [0; 4] });
+        for (encoding, expected) in [(Encoding::Srgb, 188), (Encoding::Linear, 128)] {
+            let levels = pyramid(&board, encoding);
+            let sizes: Vec<_> = levels.iter().map(|l| (l.width, l.height)).collect();
+            assert_eq!(sizes, [(3, 2), (2, 1), (1, 1)]);
+            let Texels::Codes8(texels) = &levels[2].texels else { panic!("8-bit image") };
+            assert_eq!(texels[0], [expected, expected, expected, 128]);
+        }
+    }
+
+    #[test]
+    fn wrapping_modes_fold_the_plane() {
+        assert_eq!([-1.0, 0.0, 4.0].map(|x| wrap(x, 4, Wrap::Repeat)), [3, 0, 0]);
+        assert_eq!([-1.0, 3.0, 4.0, 7.0].map(|x| wrap(x, 4, Wrap::MirroredRepeat)), [0, 3, 3, 0]);
+        assert_eq!([-9.0, 9.0].map(|x| wrap(x, 4, Wrap::ClampToEdge)), [0, 3]);
+        assert!(wrap(f32::MAX, 4, Wrap::Repeat) < 4 && wrap(f32::NAN, 4, Wrap::MirroredRepeat) < 4);
+    }
+
+    #[test]
+    fn bilinear_interpolation_stands_at_texel_centres() {
+        let texture = Texture { image: 0, wrap_u: Wrap::ClampToEdge, wrap_v: Wrap::ClampToEdge, filter: Filter::Linear };
+        let fetch = |x: usize, y: usize| Vec4::new(x as f32, y as f32, 0.0, 1.0);
+        let at = |u: f32, v: f32, filter| interpolate(&texture, 4, 2, Vec2::new(u, v), filter, fetch);
+        assert_eq!(at(0.375, 0.25, Filter::Linear), Vec4::new(1.0, 0.0, 0.0, 1.0));
+        assert_eq!(at(0.5, 0.5, Filter::Linear), Vec4::new(1.5, 0.5, 0.0, 1.0));
+        assert_eq!(at(0.49, 0.51, Filter::Nearest), Vec4::new(1.0, 1.0, 0.0, 1.0));
+    }
+}

@@ -1,0 +1,227 @@
+//! Radiance along one ray: the path loop.
+//!
+//! ```text
+//! L = Σ_k T_k [ w_b E(hit k) + w_l f |cos| L_l V / p_l ],   T_{k+1} = T_k f |cos| / p_b
+//! w = p² / (p_b² + p_l²)
+//! ```
+//!
+//! T is the throughput, E what the hit surface emits, the second term one sampled light; w is the power heuristic with the density of
+//! the technique that made the sample on top. Alpha of mode `Blend` is decided by chance along scattered rays and multiplied along
+//! shadow rays, so both have the right mean.
+
+use glam::Vec3;
+use lumistack_core::seed;
+
+use crate::bsdf::Bsdf;
+use crate::bvh::{ALPHA, Bvh, Hit, Ray, Stack, TINT};
+use crate::geometry::{Geometry, SurfacePoint, bend_normal};
+use crate::light::Lights;
+use crate::sampler::Sampler;
+use crate::settings::Settings;
+use crate::shading::Materials;
+
+/// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
+pub(crate) const PRIMARY_PAIRS: u64 = 2;
+/// Pairs per vertex of a path: lobe and light choice, scattered direction, point of the light, roulette and alpha.
+const VERTEX_PAIRS: u64 = 4;
+/// Paths survive roulette with no more than this chance, so that lossless scenes end too.
+const MOST_SURVIVAL: f32 = 0.95;
+/// Footprints widen by this share of the distance after a scattering lobe of α = 1.
+const SCATTER_SPREAD: f32 = 0.1;
+
+/// Footprint of a ray: `width + spread · t`, in render space (Akenine-Möller et al. 2019, "Texture level of detail strategies").
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cone {
+    pub(crate) width: f32,
+    pub(crate) spread: f32,
+}
+
+/// Everything that rays meet.
+#[derive(Clone, Copy)]
+pub(crate) struct Tracer<'a> {
+    pub(crate) geometry: &'a Geometry,
+    pub(crate) bvh: &'a Bvh,
+    pub(crate) materials: &'a Materials,
+    pub(crate) lights: &'a Lights,
+}
+
+/// A hit with what shading needs.
+struct Vertex<'a> {
+    point: SurfacePoint<'a>,
+    material: usize,
+    front: bool,
+    /// Geometric normal on the side that the ray came from.
+    normal: Vec3,
+    width: f32,
+}
+
+impl Tracer<'_> {
+    /// Radiance that arrives along a ray. `in_bounds` = false says that the ray cannot meet a surface.
+    pub(crate) fn radiance(
+        &self,
+        ray: Ray,
+        cone: Cone,
+        in_bounds: bool,
+        settings: &Settings,
+        sampler: &mut Sampler<'_>,
+        stack: &mut Stack,
+    ) -> Vec3 {
+        let (mut ray, mut cone, mut in_bounds) = (ray, cone, in_bounds);
+        let mut radiance = Vec3::ZERO;
+        let mut throughput = Vec3::ONE;
+        // the last vertex that scattered other than straight through: its place and density, for the heuristic
+        let mut scattered_at = ray.origin;
+        let mut scattered_pdf = f32::INFINITY;
+        let mut inside: Option<usize> = None;
+        for bounce in 0..=settings.max_bounces {
+            sampler.jump_to(PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce));
+            let [u_lobe, u_light] = sampler.pair();
+            let u_scatter = sampler.pair();
+            let u_point = sampler.pair();
+            let [u_roulette, u_alpha] = sampler.pair();
+            let rotation = sampler.pixel_hash(u64::from(bounce));
+            let hit = if in_bounds {
+                self.bvh.nearest(&ray, stack, |hit| self.is_there(hit, u_alpha, rotation))
+            } else {
+                None
+            };
+            let Some(hit) = hit else {
+                let (environment, light_pdf) = self.lights.infinite(ray.direction);
+                radiance += throughput * environment * heuristic(scattered_pdf, light_pdf);
+                break;
+            };
+            in_bounds = true;
+            let vertex = self.vertex(&ray, cone, &hit);
+            if let Some(material) = inside {
+                throughput *= self.absorption(material, hit.t);
+            }
+            let emission = self.materials.emission(vertex.material, &vertex.point, vertex.width, vertex.front);
+            if emission != Vec3::ZERO {
+                let distance = vertex.point.position.distance(scattered_at);
+                let light_pdf = self.lights.triangle_pdf(hit.triangle, distance, vertex.normal.dot(ray.direction));
+                radiance += throughput * emission * heuristic(scattered_pdf, light_pdf);
+            }
+            if bounce == settings.max_bounces || self.materials.is_unlit(vertex.material) {
+                break;
+            }
+            let bsdf = self.bsdf(&vertex, -ray.direction);
+            if bsdf.is_smooth() {
+                radiance += throughput * self.direct(&vertex, &bsdf, u_light, u_point, stack);
+            }
+            let Some(scatter) = bsdf.sample(u_lobe, u_scatter) else { break };
+            throughput *= scatter.weight;
+            if bounce >= settings.roulette_start {
+                let survival = throughput.max_element().min(MOST_SURVIVAL);
+                // also ends paths whose throughput is zero
+                if u_roulette >= survival {
+                    break;
+                }
+                throughput /= survival;
+            }
+            if scatter.refracted {
+                inside = if vertex.front { Some(vertex.material) } else { None };
+            }
+            ray = vertex.leave(scatter.direction, f32::INFINITY);
+            cone = Cone { width: vertex.width, spread: cone.spread.max(SCATTER_SPREAD * scatter.alpha) };
+            let straight = scatter.crossed && scatter.pdf.is_infinite() && hit.flags & TINT != 0;
+            if !straight {
+                scattered_at = vertex.point.position;
+                scattered_pdf = scatter.pdf;
+            }
+        }
+        radiance
+    }
+
+    /// Whether a ray meets a surface at all.
+    pub(crate) fn meets_surface(&self, ray: Ray, stack: &mut Stack) -> bool {
+        self.bvh.nearest(&ray, stack, |hit| hit.flags & ALPHA == 0 || self.coverage(hit) > 0.0).is_some()
+    }
+
+    fn vertex(&self, ray: &Ray, cone: Cone, hit: &Hit) -> Vertex<'_> {
+        let point = self.geometry.hit_point(hit);
+        let facing = point.geometric_normal.dot(ray.direction) < 0.0;
+        let normal = if facing { point.geometric_normal } else { -point.geometric_normal };
+        Vertex {
+            material: self.geometry.material_index(hit.triangle),
+            front: hit.front,
+            normal,
+            width: cone.width + cone.spread * hit.t,
+            point,
+        }
+    }
+
+    fn bsdf(&self, vertex: &Vertex<'_>, to_viewer: Vec3) -> Bsdf {
+        let appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
+        let shading = self.materials.normal(vertex.material, &vertex.point, vertex.width);
+        let shading = if vertex.front { shading } else { -shading };
+        let shading = bend_normal(shading, vertex.normal, to_viewer);
+        Bsdf::new(&appearance, to_viewer, vertex.normal, shading, vertex.front)
+    }
+
+    /// Light from one sampled light.
+    fn direct(&self, vertex: &Vertex<'_>, bsdf: &Bsdf, u_light: f32, u_point: [f32; 2], stack: &mut Stack) -> Vec3 {
+        let from = vertex.point.position;
+        let Some(light) = self.lights.sample(self.geometry, self.materials, from, u_light, u_point) else {
+            return Vec3::ZERO;
+        };
+        let (value, scatter_pdf) = bsdf.evaluate(light.direction);
+        let light_weight = if light.pdf.is_infinite() { 1.0 } else { heuristic(light.pdf, scatter_pdf) };
+        let contribution = value * light.weight * light_weight;
+        if contribution == Vec3::ZERO {
+            return Vec3::ZERO;
+        }
+        let shadow = vertex.leave(light.direction, light.distance);
+        contribution * self.bvh.transmittance(&shadow, stack, |hit| self.passed(hit, shadow.direction))
+    }
+
+    /// Decides by chance whether a surface with alpha is there. The number is stratified over samples and turned by a hash per
+    /// triangle, so that surfaces behind one another decide independently.
+    fn is_there(&self, hit: &Hit, u_alpha: f32, rotation: u64) -> bool {
+        if hit.flags & ALPHA == 0 {
+            return true;
+        }
+        let turn = seed::unit_f32(seed::mix(rotation ^ u64::from(hit.triangle)));
+        let u = u_alpha + turn;
+        (if u >= 1.0 { u - 1.0 } else { u }) < self.coverage(hit)
+    }
+
+    fn coverage(&self, hit: &Hit) -> f32 {
+        self.materials.coverage(self.geometry.material_index(hit.triangle), &self.geometry.hit_point(hit))
+    }
+
+    /// Share of light that goes straight through a surface with [`ALPHA`] or [`TINT`].
+    fn passed(&self, hit: &Hit, direction: Vec3) -> Vec3 {
+        let coverage = if hit.flags & ALPHA == 0 { 1.0 } else { self.coverage(hit) };
+        let open = Vec3::splat(1.0 - coverage);
+        if coverage == 0.0 || hit.flags & TINT == 0 {
+            return open;
+        }
+        let ray = Ray { origin: Vec3::ZERO, direction, t_max: hit.t };
+        let vertex = self.vertex(&ray, Cone { width: 0.0, spread: 0.0 }, hit);
+        open + coverage * self.bsdf(&vertex, -direction).straight()
+    }
+
+    /// What a solid leaves of light after `distance`: attenuation_color^(distance / attenuation_distance).
+    fn absorption(&self, material: usize, distance: f32) -> Vec3 {
+        let (color, reference) = self.materials.attenuation(material);
+        let exponent = distance / (reference * self.geometry.space.scale as f32);
+        if exponent > 0.0 { color.powf(exponent) } else { Vec3::ONE }
+    }
+}
+
+impl Vertex<'_> {
+    /// A ray from this point, started off the surface on the side it goes to.
+    fn leave(&self, direction: Vec3, t_max: f32) -> Ray {
+        let side = self.normal.dot(direction).signum();
+        Ray { origin: self.point.position + side * self.point.offset * self.normal, direction, t_max }
+    }
+}
+
+/// The power heuristic for a sample of density `own` that another technique finds with density `other`.
+fn heuristic(own: f32, other: f32) -> f32 {
+    if other == 0.0 || own.is_infinite() {
+        return 1.0;
+    }
+    let ratio = other / own;
+    1.0 / (1.0 + ratio * ratio)
+}

@@ -1,0 +1,137 @@
+//! The services that a plugin gets: files in the staging folder, everything else passed on to the task.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use lumistack_core::Task;
+use lumistack_plugin::PluginError;
+use lumistack_plugin::serve::{LogLevel, Services, path_parts};
+
+/// A host whose files go to a folder.
+pub(crate) struct DiskHost<'a> {
+    folder: PathBuf,
+    plugin: &'a str,
+    task: Task<'a>,
+    files: Mutex<Files>,
+}
+
+#[derive(Default)]
+struct Files {
+    opened: u64,
+    open: BTreeMap<u64, OpenFile>,
+    committed: BTreeSet<String>,
+    /// Lower-case names of all files, since some file systems take `A.png` and `a.png` for the same.
+    taken: BTreeSet<String>,
+}
+
+struct OpenFile {
+    name: String,
+    /// Beside the committed files; the name starts with a dot, which plugins' files cannot.
+    path: PathBuf,
+    writer: BufWriter<File>,
+}
+
+impl<'a> DiskHost<'a> {
+    pub(crate) fn new(folder: &Path, plugin: &'a str, task: Task<'a>) -> Self {
+        Self { folder: folder.into(), plugin, task, files: Mutex::default() }
+    }
+
+    /// The committed files, sorted.
+    ///
+    /// # Errors
+    /// The names of files that are still open.
+    pub(crate) fn into_files(self) -> Result<Vec<String>, Vec<String>> {
+        let files = self.files.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if files.open.is_empty() {
+            Ok(files.committed.into_iter().collect())
+        } else {
+            Err(files.open.into_values().map(|file| file.name).collect())
+        }
+    }
+
+    fn files(&self) -> MutexGuard<'_, Files> {
+        self.files.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn not_open(file: u64) -> PluginError {
+    PluginError::Refused(format!("file {file} is not open"))
+}
+
+fn cannot(doing: &str, name: &str) -> impl FnOnce(io::Error) -> PluginError {
+    move |error| PluginError::Failed(format!("cannot {doing} `{name}`: {error}"))
+}
+
+impl Services for DiskHost<'_> {
+    fn log(&self, level: LogLevel, message: &str) {
+        // what is merely informative has no place in a task
+        if matches!(level, LogLevel::Error | LogLevel::Warn) {
+            self.task.warn(format!("output `{}`", self.plugin), message);
+        }
+    }
+
+    fn progress_begin(&self, stage: &str, total: u64, unit: &str) {
+        self.task.progress.begin(stage, total, unit);
+    }
+
+    fn progress_advance(&self, steps: u64, note: &str) {
+        self.task.progress.advance(steps, note);
+    }
+
+    fn progress_end(&self) {
+        self.task.progress.end();
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.task.cancel.is_cancelled()
+    }
+
+    fn file_open(&self, path: &str) -> Result<u64, PluginError> {
+        // stops also plugins that never ask
+        self.task.cancel.check()?;
+        path_parts(path)?;
+        let mut files = self.files();
+        if !files.taken.insert(path.to_lowercase()) {
+            return Err(PluginError::Refused(format!("file `{path}` was already written")));
+        }
+        let file = files.opened;
+        files.opened += 1;
+        let temporary = self.folder.join(format!(".open-{file}"));
+        let writer = BufWriter::new(File::create_new(&temporary).map_err(cannot("create", path))?);
+        files.open.insert(file, OpenFile { name: path.into(), path: temporary, writer });
+        Ok(file)
+    }
+
+    fn file_append(&self, file: u64, bytes: &[u8]) -> Result<(), PluginError> {
+        self.task.cancel.check()?;
+        let mut files = self.files();
+        let open = files.open.get_mut(&file).ok_or_else(|| not_open(file))?;
+        open.writer.write_all(bytes).map_err(cannot("write", &open.name))
+    }
+
+    fn file_commit(&self, file: u64) -> Result<(), PluginError> {
+        let OpenFile { name, path, writer } = self.files().open.remove(&file).ok_or_else(|| not_open(file))?;
+        // on disk before it gets its name, so that a name never stands for half a file
+        let written = writer.into_inner().map_err(io::IntoInnerError::into_error).and_then(|file| file.sync_all());
+        written.map_err(cannot("write", &name))?;
+        let target = path_parts(&name)?.iter().fold(self.folder.clone(), |path, part| path.join(part));
+        if let Some(parent) = target.parent() {
+            fs::create_dir_all(parent).map_err(cannot("make the folder of", &name))?;
+        }
+        fs::rename(&path, &target).map_err(cannot("write", &name))?;
+        self.files().committed.insert(name);
+        Ok(())
+    }
+
+    fn file_abort(&self, file: u64) -> Result<(), PluginError> {
+        let mut files = self.files();
+        let OpenFile { name, path, writer } = files.open.remove(&file).ok_or_else(|| not_open(file))?;
+        files.taken.remove(&name.to_lowercase());
+        // without writing what is still buffered
+        drop(writer.into_parts());
+        fs::remove_file(&path).map_err(cannot("remove", &name))
+    }
+}

@@ -1,0 +1,178 @@
+//! From the staging folder into place.
+//!
+//! A new folder appears by one rename. In a folder that exists, every file is renamed into place, with the old ones set aside until all
+//! are there, so that an error halfway is undone.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::HostError;
+
+/// In every output's folder: which files the output wrote, so that the next one can remove what it no longer writes.
+const LISTING: &str = ".lumistack-files.json";
+/// In the staging folder: the old files that were replaced.
+const REPLACED: &str = ".replaced";
+
+#[derive(Serialize, Deserialize)]
+struct Listing {
+    schema: String,
+    version: u32,
+    plugin: String,
+    files: Vec<String>,
+}
+
+/// A folder beside the output's, removed when dropped.
+pub(crate) struct Staging {
+    out_dir: PathBuf,
+    path: PathBuf,
+    /// Folders above that had to be made, outermost first.
+    made: Vec<PathBuf>,
+}
+
+impl Staging {
+    /// Makes the staging folder `.NAME.partial` beside `out_dir`; one that a killed run left there is removed first.
+    pub(crate) fn new(out_dir: &Path) -> Result<Self, HostError> {
+        let not_a_folder = |path: &Path, found| Err(HostError::NotAFolder { path: path.into(), found });
+        let out_dir = match fs::metadata(out_dir) {
+            Ok(found) if !found.is_dir() => return not_a_folder(out_dir, "a file"),
+            // a name for `.` or a link's target
+            Ok(_) => fs::canonicalize(out_dir).map_err(HostError::io(out_dir, "read"))?,
+            Err(_) => std::path::absolute(out_dir).map_err(HostError::io(out_dir, "read"))?,
+        };
+        let (Some(parent), Some(name)) = (out_dir.parent(), out_dir.file_name()) else {
+            return not_a_folder(&out_dir, "the root of a file system");
+        };
+        let made: Vec<PathBuf> = parent.ancestors().take_while(|path| !path.exists()).map(Path::to_path_buf).collect();
+        let first_there = made.last().and_then(|path| path.parent()).unwrap_or(parent);
+        if !first_there.is_dir() {
+            return not_a_folder(first_there, "a file");
+        }
+        let path = parent.join(format!(".{}.partial", name.to_string_lossy()));
+        // from here on, dropping `staging` removes what was made
+        let staging = Self { path, made: made.into_iter().rev().collect(), out_dir: out_dir.clone() };
+        fs::create_dir_all(parent).map_err(HostError::io(parent, "make the folder"))?;
+        match fs::remove_dir_all(&staging.path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(HostError::io(&staging.path, "remove what a stopped run left")(error));
+            }
+            _ => fs::create_dir(&staging.path).map_err(HostError::io(&staging.path, "make the folder"))?,
+        }
+        Ok(staging)
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        // Nothing can be done about a failure here; the next output into the folder tries again. Folders that are in use are not
+        // empty and stay.
+        let _ = fs::remove_dir_all(&self.path);
+        for folder in self.made.iter().rev() {
+            let _ = fs::remove_dir(folder);
+        }
+    }
+}
+
+/// Moves the staged `files` into the output's folder.
+pub(crate) fn publish(staging: Staging, plugin: &str, files: &[String]) -> Result<(), HostError> {
+    let out_dir = &staging.out_dir;
+    let listing =
+        Listing { schema: "lumistack/output-files".into(), version: 1, plugin: plugin.into(), files: files.to_vec() };
+    let text = serde_json::to_vec_pretty(&listing)
+        .map_err(io::Error::from)
+        .map_err(HostError::io(out_dir, "list the files"))?;
+    let listing_path = staging.path.join(LISTING);
+    fs::write(&listing_path, text).map_err(HostError::io(&listing_path, "write"))?;
+
+    // succeeds only for a folder that is empty or not there
+    match fs::remove_dir(out_dir) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => merge(&staging, files),
+        _ => fs::rename(&staging.path, out_dir).map_err(HostError::io(out_dir, "move the output into place")),
+    }
+}
+
+/// Moves files one by one into a folder that holds others.
+fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
+    let out_dir = &staging.out_dir;
+    for file in files {
+        let target = out_dir.join(file);
+        if target.is_dir() {
+            return Err(HostError::Io { path: target, doing: "replace", source: io::ErrorKind::IsADirectory.into() });
+        }
+    }
+    let new: BTreeSet<&str> = files.iter().map(String::as_str).collect();
+    let stale: Vec<String> = earlier_files(out_dir).into_iter().filter(|file| !new.contains(file.as_str())).collect();
+
+    let mut moves = Moves::default();
+    let replaced = staging.path.join(REPLACED);
+    let mut replace = |file: &str, with_new: bool| -> Result<(), (PathBuf, io::Error)> {
+        let target = out_dir.join(file);
+        let at = |error| (target.clone(), error);
+        if fs::symlink_metadata(&target).is_ok() {
+            moves.rename(&target, &replaced.join(file)).map_err(at)?;
+        }
+        if with_new { moves.rename(&staging.path.join(file), &target).map_err(at) } else { Ok(()) }
+    };
+    let result = files
+        .iter()
+        .try_for_each(|file| replace(file, true))
+        .and_then(|()| stale.iter().try_for_each(|file| replace(file, false)))
+        .and_then(|()| replace(LISTING, true));
+    if let Err((path, source)) = result {
+        moves.undo();
+        return Err(HostError::Io { path, doing: "replace", source });
+    }
+    // folders that only held what is gone
+    for file in &stale {
+        let parents = Path::new(file).ancestors().skip(1).take_while(|path| !path.as_os_str().is_empty());
+        for parent in parents {
+            let _ = fs::remove_dir(out_dir.join(parent));
+        }
+    }
+    Ok(())
+}
+
+/// What the listing of an earlier output names; only names that an output can have.
+fn earlier_files(out_dir: &Path) -> Vec<String> {
+    let listing = fs::read(out_dir.join(LISTING)).ok().and_then(|text| serde_json::from_slice::<Listing>(&text).ok());
+    let mut files = listing.map_or_else(Vec::new, |listing| listing.files);
+    files.retain(|file| lumistack_plugin::serve::path_parts(file).is_ok());
+    files
+}
+
+/// Renames that can be undone.
+#[derive(Default)]
+struct Moves {
+    done: Vec<(PathBuf, PathBuf)>,
+    made: Vec<PathBuf>,
+}
+
+impl Moves {
+    fn rename(&mut self, from: &Path, to: &Path) -> io::Result<()> {
+        if let Some(parent) = to.parent() {
+            let new: Vec<PathBuf> = parent.ancestors().take_while(|p| !p.exists()).map(Path::to_path_buf).collect();
+            self.made.extend(new.into_iter().rev());
+            fs::create_dir_all(parent)?;
+        }
+        fs::rename(from, to)?;
+        self.done.push((from.into(), to.into()));
+        Ok(())
+    }
+
+    fn undo(self) {
+        for (from, to) in self.done.into_iter().rev() {
+            // A rename that worked one way a moment ago; if it fails now, the other files are still put back.
+            let _ = fs::rename(to, from);
+        }
+        for folder in self.made.into_iter().rev() {
+            let _ = fs::remove_dir(folder);
+        }
+    }
+}

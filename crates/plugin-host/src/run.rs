@@ -1,0 +1,80 @@
+//! One output from open to the files in place.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::Task;
+use lumistack_display::Display;
+use lumistack_plugin::Time;
+use lumistack_plugin::serve::{Output, OutputData};
+use serde_json::Value;
+
+use crate::disk::DiskHost;
+use crate::publish::{Staging, publish};
+use crate::{HostError, Registry};
+
+/// What an output is made from and where it goes.
+#[derive(Clone, Copy)]
+pub struct OutputContext<'a> {
+    /// The display.
+    pub display: &'a Display,
+    /// A layer stack or a light field.
+    pub data: OutputData<'a>,
+    /// Place in the sequence; the default for a still.
+    pub time: Time,
+    /// The output's own folder, made if need be.
+    pub out_dir: &'a Path,
+    /// Progress, warnings, cancellation.
+    pub task: Task<'a>,
+}
+
+/// Writes one time with the output plugin `id`; a presenter runs until the user closes it. Returns the files, relative to `out_dir`, sorted.
+///
+/// Files are collected beside `out_dir` and moved into it once the plugin has finished: replaced are files of the same names, and removed
+/// what an earlier output into this folder wrote and this one does not. Other files in it stay. At most one output may be written into
+/// a folder at a time.
+///
+/// # Errors
+/// See [`HostError`]; `out_dir` then holds what it held before.
+pub fn run_output(
+    registry: &Registry,
+    id: &str,
+    params: &Value,
+    context: OutputContext<'_>,
+) -> Result<Vec<PathBuf>, HostError> {
+    let OutputContext { display, data, time, out_dir, task } = context;
+    with_output(registry, id, params, display, out_dir, task, |output| {
+        output.submit(time, data).map_err(|error| HostError::of_plugin(id, error))
+    })
+}
+
+/// As [`run_output`], with all times that `submit_all` hands to the output: for sequences, and for data that come one by one.
+///
+/// # Errors
+/// As [`run_output`], and what `submit_all` returns.
+pub fn with_output(
+    registry: &Registry,
+    id: &str,
+    params: &Value,
+    display: &Display,
+    out_dir: &Path,
+    task: Task<'_>,
+    submit_all: impl FnOnce(&Output<'_>) -> Result<(), HostError>,
+) -> Result<Vec<PathBuf>, HostError> {
+    let plugin = registry.get(id)?;
+    let resolved = registry.check_params(id, params)?;
+    let staging = Staging::new(out_dir)?;
+    let host = DiskHost::new(staging.path(), id, task);
+    let of_plugin = |error| HostError::of_plugin(id, error);
+
+    let output = Output::open(plugin, &host, &Value::Object(resolved), display).map_err(of_plugin)?;
+    submit_all(&output)?;
+    if plugin.info().presents {
+        output.run().map_err(of_plugin)?;
+    }
+    output.finish().map_err(of_plugin)?;
+
+    let files = host.into_files().map_err(|files| HostError::Uncommitted { plugin: id.into(), files })?;
+    task.cancel.check().map_err(|_| HostError::Cancelled)?;
+    publish(staging, id, &files)?;
+    Ok(files.into_iter().map(PathBuf::from).collect())
+}

@@ -1,0 +1,47 @@
+//! What can go wrong between a host and a plugin.
+
+use lumistack_core::Cancelled;
+use thiserror::Error;
+
+use crate::{Input, ParamError};
+
+/// An error that crosses the boundary, in either direction.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum PluginError {
+    /// The user asked to stop; nothing is wrong with the input.
+    #[error("cancelled")]
+    Cancelled,
+    /// Parameters or data that the callee does not take.
+    #[error("{0}")]
+    Refused(String),
+    /// The work failed.
+    #[error("{0}")]
+    Failed(String),
+    /// The callee panicked, with this message.
+    #[error("panicked: {0}")]
+    Panicked(String),
+}
+
+impl PluginError {
+    /// The work failed for a reason that another error gives, after what was being done.
+    pub fn failed(doing: &str, error: impl std::fmt::Display) -> Self {
+        Self::Failed(format!("{doing}: {error}"))
+    }
+
+    /// Data of a port that the plugin does not accept.
+    pub fn unexpected(data: &Input<'_>) -> Self {
+        Self::Refused(format!("data of port {} are not accepted", data.port()))
+    }
+}
+
+impl From<Cancelled> for PluginError {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
+}
+
+impl From<ParamError> for PluginError {
+    fn from(error: ParamError) -> Self {
+        Self::Refused(error.to_string())
+    }
+}

@@ -1,0 +1,141 @@
+//! A plugin's public face: its descriptor and its entry symbol.
+
+use std::panic::catch_unwind;
+use std::sync::LazyLock;
+
+use lumistack_plugin_abi::{ABI_MAJOR, ABI_MINOR, Descriptor, Str, kind, port};
+use serde::{Deserialize, Serialize};
+
+use crate::OutputPlugin;
+use crate::output::vtable_of;
+
+/// A type of the graph's edges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Port {
+    /// A validated scene.
+    Scene,
+    /// Linear radiance of many views.
+    LightField,
+    /// The patterns of a tensor display.
+    LayerStack,
+    /// A file that another part wrote.
+    File,
+}
+
+impl Port {
+    /// All ports.
+    pub const ALL: [Self; 4] = [Self::Scene, Self::LightField, Self::LayerStack, Self::File];
+
+    /// Its bit in a descriptor.
+    pub const fn bit(self) -> u32 {
+        match self {
+            Self::Scene => port::SCENE,
+            Self::LightField => port::LIGHT_FIELD,
+            Self::LayerStack => port::LAYER_STACK,
+            Self::File => port::FILE,
+        }
+    }
+}
+
+impl std::fmt::Display for Port {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Scene => "scene",
+            Self::LightField => "light_field",
+            Self::LayerStack => "layer_stack",
+            Self::File => "file",
+        })
+    }
+}
+
+/// The descriptor of a plugin that was written against this crate's safe traits.
+#[derive(Clone, Copy, Debug)]
+pub struct Export(Descriptor);
+
+impl Export {
+    /// Describes an output plugin. Called once per plugin, by [`export_plugin!`](crate::export_plugin): the texts are kept for good.
+    pub fn output<P: OutputPlugin>(id: &'static str, version: &'static str) -> Self {
+        let schema_json: &'static str = P::schema().to_json().leak();
+        Self(Descriptor {
+            abi_major: ABI_MAJOR,
+            abi_minor: ABI_MINOR,
+            size: size_of::<Descriptor>(),
+            kind: kind::OUTPUT,
+            ports: P::PORTS.iter().fold(0, |set, port| set | port.bit()),
+            id: Str::new(id),
+            version: Str::new(version),
+            doc: Str::new(P::DOC),
+            schema_json: Str::new(schema_json),
+            vtable: (&raw const *vtable_of::<P>()).cast(),
+        })
+    }
+
+    /// The C descriptor.
+    pub fn descriptor(&self) -> &Descriptor {
+        &self.0
+    }
+}
+
+/// What a plugin's entry function returns: the descriptor, or null where describing it panics.
+pub fn entry_of(plugin: &'static LazyLock<Export>) -> *const Descriptor {
+    catch_unwind(|| &raw const *plugin.descriptor()).unwrap_or(std::ptr::null())
+}
+
+/// Whether a text can be a plugin's id, and so the end of its symbol and of its file's name: lower-case letters, digits and
+/// underscores, a letter first.
+pub const fn is_plugin_id(id: &str) -> bool {
+    let id = id.as_bytes();
+    let mut i = 0;
+    while i < id.len() {
+        if !(id[i].is_ascii_lowercase() || i > 0 && (id[i].is_ascii_digit() || id[i] == b'_')) {
+            return false;
+        }
+        i += 1;
+    }
+    !id.is_empty()
+}
+
+/// `export_plugin!("id", Type)` at the end of a plugin's file: the public static `PLUGIN`, which a host lists that has the plugin compiled
+/// in, and the symbol `lumistack_plugin_entry_<id>`, which a host looks for that loads it. The version is the crate's.
+#[macro_export]
+macro_rules! export_plugin {
+    ($id:literal, $type:ty) => {
+        const _: () = ::std::assert!(
+            $crate::is_plugin_id($id),
+            "a plugin's id has lower-case letters, digits and underscores, a letter first"
+        );
+
+        #[doc = ::std::concat!("The plugin `", $id, "`, for a host that has it compiled in.")]
+        pub static PLUGIN: ::std::sync::LazyLock<$crate::Export> =
+            ::std::sync::LazyLock::new(|| $crate::Export::output::<$type>($id, ::std::env!("CARGO_PKG_VERSION")));
+
+        #[doc = ::std::concat!("Where a loader finds the plugin `", $id, "`.")]
+        // SAFETY: the name ends in the plugin's id, which no other plugin of the program has.
+        #[unsafe(export_name = ::std::concat!("lumistack_plugin_entry_", $id))]
+        pub extern "C" fn lumistack_plugin_entry() -> *const $crate::abi::Descriptor {
+            $crate::entry_of(&PLUGIN)
+        }
+    };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_can_end_a_symbol() {
+        assert!(is_plugin_id("images") && is_plugin_id("web_simulator2"));
+        for id in ["", "2d", "_a", "Images", "web-simulator", "a b", "é"] {
+            assert!(!is_plugin_id(id), "{id}");
+        }
+    }
+
+    #[test]
+    fn ports_have_their_own_bits_and_the_names_of_the_job_file() {
+        assert_eq!(Port::ALL.iter().fold(0, |set, port| set | port.bit()).count_ones(), 4);
+        for port in Port::ALL {
+            assert_eq!(serde_json::to_value(port).unwrap(), port.to_string());
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Submitted data as a plugin sees them.
+
+use std::marker::PhantomData;
+
+use lumistack_display::{FieldGeometry, Projection};
+use lumistack_plugin_abi::{Data, ErrorSink, Plane, Status, view};
+
+use crate::boundary::{call, lent_text};
+use crate::describe::Description;
+use crate::{Host, PlaneView, PluginError, Port};
+
+/// What one `submit` brings. More ports may come.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Input<'a> {
+    /// The patterns of a tensor display.
+    LayerStack(StackInput<'a>),
+    /// Linear radiance of many views.
+    LightField(FieldInput<'a>),
+}
+
+/// A place to look at the display from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ViewPoint {
+    /// A parallel projection of slope (s_x, s_y), as from far away.
+    Slope([f64; 2]),
+    /// An eye at (x, y, z) millimetres in display space, z > 0.
+    Eye([f64; 3]),
+}
+
+/// Lent functions and pointers of one `submit`.
+#[derive(Debug)]
+struct Lent<'a> {
+    data: *const Data,
+    host: Host,
+    _submit: PhantomData<&'a Data>,
+}
+
+// SAFETY: the host allows data to be read from several threads.
+unsafe impl Send for Lent<'_> {}
+// SAFETY: as above.
+unsafe impl Sync for Lent<'_> {}
+
+/// The patterns of a tensor display: layers rearmost first, values linear in 0..1.
+#[derive(Debug)]
+pub struct StackInput<'a> {
+    lent: Lent<'a>,
+    brightness: f64,
+    frames: usize,
+    layers: Vec<[usize; 2]>,
+    emission: Option<[usize; 4]>,
+    target: FieldGeometry,
+}
+
+/// Linear radiance of many views, 0..1 after exposure (highlights may exceed 1).
+#[derive(Debug)]
+pub struct FieldInput<'a> {
+    lent: Lent<'a>,
+    geometry: FieldGeometry,
+}
+
+impl<'a> Input<'a> {
+    /// # Safety
+    /// `data` and all that it lends are valid for the lifetime.
+    pub(crate) unsafe fn new(data: *const Data, host: Host) -> Result<Self, PluginError> {
+        let lent = Lent { data, host, _submit: PhantomData };
+        // SAFETY: the caller's promise.
+        let text = unsafe { lent_text((*data).description_json, "description of the data")? };
+        let description =
+            serde_json::from_str(text).map_err(|error| PluginError::failed("description of the data", error))?;
+        Ok(match description {
+            Description::LayerStack { brightness, frames, layers, emission, target } => {
+                Self::LayerStack(StackInput { lent, brightness, frames, layers, emission, target: target.try_into()? })
+            }
+            Description::LightField { geometry } => {
+                Self::LightField(FieldInput { lent, geometry: geometry.try_into()? })
+            }
+        })
+    }
+
+    /// Which port the data belong to.
+    pub fn port(&self) -> Port {
+        match self {
+            Self::LayerStack(_) => Port::LayerStack,
+            Self::LightField(_) => Port::LightField,
+        }
+    }
+}
+
+impl StackInput<'_> {
+    /// Number of layers N.
+    pub fn layer_count(&self) -> usize {
+        self.layers.len()
+    }
+
+    /// [rows, cols] of a layer; layer 0 is the rearmost. `None` beyond the last.
+    pub fn layer_size(&self, layer: usize) -> Option<[usize; 2]> {
+        self.layers.get(layer).copied()
+    }
+
+    /// Number of time-multiplexed frames M.
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// Brightness β: the display emits β times the target.
+    pub fn brightness(&self) -> f64 {
+        self.brightness
+    }
+
+    /// [bins_y, bins_x, lenslet_rows, lenslet_cols] of a directional backlight.
+    pub fn emission_shape(&self) -> Option<[usize; 4]> {
+        self.emission
+    }
+
+    /// The light field that the patterns were made for.
+    pub fn target(&self) -> &FieldGeometry {
+        &self.target
+    }
+
+    /// Transmittance `[row][col][rgb]` of one layer and frame.
+    ///
+    /// # Errors
+    /// If there is no such layer or frame, or the host cannot lend it.
+    pub fn layer(&self, layer: usize, frame: usize) -> Result<PlaneView<'_>, PluginError> {
+        // SAFETY: the context is the data's own.
+        self.lent.plane(|data, plane, error| unsafe { (data.layer_plane)(data.context, layer, frame, plane, error) })
+    }
+
+    /// Emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame.
+    ///
+    /// # Errors
+    /// If the backlight is not directional or there is no such bin or frame, or the host cannot lend it.
+    pub fn emission(&self, frame: usize, bin_y: usize, bin_x: usize) -> Result<PlaneView<'_>, PluginError> {
+        // SAFETY: the context is the data's own.
+        self.lent.plane(|data, plane, error| unsafe {
+            (data.emission_plane)(data.context, frame, bin_y, bin_x, plane, error)
+        })
+    }
+
+    /// What the display shows: emitted linear radiance `[row][col][rgb]` on the target's pixels. Divide by
+    /// [`brightness`](Self::brightness) for what an adapted viewer sees.
+    ///
+    /// # Errors
+    /// If the place makes no sense or the host cannot compute the view.
+    pub fn simulate(&self, from: ViewPoint) -> Result<PlaneView<'_>, PluginError> {
+        // SAFETY: the data are the running submit's.
+        unsafe { self.lent.host.simulate(self.lent.data, from) }
+    }
+}
+
+impl FieldInput<'_> {
+    /// Pixels and views.
+    pub fn geometry(&self) -> &FieldGeometry {
+        &self.geometry
+    }
+
+    /// Radiance `[row][col][rgb]` of `view` = [view_y, view_x].
+    ///
+    /// # Errors
+    /// If there is no such view, or the host cannot lend it.
+    pub fn view(&self, view: [usize; 2]) -> Result<PlaneView<'_>, PluginError> {
+        // SAFETY: the context is the data's own.
+        self.lent.plane(|data, plane, error| unsafe { (data.view_plane)(data.context, view[0], view[1], plane, error) })
+    }
+}
+
+impl Lent<'_> {
+    fn plane(
+        &self,
+        fetch: impl FnOnce(&Data, *mut Plane, *const ErrorSink) -> Status,
+    ) -> Result<PlaneView<'_>, PluginError> {
+        // SAFETY: promise of `Input::new`.
+        let data = unsafe { &*self.data };
+        let mut plane = Plane::empty();
+        call(|error| fetch(data, &mut plane, error))?;
+        // SAFETY: the host filled the plane in, and lends it at least until the submit returns.
+        unsafe { PlaneView::new(plane) }
+    }
+}
+
+impl ViewPoint {
+    /// Where the view `view` = [view_y, view_x] of a geometry is seen from.
+    ///
+    /// # Panics
+    /// If there is no such view.
+    pub fn of_view(geometry: &FieldGeometry, view: [usize; 2]) -> Self {
+        let [x, y] = [geometry.grid.slope_x[view[1]], geometry.grid.slope_y[view[0]]];
+        match geometry.grid.projection {
+            Projection::Oblique => Self::Slope([x, y]),
+            Projection::Perspective { distance_mm } => Self::Eye([x * distance_mm, y * distance_mm, distance_mm]),
+        }
+    }
+
+    pub(crate) fn to_abi(self) -> (u32, [f64; 3]) {
+        match self {
+            Self::Slope([x, y]) => (view::SLOPE, [x, y, 0.0]),
+            Self::Eye(eye) => (view::EYE, eye),
+        }
+    }
+}

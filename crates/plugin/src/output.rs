@@ -1,0 +1,219 @@
+//! Output plugins: the trait, and the C functions through which a host drives it.
+
+use std::ffi::c_void;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{PoisonError, RwLock};
+
+use lumistack_display::Display;
+use lumistack_plugin_abi::{self as abi, Data, ErrorSink, HostServices, OutputVtable, Status, Str};
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::boundary::{answer, lent_text, panic_text};
+use crate::describe::display_from_json;
+use crate::{Host, Input, PluginError, Port, Schema};
+
+/// Place in a sequence.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Time {
+    /// Number of the time in this output, from 0; a still has only 0.
+    pub index: u64,
+    /// Time in the scene, seconds.
+    pub seconds: f64,
+}
+
+/// A plugin that takes what the graph makes and puts it somewhere. Its life: [`open`](Self::open), [`submit`](Self::submit) for every time,
+/// [`run`](Self::run) for presenters, [`finish`](Self::finish); or it is dropped where the work is abandoned.
+pub trait OutputPlugin: Sized + Send + Sync + 'static {
+    /// What it does, for people; the first sentence stands in lists.
+    const DOC: &'static str;
+    /// What it accepts.
+    const PORTS: &'static [Port];
+    /// Whether it presents something until the user closes it; see [`run`](Self::run).
+    const PRESENTS: bool = false;
+
+    /// The schema's parameters as a struct: one field each, of the same name.
+    type Params: DeserializeOwned;
+
+    /// Its parameters. Checked before `open`, which therefore gets every parameter, of the right type and in range.
+    fn schema() -> Schema;
+
+    /// Starts an output.
+    ///
+    /// # Errors
+    /// [`PluginError::Refused`] if parameters contradict one another or the display cannot be served.
+    fn open(host: Host, params: Self::Params, display: Display) -> Result<Self, PluginError>;
+
+    /// Takes one time. Called from any thread, also from several at once, and in any order.
+    ///
+    /// # Errors
+    /// If the data cannot be put where they belong; [`PluginError::Cancelled`] when the user asked to stop.
+    fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError>;
+
+    /// For presenters: runs on the main thread until the user closes the presentation or asks to stop.
+    ///
+    /// # Errors
+    /// If the presentation fails.
+    fn run(&self) -> Result<(), PluginError> {
+        Ok(())
+    }
+
+    /// No more data will come.
+    ///
+    /// # Errors
+    /// If what remains cannot be written.
+    fn finish(self) -> Result<(), PluginError>;
+}
+
+/// The C functions of a plugin type.
+pub(crate) const fn vtable_of<P: OutputPlugin>() -> &'static OutputVtable {
+    &Instance::<P>::VTABLE
+}
+
+/// What the C handle points to.
+struct Instance<P> {
+    /// Gone once finished. Submits hold the lock for reading.
+    plugin: RwLock<Option<P>>,
+    host: Host,
+    /// A plugin that panicked may be half-changed and is not called again.
+    panicked: AtomicBool,
+}
+
+impl<P: OutputPlugin> Instance<P> {
+    const VTABLE: OutputVtable = OutputVtable {
+        size: size_of::<OutputVtable>(),
+        open: Some(open::<P>),
+        submit: Some(submit::<P>),
+        run: if P::PRESENTS { Some(run::<P>) } else { None },
+        finish: Some(finish::<P>),
+        close: Some(close::<P>),
+    };
+
+    /// Runs a call of the plugin and notes whether it panicked.
+    fn guarded(&self, error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
+        // SAFETY: the host passes null or a valid sink to every function.
+        let status = unsafe {
+            answer(error, || {
+                if self.panicked.load(Ordering::SeqCst) {
+                    return Err(PluginError::Failed("the plugin panicked in an earlier call".into()));
+                }
+                function()
+            })
+        };
+        if status == Status::PANICKED {
+            self.panicked.store(true, Ordering::SeqCst);
+        }
+        status
+    }
+
+    fn with_plugin(&self, function: impl FnOnce(&P) -> Result<(), PluginError>) -> Result<(), PluginError> {
+        let plugin = self.plugin.read().unwrap_or_else(PoisonError::into_inner);
+        function(plugin.as_ref().ok_or_else(finished)?)
+    }
+}
+
+fn finished() -> PluginError {
+    PluginError::Failed("the output has already finished".into())
+}
+
+unsafe extern "C" fn open<P: OutputPlugin>(
+    host: *const HostServices,
+    params_json: Str,
+    display_json: Str,
+    instance: *mut *mut c_void,
+    error: *const ErrorSink,
+) -> Status {
+    let start = || {
+        // SAFETY: the host lends table and texts.
+        let (size, params, display) =
+            unsafe { ((*host).size, lent_text(params_json, "parameters")?, lent_text(display_json, "display")?) };
+        if size < size_of::<HostServices>() {
+            return Err(PluginError::Refused(format!(
+                "the host offers {size} bytes of services, the plugin needs {}",
+                size_of::<HostServices>()
+            )));
+        }
+        let given: Value = serde_json::from_str(params).map_err(|error| PluginError::failed("parameters", error))?;
+        let resolved = P::schema().resolve(&given)?;
+        let params = serde_json::from_value(Value::Object(resolved))
+            .map_err(|error| PluginError::failed("parameters differ from the plugin's schema", error))?;
+        let display = display_from_json(display)?;
+        // SAFETY: the table is valid until `close` returns; `CloseHost` ends it where there will be no `close`.
+        let host = CloseHost(Some(unsafe { Host::new(host) }));
+        let plugin = P::open(host.get(), params, display)?;
+        let (plugin, panicked) = (RwLock::new(Some(plugin)), AtomicBool::new(false));
+        let boxed = Box::new(Instance { plugin, host: host.keep(), panicked });
+        // SAFETY: the host provides the place for the handle.
+        unsafe { *instance = Box::into_raw(boxed).cast() };
+        Ok(())
+    };
+    // SAFETY: the host passes null or a valid sink.
+    unsafe { answer(error, start) }
+}
+
+/// Ends a host's services unless they are kept: also on a panic in `open`.
+struct CloseHost(Option<Host>);
+
+impl CloseHost {
+    fn get(&self) -> Host {
+        self.0.clone().expect("not yet kept")
+    }
+
+    fn keep(mut self) -> Host {
+        self.0.take().expect("not yet kept")
+    }
+}
+
+impl Drop for CloseHost {
+    fn drop(&mut self) {
+        if let Some(host) = &self.0 {
+            host.close();
+        }
+    }
+}
+
+unsafe extern "C" fn submit<P: OutputPlugin>(
+    instance: *mut c_void,
+    time: *const abi::Time,
+    data: *const Data,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: the host passes the handle of `open`.
+    let this = unsafe { &*instance.cast::<Instance<P>>() };
+    this.guarded(error, || {
+        // SAFETY: the host lends both until this call returns.
+        let (time, input) = unsafe {
+            if (*data).size < size_of::<Data>() || (*time).size < size_of::<abi::Time>() {
+                return Err(PluginError::Refused("the host's data are of an older version".into()));
+            }
+            (Time { index: (*time).index, seconds: (*time).seconds }, Input::new(data, this.host.clone())?)
+        };
+        this.with_plugin(|plugin| plugin.submit(time, &input))
+    })
+}
+
+unsafe extern "C" fn run<P: OutputPlugin>(instance: *mut c_void, error: *const ErrorSink) -> Status {
+    // SAFETY: the host passes the handle of `open`.
+    let this = unsafe { &*instance.cast::<Instance<P>>() };
+    this.guarded(error, || this.with_plugin(P::run))
+}
+
+unsafe extern "C" fn finish<P: OutputPlugin>(instance: *mut c_void, error: *const ErrorSink) -> Status {
+    // SAFETY: the host passes the handle of `open`.
+    let this = unsafe { &*instance.cast::<Instance<P>>() };
+    this.guarded(error, || {
+        let plugin = this.plugin.write().unwrap_or_else(PoisonError::into_inner).take();
+        plugin.ok_or_else(finished)?.finish()
+    })
+}
+
+unsafe extern "C" fn close<P: OutputPlugin>(instance: *mut c_void) {
+    // SAFETY: the handle of `open`, given back once.
+    let this = unsafe { Box::from_raw(instance.cast::<Instance<P>>()) };
+    let host = this.host.clone();
+    // A destructor that panics must not unwind into the host; there is nobody left to tell but the log.
+    if let Err(payload) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| drop(this))) {
+        host.warn(&format!("panicked while closing: {}", panic_text(payload)));
+    }
+    host.close();
+}

@@ -1,0 +1,342 @@
+//! Parameters of a plugin: one description from which help, defaults, validation and forms come.
+
+use std::fmt;
+use std::ops::RangeInclusive;
+
+use lumistack_core::config::nearest;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+use thiserror::Error;
+
+/// All parameters of a plugin, in the order in which help shows them.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Schema {
+    /// The parameters; names are unique.
+    pub params: Vec<Param>,
+}
+
+/// One parameter.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Param {
+    /// Key in job files: lower-case letters, digits and underscores.
+    pub name: String,
+    /// Type, default and range.
+    #[serde(flatten)]
+    pub kind: Kind,
+    /// Unit of a number, for example `mm`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
+    /// What it does, a sentence.
+    pub help: String,
+}
+
+/// Type, default and range of a parameter.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Kind {
+    /// True or false.
+    Bool {
+        /// Value when none is given.
+        default: bool,
+    },
+    /// A whole number.
+    Int {
+        /// Value when none is given.
+        default: i64,
+        /// Smallest value.
+        min: i64,
+        /// Largest value.
+        max: i64,
+    },
+    /// A number.
+    Float {
+        /// Value when none is given.
+        default: f64,
+        /// Smallest value.
+        min: f64,
+        /// Largest value.
+        max: f64,
+    },
+    /// One of several words.
+    Choice {
+        /// Value when none is given.
+        default: String,
+        /// The words.
+        options: Vec<Choice>,
+    },
+    /// Any text.
+    Text {
+        /// Value when none is given.
+        default: String,
+    },
+}
+
+/// One word of a [`Kind::Choice`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Choice {
+    /// The word.
+    pub value: String,
+    /// What it means.
+    pub help: String,
+}
+
+impl Param {
+    /// True or false.
+    pub fn bool(name: &str, default: bool, help: &str) -> Self {
+        Self::new(name, Kind::Bool { default }, help)
+    }
+
+    /// A whole number of a range.
+    pub fn int(name: &str, default: i64, range: RangeInclusive<i64>, help: &str) -> Self {
+        Self::new(name, Kind::Int { default, min: *range.start(), max: *range.end() }, help)
+    }
+
+    /// A number of a range.
+    pub fn float(name: &str, default: f64, range: RangeInclusive<f64>, help: &str) -> Self {
+        Self::new(name, Kind::Float { default, min: *range.start(), max: *range.end() }, help)
+    }
+
+    /// One of several words, each with what it means.
+    pub fn choice<'a>(
+        name: &str,
+        default: &str,
+        options: impl IntoIterator<Item = (&'a str, &'a str)>,
+        help: &str,
+    ) -> Self {
+        let options =
+            options.into_iter().map(|(value, help)| Choice { value: value.into(), help: help.into() }).collect();
+        Self::new(name, Kind::Choice { default: default.into(), options }, help)
+    }
+
+    /// Any text.
+    pub fn text(name: &str, default: &str, help: &str) -> Self {
+        Self::new(name, Kind::Text { default: default.into() }, help)
+    }
+
+    /// Gives a number its unit.
+    #[must_use]
+    pub fn unit(mut self, unit: &str) -> Self {
+        self.unit = Some(unit.into());
+        self
+    }
+
+    fn new(name: &str, kind: Kind, help: &str) -> Self {
+        Self { name: name.into(), kind, unit: None, help: help.into() }
+    }
+
+    /// The value when none is given.
+    pub fn default_value(&self) -> Value {
+        match &self.kind {
+            Kind::Bool { default } => Value::from(*default),
+            Kind::Int { default, .. } => Value::from(*default),
+            Kind::Float { default, .. } => Value::from(*default),
+            Kind::Choice { default, .. } | Kind::Text { default } => Value::from(default.clone()),
+        }
+    }
+
+    /// What may be given, for people: `0 to 1 mm`, `one of panel, srgb, linear`.
+    pub fn expected(&self) -> String {
+        let unit = self.unit.as_ref().map_or(String::new(), |unit| format!(" {unit}"));
+        match &self.kind {
+            Kind::Bool { .. } => "true or false".into(),
+            Kind::Int { min, max, .. } => format!("a whole number from {min} to {max}{unit}"),
+            Kind::Float { min, max, .. } => format!("a number from {min} to {max}{unit}"),
+            Kind::Choice { options, .. } => {
+                format!("one of {}", options.iter().map(|option| option.value.as_str()).collect::<Vec<_>>().join(", "))
+            }
+            Kind::Text { .. } => "a text".into(),
+        }
+    }
+
+    /// The value in the form that plugins get (a float parameter is a float even where a whole number was given), if it is
+    /// of the right type and in range.
+    fn accept(&self, value: &Value) -> Option<Value> {
+        match &self.kind {
+            Kind::Bool { .. } => value.is_boolean().then(|| value.clone()),
+            Kind::Int { min, max, .. } => value.as_i64().filter(|n| (min..=max).contains(&n)).map(Value::from),
+            Kind::Float { min, max, .. } => value.as_f64().filter(|x| *x >= *min && *x <= *max).map(Value::from),
+            Kind::Choice { options, .. } => {
+                let word = value.as_str()?;
+                options.iter().any(|option| option.value == word).then(|| value.clone())
+            }
+            Kind::Text { .. } => value.is_string().then(|| value.clone()),
+        }
+    }
+}
+
+/// One line of help: `encode = "panel": how ...; one of panel, srgb, linear`.
+impl fmt::Display for Param {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} = {}: {} ({})", self.name, self.default_value(), self.help.trim_end_matches('.'), self.expected())
+    }
+}
+
+impl Schema {
+    /// A schema of these parameters.
+    pub fn new(params: impl IntoIterator<Item = Param>) -> Self {
+        Self { params: params.into_iter().collect() }
+    }
+
+    /// Checks the parameters that were given (an object) and fills in the defaults of the others.
+    ///
+    /// # Errors
+    /// On a parameter that does not exist (naming the one that is spelled most like it), is of the wrong type or out of range.
+    pub fn resolve(&self, given: &Value) -> Result<Map<String, Value>, ParamError> {
+        let empty = Map::new();
+        let given = match given {
+            Value::Object(given) => given,
+            Value::Null => &empty,
+            other => return Err(ParamError::NotAnObject { found: other.to_string() }),
+        };
+        if let Some(unknown) = given.keys().find(|name| !self.params.iter().any(|param| param.name == **name)) {
+            let names = || self.params.iter().map(|param| param.name.as_str());
+            return Err(ParamError::Unknown {
+                name: unknown.clone(),
+                nearest: nearest(unknown, names()).map(String::from),
+                known: names().map(String::from).collect(),
+            });
+        }
+        self.params
+            .iter()
+            .map(|param| {
+                let value = match given.get(&param.name) {
+                    None => param.default_value(),
+                    Some(value) => param.accept(value).ok_or_else(|| ParamError::Value {
+                        name: param.name.clone(),
+                        expected: param.expected(),
+                        found: value.to_string(),
+                    })?,
+                };
+                Ok((param.name.clone(), value))
+            })
+            .collect()
+    }
+
+    /// The JSON of a descriptor.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string(self).expect("a schema holds only texts, booleans and numbers")
+    }
+
+    /// Checks the schema itself: unique names, help, defaults in range.
+    ///
+    /// # Errors
+    /// What is wrong, for the plugin's author.
+    pub fn check(&self) -> Result<(), String> {
+        for (i, param) in self.params.iter().enumerate() {
+            let name = &param.name;
+            if name.is_empty() || !name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_') {
+                return Err(format!("parameter `{name}`: a name has lower-case letters, digits and underscores"));
+            }
+            if self.params[..i].iter().any(|earlier| earlier.name == *name) {
+                return Err(format!("parameter `{name}` is declared twice"));
+            }
+            if param.help.trim().is_empty() {
+                return Err(format!("parameter `{name}` has no help"));
+            }
+            if param.accept(&param.default_value()).is_none() {
+                let (expected, default) = (param.expected(), param.default_value());
+                return Err(format!("parameter `{name}`: the default {default} is not {expected}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A parameter that a plugin does not take.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum ParamError {
+    /// There is no such parameter.
+    #[error("unknown parameter `{name}`{}", hint(nearest.as_deref(), known))]
+    Unknown {
+        /// What was given.
+        name: String,
+        /// The parameter that is spelled most like it.
+        nearest: Option<String>,
+        /// All parameters.
+        known: Vec<String>,
+    },
+    /// The value is of the wrong type or out of range.
+    #[error("parameter `{name}`: expected {expected}, found {found}")]
+    Value {
+        /// The parameter.
+        name: String,
+        /// Type and range.
+        expected: String,
+        /// What was given.
+        found: String,
+    },
+    /// Not a set of parameters.
+    #[error("parameters: expected an object of names and values, found {found}")]
+    NotAnObject {
+        /// What was given.
+        found: String,
+    },
+}
+
+fn hint(nearest: Option<&str>, known: &[String]) -> String {
+    match nearest {
+        Some(nearest) => format!("; did you mean `{nearest}`?"),
+        None if known.is_empty() => "; there are no parameters".into(),
+        None => format!("; expected one of {}", known.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn schema() -> Schema {
+        Schema::new([
+            Param::bool("png8", true, "Write PNG."),
+            Param::int("quality", 90, 1..=100, "Quality.").unit("%"),
+            Param::float("gap", 0.5, 0.0..=2.0, "Gap.").unit("mm"),
+            Param::choice("encode", "panel", [("panel", "The panel's."), ("srgb", "sRGB.")], "Encoding."),
+            Param::text("title", "", "Title."),
+        ])
+    }
+
+    #[test]
+    fn defaults_are_filled_in_and_given_values_kept() {
+        let resolved = schema().resolve(&json!({"gap": 1, "encode": "srgb"})).unwrap();
+        let expected = json!({"png8": true, "quality": 90, "gap": 1.0, "encode": "srgb", "title": ""});
+        assert_eq!(Value::Object(resolved), expected);
+        assert_eq!(schema().resolve(&Value::Null).unwrap()["quality"], 90);
+    }
+
+    #[test]
+    fn errors_name_parameter_range_and_value() {
+        for (given, message) in [
+            (json!({"pgn8": true}), "unknown parameter `pgn8`; did you mean `png8`?"),
+            (json!({"zzz": 1}), "unknown parameter `zzz`; expected one of png8, quality, gap, encode, title"),
+            (json!({"quality": 101}), "parameter `quality`: expected a whole number from 1 to 100 %, found 101"),
+            (json!({"quality": 1.5}), "parameter `quality`: expected a whole number from 1 to 100 %, found 1.5"),
+            (json!({"gap": -0.1}), "parameter `gap`: expected a number from 0 to 2 mm, found -0.1"),
+            (json!({"encode": "rgb"}), "parameter `encode`: expected one of panel, srgb, found \"rgb\""),
+            (json!({"png8": 1}), "parameter `png8`: expected true or false, found 1"),
+            (json!({"title": 3}), "parameter `title`: expected a text, found 3"),
+            (json!([1]), "parameters: expected an object of names and values, found [1]"),
+        ] {
+            assert_eq!(schema().resolve(&given).unwrap_err().to_string(), message);
+        }
+    }
+
+    #[test]
+    fn a_schema_survives_json_and_is_checked() {
+        let schema = schema();
+        schema.check().unwrap();
+        assert_eq!(serde_json::from_str::<Schema>(&schema.to_json()).unwrap(), schema);
+        let bad = |param: Param| Schema::new([Param::bool("png8", true, "x"), param]).check().unwrap_err();
+        assert!(bad(Param::bool("png8", true, "Twice.")).contains("twice"));
+        assert!(bad(Param::int("n", 5, 0..=4, "Out of range.")).contains("default 5"));
+        assert!(bad(Param::float("x", f64::NAN, 0.0..=4.0, "NaN.")).contains("default"));
+        assert!(bad(Param::bool("n", true, " ")).contains("no help"));
+        assert!(bad(Param::bool("N n", true, "Odd name.")).contains("lower-case"));
+    }
+
+    #[test]
+    fn help_is_one_line() {
+        let line = schema().params[1].to_string();
+        assert_eq!(line, "quality = 90: Quality (a whole number from 1 to 100 %)");
+    }
+}

@@ -1,0 +1,16 @@
+//! The host's side of the boundary: describes plugins, lends data, offers services, and drives outputs through their C functions,
+//! the same way for plugins that are compiled in and that are loaded.
+//!
+//! The host proper (`lumistack-plugin-host`) adds a registry and files on disk, the test kit files in memory.
+
+mod lend;
+mod output;
+mod path;
+mod plugin;
+mod services;
+
+pub use lend::OutputData;
+pub use output::Output;
+pub use path::path_parts;
+pub use plugin::{Plugin, PluginInfo, PluginKind};
+pub use services::{LogLevel, Services};

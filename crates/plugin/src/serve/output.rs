@@ -1,0 +1,125 @@
+//! One output that is being written.
+
+use std::ffi::c_void;
+use std::marker::PhantomData;
+
+use lumistack_display::Display;
+use lumistack_plugin_abi::{self as abi, ErrorSink, HostServices, OutputVtable, Status, Str};
+use serde_json::Value;
+
+use crate::boundary::call;
+use crate::serve::lend::Lent;
+use crate::serve::services::table;
+use crate::serve::{OutputData, Plugin, Services};
+use crate::{PluginError, Port, Time};
+
+/// An open output of a plugin; closed when dropped, abandoned unless it was finished.
+pub struct Output<'a> {
+    vtable: &'static OutputVtable,
+    instance: *mut c_void,
+    id: String,
+    ports: Vec<Port>,
+    display: &'a Display,
+    /// The plugin keeps a pointer to it.
+    _table: Box<HostServices>,
+    _services: PhantomData<&'a ()>,
+}
+
+// SAFETY: the boundary lets the functions of an output be called from any thread.
+unsafe impl Send for Output<'_> {}
+// SAFETY: `submit`, the only function that a shared output offers besides `run`, may be called from several threads at once.
+unsafe impl Sync for Output<'_> {}
+
+impl<'a> Output<'a> {
+    /// Starts an output. `params` is an object with any of the plugin's parameters.
+    ///
+    /// # Errors
+    /// [`PluginError::Refused`] for parameters that the plugin's schema does not allow; otherwise what the plugin returns.
+    pub fn open<S: Services>(
+        plugin: &Plugin,
+        services: &'a S,
+        params: &Value,
+        display: &'a Display,
+    ) -> Result<Self, PluginError> {
+        let resolved = plugin.info().schema.resolve(params)?;
+        Self::open_unresolved(plugin, services, &Value::Object(resolved).to_string(), display)
+    }
+
+    /// As [`open`](Self::open), but leaves all checking of the parameters to the plugin, as a host in another language would.
+    ///
+    /// # Errors
+    /// What the plugin returns.
+    pub fn open_unresolved<S: Services>(
+        plugin: &Plugin,
+        services: &'a S,
+        params_json: &str,
+        display: &'a Display,
+    ) -> Result<Self, PluginError> {
+        let display_json = serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))?;
+        let table = Box::new(table(services));
+        let open = function(plugin.vtable.open)?;
+        let mut instance = std::ptr::null_mut();
+        // SAFETY: the table lives until `close` has returned (fields are dropped after `drop`); the rest is lent for the call.
+        call(|error| unsafe { open(&*table, Str::new(params_json), Str::new(&display_json), &mut instance, error) })?;
+        Ok(Self {
+            vtable: plugin.vtable,
+            instance,
+            id: plugin.info().id.clone(),
+            ports: plugin.info().ports.clone(),
+            display,
+            _table: table,
+            _services: PhantomData,
+        })
+    }
+
+    /// Hands over one time; from any thread.
+    ///
+    /// # Errors
+    /// If the plugin does not accept the port, the data do not fit the display, or the plugin fails.
+    pub fn submit(&self, time: Time, data: OutputData<'_>) -> Result<(), PluginError> {
+        if !self.ports.contains(&data.port()) {
+            let accepted = self.ports.iter().map(Port::to_string).collect::<Vec<_>>().join(", ");
+            return Err(PluginError::Refused(format!("`{}` accepts {accepted}, found {}", self.id, data.port())));
+        }
+        let lent = Lent::new(self.display, data)?;
+        let data = lent.to_abi();
+        let time = abi::Time { size: size_of::<abi::Time>(), index: time.index, seconds: time.seconds };
+        let submit = function(self.vtable.submit)?;
+        // SAFETY: the handle is the plugin's own; time and data are lent for the call.
+        call(|error| unsafe { submit(self.instance, &time, &data, error) })
+    }
+
+    /// For presenters: runs until the user closes the presentation. Call it on the main thread.
+    ///
+    /// # Errors
+    /// If the plugin is no presenter, or fails.
+    pub fn run(&self) -> Result<(), PluginError> {
+        let run = function(self.vtable.run)?;
+        // SAFETY: the handle is the plugin's own.
+        call(|error| unsafe { run(self.instance, error) })
+    }
+
+    /// No more data will come.
+    ///
+    /// # Errors
+    /// What the plugin returns.
+    pub fn finish(self) -> Result<(), PluginError> {
+        let finish: unsafe extern "C" fn(*mut c_void, *const ErrorSink) -> Status = function(self.vtable.finish)?;
+        // SAFETY: the handle is the plugin's own; `self` is consumed, so no submit is running.
+        call(|error| unsafe { finish(self.instance, error) })
+    }
+}
+
+impl Drop for Output<'_> {
+    fn drop(&mut self) {
+        if let Some(close) = self.vtable.close {
+            // SAFETY: the handle is given back once; the table is dropped after this.
+            unsafe { close(self.instance) };
+        }
+    }
+}
+
+/// A function that a checked plugin has, or a clear error.
+fn function<F>(function: Option<F>) -> Result<F, PluginError> {
+    function.ok_or_else(|| PluginError::Refused("the plugin does not have this function".into()))
+}

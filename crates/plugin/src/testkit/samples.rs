@@ -1,0 +1,152 @@
+//! Small displays with data whose every value differs, so that swapped layers, frames, views or channels show.
+
+use lumistack_core::seed::{Stream, derive};
+use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, ViewGrid};
+
+use crate::Port;
+use crate::serve::OutputData;
+
+/// A display with data for one port.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// What is special about it.
+    pub name: &'static str,
+    /// The display.
+    pub display: Display,
+    kind: Kind,
+}
+
+#[derive(Clone, Debug)]
+enum Kind {
+    Stack(LayerStack),
+    Field(LightField),
+}
+
+impl Sample {
+    /// The data.
+    pub fn data(&self) -> OutputData<'_> {
+        match &self.kind {
+            Kind::Stack(stack) => OutputData::LayerStack(stack, None),
+            Kind::Field(field) => OutputData::LightField(field),
+        }
+    }
+
+    /// The data's port.
+    pub fn port(&self) -> Port {
+        self.data().port()
+    }
+
+    /// The layer stack, if it is one.
+    pub fn stack(&self) -> Option<&LayerStack> {
+        match &self.kind {
+            Kind::Stack(stack) => Some(stack),
+            Kind::Field(_) => None,
+        }
+    }
+
+    /// The light field, if it is one.
+    pub fn field(&self) -> Option<&LightField> {
+        match &self.kind {
+            Kind::Field(field) => Some(field),
+            Kind::Stack(_) => None,
+        }
+    }
+}
+
+/// All samples; those of a port with [`Sample::port`].
+pub fn samples() -> Vec<Sample> {
+    let layered = display(LAYERED);
+    let directional = display(DIRECTIONAL);
+    let perspective = FieldGeometry {
+        rows: 5,
+        cols: 9,
+        pitch_mm: 0.5,
+        grid: ViewGrid {
+            projection: Projection::Perspective { distance_mm: 500.0 },
+            slope_x: vec![-0.1, 0.0, 0.15],
+            slope_y: vec![0.05, -0.05],
+        },
+    };
+    let mut field = LightField::black(perspective).expect("the geometry is sound");
+    fill(field.radiance_mut().data_mut(), 3);
+    vec![
+        Sample {
+            name: "three layers of different resolution and transfer function, two frames",
+            kind: Kind::Stack(random_stack(&layered, 1)),
+            display: layered.clone(),
+        },
+        Sample {
+            name: "one layer, one frame, directional backlight",
+            kind: Kind::Stack(random_stack(&directional, 2)),
+            display: directional,
+        },
+        Sample { name: "perspective light field of 3 × 2 views", kind: Kind::Field(field), display: layered },
+    ]
+}
+
+const LAYERED: &str = r#"
+name = "three layers"
+frames = 2
+brightness = 0.5
+[field]
+resolution = [8, 6]
+pitch_mm = 1.0
+views = [3, 3]
+fov_deg = [10.0, 10.0]
+[[layers]]
+d_mm = -4.0
+resolution = [8, 6]
+pitch_mm = 1.0
+[[layers]]
+d_mm = 0.0
+resolution = [10, 7]
+pitch_mm = 0.8
+transfer = "linear"
+[[layers]]
+d_mm = 4.0
+resolution = [4, 3]
+pitch_mm = 2.0
+transfer = { gamma = 2.2 }
+"#;
+
+const DIRECTIONAL: &str = r#"
+name = "directional"
+frames = 1
+[field]
+resolution = [8, 6]
+pitch_mm = 1.0
+views = [3, 2]
+fov_deg = [40.0, 40.0]
+[backlight]
+kind = "lenslets"
+d_mm = -6.0
+lenslets = [4, 3]
+pitch_mm = 2.0
+fov_deg = [40.0, 40.0]
+views = [3, 2]
+[[layers]]
+d_mm = 0.0
+resolution = [8, 6]
+pitch_mm = 1.0
+"#;
+
+fn display(toml: &str) -> Display {
+    Display::from_toml(toml).expect("the sample displays are sound")
+}
+
+/// A stack of uniformly distributed values.
+fn random_stack(display: &Display, seed: u64) -> LayerStack {
+    let mut stack = LayerStack::filled(display, 0.0);
+    for (n, layer) in stack.layers.iter_mut().enumerate() {
+        fill(layer.data_mut(), derive(seed, &[n as u64]));
+    }
+    if let Some(emission) = &mut stack.emission {
+        fill(emission.data_mut(), derive(seed, &[u64::MAX]));
+    }
+    stack
+}
+
+fn fill(values: &mut [f32], seed: u64) {
+    let mut stream = Stream::new(derive(seed, &[]));
+    values.fill_with(|| stream.next_f32());
+}

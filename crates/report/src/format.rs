@@ -1,0 +1,93 @@
+//! Numbers as people read them. Units stand in the text around them unless the function's name says otherwise.
+
+/// Decibels with one decimal; "∞" for equal pictures, "–" where nothing was compared.
+pub(crate) fn decibels(value: f64) -> String {
+    match value {
+        v if v.is_nan() => "–".into(),
+        f64::INFINITY => "∞".into(),
+        v => minus(format!("{v:.1}")),
+    }
+}
+
+/// Seconds with a unit: "0.42 s", "12.3 s", "3 min 05 s".
+pub(crate) fn duration(seconds: f64) -> String {
+    match seconds {
+        s if !s.is_finite() => "–".into(),
+        s if s < 9.995 => format!("{s:.2} s"),
+        s if s < 99.95 => format!("{s:.1} s"),
+        s => {
+            let total = s.round() as u64;
+            match total / 3600 {
+                0 => format!("{} min {:02} s", total / 60, total % 60),
+                hours => format!("{hours} h {:02} min", total % 3600 / 60),
+            }
+        }
+    }
+}
+
+/// A slope (tangent) as a signed angle with its unit: "+8.0°".
+pub(crate) fn angle(slope: f64) -> String {
+    let degrees = slope.atan().to_degrees();
+    // avoids "−0.0°"
+    if degrees.abs() < 0.05 { "0.0°".into() } else { minus(format!("{degrees:+.1}°")) }
+}
+
+/// A number without needless digits.
+pub(crate) fn number(value: f64) -> String {
+    let text = format!("{value:.4}");
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    minus(if text == "-0" { "0".into() } else { text.into() })
+}
+
+/// A share of 1 as a percentage that says 100 % only for everything.
+pub(crate) fn percent(share: f64) -> String {
+    if share < 1.0 { format!("{:.1} %", (share * 100.0).min(99.9)) } else { "100 %".into() }
+}
+
+/// "1 frame", "3 frames".
+pub(crate) fn counted(count: usize, noun: &str) -> String {
+    if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
+}
+
+/// A relative path as a link that cannot name a scheme or leave its own meaning: bytes outside the unreserved set are percent-encoded.
+pub(crate) fn relative_href(path: &str) -> String {
+    let mut href = String::from("./");
+    for byte in path.trim_start_matches(['/', '\\']).bytes() {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'_' | b'.' | b'~' | b'/' => href.push(byte.into()),
+            b'\\' => href.push('/'),
+            _ => href.push_str(&format!("%{byte:02X}")),
+        }
+    }
+    href
+}
+
+fn minus(text: String) -> String {
+    text.replace('-', "−")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_well() {
+        assert_eq!(decibels(31.25), "31.2");
+        assert_eq!(decibels(-3.04), "−3.0");
+        assert_eq!((decibels(f64::INFINITY), decibels(f64::NAN)), ("∞".into(), "–".into()));
+        assert_eq!(
+            [0.4249, 12.34, 185.4, 7265.0, f64::NAN].map(duration),
+            ["0.42 s", "12.3 s", "3 min 05 s", "2 h 01 min", "–"]
+        );
+        assert_eq!([-0.141, 0.0, -1e-9].map(angle), ["−8.0°", "0.0°", "0.0°"]);
+        assert_eq!([-40.0, 0.2827, 2.961, -0.00001].map(number), ["−40", "0.2827", "2.961", "0"]);
+        assert_eq!([1.0, 0.99999, 0.913].map(percent), ["100 %", "99.9 %", "91.3 %"]);
+    }
+
+    #[test]
+    fn a_path_cannot_become_a_scheme() {
+        assert_eq!(relative_href("javascript:alert(1)"), "./javascript%3Aalert%281%29");
+        assert_eq!(relative_href("//host/a b#c.png"), "./host/a%20b%23c.png");
+        assert_eq!(relative_href("outputs/layer 0.png"), "./outputs/layer%200.png");
+    }
+}

@@ -1,0 +1,105 @@
+//! report.html: pictures first, then figures, then settings. maud escapes every text.
+
+mod figures;
+mod settings;
+mod views;
+
+mod layers;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use crate::measure::Measured;
+use crate::patterns::Patterns;
+use crate::picture::Embedded;
+use crate::{ReportError, ReportInput};
+
+const STYLE: &str = include_str!("page/style.css");
+const SCRIPT: &str = include_str!("page/script.js");
+/// Nothing may be fetched: pictures are data URIs, style and script are inline.
+const POLICY: &str =
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
+
+/// Pictures with fewer columns than this are enlarged with sharp pixels.
+const SHARP_COLS: usize = 600;
+
+pub(crate) fn render(input: &ReportInput, measured: &Measured, patterns: &Patterns) -> Result<String, ReportError> {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                meta http-equiv="Content-Security-Policy" content=(POLICY);
+                title { (input.title) " – Lumistack report" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                header {
+                    h1 { (input.title) }
+                    (figures::key_figures(input, measured))
+                    (settings::warnings(input.warnings))
+                    nav {
+                        a href="#views" { "Views" }
+                        a href="#layers" { "Layers" }
+                        a href="#psnr" { "PSNR per view" }
+                        a href="#convergence" { "Convergence" }
+                        a href="#time" { "Time" }
+                        a href="#settings" { "Settings" }
+                    }
+                }
+                main {
+                    (views::headline(measured))
+                    (views::look_around(measured))
+                    (views::comparisons(input, measured))
+                    (layers::patterns(input, patterns))
+                    (figures::psnr_grids(measured))
+                    (figures::convergence(input)?)
+                    (figures::timings(input.stages))
+                    (settings::section(input))
+                }
+                footer { "Lumistack " (input.version) "; numbers of this page are in report.json" }
+                dialog id="zoom" {
+                    div class="bar" {
+                        button type="button" data-step="-1" aria-label="previous picture" { "‹" }
+                        button type="button" data-step="1" aria-label="next picture" { "›" }
+                        output {}
+                        button type="button" data-close="" { "close" }
+                    }
+                    div class="room" { img alt=""; }
+                }
+                script { (PreEscaped(SCRIPT)) }
+            }
+        }
+    };
+    Ok(page.into_string())
+}
+
+/// A picture that fills its place and opens at full size.
+fn picture(embedded: &Embedded, description: &str) -> Markup {
+    let class = if embedded.cols < SHARP_COLS { "zoom sharp" } else { "zoom" };
+    html! {
+        img class=(class) src=(embedded.uri) width=(embedded.cols) height=(embedded.rows) alt=(description) title=(description) tabindex="0";
+    }
+}
+
+/// A picture with a line below it.
+fn figure(embedded: &Embedded, description: &str, caption: &str) -> Markup {
+    html! { figure { (picture(embedded, description)) figcaption { (caption) } } }
+}
+
+/// A bar of colours with its ends named.
+fn legend(anchors: [[u8; 3]; 5], labels: &[String]) -> Markup {
+    let stops: Vec<String> = anchors.iter().map(|[r, g, b]| format!("rgb({r} {g} {b})")).collect();
+    html! {
+        div class="legend" {
+            div class="ramp" style=(format!("background:linear-gradient(to right,{})", stops.join(","))) {}
+            div class="ticks" { @for label in labels { span { (label) } } }
+        }
+    }
+}
+
+/// "shown at 1/2 size" or nothing.
+fn shrunk_note(factor: usize) -> String {
+    if factor > 1 { format!(" Shown at 1/{factor} size, averaged over areas.") } else { String::new() }
+}

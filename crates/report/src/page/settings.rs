@@ -1,0 +1,161 @@
+//! The display, the job, the scene, warnings and versions.
+
+use lumistack_core::Warning;
+use lumistack_display::{Backlight, Display, Missing, OutsideBins, Projection, Sampling, Transfer};
+use maud::{Markup, html};
+use serde_json::Value;
+
+use crate::{ReportInput, format};
+
+/// Lists longer than this start folded.
+const FOLD: usize = 60;
+
+/// Warnings, above the pictures because they may explain them.
+pub(super) fn warnings(warnings: &[Warning]) -> Markup {
+    html! {
+        @if !warnings.is_empty() {
+            details class="warnings" open[warnings.len() <= 5] {
+                summary { (format::counted(warnings.len(), "warning")) }
+                ul { @for warning in warnings { li { code { (warning.place) } " " (warning.message) } } }
+            }
+        }
+    }
+}
+
+/// The page's last section.
+pub(super) fn section(input: &ReportInput) -> Markup {
+    html! {
+        section id="settings" {
+            h2 { "Settings" }
+            @if let Some(command) = input.command { p { "Made by " code { (command) } " with Lumistack " (input.version) "." } }
+            (display(input))
+            @if let Some(scene) = input.scene { (facts("Scene", scene)) }
+            (facts("Job, every default written out", input.settings))
+        }
+    }
+}
+
+fn display(input: &ReportInput) -> Markup {
+    let display = input.display;
+    html! {
+        h3 { "Display" span { (display.name) } }
+        table class="facts" { @for (name, value) in display_facts(input) { tr { th scope="row" { (name) } td { (value) } } } }
+        div class="scroll" {
+            table class="layers" {
+                thead { tr { @for name in ["layer", "d, mm", "pixels", "pitch, mm", "size, mm", "offset, mm", "black level", "transfer"] { th scope="col" { (name) } } } }
+                tbody {
+                    @for (n, layer) in display.layers.iter().enumerate() {
+                        @let [cols, rows] = layer.resolution;
+                        tr {
+                            td { (n) }
+                            td { (format::number(layer.d_mm)) }
+                            td { (cols) " × " (rows) }
+                            td { (format::number(layer.pitch_mm)) }
+                            td { (format::number(cols as f64 * layer.pitch_mm)) " × " (format::number(rows as f64 * layer.pitch_mm)) }
+                            td { (format::number(layer.offset_mm[0])) ", " (format::number(layer.offset_mm[1])) }
+                            td { (format::number(layer.black_level)) }
+                            td { @match layer.transfer { Transfer::Srgb => "sRGB", Transfer::Linear => "linear", Transfer::Gamma(gamma) => { "gamma " (format::number(gamma)) } } }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn display_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
+    let display = input.display;
+    let geometry = input.target.geometry();
+    let [width_mm, height_mm] = geometry.size_mm().map(format::number);
+    let range = |slopes: &[f64]| {
+        let (low, high) = slopes.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));
+        format!("{} to {}", format::angle(low), format::angle(high))
+    };
+    let projection = match geometry.grid.projection {
+        Projection::Oblique => "oblique (parallel projections)".into(),
+        Projection::Perspective { distance_mm } => format!("perspective from {} mm", format::number(distance_mm)),
+    };
+    let [rows, cols] = geometry.grid.views();
+    vec![
+        ("light field", format!("{} × {} pixels of {} mm: {width_mm} × {height_mm} mm", geometry.cols, geometry.rows, format::number(geometry.pitch_mm))),
+        ("views", format!("{cols} across, {} · {rows} up, {}", range(&geometry.grid.slope_x), range(&geometry.grid.slope_y))),
+        ("projection", projection),
+        ("frames", format!("{} at {} Hz: the eye sees {} periods a second", display.frames, format::number(display.refresh_hz), format::number(display.period_hz()))),
+        ("brightness β", format::number(input.stack.brightness)),
+        ("backlight", backlight(display)),
+        ("sampling", match display.sampling { Sampling::Nearest => "nearest pixel", Sampling::Bilinear => "bilinear" }.into()),
+        ("rays that leave a layer", match display.missing { Missing::Drop => "do not count (drop)", Missing::Clear => "pass it unattenuated (clear)" }.into()),
+    ]
+}
+
+fn backlight(display: &Display) -> String {
+    match &display.backlight {
+        Backlight::Uniform => "uniform".into(),
+        Backlight::Lenslets(b) => format!(
+            "{} × {} lenslets of {} mm at d = {} mm, {} × {} directions over {}° × {}°, {} beyond",
+            b.lenslets[0],
+            b.lenslets[1],
+            format::number(b.pitch_mm),
+            format::number(b.d_mm),
+            b.views[0],
+            b.views[1],
+            format::number(b.fov_deg[0]),
+            format::number(b.fov_deg[1]),
+            match b.outside_bins {
+                OutsideBins::Dark => "dark",
+                OutsideBins::Repeat => "repeated",
+            }
+        ),
+    }
+}
+
+/// Any JSON as a table of dotted keys.
+fn facts(name: &str, value: &Value) -> Markup {
+    let mut rows = Vec::new();
+    flatten(String::new(), value, &mut rows);
+    html! {
+        @if !rows.is_empty() {
+            details open[rows.len() <= FOLD] {
+                summary { h3 { (name) } }
+                table class="facts" { @for (key, value) in &rows { tr { th scope="row" { (key) } td { (value) } } } }
+            }
+        }
+    }
+}
+
+fn flatten(key: String, value: &Value, rows: &mut Vec<(String, String)>) {
+    let scalar = |value: &Value| !value.is_object() && !value.is_array();
+    match value {
+        Value::Object(map) => map.iter().for_each(|(name, value)| {
+            flatten(if key.is_empty() { name.clone() } else { format!("{key}.{name}") }, value, rows);
+        }),
+        Value::Array(list) if !list.iter().all(scalar) => {
+            list.iter().enumerate().for_each(|(i, value)| flatten(format!("{key}[{i}]"), value, rows));
+        }
+        Value::Array(list) => rows.push((key, list.iter().map(text).collect::<Vec<_>>().join(", "))),
+        Value::Null if key.is_empty() => {}
+        scalar => rows.push((key, text(scalar))),
+    }
+}
+
+fn text(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Null => "none".into(),
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nested_settings_become_dotted_keys() {
+        let mut rows = Vec::new();
+        let value = serde_json::json!({"solver": {"iterations": 50, "seed": null}, "fov": [20, 30], "nodes": [{"id": "a"}]});
+        flatten(String::new(), &value, &mut rows);
+        let rows: Vec<_> = rows.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
+        assert_eq!(rows, [("solver.iterations", "50"), ("solver.seed", "none"), ("fov", "20, 30"), ("nodes[0].id", "a")]);
+    }
+}

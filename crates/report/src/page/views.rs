@@ -1,0 +1,136 @@
+//! Target, simulated and difference views.
+
+use maud::{Markup, html};
+
+use super::{figure, legend, shrunk_note};
+use crate::measure::{Comparison, Measured};
+use crate::picture::{DIVERGING, Embedded};
+use crate::{ReportInput, format};
+
+/// The central view, large.
+pub(super) fn headline(measured: &Measured) -> Markup {
+    let k = measured.headline.amplification;
+    html! {
+        section id="views" class="headline" {
+            div class="compare group" { (three(&measured.headline)) }
+            div class="beside" {
+                p {
+                    "The view from straight ahead. A good display shows the target's picture again, and its difference is almost white: red is too bright, blue too dark, and the error is "
+                    "amplified " strong { "× " (k) } " (of the colour channel that is furthest off, in linear light)."
+                    @if measured.has_dropped_rays { " Grey squares are rays that leave a layer or have weight 0; they do not count, and the display may show black there." }
+                    " Views are divided by the brightness β, clamped to 0..1 and sRGB-encoded." (shrunk_note(measured.headline_shrunk))
+                    " Click a picture for full size; there the arrow keys flip between target, simulated and difference in place."
+                }
+                (difference_legend(k))
+            }
+        }
+    }
+}
+
+/// Two pictures that follow the pointer.
+pub(super) fn look_around(measured: &Measured) -> Markup {
+    let sheets = &measured.sheets;
+    let (rows, cols) = (sheets.up.len(), sheets.across.len());
+    if rows * cols < 2 {
+        return html! {};
+    }
+    let sheet = |picture: &Embedded, name: &str| {
+        let style = format!(
+            "width:{}%;transform:translate({}%,{}%)",
+            100 * cols,
+            -100.0 * (cols / 2) as f64 / cols as f64,
+            -100.0 * (rows / 2) as f64 / rows as f64
+        );
+        let ratio = format!("aspect-ratio:{}/{}", picture.cols / cols, picture.rows / rows);
+        let class = if picture.cols / cols < super::SHARP_COLS { "sharp" } else { "" };
+        html! {
+            figure {
+                div class="sheet" style=(ratio) {
+                    img class=(class) src=(picture.uri) width=(picture.cols) height=(picture.rows) style=(style) alt=(format!("{name}: all {rows} × {cols} views"));
+                }
+                figcaption { (name) }
+            }
+        }
+    };
+    html! {
+        section {
+            h2 { "Look around" }
+            p {
+                "Move the pointer across either picture, as your eye would move in front of the display (or focus it and use the arrow keys). Moving right, things in front of the display's plane shift to the "
+                "left and things behind it to the right, in both pictures alike."
+            }
+            div id="look" tabindex="0" data-across=(sheets.across.join("|")) data-up=(sheets.up.join("|")) {
+                (sheet(&sheets.target, "Target"))
+                (sheet(&sheets.simulated, "Simulated"))
+                output { "view from straight ahead" }
+            }
+        }
+    }
+}
+
+/// Corners, centre, worst and in-between views.
+pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
+    let grid = &input.target.geometry().grid;
+    let one_view = grid.views() == [1, 1];
+    let with_target: Vec<&Comparison> = measured.rows.iter().filter(|row| row.target.is_some()).collect();
+    let simulated_only = measured.rows.iter().filter(|row| row.target.is_none());
+    html! {
+        section {
+            h2 { "Views side by side" }
+            p {
+                "Corner views are the hardest: their rays lean most, so things far from the display blur or double there first. In-between views were not targets of the optimization; ghosts and noise that "
+                "only they show mean that the target's views are too far apart."
+                @if input.held_out.is_none() && !one_view {
+                    " No target was rendered for the in-between views here, so they are shown as simulated only."
+                }
+                (shrunk_note(measured.rows_shrunk))
+            }
+            @for (i, row) in with_target.iter().enumerate() {
+                @if i == 0 || row.amplification != with_target[i - 1].amplification { (difference_legend(row.amplification)) }
+                div class="row" {
+                    h3 { (row.title) span { (facts(row)) } }
+                    div class="compare group" { (three(row)) }
+                }
+            }
+            @if simulated_only.clone().next().is_some() {
+                div class="row" {
+                    h3 { "In-between views" span { "simulated only" } }
+                    div class="compare group" {
+                        @for view in simulated_only { (figure(&view.simulated, &format!("Simulated in-between view, from {}", view.direction), &facts(view))) }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn facts(view: &Comparison) -> String {
+    let mut facts = format!("from {}", view.direction);
+    if let Some(psnr) = view.psnr {
+        facts += &format!(" · PSNR {} dB", format::decibels(psnr));
+    }
+    if view.counted_share < 1.0 {
+        facts += &format!(" · {} of rays count", format::percent(view.counted_share));
+    }
+    facts
+}
+
+/// Target, simulated and difference, as far as there is a target.
+fn three(view: &Comparison) -> Markup {
+    let amplification = view.amplification;
+    let name = |what: &str| format!("{what}: {}, {}", view.title, view.direction);
+    html! {
+        @if let Some(target) = &view.target { (figure(target, &name("Target"), "Target L")) }
+        (figure(&view.simulated, &name("Simulated"), "Simulated L̃/β"))
+        @if let Some(difference) = &view.difference {
+            (figure(difference, &name(&format!("Difference × {amplification}")), &format!("Simulated − target, × {amplification}")))
+        }
+    }
+}
+
+fn difference_legend(amplification: u32) -> Markup {
+    let end = 1.0 / f64::from(amplification);
+    let end = format::number(end);
+    let labels = [format!("≤ −{end} too dark"), format!("× {amplification}"), format!("≥ +{end} too bright")];
+    legend(DIVERGING, &labels)
+}

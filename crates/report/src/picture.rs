@@ -1,0 +1,251 @@
+//! Pictures for the page: linear light to 8-bit sRGB, the signed difference map, shrinking, data URIs.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder, ImageResult};
+use lumistack_core::colour::srgb_code;
+
+/// Linear RGB, `[row][col][rgb]`.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Linear {
+    pub(crate) rows: usize,
+    pub(crate) cols: usize,
+    pub(crate) data: Vec<f32>,
+}
+
+/// 8-bit RGB, ready to encode.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Picture {
+    pub(crate) rows: usize,
+    pub(crate) cols: usize,
+    pub(crate) rgb: Vec<u8>,
+}
+
+/// A picture as text for an `<img>`.
+#[derive(Clone, Debug)]
+pub(crate) struct Embedded {
+    pub(crate) rows: usize,
+    pub(crate) cols: usize,
+    pub(crate) uri: String,
+}
+
+/// File format of an embedded picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Encoding {
+    /// Lossless.
+    Png,
+    /// For large pictures; without chroma subsampling.
+    Jpeg,
+}
+
+/// JPEG quality at which block artifacts stay well below what a display itself does to a picture.
+const JPEG_QUALITY: u8 = 90;
+
+/// Pixels up to which pictures that belong together stay lossless: as noise, the worst case, they become 4 MB of text.
+const LOSSLESS_PIXELS: usize = 1_000_000;
+
+impl Encoding {
+    /// For so many pixels together.
+    pub(crate) fn for_pixels(pixels: usize) -> Self {
+        if pixels <= LOSSLESS_PIXELS { Self::Png } else { Self::Jpeg }
+    }
+}
+
+impl Linear {
+    /// Takes values that fill the shape; `scale` multiplies each.
+    pub(crate) fn new(rows: usize, cols: usize, data: &[f32], scale: f32) -> Self {
+        Self { rows, cols, data: data.iter().map(|value| value * scale).collect() }
+    }
+
+    /// Every block of `factor` × `factor` pixels becomes its mean, in linear light; blocks at the right and bottom may be smaller.
+    pub(crate) fn shrunk(&self, factor: usize) -> Self {
+        if factor <= 1 {
+            return self.clone();
+        }
+        let (rows, cols) = (self.rows.div_ceil(factor), self.cols.div_ceil(factor));
+        let mut data = Vec::with_capacity(rows * cols * 3);
+        for row in 0..rows {
+            let block_rows = row * factor..((row + 1) * factor).min(self.rows);
+            for col in 0..cols {
+                let block_cols = col * factor..((col + 1) * factor).min(self.cols);
+                let mut sum = [0.0f32; 3];
+                for r in block_rows.clone() {
+                    for pixel in self.data[(r * self.cols + block_cols.start) * 3..][..block_cols.len() * 3].chunks_exact(3) {
+                        (0..3).for_each(|c| sum[c] += pixel[c]);
+                    }
+                }
+                data.extend(sum.map(|sum| sum / (block_rows.len() * block_cols.len()) as f32));
+            }
+        }
+        Self { rows, cols, data }
+    }
+
+    /// The part that starts at (row, col), at most `rows` × `cols`.
+    pub(crate) fn cropped(&self, row: usize, col: usize, rows: usize, cols: usize) -> Self {
+        let (rows, cols) = (rows.min(self.rows - row), cols.min(self.cols - col));
+        let lines = (row..row + rows).flat_map(|r| &self.data[(r * self.cols + col) * 3..][..cols * 3]);
+        Self { rows, cols, data: lines.copied().collect() }
+    }
+
+    /// sRGB-encoded, clamped to 0..1.
+    pub(crate) fn encoded(&self) -> Picture {
+        Picture { rows: self.rows, cols: self.cols, rgb: self.data.iter().map(|value| srgb_code(*value)).collect() }
+    }
+}
+
+/// Signed error of every pixel, in linear light: the channel that is furthest off, simulated minus target; `None` where the ray does not
+/// count. No channel's error can hide behind another's.
+pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(usize) -> bool) -> Vec<Option<f32>> {
+    let pixels = simulated.chunks_exact(3).zip(target.chunks_exact(3)).enumerate();
+    pixels
+        .map(|(i, (simulated, target))| {
+            let errors = (0..3).map(|c| simulated[c] - target[c]);
+            counts(i).then(|| errors.fold(0.0, |worst: f32, e| if e.abs() > worst.abs() { e } else { worst }))
+        })
+        .collect()
+}
+
+/// The largest amplification of 1, 2, 5, 10, ... under which 99 of 100 errors stay within the colour map.
+pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -> u32 {
+    /// Errors below this are not worth showing.
+    const SMALLEST: f32 = 1e-4;
+    let mut sizes: Vec<f32> = errors.flatten().map(|e| e.abs()).filter(|e| e.is_finite()).collect();
+    if sizes.is_empty() {
+        return 1;
+    }
+    let index = (sizes.len() - 1) * 99 / 100;
+    let (_, percentile, _) = sizes.select_nth_unstable_by(index, f32::total_cmp);
+    let room = 1.0 / percentile.max(SMALLEST);
+    let steps = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
+    steps.into_iter().rev().find(|step| *step as f32 <= room).unwrap_or(1)
+}
+
+/// Colours of [`difference`], from −1 (too dark) through 0 to +1 (too bright). Distinguishable without red-green vision.
+pub(crate) const DIVERGING: [[u8; 3]; 5] =
+    [[20, 64, 140], [103, 163, 214], [247, 247, 244], [240, 146, 88], [158, 22, 34]];
+
+/// Colours of a figure map, from low to high: dark violet to yellow, monotone in lightness.
+pub(crate) const SEQUENTIAL: [[u8; 3]; 5] =
+    [[60, 16, 88], [62, 78, 140], [38, 140, 140], [96, 196, 100], [250, 228, 60]];
+
+/// A colour of a map; `t` in 0..1 is clamped, NaN gives the middle.
+pub(crate) fn map_colour(anchors: [[u8; 3]; 5], t: f32) -> [u8; 3] {
+    let position = if t.is_nan() { 2.0 } else { t.clamp(0.0, 1.0) * 4.0 };
+    let first = (position as usize).min(3);
+    let part = position - first as f32;
+    [0, 1, 2].map(|c| {
+        let (a, b) = (f32::from(anchors[first][c]), f32::from(anchors[first + 1][c]));
+        (a + part * (b - a) + 0.5) as u8
+    })
+}
+
+/// Draws [`signed_error`] times `amplification`; rays that do not count become a grey checkerboard.
+pub(crate) fn difference(rows: usize, cols: usize, errors: &[Option<f32>], amplification: u32) -> Picture {
+    let rgb = errors.iter().enumerate().flat_map(|(i, error)| match error {
+        Some(error) => map_colour(DIVERGING, 0.5 + 0.5 * error * amplification as f32),
+        None => [if (i / cols / 2 + i % cols / 2) % 2 == 0 { 128 } else { 148 }; 3],
+    });
+    Picture { rows, cols, rgb: rgb.collect() }
+}
+
+impl Picture {
+    /// Mean of every block of `factor` × `factor` code values, for pictures that are colour maps.
+    pub(crate) fn shrunk(&self, factor: usize) -> Self {
+        if factor <= 1 {
+            return self.clone();
+        }
+        let codes = Linear { rows: self.rows, cols: self.cols, data: self.rgb.iter().map(|&v| f32::from(v)).collect() };
+        let Linear { rows, cols, data } = codes.shrunk(factor);
+        Self { rows, cols, rgb: data.into_iter().map(|value| (value + 0.5) as u8).collect() }
+    }
+
+    /// # Errors
+    /// If the encoder refuses the size.
+    pub(crate) fn embedded(&self, encoding: Encoding) -> ImageResult<Embedded> {
+        let (width, height, mut bytes) = (self.cols as u32, self.rows as u32, Vec::new());
+        // JPEG's sizes have 16 bits
+        let encoding = if width.max(height) > 65_500 { Encoding::Png } else { encoding };
+        let mime = match encoding {
+            Encoding::Png => {
+                PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive).write_image(
+                    &self.rgb,
+                    width,
+                    height,
+                    ExtendedColorType::Rgb8,
+                )?;
+                "image/png"
+            }
+            Encoding::Jpeg => {
+                JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).write_image(
+                    &self.rgb,
+                    width,
+                    height,
+                    ExtendedColorType::Rgb8,
+                )?;
+                "image/jpeg"
+            }
+        };
+        let uri = format!("data:{mime};base64,{}", STANDARD.encode(bytes));
+        Ok(Embedded { rows: self.rows, cols: self.cols, uri })
+    }
+}
+
+/// The smallest factor that brings `pictures` of `rows` × `cols` down to `budget` pixels together.
+pub(crate) fn shrink_factor(sizes: &[(usize, usize)], budget: usize) -> usize {
+    let longest = sizes.iter().map(|(rows, cols)| *rows.max(cols)).max().unwrap_or(1);
+    let total = |factor: usize| -> usize {
+        sizes.iter().map(|(rows, cols)| rows.div_ceil(factor) * cols.div_ceil(factor)).sum()
+    };
+    (1..longest).find(|factor| total(*factor) <= budget).unwrap_or(longest).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shrinking_keeps_the_mean_of_every_block() {
+        let picture = Linear { rows: 3, cols: 3, data: (0..9).flat_map(|i| [i as f32; 3]).collect() };
+        let small = picture.shrunk(2);
+        assert_eq!((small.rows, small.cols), (2, 2));
+        assert_eq!(small.data.iter().step_by(3).copied().collect::<Vec<_>>(), [2.0, 3.5, 6.5, 8.0]);
+    }
+
+    #[test]
+    fn the_difference_says_which_side_is_brighter() {
+        let errors = signed_error(&[0.5, 0.5, 0.7, 0.1, 0.1, 0.1, 0.0, 0.0, 0.0], &[0.5, 0.6, 0.5, 0.4, 0.1, 0.1, 1.0, 1.0, 1.0], |i| i < 2);
+        assert_eq!(errors.len(), 3);
+        assert!((errors[0].unwrap() - 0.2).abs() < 1e-6 && (errors[1].unwrap() + 0.3).abs() < 1e-6);
+        assert_eq!(errors[2], None);
+        let picture = difference(1, 3, &errors, 2);
+        assert!(picture.rgb[0] > picture.rgb[2], "too bright is red");
+        assert!(picture.rgb[3] < picture.rgb[5], "too dark is blue");
+        assert_eq!(difference(1, 1, &[Some(0.0)], 5).rgb, DIVERGING[2]);
+    }
+
+    #[test]
+    fn amplification_is_a_round_number_that_fits() {
+        let errors: Vec<_> = (0..1000).map(|i| Some(i as f32 * 1e-4)).collect();
+        assert_eq!(amplification(errors.iter()), 10);
+        assert_eq!(amplification([Some(0.0)].iter()), 5000);
+        assert_eq!(amplification([None].iter()), 1);
+        assert_eq!(amplification([Some(3.0), Some(f32::NAN)].iter()), 1);
+    }
+
+    #[test]
+    fn embedded_pictures_decode_to_the_same_pixels() {
+        let picture = Picture { rows: 1, cols: 2, rgb: vec![255, 0, 3, 10, 200, 30] };
+        let embedded = picture.embedded(Encoding::Png).unwrap();
+        let bytes = STANDARD.decode(embedded.uri.strip_prefix("data:image/png;base64,").unwrap()).unwrap();
+        assert_eq!(image::load_from_memory(&bytes).unwrap().to_rgb8().into_raw(), picture.rgb);
+    }
+
+    #[test]
+    fn the_shrink_factor_meets_the_budget() {
+        assert_eq!(shrink_factor(&[(100, 160); 3], 48_000), 1);
+        assert_eq!(shrink_factor(&[(525, 840); 39], 2_500_000), 3);
+        assert_eq!(shrink_factor(&[(1, 1); 9], 3), 1);
+    }
+}

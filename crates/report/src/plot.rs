@@ -1,0 +1,126 @@
+//! Line plots as SVG with real text. Text, axes and grid take the page's text colour, so that they stay readable on light and dark.
+
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use crate::{Iteration, ReportError};
+
+/// One plot: PSNR against something that grows.
+pub(crate) struct Axis {
+    /// Label with its unit.
+    pub(crate) label: &'static str,
+    /// Abscissa of an iteration.
+    pub(crate) position: fn(&Iteration) -> f64,
+}
+
+/// The two ways to read convergence.
+pub(crate) const AXES: [Axis; 2] = [
+    Axis { label: "iteration", position: |it| it.iteration as f64 },
+    Axis { label: "time since the solver's start, s", position: |it| it.seconds },
+];
+
+/// Width and height in SVG units.
+const SIZE: (u32, u32) = (560, 320);
+/// Readable on white and on near-black.
+const CURVE: RGBColor = RGBColor(46, 128, 242);
+
+/// Draws `psnr_view` over an axis; `None` when there is no finite point.
+///
+/// # Errors
+/// If plotters fails.
+pub(crate) fn convergence(history: &[Iteration], axis: &Axis) -> Result<Option<String>, ReportError> {
+    let points: Vec<(f64, f64)> = history.iter().map(|it| ((axis.position)(it), it.psnr_view)).collect();
+    let points: Vec<_> = points.into_iter().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
+    if points.is_empty() {
+        return Ok(None);
+    }
+    let svg = draw(&points, axis.label).map_err(|error| ReportError::Plot(error.to_string()))?;
+    let described = format!("role=\"img\" aria-label=\"PSNR in decibels over {}\" xmlns=", axis.label);
+    Ok(Some(svg.replace("\"#000000\"", "\"currentColor\"").replacen("xmlns=", &described, 1)))
+}
+
+fn draw(points: &[(f64, f64)], label: &str) -> Result<String, Box<dyn std::error::Error>> {
+    let (x_range, y_range) = (range(points.iter().map(|p| p.0), 0.0), range(points.iter().map(|p| p.1), 0.06));
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+        let mut chart = ChartBuilder::on(&root)
+            .margin(8)
+            .margin_right(22)
+            .x_label_area_size(46)
+            .y_label_area_size(58)
+            .build_cartesian_2d(x_range.clone(), y_range.clone())?;
+        let text = |size: i32| ("sans-serif", size).into_font().color(&BLACK);
+        let (x_digits, y_digits) = (digits(&x_range), digits(&y_range));
+        chart
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(BLACK.mix(0.15))
+            .axis_style(BLACK.mix(0.6))
+            .x_desc(label)
+            .y_desc("psnr_view, dB")
+            .x_labels(8)
+            .y_labels(6)
+            .x_label_formatter(&|x| format!("{x:.x_digits$}"))
+            .y_label_formatter(&|y| format!("{y:.y_digits$}"))
+            .label_style(text(17))
+            .axis_desc_style(text(18))
+            .draw()?;
+        chart.draw_series(LineSeries::new(points.iter().copied(), CURVE.stroke_width(2)))?;
+        // dots hide a long curve
+        let dots = points.iter().copied().filter(|_| points.len() <= 40);
+        chart.draw_series(dots.map(|point| Circle::new(point, 3, CURVE.filled())))?;
+        if let Some(&last) = points.last() {
+            let place = text(17).pos(Pos::new(HPos::Right, VPos::Bottom));
+            chart.draw_series([Text::new(format!("{:.1} dB", last.1), last, place)])?;
+        }
+        root.present()?;
+    }
+    Ok(svg)
+}
+
+/// A range around all values, never empty, widened by a share of its width on either side.
+fn range(values: impl Iterator<Item = f64>, widen: f64) -> std::ops::Range<f64> {
+    let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+    let width = high - low;
+    if width > 1e-9 { low - widen * width..high + widen * width } else { low - 0.5..high + 0.5 }
+}
+
+/// Decimals that tell tick labels apart.
+fn digits(range: &std::ops::Range<f64>) -> usize {
+    match range.end - range.start {
+        width if width >= 8.0 => 0,
+        width if width >= 0.8 => 1,
+        _ => 2,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn history(psnr: &[f64]) -> Vec<Iteration> {
+        let iteration = |(i, &psnr_view): (usize, &f64)| Iteration {
+            iteration: i as u32,
+            objective: 1.0,
+            psnr_view,
+            seconds: 0.1 * i as f64,
+        };
+        psnr.iter().enumerate().map(iteration).collect()
+    }
+
+    #[test]
+    fn labels_are_text_in_the_page_colour() {
+        let svg = convergence(&history(&[20.0, 25.0, 26.0]), &AXES[0]).unwrap().unwrap();
+        assert!(svg.contains("psnr_view, dB") && svg.contains("<text") && svg.contains("iteration"));
+        assert!(svg.contains("26.0 dB"));
+        assert!(svg.contains("fill=\"currentColor\"") && !svg.contains("#000000"));
+    }
+
+    #[test]
+    fn a_history_without_figures_has_no_plot() {
+        assert!(convergence(&[], &AXES[0]).unwrap().is_none());
+        assert!(convergence(&history(&[f64::INFINITY, f64::NAN]), &AXES[1]).unwrap().is_none());
+        assert!(convergence(&history(&[31.0]), &AXES[1]).unwrap().is_some());
+    }
+}
