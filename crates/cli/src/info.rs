@@ -4,7 +4,7 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{Backlight, Display};
-use lumistack_pipeline::{Job, LightJob, PipelineError, describe_light_field, load_scene, plugin_list, presets};
+use lumistack_pipeline::{Job, LightJob, PipelineError, describe_light_field, load_scene, plugin_list, plugin_text, presets};
 use serde_json::{Value, json};
 
 use crate::args::Info;
@@ -170,11 +170,10 @@ fn short(value: &Value) -> String {
 }
 
 pub(crate) fn print_plugins(as_json: bool) -> Result<(), PipelineError> {
-    let list = plugin_list();
-    if as_json {
-        println!("{list}");
+        if as_json {
+        println!("{}", plugin_list()?);
     } else {
-        println!("{}", lumistack_pipeline::plugin_text());
+        println!("{}", plugin_text()?);
     }
     Ok(())
 }

@@ -12,6 +12,7 @@
 //! set.
 
 mod bands;
+mod expand;
 mod factor;
 mod factorize;
 mod lanes;

@@ -16,7 +16,7 @@ use lumistack_display::LayerStack;
 use crate::factor::Factor;
 use crate::lanes::InstructionSet;
 use crate::plan::Plan;
-use crate::rows::{ErrorSum, LineOf};
+use crate::rows::{ErrorSum, LineOf, RowOf};
 use crate::{FLOOR, FactorizeError, Objective, Problem, Run, Solver, bands, rows, shifted};
 
 /// The paper's rule; the reference for every other solver.
@@ -135,11 +135,14 @@ impl Run for MultiplicativeRun {
     }
 
     fn objective(&mut self) -> Objective {
-        let (plan, factors, set) = (&self.plan, &self.factors, self.set);
+        let (plan, factors, set, fast) = (&self.plan, &self.factors, self.set, self.shifted);
         let sums = bands::map(
             3 * plan.rows,
             || rows::Scratch::new(plan, 0),
-            |scratch, index| rows::row_error(set, plan, factors, index / plan.rows, index % plan.rows, scratch),
+            |scratch, index| {
+                let at = RowOf { channel: index / plan.rows, row: index % plan.rows, fast };
+                rows::row_error(set, plan, factors, at, scratch)
+            },
         );
         let total = sums.iter().fold(ErrorSum::default(), |total, sum| ErrorSum {
             weighted: total.weighted + sum.weighted,

@@ -28,6 +28,13 @@ pub(crate) struct Plan {
     pub(crate) target: Target,
 }
 
+/// Weights of neighbouring pixels that differ by less than this are the same weight; a mask value changes by no more.
+const SAME_WEIGHT: f32 = 1e-6;
+/// Shorter pieces of equal shift are not worth a loop of their own.
+const SHORTEST_PIECE: usize = 8;
+/// Number of rays up to which a pixel's sums stay in f32: rounding adds up to at most that many times 6e-8.
+const SHORT_SUM: usize = 128;
+
 /// Where rays meet one factor.
 #[derive(Clone, Debug)]
 pub(crate) struct FactorMap {
@@ -38,6 +45,8 @@ pub(crate) struct FactorMap {
     pub(crate) y: Vec<Vec<LineTap>>,
     /// Per view row.
     rays: Vec<RaysOfLine>,
+    /// Whether few enough rays meet every pixel for their sum to be exact enough in f32.
+    pub(crate) short_sums: bool,
 }
 
 /// Columns of one view column's rays, as indices into a padded line.
@@ -47,10 +56,28 @@ pub(crate) struct ColumnTaps {
     pub(crate) second: Vec<u32>,
     /// Weight of `second`.
     pub(crate) t: Vec<f32>,
-    /// Whether every `t` is 0.
-    pub(crate) exact: bool,
+    /// The same in pieces that inner loops can take at once; together all field columns.
+    pub(crate) pieces: Vec<Piece>,
     /// Index minus field column, where that is the same for every ray that counts and every `t` is 0.
     pub(crate) shift: Option<isize>,
+}
+
+/// Consecutive field columns that read a factor alike.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Piece {
+    pub(crate) cols: Range<usize>,
+    pub(crate) access: Access,
+}
+
+/// How consecutive columns read a factor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Access {
+    /// At their own column plus `by`, mixed with the next by the weight `t`.
+    Shift { by: isize, t: f32 },
+    /// One pixel each, by table.
+    Indexed,
+    /// Two pixels each, by table.
+    Mixed,
 }
 
 /// Lines of one field row's rays.
@@ -158,8 +185,16 @@ impl FactorMap {
                 taps.iter().map(line).collect()
             })
             .collect();
-        let rays = y.iter().zip(valid_rows).map(|(taps, valid)| RaysOfLine::new(taps, valid, lines)).collect();
-        Self { layout, x, y, rays }
+        let rays: Vec<_> = y.iter().zip(valid_rows).map(|(taps, valid)| RaysOfLine::new(taps, valid, lines)).collect();
+        let rays_of_line = |line: usize| rays.iter().map(|r| (r.starts[line + 1] - r.starts[line]) as usize).sum();
+        let most_rows: usize = (0..lines).map(rays_of_line).max().unwrap_or(0);
+        let mut rays_of_col = vec![0usize; cols];
+        for tap in raw.x.iter().flatten().flatten() {
+            rays_of_col[tap.first as usize] += 1;
+            rays_of_col[tap.second as usize] += usize::from(tap.t > 0.0);
+        }
+        let short_sums = most_rows * rays_of_col.into_iter().max().unwrap_or(0) <= SHORT_SUM;
+        Self { layout, x, y, rays, short_sums }
     }
 }
 
@@ -171,10 +206,52 @@ impl ColumnTaps {
             first: taps.iter().map(|tap| index(tap.map(|tap| tap.first))).collect(),
             second: taps.iter().map(|tap| index(tap.map(|tap| tap.second))).collect(),
             t: taps.iter().map(|tap| tap.map_or(0.0, |tap| tap.t)).collect(),
-            exact: taps.iter().flatten().all(|tap| tap.t == 0.0),
+            pieces: pieces(taps, pad as isize),
             shift: shift.map(|shift| shift + pad as isize),
         }
     }
+}
+
+/// Splits the columns where the way they read the factor changes.
+fn pieces(taps: &[Option<Tap>], pad: isize) -> Vec<Piece> {
+    let access = |col: usize| match taps[col] {
+        Some(tap) => Access::Shift { by: tap.first as isize + pad - col as isize, t: tap.t },
+        None => Access::Indexed,
+    };
+    let alike = |a: Access, b: Access| match (a, b) {
+        (Access::Shift { by: a, t: ta }, Access::Shift { by: b, t: tb }) => a == b && (ta - tb).abs() < SAME_WEIGHT,
+        (a, b) => a == b,
+    };
+    let mut even: Vec<Piece> = Vec::new();
+    for col in 0..taps.len() {
+        match even.last_mut() {
+            // t is that of the piece's first column, so differences do not add up
+            Some(piece) if alike(piece.access, access(col)) => piece.cols.end = col + 1,
+            _ => even.push(Piece { cols: col..col + 1, access: access(col) }),
+        }
+    }
+    let mut pieces: Vec<Piece> = Vec::new();
+    for mut piece in even {
+        if let Access::Shift { t, .. } = piece.access
+            && piece.cols.len() < SHORTEST_PIECE
+        {
+            piece.access = if t == 0.0 { Access::Indexed } else { Access::Mixed };
+        }
+        match pieces.last_mut() {
+            Some(last) if last.access == piece.access && piece.access == Access::Indexed => {
+                last.cols.end = piece.cols.end
+            }
+            Some(last) if is_table(last.access) && is_table(piece.access) => {
+                *last = Piece { cols: last.cols.start..piece.cols.end, access: Access::Mixed };
+            }
+            _ => pieces.push(piece),
+        }
+    }
+    pieces
+}
+
+fn is_table(access: Access) -> bool {
+    !matches!(access, Access::Shift { .. })
 }
 
 impl RaysOfLine {

@@ -16,6 +16,7 @@
 
 use std::ops::Range;
 
+use crate::expand::Rays;
 use crate::factor::{Factor, PAD};
 use crate::lanes::{InstructionSet, Lanes, Portable};
 use crate::plan::Plan;
@@ -170,6 +171,13 @@ struct Other<'a> {
     offset: isize,
 }
 
+impl Other<'_> {
+    #[inline(always)]
+    fn at(&self, x: usize) -> usize {
+        (x as isize + self.offset) as usize
+    }
+}
+
 /// Adds the rays of the views of one view row and field row to the line's accumulators.
 ///
 /// # Safety
@@ -229,6 +237,42 @@ unsafe fn add_views<V: Lanes, const M: usize, const WEIGHTED: bool>(line: &mut L
     }
 }
 
+/// L̃ = (1/M) Σ_m Π_k f_k along rays, for any number of frames.
+///
+/// # Safety
+/// The machine has `V`'s instruction set, and [`is_possible`] holds; `emitted` has room for the run and a vector.
+#[inline(always)]
+pub(crate) unsafe fn emit<V: Lanes>(plan: &Plan, factors: &[Factor], rays: &Rays, emitted: &mut [f32]) {
+    let frames = plan.maps[0].layout.frames;
+    let start = rays.run.start;
+    let lines: Vec<Other> = plan
+        .maps
+        .iter()
+        .zip(factors)
+        .map(|(map, factor)| Other {
+            values: factor.line(rays.channel, map.y[rays.view[0]][rays.row].first as usize),
+            stride: map.layout.stride,
+            offset: map.x[rays.view[1]].shift.unwrap_or(0),
+        })
+        .collect();
+    let Some((first, rest)) = lines.split_first() else { return };
+    // SAFETY: padding covers every block that touches a valid ray
+    unsafe {
+        let mean = V::splat(1.0 / frames as f32);
+        for col in (start..rays.run.end).step_by(V::COUNT) {
+            let mut sum = V::splat(0.0);
+            for frame in 0..frames {
+                let mut product = load::<V>(first.values, first.at(col) + frame * first.stride).mul(mean);
+                for other in rest {
+                    product = product.mul(load::<V>(other.values, other.at(col) + frame * other.stride));
+                }
+                sum = sum.add(product);
+            }
+            store(sum, emitted, col - start);
+        }
+    }
+}
+
 /// How many values ahead of a row of the target are asked for.
 const PREFETCH: usize = 64;
 
@@ -238,10 +282,10 @@ unsafe fn product<V: Lanes, const M: usize>(others: &[Other], x: usize) -> [V; M
     // SAFETY: the caller's offsets stay within the rows
     unsafe {
         let Some((first, rest)) = others.split_first() else { return [V::splat(1.0); M] };
-        let at = (x as isize + first.offset) as usize;
+        let at = first.at(x);
         let mut product: [V; M] = std::array::from_fn(|m| load::<V>(first.values, m * first.stride + at));
         for other in rest {
-            let at = (x as isize + other.offset) as usize;
+            let at = other.at(x);
             for m in 0..M {
                 product[m] = product[m].mul(load::<V>(other.values, m * other.stride + at));
             }

@@ -78,7 +78,9 @@ fn truncated_pictures_are_errors() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(name);
         save_png(&path, [64, 40], |x, y| [(x * y) as u8, (x ^ y) as u8, (x * 7 + y * 31) as u8]);
-        truncate(&path, idle, || open(&path, &GeometryFlags::default(), &defaults()).0.map(drop).map_err(|e| e.to_string()));
+        truncate(&path, idle, || {
+            open(&path, &GeometryFlags::default(), &defaults()).0.map(drop).map_err(|e| e.to_string())
+        });
     }
 }
 

@@ -136,15 +136,16 @@ impl Geometry {
         let [a, b, c] = self.triangles[triangle as usize];
         let [wa, wb, wc] = barycentric;
         let (ab, ac) = (b - a, c - a);
-        let cross = scaled_cross(ab, ac);
+        let cross = ab.cross(ac);
+        let doubled_area = cross.length();
         let largest = a.abs().max(b.abs()).max(c.abs()).max_element();
         SurfacePoint {
             mesh,
             indices,
             weights: barycentric,
             position: wa * a + wb * b + wc * c,
-            geometric_normal: cross.normalize_or(Vec3::Z),
-            doubled_area: ab.cross(ac).length(),
+            geometric_normal: if doubled_area > 0.0 { cross / doubled_area } else { Vec3::Z },
+            doubled_area,
             offset: OFFSET_SHARE * largest,
             instance,
         }
@@ -154,12 +155,6 @@ impl Geometry {
     pub(crate) fn hit_point(&self, hit: &Hit) -> SurfacePoint<'_> {
         self.point(hit.triangle, hit.barycentric)
     }
-}
-
-/// Cross product up to a positive factor, without underflow for tiny triangles.
-fn scaled_cross(u: Vec3, v: Vec3) -> Vec3 {
-    let scale = u.abs().max(v.abs()).max_element();
-    if scale > 0.0 { (u / scale).cross(v / scale) } else { Vec3::ZERO }
 }
 
 impl SurfacePoint<'_> {

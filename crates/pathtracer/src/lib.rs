@@ -21,6 +21,7 @@ mod bvh;
 mod distribution;
 mod geometry;
 mod light;
+mod math;
 mod primary;
 mod renderer;
 mod sampler;

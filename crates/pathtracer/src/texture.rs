@@ -76,7 +76,7 @@ impl Textures {
     pub(crate) fn lookup(&self, slot: &Slot, uv: Vec2, texels_wide: f32) -> Vec4 {
         let uv = slot.source.texture_from_mesh.transform_point2(uv);
         let coarser = &self.pyramids[slot.pyramid];
-        let level = texels_wide.max(1.0).log2().min(coarser.len() as f32);
+        let level = rough_log2(texels_wide.max(1.0)).min(coarser.len() as f32);
         let lower = level as usize;
         let fine = self.level(slot, lower, uv);
         let share = level - lower as f32;
@@ -153,37 +153,54 @@ fn interpolate(
     filter: Filter,
     fetch: impl Fn(usize, usize) -> Vec4,
 ) -> Vec4 {
-    let (x, y) = (uv.x * width as f32, uv.y * height as f32);
-    let column = |x: f32| wrap(x, width, texture.wrap_u);
-    let row = |y: f32| wrap(y, height, texture.wrap_v);
     if filter == Filter::Nearest {
-        return fetch(column(x.floor()), row(y.floor()));
+        let (x, _, _) = neighbours(uv.x, width, texture.wrap_u, 0.0);
+        let (y, _, _) = neighbours(uv.y, height, texture.wrap_v, 0.0);
+        return fetch(x, y);
     }
-    let (x, y) = (x - 0.5, y - 0.5);
-    let (x0, y0) = (x.floor(), y.floor());
-    let (fx, fy) = (x - x0, y - y0);
-    let (left, right) = (column(x0), column(x0 + 1.0));
-    let (top, bottom) = (row(y0), row(y0 + 1.0));
+    let (left, right, fx) = neighbours(uv.x, width, texture.wrap_u, 0.5);
+    let (top, bottom, fy) = neighbours(uv.y, height, texture.wrap_v, 0.5);
     fetch(left, top)
         .lerp(fetch(right, top), fx)
         .lerp(fetch(left, bottom).lerp(fetch(right, bottom), fx), fy)
 }
 
-/// Texel index of a whole coordinate.
+/// The two texels beside a coordinate, `shift` texels before it, and the share of the second.
 #[inline]
-fn wrap(coordinate: f32, size: usize, wrap: Wrap) -> usize {
-    // saturating: coordinates beyond ±2⁶³ texels have no meaningful texel
-    let coordinate = coordinate as i64;
-    let n = size as i64;
-    let index = match wrap {
-        Wrap::Repeat => coordinate.rem_euclid(n),
-        Wrap::ClampToEdge => coordinate.clamp(0, n - 1),
+fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, usize, f32) {
+    // folded to one period (two when mirrored) before scaling, so that texels are found by comparisons, not divisions
+    let folded = match wrap {
+        Wrap::Repeat => coordinate - floor(coordinate),
         Wrap::MirroredRepeat => {
-            let folded = coordinate.rem_euclid(2 * n);
-            if folded < n { folded } else { 2 * n - 1 - folded }
+            let folded = coordinate - 2.0 * floor(0.5 * coordinate);
+            if folded > 1.0 { 2.0 - folded } else { folded }
         }
+        Wrap::ClampToEdge => coordinate.clamp(0.0, 1.0),
     };
-    index as usize
+    let x = folded * size as f32 - shift;
+    let below = floor(x);
+    let share = x - below;
+    let last = size as i32 - 1;
+    let index = (below as i32).min(last);
+    let (first, second) = if wrap == Wrap::Repeat {
+        (if index < 0 { last } else { index }, if index >= last { 0 } else { index + 1 })
+    } else {
+        (index.max(0), (index + 1).min(last))
+    };
+    (first as usize, second as usize, share)
+}
+
+/// Floor without a library call, for |x| < 2³¹; larger values keep their sign and become texel 0 or the last one.
+#[inline]
+fn floor(x: f32) -> f32 {
+    let whole = x as i32 as f32;
+    if whole > x { whole - 1.0 } else { whole }
+}
+
+/// log₂ of a number ≥ 1 to within 0.09: linear between powers of two, exact at them.
+#[inline]
+fn rough_log2(x: f32) -> f32 {
+    x.to_bits() as f32 * (1.0 / (1u32 << 23) as f32) - 127.0
 }
 
 /// Levels 1, 2, ... down to a single texel.
@@ -251,10 +268,19 @@ mod tests {
 
     #[test]
     fn wrapping_modes_fold_the_plane() {
-        assert_eq!([-1.0, 0.0, 4.0].map(|x| wrap(x, 4, Wrap::Repeat)), [3, 0, 0]);
-        assert_eq!([-1.0, 3.0, 4.0, 7.0].map(|x| wrap(x, 4, Wrap::MirroredRepeat)), [0, 3, 3, 0]);
-        assert_eq!([-9.0, 9.0].map(|x| wrap(x, 4, Wrap::ClampToEdge)), [0, 3]);
-        assert!(wrap(f32::MAX, 4, Wrap::Repeat) < 4 && wrap(f32::NAN, 4, Wrap::MirroredRepeat) < 4);
+        let nearest = |texels: [f32; 4], wrap| texels.map(|x| neighbours((x + 0.5) / 4.0, 4, wrap, 0.0).0);
+        assert_eq!(nearest([-1.0, 0.0, 4.0, 9.0], Wrap::Repeat), [3, 0, 0, 1]);
+        assert_eq!(nearest([-1.0, 3.0, 4.0, 7.0], Wrap::MirroredRepeat), [0, 3, 3, 0]);
+        assert_eq!(nearest([-9.0, 0.0, 3.0, 9.0], Wrap::ClampToEdge), [0, 0, 3, 3]);
+        for wrap in [Wrap::Repeat, Wrap::MirroredRepeat, Wrap::ClampToEdge] {
+            for x in [-1.0, 0.0, 1.0, 2.0, 0.5, f32::MAX, -f32::MAX, f32::NAN, f32::INFINITY, 1.0 - f32::EPSILON, -1e-30] {
+                let (first, second, _) = neighbours(x, 4, wrap, 0.5);
+                assert!(first < 4 && second < 4, "{x} {wrap:?}");
+            }
+        }
+        // left of the first texel's centre lies the last texel, when repeated
+        assert_eq!(neighbours(0.0, 4, Wrap::Repeat, 0.5), (3, 0, 0.5));
+        assert_eq!(neighbours(1.0, 4, Wrap::MirroredRepeat, 0.5), (3, 3, 0.5));
     }
 
     #[test]

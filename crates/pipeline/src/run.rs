@@ -7,7 +7,7 @@ use lumistack_core::{Collector, Task, Tensor, Warning, Warnings};
 use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
 use lumistack_core::config::nearest;
 use lumistack_factorizer::{Factorization, FactorizeError, Problem, StartKind};
-use lumistack_plugin_host::{OutputContext, OutputData, Registry};
+use lumistack_plugin_host::{HostError, OutputContext, OutputData, Registry, Time};
 use lumistack_report::{Iteration, Output, ReportInput, Stage};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -142,7 +142,7 @@ impl<'a> Run<'a> {
         let display = job.resolve_display()?;
         start_kind(&job.factorize.start)?;
         lumistack_factorizer::solver(&job.factorize.solver).map_err(PipelineError::Factorize)?;
-        let registry = Registry::builtin();
+        let registry = Registry::built_in().map_err(PipelineError::Output)?;
         for output in &job.outputs {
             // found out before an hour of rendering, not after
             registry.check_params(&output.plugin, &output.params.clone().into()).map_err(PipelineError::Output)?;
@@ -338,13 +338,13 @@ impl<'a> Run<'a> {
         target: &LightField,
         task: Task<'_>,
     ) -> Result<Vec<Output>, PipelineError> {
-        let registry = Registry::builtin();
+        let registry = Registry::built_in().map_err(PipelineError::Output)?;
         let mut files = Vec::new();
         for output in &self.job.outputs {
             let relative = Path::new("outputs").join(NODE).join(&output.plugin);
             let params = output.params.clone().into();
             let mut key = KeyBuilder::new(&format!("output {}", output.plugin), 1);
-            key.add("plugin", registry.version(&output.plugin).unwrap_or_default().as_bytes())
+            key.add("plugin", registry.get(&output.plugin).map_err(PipelineError::Output)?.info().version.as_bytes())
                 .add("display", display.to_toml().as_bytes())
                 .add_json("params", &params)
                 .add("geometry", format!("{:?}", target.geometry()).as_bytes());
@@ -366,14 +366,16 @@ impl<'a> Run<'a> {
                 run.stamps.clear(&stage)?;
                 let context = OutputContext {
                     display,
-                    data: OutputData::LayerStack { stack, geometry: target.geometry() },
-                    time: 0,
+                    data: OutputData::LayerStack(stack, Some(target.geometry())),
+                    time: Time::default(),
                     out_dir: &run.dir.join(&relative),
                     task,
                 };
-                let mut written: Vec<PathBuf> =
-                    lumistack_plugin_host::run_output(&registry, &output.plugin, &params, &context)
-                        .map_err(|error| if error.is_cancelled() { PipelineError::Cancelled } else { PipelineError::Output(error) })?;
+                let result = lumistack_plugin_host::run_output(&registry, &output.plugin, &params, context);
+                let mut written = result.map_err(|error| match error {
+                    HostError::Cancelled => PipelineError::Cancelled,
+                    other => PipelineError::Output(other),
+                })?;
                 written.iter_mut().for_each(|file| *file = relative.join(&*file));
                 write(&list, &serde_json::to_vec(&written).expect("paths serialize"))?;
                 run.stamps.write(&stage, &key, &written)?;

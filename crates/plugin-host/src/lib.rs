@@ -18,7 +18,7 @@ mod run;
 
 pub use error::HostError;
 pub use registry::Registry;
-pub use run::{OutputContext, run_output, with_output};
+pub use run::{OpenOutput, OutputContext, run_output, with_output};
 
-pub use lumistack_plugin::serve::{Output, OutputData, Plugin, PluginInfo, PluginKind};
+pub use lumistack_plugin::serve::{OutputData, Plugin, PluginInfo, PluginKind};
 pub use lumistack_plugin::{Choice, Kind, Param, ParamError, PluginError, Port, Schema, Time};

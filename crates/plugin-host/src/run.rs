@@ -42,9 +42,23 @@ pub fn run_output(
     context: OutputContext<'_>,
 ) -> Result<Vec<PathBuf>, HostError> {
     let OutputContext { display, data, time, out_dir, task } = context;
-    with_output(registry, id, params, display, out_dir, task, |output| {
-        output.submit(time, data).map_err(|error| HostError::of_plugin(id, error))
-    })
+    with_output(registry, id, params, display, out_dir, task, |output| output.submit(time, data))
+}
+
+/// An output that takes times; see [`with_output`].
+pub struct OpenOutput<'a> {
+    output: &'a Output<'a>,
+    id: &'a str,
+}
+
+impl OpenOutput<'_> {
+    /// Hands over one time. From any thread, in any order; times are numbered from 0.
+    ///
+    /// # Errors
+    /// If the plugin does not accept the data or fails.
+    pub fn submit(&self, time: Time, data: OutputData<'_>) -> Result<(), HostError> {
+        self.output.submit(time, data).map_err(|error| HostError::of_plugin(self.id, error))
+    }
 }
 
 /// As [`run_output`], with all times that `submit_all` hands to the output: for sequences, and for data that come one by one.
@@ -58,7 +72,7 @@ pub fn with_output(
     display: &Display,
     out_dir: &Path,
     task: Task<'_>,
-    submit_all: impl FnOnce(&Output<'_>) -> Result<(), HostError>,
+    submit_all: impl FnOnce(&OpenOutput<'_>) -> Result<(), HostError>,
 ) -> Result<Vec<PathBuf>, HostError> {
     let plugin = registry.get(id)?;
     let resolved = registry.check_params(id, params)?;
@@ -67,7 +81,7 @@ pub fn with_output(
     let of_plugin = |error| HostError::of_plugin(id, error);
 
     let output = Output::open(plugin, &host, &Value::Object(resolved), display).map_err(of_plugin)?;
-    submit_all(&output)?;
+    submit_all(&OpenOutput { output: &output, id })?;
     if plugin.info().presents {
         output.run().map_err(of_plugin)?;
     }

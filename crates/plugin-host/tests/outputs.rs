@@ -301,7 +301,7 @@ fn a_sequence_goes_through_one_output() {
     let files = with_output(&bench.registry, "images", &json!({"views": "none"}), display, &out, task, |output| {
         for index in 0..2 {
             let time = Time { index, seconds: index as f64 };
-            output.submit(time, bench.sample.data()).map_err(HostError::BadPlugin)?;
+            output.submit(time, bench.sample.data())?;
         }
         Ok(())
     })

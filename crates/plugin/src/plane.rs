@@ -129,7 +129,7 @@ mod tests {
     fn strides_are_honoured() {
         // channel-planar storage of 2 × 2 × 3, rows bottom up: value = 100·row + 10·col + channel
         let value = |row: usize, col: usize, k: usize| (100 * row + 10 * col + k) as f32;
-        let mut stored = vec![0.0f32; 12];
+        let mut stored = [0.0f32; 12];
         for (row, col, k) in (0..12).map(|i| (i / 6, i / 3 % 2, i % 3)) {
             stored[k * 4 + (1 - row) * 2 + col] = value(row, col, k);
         }

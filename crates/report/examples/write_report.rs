@@ -39,17 +39,27 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut convergence = Vec::new();
     let made = factorize(&problem, &Settings::default(), None, task, &mut |it| {
         let seconds = start.elapsed().as_secs_f64();
-        convergence.push(Iteration { iteration: it.iteration, objective: it.objective, psnr_view: it.psnr_view, seconds });
+        convergence.push(Iteration {
+            iteration: it.iteration,
+            objective: it.objective,
+            psnr_view: it.psnr_view,
+            seconds,
+        });
     })?;
     let stages = [
         Stage { name: "read".into(), seconds: 0.02, cached: true },
         Stage { name: "factorize".into(), seconds: start.elapsed().as_secs_f64(), cached: false },
     ];
-    let settings = serde_json::json!({ "light_field": path, "solver": { "name": "multiplicative", "iterations": 50, "seed": 1 } });
+    let settings =
+        serde_json::json!({ "light_field": path, "solver": { "name": "multiplicative", "iterations": 50, "seed": 1 } });
     let report_start = Instant::now();
     let report = build(
         &ReportInput {
-            title: &format!("{} on {}", Path::new(path).file_stem().unwrap_or_default().to_string_lossy(), display.name),
+            title: &format!(
+                "{} on {}",
+                Path::new(path).file_stem().unwrap_or_default().to_string_lossy(),
+                display.name
+            ),
             display: &display,
             stack: &made.stack,
             target: &target,

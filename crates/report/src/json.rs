@@ -61,9 +61,7 @@ fn views(score: &FieldScore) -> Value {
     let geometry = &score.geometry;
     let [view_rows, view_cols] = geometry.grid.views();
     let table = |value: &dyn Fn([usize; 2]) -> f64| -> Value {
-        (0..view_rows)
-            .map(|y| (0..view_cols).map(|x| figure(value([y, x]))).collect::<Value>())
-            .collect()
+        (0..view_rows).map(|y| (0..view_cols).map(|x| figure(value([y, x]))).collect::<Value>()).collect()
     };
     let (projection, distance_mm) = match geometry.grid.projection {
         Projection::Oblique => ("oblique", None),

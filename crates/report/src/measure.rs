@@ -245,9 +245,10 @@ impl Shown {
         let (rows, cols) = (self.simulated.rows, self.simulated.cols);
         let encoding = Encoding::for_pixels(3 * count * simulated.rows * simulated.cols);
         let target = self.target.as_ref().map(|target| target.shrunk(factor).encoded().embedded(encoding));
-        let difference = self.errors.as_ref().map(|errors| {
-            picture::difference(rows, cols, errors, amplification).shrunk(factor).embedded(encoding)
-        });
+        let difference = self
+            .errors
+            .as_ref()
+            .map(|errors| picture::difference(rows, cols, errors, amplification).shrunk(factor).embedded(encoding));
         Ok(Comparison {
             title: self.title.clone(),
             direction: self.direction.clone(),
@@ -292,7 +293,11 @@ fn sample_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
 
 fn distinct<const N: usize>(views: [[usize; 2]; N]) -> Vec<[usize; 2]> {
     let mut list = Vec::with_capacity(N);
-    views.into_iter().for_each(|view| if !list.contains(&view) { list.push(view) });
+    views.into_iter().for_each(|view| {
+        if !list.contains(&view) {
+            list.push(view)
+        }
+    });
     list
 }
 
@@ -367,10 +372,9 @@ impl SheetPair {
         let scale = (1.0 / input.stack.brightness) as f32;
         let rank = |order: &[usize], index: usize| order.iter().position(|i| *i == index).unwrap_or(0);
         let (y, x) = (rank(&self.down, view[0]), rank(&self.across, view[1]));
-        for (sheet, values, scale) in [
-            (&mut self.target, input.target.view(view), 1.0),
-            (&mut self.simulated, emitted.radiance.data(), scale),
-        ] {
+        for (sheet, values, scale) in
+            [(&mut self.target, input.target.view(view), 1.0), (&mut self.simulated, emitted.radiance.data(), scale)]
+        {
             let tile = Linear::new(geometry.rows, geometry.cols, values, scale).shrunk(self.factor).encoded();
             for (row, line) in tile.rgb.chunks_exact(tile.cols * 3).enumerate() {
                 let start = ((y * tile.rows + row) * sheet.cols + x * tile.cols) * 3;

@@ -16,8 +16,7 @@ use crate::{ReportError, ReportInput};
 const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = include_str!("page/script.js");
 /// Nothing may be fetched: pictures are data URIs, style and script are inline.
-const POLICY: &str =
-    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
+const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
 
 /// Pictures with fewer columns than this are enlarged with sharp pixels.
 const SHARP_COLS: usize = 600;

@@ -90,7 +90,13 @@ fn encode_sheet(layer: &Tensor<4>, shrunk: usize, encoding: Encoding, task: Task
     Ok(Sheet { mean: mean.transpose()?, frames: pictures, closeup: closeup.transpose()? })
 }
 
-fn encode_emission(emission: &Tensor<6>, panel: &Tensor<4>, shrunk: usize, encoding: Encoding, task: Task) -> Result<Emission, ReportError> {
+fn encode_emission(
+    emission: &Tensor<6>,
+    panel: &Tensor<4>,
+    shrunk: usize,
+    encoding: Encoding,
+    task: Task,
+) -> Result<Emission, ReportError> {
     let [frames, bins_y, bins_x, rows, cols, _] = emission.shape();
     let bin = [bins_y / 2, bins_x / 2];
     // with a single bin the panel is this picture already

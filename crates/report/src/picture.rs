@@ -72,7 +72,9 @@ impl Linear {
                 let block_cols = col * factor..((col + 1) * factor).min(self.cols);
                 let mut sum = [0.0f32; 3];
                 for r in block_rows.clone() {
-                    for pixel in self.data[(r * self.cols + block_cols.start) * 3..][..block_cols.len() * 3].chunks_exact(3) {
+                    for pixel in
+                        self.data[(r * self.cols + block_cols.start) * 3..][..block_cols.len() * 3].chunks_exact(3)
+                    {
                         (0..3).for_each(|c| sum[c] += pixel[c]);
                     }
                 }
@@ -145,7 +147,7 @@ pub(crate) fn map_colour(anchors: [[u8; 3]; 5], t: f32) -> [u8; 3] {
 pub(crate) fn difference(rows: usize, cols: usize, errors: &[Option<f32>], amplification: u32) -> Picture {
     let rgb = errors.iter().enumerate().flat_map(|(i, error)| match error {
         Some(error) => map_colour(DIVERGING, 0.5 + 0.5 * error * amplification as f32),
-        None => [if (i / cols / 2 + i % cols / 2) % 2 == 0 { 128 } else { 148 }; 3],
+        None => [if (i / cols / 2 + i % cols / 2).is_multiple_of(2) { 128 } else { 148 }; 3],
     });
     Picture { rows, cols, rgb: rgb.collect() }
 }
@@ -167,26 +169,23 @@ impl Picture {
         let (width, height, mut bytes) = (self.cols as u32, self.rows as u32, Vec::new());
         // JPEG's sizes have 16 bits
         let encoding = if width.max(height) > 65_500 { Encoding::Png } else { encoding };
-        let mime = match encoding {
-            Encoding::Png => {
-                PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive).write_image(
-                    &self.rgb,
-                    width,
-                    height,
-                    ExtendedColorType::Rgb8,
-                )?;
-                "image/png"
-            }
-            Encoding::Jpeg => {
-                JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).write_image(
-                    &self.rgb,
-                    width,
-                    height,
-                    ExtendedColorType::Rgb8,
-                )?;
-                "image/jpeg"
-            }
-        };
+        let mime =
+            match encoding {
+                Encoding::Png => {
+                    PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive)
+                        .write_image(&self.rgb, width, height, ExtendedColorType::Rgb8)?;
+                    "image/png"
+                }
+                Encoding::Jpeg => {
+                    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).write_image(
+                        &self.rgb,
+                        width,
+                        height,
+                        ExtendedColorType::Rgb8,
+                    )?;
+                    "image/jpeg"
+                }
+            };
         let uri = format!("data:{mime};base64,{}", STANDARD.encode(bytes));
         Ok(Embedded { rows: self.rows, cols: self.cols, uri })
     }
@@ -215,7 +214,11 @@ mod tests {
 
     #[test]
     fn the_difference_says_which_side_is_brighter() {
-        let errors = signed_error(&[0.5, 0.5, 0.7, 0.1, 0.1, 0.1, 0.0, 0.0, 0.0], &[0.5, 0.6, 0.5, 0.4, 0.1, 0.1, 1.0, 1.0, 1.0], |i| i < 2);
+        let errors = signed_error(
+            &[0.5, 0.5, 0.7, 0.1, 0.1, 0.1, 0.0, 0.0, 0.0],
+            &[0.5, 0.6, 0.5, 0.4, 0.1, 0.1, 1.0, 1.0, 1.0],
+            |i| i < 2,
+        );
         assert_eq!(errors.len(), 3);
         assert!((errors[0].unwrap() - 0.2).abs() < 1e-6 && (errors[1].unwrap() + 0.3).abs() < 1e-6);
         assert_eq!(errors[2], None);

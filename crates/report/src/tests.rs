@@ -24,8 +24,7 @@ fn display(layers: usize, frames: usize, views: [usize; 2], resolution: [usize; 
     Display::from_toml(&(text + extra)).unwrap()
 }
 
-const LENSLETS: &str =
-    "[backlight]\nkind = \"lenslets\"\nd_mm = -9.0\nlenslets = [5, 4]\npitch_mm = 4.0\nfov_deg = [20.0, 20.0]\nviews = [3, 2]\n";
+const LENSLETS: &str = "[backlight]\nkind = \"lenslets\"\nd_mm = -9.0\nlenslets = [5, 4]\npitch_mm = 4.0\nfov_deg = [20.0, 20.0]\nviews = [3, 2]\n";
 
 fn noise(data: &mut [f32], seed: u64, scale: f32) {
     let mut stream = seed::Stream::new(seed);
@@ -203,8 +202,12 @@ fn texts_are_escaped_and_everything_given_is_shown() {
     let display = display(2, 2, [3, 3], [12, 8], "");
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let evil = "</script><img src=x onerror=alert(1)>\"'&";
-    let history = [(0, 12.0), (1, 20.0), (2, f64::NAN), (3, 23.5)]
-        .map(|(iteration, psnr_view)| Iteration { iteration, objective: 1.0, psnr_view, seconds: f64::from(iteration) });
+    let history = [(0, 12.0), (1, 20.0), (2, f64::NAN), (3, 23.5)].map(|(iteration, psnr_view)| Iteration {
+        iteration,
+        objective: 1.0,
+        psnr_view,
+        seconds: f64::from(iteration),
+    });
     let input = ReportInput {
         title: evil,
         convergence: &history,

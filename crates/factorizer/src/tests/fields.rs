@@ -16,6 +16,7 @@ const FIGURE_TOLERANCE: f64 = 0.3;
 const WIDTH_MM: f64 = 473.76;
 
 /// Reads a light field of the shared folder, or says that it is not there.
+#[allow(clippy::disallowed_methods, reason = "a test may read files")]
 fn light_field(name: &str, display: &Display) -> Option<LightField> {
     let folder = std::env::var_os("LUMISTACK_LIGHTFIELDS").map_or_else(
         || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/lightfields")),

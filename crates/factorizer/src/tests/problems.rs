@@ -20,6 +20,8 @@ pub(crate) enum Kind {
     EightLayers,
     ManyFrames,
     Wide,
+    WideBilinear,
+    CoarseLayers,
     LensletsDark,
     LensletsRepeat,
     ViewWeights,
@@ -33,7 +35,7 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 17] = [
+    pub(crate) const ALL: [Self; 19] = [
         Self::Plain,
         Self::OnePixel,
         Self::OneView,
@@ -42,6 +44,8 @@ impl Kind {
         Self::EightLayers,
         Self::ManyFrames,
         Self::Wide,
+        Self::WideBilinear,
+        Self::CoarseLayers,
         Self::LensletsDark,
         Self::LensletsRepeat,
         Self::ViewWeights,
@@ -115,7 +119,8 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     let any = kind == Kind::Anything;
     let resolution = match kind {
         Kind::OnePixel => [1, 1],
-        Kind::Wide => [70 + below(30), 3],
+        Kind::Wide | Kind::WideBilinear => [70 + below(30), 3],
+        Kind::CoarseLayers => [16, 12],
         _ => [5 + below(9), 4 + below(7)],
     };
     let views = if kind == Kind::OneView { [1, 1] } else { [1 + below(4), 1 + below(3)] };
@@ -130,7 +135,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
         _ => 1 + below(4),
     };
     let lenslets = matches!(kind, Kind::LensletsDark | Kind::LensletsRepeat) || any && below(2) == 0;
-    let bilinear = kind == Kind::Bilinear || any && below(2) == 0;
+    let bilinear = matches!(kind, Kind::Bilinear | Kind::WideBilinear) || any && below(2) == 0;
     let perspective = kind == Kind::Perspective || any && below(2) == 0;
     let clear = kind == Kind::Clear || any && below(2) == 0;
     let mixed = kind == Kind::MixedLayers || any && below(2) == 0;
@@ -165,6 +170,13 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
             layer.resolution = layer.resolution.map(|n| n + (unit() * 5.0) as usize);
             layer.pitch_mm = 0.6 + unit();
             layer.offset_mm = [unit() - 0.5, unit() - 0.5];
+        }
+    }
+    if kind == Kind::CoarseLayers {
+        // every pixel meets very many rays
+        for layer in &mut display.layers {
+            layer.resolution = [3, 2];
+            layer.pitch_mm = 5.0 + unit();
         }
     }
     if lenslets {

@@ -100,8 +100,8 @@ fn the_objective_and_the_psnr_are_those_of_the_oracle_and_of_the_forward_model()
             let problem = owned.problem();
             let start = random_start(&owned.display, seed);
             let oracle = Oracle::new(&problem, &start);
-            for set in InstructionSet::available() {
-                let mut run = MultiplicativeRun::new(&problem, start.clone()).unwrap().with_kernel(set, true);
+            for (set, fast) in kernels() {
+                let mut run = MultiplicativeRun::new(&problem, start.clone()).unwrap().with_kernel(set, fast);
                 assert_eq!(run.rays(), oracle.ray_count() as u64, "{kind:?} {seed}");
                 let (found, expected) = (run.objective(), oracle.objective());
                 let slack = OBJECTIVE_PER_VALUE * 3.0 * oracle.ray_count() as f64;

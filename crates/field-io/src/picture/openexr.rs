@@ -82,6 +82,11 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     if header.deep {
         return Err(FieldError::malformed(path, "header", "a flat picture", "deep data"));
     }
+    // The decoder of these two takes memory by sizes that the compressed data claim, which ends the program on damaged files.
+    if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
+        let expected = "none, RLE, ZIP, PIZ, PXR24 or B44";
+        return Err(FieldError::malformed(path, "compression", expected, header.compression.to_string()));
+    }
     let size = [header.layer_size.0, header.layer_size.1];
     if size.contains(&0) || size[0].saturating_mul(size[1]) > PIXEL_LIMIT {
         let expected = format!("1 to {PIXEL_LIMIT} pixels");
@@ -97,16 +102,15 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
 
 pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
     let [cols, rows] = size(path)?;
-    let image = read_exr()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .first_valid_layer()
-        .all_attributes()
-        .non_parallel()
-        .from_file(path)
-        .map_err(|error| damaged(path, &error))?;
-    let list = image.layer_data.channel_data.list;
+    let decode = || {
+        let layer = read_exr().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
+        layer.all_attributes().non_parallel().from_file(path)
+    };
+    // On some damaged files the decoder's own checks of its arithmetic fail by panicking.
+    let decoded = std::panic::catch_unwind(decode).map_err(|_| {
+        FieldError::malformed(path, "content", "a complete OpenEXR picture", "damaged blocks of pixels")
+    })?;
+    let list = decoded.map_err(|error| damaged(path, &error))?.layer_data.channel_data.list;
     let names: Vec<String> = list.iter().map(|channel| channel.name.to_string()).collect();
     let indices = rgb_channels(&names).ok_or_else(|| {
         FieldError::malformed(path, "channels", "R, G and B, or Y", format!("[{}]", names.join(", ")))
@@ -170,25 +174,34 @@ mod tests {
     fn other_channel_orders_alpha_and_types_are_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.exr");
-        let write = |channels: Vec<(&str, FlatSamples)>| {
+        let write = |compression, channels: Vec<(&str, FlatSamples)>| {
             let list: SmallVec<_> =
                 channels.into_iter().map(|(name, samples)| AnyChannel::new(name, samples)).collect();
-            let encoding = Encoding { compression: Compression::PIZ, ..Encoding::default() };
+            let encoding = Encoding { compression, ..Encoding::default() };
             let layer = Layer::new((2, 1), LayerAttributes::default(), encoding, AnyChannels::sort(list));
             Image::from_layer(layer).write().to_file(&path).unwrap();
         };
-        write(vec![
-            ("A", FlatSamples::F32(vec![1.0, 0.5])),
-            ("R", FlatSamples::U32(vec![1, 2])),
-            ("B", FlatSamples::F16(vec![f16::from_f32(0.25); 2])),
-            ("G", FlatSamples::F32(vec![0.5, 0.75])),
-        ]);
+        write(
+            Compression::PIZ,
+            vec![
+                ("A", FlatSamples::F32(vec![1.0, 0.5])),
+                ("R", FlatSamples::U32(vec![1, 2])),
+                ("B", FlatSamples::F16(vec![f16::from_f32(0.25); 2])),
+                ("G", FlatSamples::F32(vec![0.5, 0.75])),
+            ],
+        );
         assert_eq!(Picture::read(&path).unwrap().into_linear(), [1.0, 0.5, 0.25, 2.0, 0.75, 0.25]);
-        write(vec![("Y", FlatSamples::F32(vec![0.5, 0.75]))]);
+        write(Compression::B44, vec![("Y", FlatSamples::F32(vec![0.5, 0.75]))]);
         assert_eq!(Picture::read(&path).unwrap().into_linear(), [0.5, 0.5, 0.5, 0.75, 0.75, 0.75]);
-        write(vec![("Z", FlatSamples::F32(vec![0.5, 0.75]))]);
+        write(Compression::RLE, vec![("Z", FlatSamples::F32(vec![0.5, 0.75]))]);
         let error = Picture::read(&path).unwrap_err().to_string();
         assert!(error.ends_with("channels: expected R, G and B, or Y, found [Z]"), "{error}");
+        write(Compression::DWAA(None), vec![("Y", FlatSamples::F32(vec![0.5, 0.75]))]);
+        let error = Picture::read(&path).unwrap_err().to_string();
+        assert!(
+            error.ends_with("compression: expected none, RLE, ZIP, PIZ, PXR24 or B44, found dwaa compression"),
+            "{error}"
+        );
         let names = ["view.R", "view.G", "view.B"].map(String::from);
         assert_eq!(rgb_channels(&names), Some([0, 1, 2]));
     }

@@ -43,21 +43,22 @@ impl Albedo {
     }
 }
 
-/// Looks the albedo up, bilinearly.
+/// Looks the albedo up, bilinearly in the cosine and in perceptual roughness √α.
 #[inline]
-pub(crate) fn albedo(cosine: f32, alpha: f32) -> Albedo {
+pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     static TABLE: OnceLock<Vec<Albedo>> = OnceLock::new();
     let table = TABLE.get_or_init(tabulate);
     let x = cosine.clamp(0.0, 1.0) * (COSINES - 1) as f32;
-    let y = alpha.clamp(0.0, 1.0).sqrt() * (ROUGHNESSES - 1) as f32;
+    let y = roughness.clamp(0.0, 1.0) * (ROUGHNESSES - 1) as f32;
     let (i, j) = ((x as usize).min(COSINES - 2), (y as usize).min(ROUGHNESSES - 2));
     let (fx, fy) = (x - i as f32, y - j as f32);
-    let at = |i: usize, j: usize| table[j * COSINES + i];
-    let mix = |f: fn(Albedo) -> f32| {
-        (1.0 - fy) * ((1.0 - fx) * f(at(i, j)) + fx * f(at(i + 1, j)))
-            + fy * ((1.0 - fx) * f(at(i, j + 1)) + fx * f(at(i + 1, j + 1)))
+    let corners = &table[j * COSINES + i..(j + 1) * COSINES + i + 2];
+    let (lower, upper) = (&corners[..2], &corners[COSINES..COSINES + 2]);
+    let mix = |a: Albedo, b: Albedo, t: f32| Albedo {
+        full: a.full + (b.full - a.full) * t,
+        grazing: a.grazing + (b.grazing - a.grazing) * t,
     };
-    Albedo { full: mix(|a| a.full), grazing: mix(|a| a.grazing) }
+    mix(mix(lower[0], lower[1], fx), mix(upper[0], upper[1], fx), fy)
 }
 
 fn tabulate() -> Vec<Albedo> {
@@ -100,7 +101,7 @@ mod tests {
     fn the_table_interpolates_the_integral() {
         for cosine in [0.05, 0.3, 0.77, 1.0] {
             for alpha in [0.003f32, 0.02, 0.1, 0.4, 1.0] {
-                let (table, direct) = (albedo(cosine, alpha), integrate(cosine, alpha));
+                let (table, direct) = (albedo(cosine, alpha.sqrt()), integrate(cosine, alpha));
                 assert!((table.full - direct.full).abs() < TABLE_TOLERANCE, "{cosine} {alpha}: {table:?} {direct:?}");
                 assert!((table.grazing - direct.grazing).abs() < TABLE_TOLERANCE, "{cosine} {alpha}: {table:?} {direct:?}");
             }

@@ -4,9 +4,11 @@
 //! vectors in the frame whose z is the shading normal; the outgoing direction o points to the viewer and has o_z > 0.
 //! Normals are sampled as the viewer sees them (Heitz 2018), by the spherical-cap construction of Dupuy, Benyoub 2023.
 
-use std::f32::consts::{PI, TAU};
+use std::f32::consts::PI;
 
 use glam::Vec3;
+
+use crate::math::sin_cos_turns;
 
 /// Density of microfacet normals per solid angle; the components of `h` avoid the cancellation of 1 − cos².
 #[inline]
@@ -54,7 +56,7 @@ pub(crate) fn masking_ratio(o_z: f32, i_z: f32, alpha: f32) -> f32 {
 #[inline]
 pub(crate) fn sample_normal(o: Vec3, alpha: f32, u: [f32; 2]) -> Vec3 {
     let stretched = Vec3::new(alpha * o.x, alpha * o.y, o.z).normalize();
-    let (sin_phi, cos_phi) = (TAU * u[0]).sin_cos();
+    let (sin_phi, cos_phi) = sin_cos_turns(u[0]);
     let z = (1.0 - u[1]) * (1.0 + stretched.z) - stretched.z;
     let sin_theta = (1.0 - z * z).max(0.0).sqrt();
     let cap = Vec3::new(sin_theta * cos_phi, sin_theta * sin_phi, z) + stretched;

@@ -17,11 +17,12 @@
 mod albedo;
 mod ggx;
 
-use std::f32::consts::{FRAC_1_PI, TAU};
+use std::f32::consts::FRAC_1_PI;
 
 use glam::{Mat3, Vec3};
 
 use self::albedo::{Albedo, albedo};
+use crate::math::sin_cos_turns;
 use crate::shading::Appearance;
 
 /// Below this α a lobe is a perfect mirror (perceptual roughness 0.032): light sampling could not find it.
@@ -93,7 +94,7 @@ impl Bsdf {
         let Appearance { base, metallic, roughness, ior, transmission, solid, .. } = *appearance;
         let mirror = roughness * roughness < MIRROR_ALPHA;
         let alpha = (roughness * roughness).max(MIRROR_ALPHA);
-        let table: Albedo = albedo(o.z, if mirror { 0.0 } else { alpha });
+        let table: Albedo = albedo(o.z, if mirror { 0.0 } else { roughness });
         let f0 = ((ior - 1.0) / (ior + 1.0)).powi(2);
         let f90 = (F90_PER_F0 * f0).min(1.0);
         let glass_share = if solid { transmission } else { 0.0 };
@@ -315,14 +316,14 @@ fn fresnel_dielectric(cosine: f32, eta: f32) -> (f32, f32) {
 /// A direction of the upper hemisphere with density cos/π (concentric map of Shirley, Chiu 1997).
 fn cosine_direction(u: [f32; 2]) -> Vec3 {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
-    let (radius, phi) = if a == 0.0 && b == 0.0 {
+    let (radius, turns) = if a == 0.0 && b == 0.0 {
         (0.0, 0.0)
     } else if a.abs() > b.abs() {
-        (a, TAU / 8.0 * (b / a))
+        (a, 0.125 * (b / a))
     } else {
-        (b, TAU / 4.0 - TAU / 8.0 * (a / b))
+        (b, 0.25 - 0.125 * (a / b))
     };
-    let (sin, cos) = phi.sin_cos();
+    let (sin, cos) = sin_cos_turns(turns);
     Vec3::new(radius * cos, radius * sin, (1.0 - radius * radius).max(1e-12).sqrt())
 }
 

@@ -1,5 +1,7 @@
 //! Sampling follows the density, the density integrates to one, energy is conserved.
 
+use std::f32::consts::TAU;
+
 use super::*;
 use lumistack_core::seed::Stream;
 use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts};

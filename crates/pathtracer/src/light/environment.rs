@@ -12,6 +12,7 @@ use lumistack_core::colour::luminance;
 use lumistack_scene::{Pixels, Scene};
 
 use crate::distribution::Distribution;
+use crate::math::sin_cos_turns;
 
 /// Limits of the number of cell rows and columns.
 const MOST_CELLS: usize = 1024;
@@ -74,29 +75,24 @@ impl EnvironmentLight {
         self.mean_luminance
     }
 
-    /// Radiance from a direction.
-    pub(crate) fn radiance(&self, direction: Vec3) -> Vec3 {
-        let (u, v, _) = self.map_coordinates(direction);
-        self.bilinear(u, v)
-    }
-
-    /// Density per solid angle with which [`sample`](Self::sample) finds a direction.
-    pub(crate) fn pdf(&self, direction: Vec3) -> f32 {
+    /// Radiance from a direction, and the density per solid angle with which [`sample`](Self::sample) finds it.
+    pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         let (u, v, sine) = self.map_coordinates(direction);
-        self.map_density(self.rows.at(v), self.columns.at(u)) / (2.0 * PI * PI * sine).max(f32::MIN_POSITIVE)
+        let density = self.map_density(self.rows.at(v), self.columns.at(u)) / (2.0 * PI * PI * sine).max(f32::MIN_POSITIVE);
+        (self.bilinear(u, v), density)
     }
 
-    /// A direction and its density per solid angle.
-    pub(crate) fn sample(&self, u: [f32; 2]) -> Option<(Vec3, f32)> {
+    /// A direction, the radiance from it and its density per solid angle.
+    pub(crate) fn sample(&self, u: [f32; 2]) -> Option<(Vec3, Vec3, f32)> {
         let (row, inside_row) = self.row_choice.sample(u[1]);
         let (column, inside_column) = self.column_choices[row].as_ref()?.sample(u[0]);
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
-        let (phi, theta) =
-            (2.0 * PI * (u0 + (u1 - u0) * inside_column - 0.5), PI * (v0 + (v1 - v0) * inside_row));
-        let sine = theta.sin();
-        let direction = Vec3::new(sine * phi.sin(), theta.cos(), -sine * phi.cos());
+        let (u, v) = (u0 + (u1 - u0) * inside_column, v0 + (v1 - v0) * inside_row);
+        let (sin_phi, cos_phi) = sin_cos_turns(u - 0.5);
+        let (sine, cosine) = sin_cos_turns(0.5 * v);
+        let direction = Vec3::new(sine * sin_phi, cosine, -sine * cos_phi);
         let density = self.map_density(row, column) / (2.0 * PI * PI * sine);
-        (sine > 0.0 && density.is_finite()).then(|| (self.scene_from_environment * direction, density))
+        (sine > 0.0 && density.is_finite()).then(|| (self.scene_from_environment * direction, self.bilinear(u, v), density))
     }
 
     /// u, v and sin θ of a direction.
@@ -138,12 +134,13 @@ impl EnvironmentLight {
         let Some(environment) = environment else { return Vec3::ZERO };
         let Pixels::RgbF32(texels) = &self.scene.images[environment.image].pixels else { return Vec3::ZERO };
         let (x, y) = (u * self.width as f32 - 0.5, v * self.height as f32 - 0.5);
-        let (x0, y0) = (x.floor(), y.floor());
-        let (fx, fy) = (x - x0, y - y0);
-        let column = |x: f32| (x as i64).rem_euclid(self.width as i64) as usize;
-        let row = |y: f32| (y as i64).clamp(0, self.height as i64 - 1) as usize;
-        let (left, right) = (column(x0), column(x0 + 1.0));
-        let (top, bottom) = (row(y0) * self.width, row(y0 + 1.0) * self.width);
+        // both coordinates are ≥ 0, so that adding 1 makes truncation a floor
+        let (x0, y0) = ((x + 1.0) as usize, (y + 1.0) as usize);
+        let (fx, fy) = (x + 1.0 - x0 as f32, y + 1.0 - y0 as f32);
+        // x0 and y0 count from texel −1
+        let left = if x0 == 0 { self.width - 1 } else { (x0 - 1).min(self.width - 1) };
+        let right = if x0 >= self.width { 0 } else { x0 };
+        let (top, bottom) = (y0.saturating_sub(1) * self.width, y0.min(self.height - 1) * self.width);
         let at = |index: usize| Vec3::from_array(texels[index]);
         environment.strength
             * at(top + left)
@@ -217,11 +214,11 @@ mod tests {
             Vec3::new(pitch.cos() * yaw.sin(), pitch.sin(), -pitch.cos() * yaw.cos())
         };
         for (yaw, up, expected) in [(45.0, 45.0, 2.0), (-45.0, 45.0, 1.0), (135.0, 45.0, 3.0), (45.0, -45.0, 6.0)] {
-            assert!((sky.radiance(direction(yaw, up)).x - expected).abs() < 1e-4, "{yaw} {up}");
+            assert!((sky.evaluate(direction(yaw, up)).0.x - expected).abs() < 1e-4, "{yaw} {up}");
         }
         // turned a quarter to the left around y: what was at −z is now at −x
         let turned = light(4, 2, Quat::from_rotation_y(std::f32::consts::FRAC_PI_2), |x, y| (4 * y + x) as f32);
-        assert!((turned.radiance(direction(45.0 - 90.0, 45.0)).x - 2.0).abs() < 1e-4);
+        assert!((turned.evaluate(direction(45.0 - 90.0, 45.0)).0.x - 2.0).abs() < 1e-4);
     }
 
     #[test]
@@ -233,9 +230,9 @@ mod tests {
             let count = 100_000;
             let mut observed = vec![0u64; rows * cols];
             for _ in 0..count {
-                let (direction, density) = sky.sample([stream.next_f32(), stream.next_f32()]).unwrap();
+                let (direction, _, density) = sky.sample([stream.next_f32(), stream.next_f32()]).unwrap();
                 // near a cell's edge the two roundings may choose different neighbours
-                let reported = sky.pdf(direction);
+                let reported = sky.evaluate(direction).1;
                 assert!(reported > 0.0 || density < 1e-3, "{direction}");
                 let cell = |z: f32, n: usize| ((0.5 * (z + 1.0) * n as f32) as usize).min(n - 1);
                 let phi = direction.y.atan2(direction.x) / PI;
@@ -248,7 +245,7 @@ mod tests {
                     let z = 2.0 * (i as f32 + 0.5) / (rows * points) as f32 - 1.0;
                     let phi = PI * (2.0 * (j as f32 + 0.5) / (cols * points) as f32 - 1.0);
                     let sine = (1.0 - z * z).sqrt();
-                    let pdf = sky.pdf(Vec3::new(sine * phi.cos(), sine * phi.sin(), z));
+                    let pdf = sky.evaluate(Vec3::new(sine * phi.cos(), sine * phi.sin(), z)).1;
                     expected[i / points * cols + j / points] += f64::from(pdf);
                 }
             }
@@ -264,13 +261,14 @@ mod tests {
         let sky = light(40, 20, Quat::IDENTITY, uneven);
         let mut stream = Stream::new(5);
         let important = Mean::of((0..20_000).map(|_| {
-            let (direction, pdf) = sky.sample([stream.next_f32(), stream.next_f32()]).unwrap();
-            f64::from(sky.radiance(direction).x / pdf)
+            let (direction, radiance, pdf) = sky.sample([stream.next_f32(), stream.next_f32()]).unwrap();
+            assert!((radiance - sky.evaluate(direction).0).abs().max_element() < 1e-2, "{direction}");
+            f64::from(radiance.x / pdf)
         }));
         let uniform = Mean::of((0..200_000).map(|_| {
             let (z, phi) = (2.0 * stream.next_f32() - 1.0, 2.0 * PI * stream.next_f32());
             let sine = (1.0 - z * z).sqrt();
-            f64::from(sky.radiance(Vec3::new(sine * phi.cos(), sine * phi.sin(), z)).x * 4.0 * PI)
+            f64::from(sky.evaluate(Vec3::new(sine * phi.cos(), sine * phi.sin(), z)).0.x * 4.0 * PI)
         }));
         important.assert_same(uniform, 0.0, FALSE_ALARM_RATE);
         important.assert_is(f64::from(4.0 * PI * sky.mean_luminance()), 1e-3, FALSE_ALARM_RATE);

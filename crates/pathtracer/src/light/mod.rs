@@ -83,7 +83,8 @@ impl Lights {
     pub(crate) fn infinite(&self, direction: Vec3) -> (Vec3, f32) {
         let Some(environment) = &self.environment else { return (Vec3::ZERO, 0.0) };
         let chance = self.chance(self.triangles.len() + self.punctual.len());
-        (environment.radiance(direction), chance * environment.pdf(direction))
+        let (radiance, pdf) = environment.evaluate(direction);
+        (radiance, chance * pdf)
     }
 
     /// Density per solid angle with which [`sample`](Self::sample), called at `distance` from it, finds a point on a triangle.
@@ -116,9 +117,9 @@ impl Lights {
             return Some(LightSample { direction, distance, weight: intensity / chance, pdf: f32::INFINITY });
         }
         let environment = self.environment.as_ref()?;
-        let (direction, density) = environment.sample(u)?;
+        let (direction, radiance, density) = environment.sample(u)?;
         let pdf = chance * density;
-        Some(LightSample { direction, distance: f32::INFINITY, weight: environment.radiance(direction) / pdf, pdf })
+        Some(LightSample { direction, distance: f32::INFINITY, weight: radiance / pdf, pdf })
     }
 
     fn chance(&self, index: usize) -> f32 {

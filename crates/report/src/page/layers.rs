@@ -54,7 +54,9 @@ fn expectation(display: &Display, frames: usize) -> &'static str {
         (Backlight::Lenslets(_), _, _) => {
             "The layer should hold what looks the same from everywhere, with flowing slit-like patterns around what does not; the backlight should hold mostly what changes with the view, such as things far in front of or behind the display."
         }
-        (Backlight::Uniform, 1, _) => "One layer with a uniform backlight shows the same picture to every eye: expect the mean of all views.",
+        (Backlight::Uniform, 1, _) => {
+            "One layer with a uniform backlight shows the same picture to every eye: expect the mean of all views."
+        }
         (Backlight::Uniform, _, 1) => {
             "Things near a layer should appear mostly on it. Without further frames a single set of patterns must serve all views, which shows as blurred copies of things that are far from the display."
         }
@@ -77,16 +79,16 @@ fn name(n: usize, display: &Display) -> String {
 fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     let backlight = patterns.emission.iter().map(|emission| ("backlight".to_string(), &emission.panel.frames));
     let layers = patterns.layers.iter().enumerate().map(|(n, sheet)| (name(n, display), &sheet.frames));
-    let first = backlight.chain(layers).filter_map(|(name, frames)| Some((name, frames.first()?)));
+    let first: Vec<_> = backlight.chain(layers).filter_map(|(name, frames)| Some((name, frames.first()?))).collect();
     html! {
         div id="frames" {
             label {
                 "Frame " output { "1" } " of " (display.frames)
                 input type="range" min="1" max=(display.frames) value="1";
             }
-            div class="side group" {
-                @for (name, embedded) in first {
-                    figure { span data-sheet=(name) { (picture(embedded, &name)) } figcaption { (name) } }
+            div class="side group" style=(across(first.len())) {
+                @for (name, embedded) in &first {
+                    figure { span data-sheet=(name) { (picture(embedded, name)) } figcaption { (name) } }
                 }
             }
         }
@@ -106,7 +108,7 @@ fn contact_sheet(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// Columns of a contact sheet on a wide page: at most eight, rows equally long.
+/// Columns on a wide page: at most eight, rows equally long.
 fn across(count: usize) -> String {
     format!("--across:{}", count.div_ceil(count.div_ceil(8)).max(3))
 }

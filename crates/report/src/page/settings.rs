@@ -77,14 +77,47 @@ fn display_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
     };
     let [rows, cols] = geometry.grid.views();
     vec![
-        ("light field", format!("{} × {} pixels of {} mm: {width_mm} × {height_mm} mm", geometry.cols, geometry.rows, format::number(geometry.pitch_mm))),
-        ("views", format!("{cols} across, {} · {rows} up, {}", range(&geometry.grid.slope_x), range(&geometry.grid.slope_y))),
+        (
+            "light field",
+            format!(
+                "{} × {} pixels of {} mm: {width_mm} × {height_mm} mm",
+                geometry.cols,
+                geometry.rows,
+                format::number(geometry.pitch_mm)
+            ),
+        ),
+        (
+            "views",
+            format!("{cols} across, {} · {rows} up, {}", range(&geometry.grid.slope_x), range(&geometry.grid.slope_y)),
+        ),
         ("projection", projection),
-        ("frames", format!("{} at {} Hz: the eye sees {} periods a second", display.frames, format::number(display.refresh_hz), format::number(display.period_hz()))),
+        (
+            "frames",
+            format!(
+                "{} at {} Hz: the eye sees {} periods a second",
+                display.frames,
+                format::number(display.refresh_hz),
+                format::number(display.period_hz())
+            ),
+        ),
         ("brightness β", format::number(input.stack.brightness)),
         ("backlight", backlight(display)),
-        ("sampling", match display.sampling { Sampling::Nearest => "nearest pixel", Sampling::Bilinear => "bilinear" }.into()),
-        ("rays that leave a layer", match display.missing { Missing::Drop => "do not count (drop)", Missing::Clear => "pass it unattenuated (clear)" }.into()),
+        (
+            "sampling",
+            match display.sampling {
+                Sampling::Nearest => "nearest pixel",
+                Sampling::Bilinear => "bilinear",
+            }
+            .into(),
+        ),
+        (
+            "rays that leave a layer",
+            match display.missing {
+                Missing::Drop => "do not count (drop)",
+                Missing::Clear => "pass it unattenuated (clear)",
+            }
+            .into(),
+        ),
     ]
 }
 
@@ -153,9 +186,13 @@ mod tests {
     #[test]
     fn nested_settings_become_dotted_keys() {
         let mut rows = Vec::new();
-        let value = serde_json::json!({"solver": {"iterations": 50, "seed": null}, "fov": [20, 30], "nodes": [{"id": "a"}]});
+        let value =
+            serde_json::json!({"solver": {"iterations": 50, "seed": null}, "fov": [20, 30], "nodes": [{"id": "a"}]});
         flatten(String::new(), &value, &mut rows);
         let rows: Vec<_> = rows.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
-        assert_eq!(rows, [("solver.iterations", "50"), ("solver.seed", "none"), ("fov", "20, 30"), ("nodes[0].id", "a")]);
+        assert_eq!(
+            rows,
+            [("solver.iterations", "50"), ("solver.seed", "none"), ("fov", "20, 30"), ("nodes[0].id", "a")]
+        );
     }
 }

@@ -131,6 +131,6 @@ fn three(view: &Comparison) -> Markup {
 fn difference_legend(amplification: u32) -> Markup {
     let end = 1.0 / f64::from(amplification);
     let end = format::number(end);
-    let labels = [format!("≤ −{end} too dark"), format!("× {amplification}"), format!("≥ +{end} too bright")];
+    let labels = [format!("≤ −{end} too dark"), "0".into(), format!("≥ +{end} too bright")];
     legend(DIVERGING, &labels)
 }
