@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::FieldError;
 
-/// What [`write`] lends to its closure: buffered, seekable.
+/// What [`fn@write`] lends to its closure: buffered, seekable.
 pub type Writer<'a> = BufWriter<&'a mut File>;
 
 /// Writes a file through `fill`. When `fill` or the disk fails, the target stays as it was and nothing is left beside it.
@@ -21,7 +21,7 @@ pub fn write(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) 
 /// Writes a file whose content is at hand.
 ///
 /// # Errors
-/// Those of [`write`].
+/// Those of [`fn@write`].
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), FieldError> {
     write(path, |writer| writer.write_all(bytes))
 }

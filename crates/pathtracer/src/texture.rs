@@ -181,7 +181,7 @@ fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, u
     let below = floor(x);
     let share = x - below;
     let last = size as i32 - 1;
-    let index = (below as i32).min(last);
+    let index = (below as i32).clamp(-1, last);
     let (first, second) = if wrap == Wrap::Repeat {
         (if index < 0 { last } else { index }, if index >= last { 0 } else { index + 1 })
     } else {

@@ -121,7 +121,7 @@ impl Tracer<'_> {
             if scatter.refracted {
                 inside = if vertex.front { Some(vertex.material) } else { None };
             }
-            ray = vertex.leave(scatter.direction, f32::INFINITY);
+            ray = vertex.leave(scatter.direction);
             cone = Cone { width: vertex.width, spread: cone.spread.max(SCATTER_SPREAD * scatter.alpha) };
             let straight = scatter.crossed && scatter.pdf.is_infinite() && hit.flags & TINT != 0;
             if !straight {
@@ -170,8 +170,11 @@ impl Tracer<'_> {
         if contribution == Vec3::ZERO {
             return Vec3::ZERO;
         }
-        let shadow = vertex.leave(light.direction, light.distance);
-        contribution * self.bvh.transmittance(&shadow, stack, |hit| self.passed(hit, shadow.direction))
+        let mut shadow = vertex.leave(light.direction);
+        if let Some(end) = light.end {
+            shadow = Ray { direction: end - shadow.origin, t_max: 1.0, ..shadow };
+        }
+        contribution * self.bvh.transmittance(&shadow, stack, |hit| self.passed(hit, light.direction))
     }
 
     /// Decides by chance whether a surface with alpha is there. The number is stratified over samples and turned by a hash per
@@ -211,9 +214,10 @@ impl Tracer<'_> {
 
 impl Vertex<'_> {
     /// A ray from this point, started off the surface on the side it goes to.
-    fn leave(&self, direction: Vec3, t_max: f32) -> Ray {
+    fn leave(&self, direction: Vec3) -> Ray {
         let side = self.normal.dot(direction).signum();
-        Ray { origin: self.point.position + side * self.point.offset * self.normal, direction, t_max }
+        let origin = self.point.position + side * self.point.offset * self.normal;
+        Ray { origin, direction, t_max: f32::INFINITY }
     }
 }
 

@@ -92,13 +92,11 @@ pub fn run(job: &Job, run_dir: &Path, command: Option<&str>, task: Task<'_>) -> 
     write(&run_dir.join("report.json"), &serde_json::to_vec_pretty(&report.json).expect("reports serialize"))?;
     write(&path, report.html.as_bytes())?;
     run.stages.push(Stage { name: "report".into(), seconds: stage.elapsed().as_secs_f64(), cached: false });
-    // infinity is a text in JSON
-    let figure = |value: &serde_json::Value| value.as_f64().or_else(|| value.as_str()?.parse().ok());
     Ok(Summary {
         report: path,
-        psnr_view: figure(&report.json["psnr_view"]).unwrap_or(f64::NAN),
-        psnr_raw: figure(&report.json["psnr_raw"]).unwrap_or(f64::NAN),
-        psnr_held_out: figure(&report.json["held_out"]["overall_psnr_view"]),
+        psnr_view: report.psnr_view,
+        psnr_raw: report.psnr_raw,
+        psnr_held_out: report.held_out_psnr_view,
         seconds: start.elapsed().as_secs_f64(),
     })
 }
@@ -381,10 +379,11 @@ impl<'a> Run<'a> {
                 run.stamps.write(&stage, &key, &written)?;
                 Ok((written, false))
             })?;
-            files.extend(written.into_iter().map(|path: PathBuf| Output {
-                label: format!("{}: {}", output.plugin, path.file_name().unwrap_or_default().to_string_lossy()),
-                path: path.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/"),
-            }));
+            let written: Vec<PathBuf> = written;
+            files.push(Output {
+                label: format!("{}, {} files", output.plugin, written.len()),
+                path: relative.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/"),
+            });
         }
         Ok(files)
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use exr::meta::MetaData;
 use exr::prelude::{
-    AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
+    AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
     ReadChannels, ReadLayers, WritableImage, f16, read as read_exr,
 };
 
@@ -60,9 +60,9 @@ fn encode(writer: impl io::Write + io::Seek, size: [usize; 2], rgb: &[f32], prec
         AnyChannel::new(name, samples)
     };
     let channels = AnyChannels::sort([channel("R", 0), channel("G", 1), channel("B", 2)].into_iter().collect());
+    // On grainy pictures PIZ takes half the time and half the space of ZIP.
     let encoding =
-        Encoding { compression: Compression::ZIP16, line_order: LineOrder::Increasing, ..Encoding::default() };
-    let encoding = Encoding { blocks: exr::prelude::Blocks::ScanLines, ..encoding };
+        Encoding { compression: Compression::PIZ, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
     let layer = Layer::new((size[0], size[1]), LayerAttributes::default(), encoding, channels);
     Image::from_layer(layer).write().non_parallel().to_buffered(writer).map_err(|error| match error {
         exr::error::Error::Io(error) => error,

@@ -45,8 +45,8 @@ struct TriangleLight {
 pub(crate) struct LightSample {
     /// Towards the light.
     pub(crate) direction: Vec3,
-    /// To the light; infinite for light from infinity.
-    pub(crate) distance: f32,
+    /// Where the shadow ray ends, just before the light; `None` for light from infinity.
+    pub(crate) end: Option<Vec3>,
     /// Radiance over density: multiply by f |cos|, visibility and the heuristic's weight.
     pub(crate) weight: Vec3,
     /// Density per solid angle, including the choice of the light; infinite for punctual lights.
@@ -113,13 +113,13 @@ impl Lights {
             return light.sample(geometry, materials, from, chance, u);
         }
         if let Some(light) = self.punctual.get(index - self.triangles.len()) {
-            let (direction, distance, intensity) = light.sample(from)?;
-            return Some(LightSample { direction, distance, weight: intensity / chance, pdf: f32::INFINITY });
+            let (direction, end, intensity) = light.sample(from)?;
+            return Some(LightSample { direction, end, weight: intensity / chance, pdf: f32::INFINITY });
         }
         let environment = self.environment.as_ref()?;
         let (direction, radiance, density) = environment.sample(u)?;
         let pdf = chance * density;
-        Some(LightSample { direction, distance: f32::INFINITY, weight: radiance / pdf, pdf })
+        Some(LightSample { direction, end: None, weight: radiance / pdf, pdf })
     }
 
     fn chance(&self, index: usize) -> f32 {
@@ -147,9 +147,8 @@ impl TriangleLight {
         let material = geometry.material_index(self.triangle);
         let radiance = materials.emission(material, &point, 0.0, cosine > 0.0) * materials.coverage(material, &point);
         let pdf = chance * distance * distance / (self.area * cosine.abs());
-        // the shadow ray must end before it reaches the light
-        let distance = distance - 2.0 * point.offset / cosine.abs().max(1e-2);
-        (radiance != Vec3::ZERO && pdf.is_finite()).then(|| LightSample { direction, distance, weight: radiance / pdf, pdf })
+        let end = Some(point.position + cosine.signum() * point.offset * point.geometric_normal);
+        (radiance != Vec3::ZERO && pdf.is_finite()).then(|| LightSample { direction, end, weight: radiance / pdf, pdf })
     }
 }
 

@@ -44,10 +44,10 @@ impl PunctualLight {
         }
     }
 
-    /// Direction to the light, its distance, and the irradiance it gives to a surface that faces it.
-    pub(crate) fn sample(&self, from: Vec3) -> Option<(Vec3, f32, Vec3)> {
+    /// Direction to the light, its place (`None` at infinity), and the irradiance it gives to a surface that faces it.
+    pub(crate) fn sample(&self, from: Vec3) -> Option<(Vec3, Option<Vec3>, Vec3)> {
         if matches!(self.kind, LightKind::Directional) {
-            return Some((-self.direction, f32::INFINITY, self.intensity));
+            return Some((-self.direction, None, self.intensity));
         }
         let to_light = self.position - from;
         let distance = to_light.length();
@@ -60,6 +60,8 @@ impl PunctualLight {
             }
             LightKind::Point | LightKind::Directional => 1.0,
         };
-        (distance > 0.0 && falloff > 0.0).then(|| (direction, distance, self.intensity * (falloff / (distance * distance))))
+        (distance > 0.0 && falloff > 0.0).then(|| {
+            (direction, Some(self.position), self.intensity * (falloff / (distance * distance)))
+        })
     }
 }
