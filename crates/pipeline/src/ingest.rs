@@ -5,13 +5,25 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
-use lumistack_core::Task;
+use lumistack_core::{Task, Tensor};
+use lumistack_display::{FieldGeometry, ViewGrid};
 use lumistack_gltf::AssetResolver;
-use lumistack_scene::{Camera, Scene, Window};
+use lumistack_pathtracer::Renderer;
+use lumistack_scene::{Camera, Scene, Similarity, Window};
 
+use crate::cache::KeyBuilder;
 use crate::error::{PipelineError, read};
 use crate::job::{LightJob, WindowFrom, WindowJob};
 use crate::light;
+use crate::render::render_error;
+use crate::run::write;
+
+/// Share of an automatic window that the scene should cover at least.
+const COVERAGE: f64 = 0.26;
+/// Least width of an automatic window relative to one that holds all of the scene.
+const CLOSEST: f64 = 0.6;
+/// Columns of the straight view by which coverage is measured.
+const PROBE_COLS: usize = 168;
 
 /// A loaded scene and what it was made from.
 pub struct Ingested {
@@ -19,6 +31,15 @@ pub struct Ingested {
     pub scene: Arc<Scene>,
     /// Every file that was read, with a hash of its content.
     pub files: Vec<(PathBuf, String)>,
+}
+
+impl Ingested {
+    /// Adds everything the scene was made from.
+    pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
+        for (path, content) in &self.files {
+            key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
+        }
+    }
 }
 
 /// Loads a scene, replaces its environment where the job says so, and lights it where it has no light.
@@ -64,40 +85,126 @@ pub fn load_scene(path: &Path, light_job: &LightJob, task: Task<'_>) -> Result<I
 
 /// Places the display in the scene.
 ///
+/// A window that nobody asked for (no camera named, no focus distance, no numbers) is moved closer until the scene covers a quarter of it.
+///
 /// # Errors
 /// When the job names a camera that does not exist or gives numbers that make no rectangle.
-pub fn place_window(scene: &Scene, job: &WindowJob, size_mm: [f64; 2]) -> Result<Window, PipelineError> {
-    let camera = match (&job.from, &job.camera) {
-        (WindowFrom::Auto | WindowFrom::Camera, Some(wanted)) => Some(find_camera(scene, wanted)?),
-        (WindowFrom::Auto, None) => scene.cameras.first(),
-        (WindowFrom::Camera, None) => match scene.cameras.first() {
-            Some(camera) => Some(camera),
-            None => return Err(PipelineError::value(&scene.name, "window.from", "a camera in the scene", "none")),
-        },
-        (WindowFrom::Bounds | WindowFrom::Given, _) => None,
-    };
-    let window = if job.from == WindowFrom::Given {
-        let missing = |key: &str| PipelineError::value("job", format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing");
+pub fn place_window(
+    ingested: &Ingested,
+    job: &WindowJob,
+    geometry: &FieldGeometry,
+    cache_dir: &Path,
+    task: Task<'_>,
+) -> Result<Window, PipelineError> {
+    let scene = &*ingested.scene;
+    let size_mm = geometry.size_mm();
+    let error = |source| PipelineError::Window { name: scene.name.clone(), source };
+    if job.from == WindowFrom::Given {
+        let missing = |key: &str| {
+            PipelineError::value("job", format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing")
+        };
         let vector = |key: &str, value: Option<[f64; 3]>| value.map(DVec3::from_array).ok_or_else(|| missing(key));
-        Window::given(
-            vector("centre", job.centre)?,
-            vector("forward", job.forward)?,
-            vector("up", job.up)?,
-            job.width.ok_or_else(|| missing("width"))?,
-            size_mm,
-        )
-    } else if let Some(camera) = camera {
-        let focus_distance = job.focus_distance.or(camera.focus_distance);
-        Window::from_camera(&Camera { focus_distance, ..camera.clone() }, scene.bounds(), size_mm)
-    } else {
-        Window::framing(scene.bounds(), size_mm)
-    };
-    match window {
-        // a camera that the user did not ask for must not stand in the way
-        Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => Window::framing(scene.bounds(), size_mm),
-        other => other,
+        let (centre, forward) = (vector("centre", job.centre)?, vector("forward", job.forward)?);
+        let (up, width) = (vector("up", job.up)?, job.width.ok_or_else(|| missing("width"))?);
+        return Window::given(centre, forward, up, width, size_mm).map_err(error);
     }
-    .map_err(|source| PipelineError::Window { name: scene.name.clone(), source })
+    let camera = match (job.from, &job.camera) {
+        (WindowFrom::Bounds, _) => None,
+        (_, Some(wanted)) => Some(find_camera(scene, wanted)?),
+        (_, None) => scene.cameras.first(),
+    };
+    if job.from == WindowFrom::Camera && camera.is_none() {
+        return Err(PipelineError::value(&scene.name, "window.from", "a camera in the scene", "none"));
+    }
+    let Some(camera) = camera else {
+        let framed = Window::framing(scene.bounds(), size_mm).map_err(error)?;
+        return close_up(ingested, framed, geometry, true, cache_dir, task);
+    };
+    let focus_distance = job.focus_distance.or(camera.focus_distance);
+    match Window::from_camera(&Camera { focus_distance, ..camera.clone() }, scene.bounds(), size_mm) {
+        Ok(window) if focus_distance.is_some() || job.from == WindowFrom::Camera || job.camera.is_some() => Ok(window),
+        Ok(window) => close_up(ingested, window, geometry, false, cache_dir, task),
+        // a camera that nobody asked for must not stand in the way
+        Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => {
+            Window::framing(scene.bounds(), size_mm).map_err(error)
+        }
+        Err(source) => Err(error(source)),
+    }
+}
+
+/// Moves an automatic window closer until the scene covers [`COVERAGE`] of it, by no more than [`CLOSEST`]. With `recentre` it also
+/// moves to where most is seen, so that a slender foot leaves the window before the body does.
+fn close_up(
+    ingested: &Ingested,
+    window: Window,
+    geometry: &FieldGeometry,
+    recentre: bool,
+    cache_dir: &Path,
+    task: Task<'_>,
+) -> Result<Window, PipelineError> {
+    let mut key = KeyBuilder::new("window", 1);
+    ingested.add_to(&mut key);
+    let key = key.add("window", format!("{window:?} {recentre}").as_bytes()).finish();
+    let cached = cache_dir.join(format!("window-{}.json", &key[..16]));
+    if let Some((centre, scale)) = std::fs::read(&cached).ok().and_then(|text| serde_json::from_slice(&text).ok()) {
+        let (centre, scale): ([f64; 3], f64) = (centre, scale);
+        let map = Similarity { translation: centre.into(), scale, ..window.scene_from_display };
+        return Ok(Window { scene_from_display: map, ..window });
+    }
+    let renderer = Renderer::new(ingested.scene.clone(), task).map_err(render_error)?;
+    // a coarse straight view is enough to measure an area
+    let cols = geometry.cols.min(PROBE_COLS);
+    let pitch_mm = window.size_mm[0] / cols as f64;
+    let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
+    let probe =
+        FieldGeometry { rows, cols, pitch_mm, grid: ViewGrid::single(geometry.grid.projection, [0.0, 0.0]) };
+    let mask = renderer.hit_mask(&window, &probe, [0, 0], task).map_err(render_error)?;
+    let (factor, [row, col]) = best_crop(&mask, recentre);
+    let half = 0.5 * pitch_mm;
+    let fitted = window.scaled_about([probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm], factor);
+    let map = fitted.scene_from_display;
+    write(&cached, &serde_json::to_vec(&(map.translation.to_array(), map.scale)).expect("numbers serialize"))?;
+    Ok(fitted)
+}
+
+/// The largest part of a picture, as a factor on its size and its centre [row, column] in pixels, of which [`COVERAGE`] is set in the mask. Where even
+/// [`CLOSEST`] is not enough, that.
+fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
+    let [rows, cols] = mask.shape();
+    // sums over all pixels above and to the left
+    let mut sums = Tensor::zeros(["row", "col"], [rows + 1, cols + 1]);
+    for row in 0..rows {
+        for col in 0..cols {
+            let sum = mask.get([row, col]) + sums.get([row, col + 1]) + sums.get([row + 1, col]) - sums.get([row, col]);
+            *sums.at_mut([row + 1, col + 1]) = sum;
+        }
+    }
+    let middle = [rows as f64 / 2.0, cols as f64 / 2.0];
+    let mut factor = 1.0;
+    loop {
+        let [height, width] = [rows, cols].map(|n| ((n as f64 * factor).round() as usize).max(1));
+        let (mut best, mut centre) = (f64::NEG_INFINITY, middle);
+        for top in 0..=rows - height {
+            for left in 0..=cols - width {
+                let at = [top as f64 + height as f64 / 2.0, left as f64 + width as f64 / 2.0];
+                let distance = (at[0] - middle[0]).abs() + (at[1] - middle[1]).abs();
+                if !recentre && distance > 1.0 {
+                    continue;
+                }
+                let (bottom, right) = (top + height, left + width);
+                let hits = sums.get([bottom, right]) - sums.get([top, right]) - sums.get([bottom, left]) + sums.get([top, left]);
+                // among parts that show about the same, the one nearest to the middle
+                let value = f64::from(hits) / (height * width) as f64 - 1e-4 * distance;
+                if value > best {
+                    (best, centre) = (value, at);
+                }
+            }
+        }
+        if best >= COVERAGE || factor <= CLOSEST || sums.get([rows, cols]) == 0.0 {
+            return (factor, centre);
+        }
+        factor = (factor - 0.02).max(CLOSEST);
+    }
 }
 
 fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, PipelineError> {
@@ -127,4 +234,33 @@ impl AssetResolver for Files<'_> {
 
 fn hash(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slender_figure_is_framed_where_it_is_widest() {
+        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
+        for row in 0..100 {
+            // a head above a thin stand
+            let half = if row < 40 { 22 } else { 3 };
+            (80 - half..80 + half).for_each(|col| *mask.at_mut([row, col]) = 1.0);
+        }
+        let (factor, [row, col]) = best_crop(&mask, true);
+        assert!(factor < 0.9 && factor > CLOSEST, "{factor}");
+        assert!((row - 50.0 * factor).abs() < 3.0, "the head stays whole: {row} at {factor}");
+        assert!((col - 80.0).abs() < 2.0);
+        let (_, [row, _]) = best_crop(&mask, false);
+        assert!((row - 50.0).abs() <= 1.0, "a camera's axis stays in the middle");
+    }
+
+    #[test]
+    fn what_covers_enough_stays_as_it_is() {
+        let full = Tensor::filled(["row", "col"], [10, 16], 1.0);
+        assert_eq!(best_crop(&full, true), (1.0, [5.0, 8.0]));
+        let empty = Tensor::zeros(["row", "col"], [10, 16]);
+        assert_eq!(best_crop(&empty, true), (1.0, [5.0, 8.0]));
+    }
 }

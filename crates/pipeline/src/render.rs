@@ -74,9 +74,7 @@ pub fn render(
     let held_out_geometry =
         held_out_grid(&geometry.grid, job.render.held_out).map(|grid| geometry.with_grid(grid));
     let mut key = KeyBuilder::new("render", RENDER_VERSION);
-    for (path, content) in &ingested.files {
-        key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
-    }
+    ingested.add_to(&mut key);
     key.add_json("light", &job.light).add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
     key.add("settings", format!("{settings:?}").as_bytes()).add("window", format!("{window:?}").as_bytes());
     let mut todo = Vec::new();
@@ -153,7 +151,7 @@ fn trace(
     result
 }
 
-fn render_error(error: lumistack_pathtracer::RenderError) -> PipelineError {
+pub(crate) fn render_error(error: lumistack_pathtracer::RenderError) -> PipelineError {
     match error {
         lumistack_pathtracer::RenderError::Cancelled(_) => PipelineError::Cancelled,
         other => PipelineError::Render(other),

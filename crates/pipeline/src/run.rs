@@ -113,7 +113,7 @@ pub fn render_only(job: &Job, target_dir: &Path, task: Task<'_>) -> Result<(), P
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let ingested = ingest::load_scene(scene, &job.light, task)?;
-    let window = ingest::place_window(&ingested.scene, &job.window, geometry.size_mm())?;
+    let window = ingest::place_window(&ingested, &job.window, &geometry, &target_dir.join("cache"), task)?;
     let mut job = job.clone();
     job.render.held_out = 0;
     let rendered = render::render(&job, &ingested, &window, &geometry, &target_dir.join("cache"), task)?;
@@ -174,7 +174,7 @@ impl<'a> Run<'a> {
         let job = self.job;
         let ingested = self.timed("ingest", |_| Ok((ingest::load_scene(path, &job.light, task)?, false)))?;
         let geometry = self.display.geometry().map_err(|source| display_error(source, "field"))?;
-        let window = ingest::place_window(&ingested.scene, &job.window, geometry.size_mm())?;
+        let window = ingest::place_window(&ingested, &job.window, &geometry, &self.dir.join("cache"), task)?;
         let rendered = self.timed("render", |run| {
             let cache = run.dir.join("cache/views");
             let rendered = render::render(job, &ingested, &window, &geometry, &cache, task)?;

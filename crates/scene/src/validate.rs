@@ -77,8 +77,11 @@ impl SceneParts {
         self.check_materials(task)?;
         let uses_normal_map: Vec<bool> = self.materials.iter().map(|m| m.normal_texture.is_some()).collect();
         let material_count = self.materials.len();
+        let (mut flat, mut flat_meshes) = (0, 0);
         for mesh in &mut self.meshes {
-            check_mesh(mesh, material_count, task)?;
+            let dropped = check_mesh(mesh, material_count, task)?;
+            flat += dropped;
+            flat_meshes += usize::from(dropped > 0);
             if mesh.normals.is_empty() {
                 generate_flat_normals(mesh);
             }
@@ -86,6 +89,10 @@ impl SceneParts {
                 let uv_set = self.materials[mesh.material].normal_texture.map_or(0, |texture| texture.uv_set);
                 generate_tangents(mesh, uv_set);
             }
+        }
+        if flat > 0 {
+            let message = format!("{flat} triangles in {flat_meshes} meshes have no area and are left out");
+            task.warn("/meshes", message);
         }
         self.check_instances(task)?;
         self.check_lights_and_cameras()?;
@@ -248,7 +255,8 @@ fn index(place: &str, value: usize, count: usize, what: &str) -> Result<(), Scen
     Err(SceneError::new(place, format!("a {what} below {count}"), value.to_string()))
 }
 
-fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<(), SceneError> {
+/// Returns how many triangles without area it left out.
+fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<usize, SceneError> {
     let count = mesh.positions.len();
     index(&format!("{} material", mesh.place), mesh.material, material_count, "material")?;
     if let Some(at) = mesh.positions.iter().position(|p| !p.is_finite()) {
@@ -288,12 +296,8 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
     let before = mesh.triangles.len();
     let positions = &mesh.positions;
     mesh.triangles.retain(|&triangle| face_normal(positions, triangle).is_some());
-    let dropped = before - mesh.triangles.len();
-    if dropped > 0 {
-        task.warn(&mesh.place, format!("{dropped} of {before} triangles have no area and are left out"));
-    }
     mend_normals(mesh, task);
-    Ok(())
+    Ok(before - mesh.triangles.len())
 }
 
 /// Unit normal of a triangle; `None` without area.

@@ -130,6 +130,15 @@ impl Window {
         })
     }
 
+    /// The same plane, narrower or wider by `factor` around the point (x, y) of it.
+    #[must_use]
+    pub fn scaled_about(&self, point_mm: [f64; 2], factor: f64) -> Self {
+        let map = self.scene_from_display;
+        let translation = map.point(DVec3::new(point_mm[0], point_mm[1], 0.0));
+        let scene_from_display = Similarity { scale: map.scale * factor, translation, ..map };
+        Self { scene_from_display, size_mm: self.size_mm }
+    }
+
     /// Frames the bounds from the front (looking along −z, glTF's front of an asset): the plane goes through their centre and just
     /// holds their width and height.
     ///
