@@ -77,7 +77,7 @@ fn jobs() {
     let job = folder.path().join("job.toml");
     let run = folder.path().join("run");
     let scene = root().join("scenes/glass/glass.gltf");
-    let mut check = |text: &str, parts: &[&str]| {
+    let check = |text: &str, parts: &[&str]| {
         std::fs::write(&job, text.replace("SCENE", &scene.display().to_string())).unwrap();
         let error = fail(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
         for part in parts {

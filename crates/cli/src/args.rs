@@ -8,7 +8,7 @@ use clap::{Args as ClapArgs, Parser, Subcommand};
 /// Turns 3D scenes into glasses-free 3D: path-traces the light field that a viewer should see and factorizes it into the layer
 /// patterns of a tensor display.
 #[derive(Debug, Parser)]
-#[command(name = "lumistack", version, max_term_width = 110)]
+#[command(name = "lumistack", version, max_term_width = 110, args_override_self = true)]
 pub(crate) struct Args {
     /// Show the causes of errors
     #[arg(short, long, global = true)]

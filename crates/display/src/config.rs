@@ -330,7 +330,7 @@ impl Display {
     }
 
     /// The same display at another resolution: the field becomes `resolution` = [columns, rows] pixels over the same width, and the masks are
-    /// scaled by the same factors. Panels and backlight, being hardware, stay.
+    /// scaled by the same factors, and so is the number of lenslets over the same area: a coarse preview keeps the display's character. Physical panels stay.
     #[must_use]
     pub fn with_resolution(&self, resolution: [usize; 2]) -> Self {
         let mut display = self.clone();
@@ -345,11 +345,16 @@ impl Display {
             layer.resolution = [scaled(layer.resolution[0], 0), scaled(layer.resolution[1], 1)];
             layer.pitch_mm *= pitch_factor;
         }
+        if let Backlight::Lenslets(backlight) = &mut display.backlight {
+            let cols = scaled(backlight.lenslets[0], 0);
+            backlight.pitch_mm *= backlight.lenslets[0] as f64 / cols as f64;
+            backlight.lenslets = [cols, scaled(backlight.lenslets[1], 1)];
+        }
         display
     }
 
     /// The same display for a light field that already exists: masks take its resolution and size, the view grid its angles (as the full
-    /// angle whose bins are as wide as the field's). Distances, frames and backlight stay.
+    /// angle whose bins are as wide as the field's). Distances and frames stay.
     #[must_use]
     pub fn adapted_to(&self, geometry: &FieldGeometry) -> Self {
         let mut display = self.with_resolution([geometry.cols, geometry.rows]);

@@ -12,6 +12,12 @@ fn main() {
     let r = Renderer::new(scene, task).unwrap();
     let base = Settings::default();
     let reference = r.render_view(&window, &geometry, [0,0], &Settings { samples: 4096, seed: 77, ..base }, task).unwrap();
+    let im = r.render_view(&window, &geometry, [0,0], &Settings { samples: 64, ..base }, task).unwrap();
+    let codes: Vec<u8> = im.data().iter().zip(reference.data()).map(|(a, b)| ((a.min(1.0) - b.min(1.0)).abs() * 2500.0).min(255.0) as u8).collect();
+    image::RgbImage::from_raw(210, 131, codes).unwrap().save("/tmp/err.png").unwrap();
+    let codes: Vec<u8> = reference.data().iter().map(|&v| colour::srgb_code(v)).collect();
+    image::RgbImage::from_raw(210, 131, codes).unwrap().save("/tmp/ref.png").unwrap();
+    if a.len() > 2 { return; }
     for samples in [16, 64] { for start in [0,1,2,3,5] {
         let t = Instant::now();
         let n = 4;

@@ -22,7 +22,7 @@ use crate::shading::Materials;
 
 /// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
-/// Pairs per vertex of a path: lobe and light choice, scattered direction, point of the light, roulette and alpha.
+/// Pairs per vertex of a path: scattered direction, point of a light, roulette and alpha, Fresnel and light choice.
 const VERTEX_PAIRS: u64 = 4;
 /// Paths survive roulette with no more than this chance, so that lossless scenes end too.
 const MOST_SURVIVAL: f32 = 0.95;
@@ -75,10 +75,10 @@ impl Tracer<'_> {
         let mut inside: Option<usize> = None;
         for bounce in 0..=settings.max_bounces {
             sampler.jump_to(PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce));
-            let [u_lobe, u_light] = sampler.pair();
             let u_scatter = sampler.pair();
-            let u_point = sampler.pair();
+            let u_light = sampler.pair();
             let [u_roulette, u_alpha] = sampler.pair();
+            let [u_fresnel, u_fine] = sampler.pair();
             let rotation = sampler.pixel_hash(u64::from(bounce));
             let hit = if in_bounds {
                 self.bvh.nearest(&ray, stack, |hit| self.is_there(hit, u_alpha, rotation))
@@ -106,9 +106,9 @@ impl Tracer<'_> {
             }
             let bsdf = self.bsdf(&vertex, -ray.direction);
             if bsdf.is_smooth() {
-                radiance += throughput * self.direct(&vertex, &bsdf, u_light, u_point, stack);
+                radiance += throughput * self.direct(&vertex, &bsdf, u_light, u_fine, stack);
             }
-            let Some(scatter) = bsdf.sample(u_lobe, u_scatter) else { break };
+            let Some(scatter) = bsdf.sample(u_scatter, u_fresnel) else { break };
             throughput *= scatter.weight;
             if bounce >= settings.roulette_start {
                 let survival = throughput.max_element().min(MOST_SURVIVAL);
@@ -159,9 +159,9 @@ impl Tracer<'_> {
     }
 
     /// Light from one sampled light.
-    fn direct(&self, vertex: &Vertex<'_>, bsdf: &Bsdf, u_light: f32, u_point: [f32; 2], stack: &mut Stack) -> Vec3 {
+    fn direct(&self, vertex: &Vertex<'_>, bsdf: &Bsdf, u: [f32; 2], u_fine: f32, stack: &mut Stack) -> Vec3 {
         let from = vertex.point.position;
-        let Some(light) = self.lights.sample(self.geometry, self.materials, from, u_light, u_point) else {
+        let Some(light) = self.lights.sample(self.geometry, self.materials, from, u, u_fine) else {
             return Vec3::ZERO;
         };
         let (value, scatter_pdf) = bsdf.evaluate(light.direction);

@@ -97,6 +97,8 @@ impl Stamps {
         });
         let stamp = Stamp { key: key.into(), files: sized.collect::<Result<_, PipelineError>>()? };
         let text = serde_json::to_vec_pretty(&stamp).expect("stamps serialize");
+        let folder = self.run_dir.join("cache");
+        std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
         lumistack_field_io::atomic::write_bytes(&self.path(stage), &text).map_err(PipelineError::Field)
     }
 

@@ -163,6 +163,7 @@ fn close_up(
     let half = 0.5 * pitch_mm;
     let fitted = window.scaled_about([probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm], factor);
     let map = fitted.scene_from_display;
+    std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
     write(&cached, &serde_json::to_vec(&(map.translation.to_array(), map.scale)).expect("numbers serialize"))?;
     Ok(fitted)
 }

@@ -146,8 +146,6 @@ impl<'a> Run<'a> {
             registry.check_params(&output.plugin, &output.params.clone().into()).map_err(PipelineError::Output)?;
         }
         check_folder(dir)?;
-        let cache = dir.join("cache");
-        std::fs::create_dir_all(&cache).map_err(PipelineError::write(&cache))?;
         Ok(Self { job, dir: dir.to_owned(), display, stamps: Stamps::new(dir), stages: Vec::new() })
     }
 

@@ -47,9 +47,14 @@ pub(crate) struct Bsdf {
     thin: Vec3,
     thin_scale: f32,
     glass: Option<Glass>,
-    /// Chances of [reflection, diffuse, thin transmission, glass]; their sum is 1, or all are 0.
+    /// Chances of the lobes [`REFLECTION`], [`DIFFUSE`], [`THIN`] and [`GLASS`]; their sum is 1, or all are 0.
     chances: [f32; 4],
 }
+
+const REFLECTION: usize = 0;
+const DIFFUSE: usize = 1;
+const THIN: usize = 2;
+const GLASS: usize = 3;
 
 /// Schlick's Fresnel term with its weight: `weight · (f0 + (f90 − f0)(1 − o·h)⁵)`, per channel.
 struct Lobe {
@@ -142,7 +147,7 @@ impl Bsdf {
 
     /// Whether any lobe can be evaluated, so that light sampling makes sense.
     pub(crate) fn is_smooth(&self) -> bool {
-        self.chances[1] > 0.0 || (!self.mirror && self.chances.iter().any(|&chance| chance > 0.0))
+        self.chances[DIFFUSE] > 0.0 || (!self.mirror && self.chances.iter().any(|&chance| chance > 0.0))
     }
 
     /// Share of light that a thin wall as smooth as a mirror lets through on its straight way.
@@ -159,58 +164,58 @@ impl Bsdf {
         self.evaluate_local(i)
     }
 
-    /// Chooses a direction with the help of `u_lobe` and `u` in [0, 1). `None` when light is absorbed.
-    pub(crate) fn sample(&self, u_lobe: f32, u: [f32; 2]) -> Option<Scatter> {
-        let [reflection, diffuse, thin, glass] = self.chances;
-        let mut u_lobe = u_lobe;
-        let (i, alpha) = if u_lobe < reflection {
-            if self.mirror {
+    /// Chooses a direction for `u` in [0, 1)². The first number also chooses the lobe and is stretched over the lobe's share, which
+    /// leaves each lobe a stratified set of its own; `u_fresnel` chooses between reflection and refraction in glass. `None` when light
+    /// is absorbed.
+    pub(crate) fn sample(&self, u: [f32; 2], u_fresnel: f32) -> Option<Scatter> {
+        let mut first = u[0];
+        let lobe = choose(&self.chances, &mut first)?;
+        let chance = self.chances[lobe];
+        let u = [first, u[1]];
+        let i = match lobe {
+            DIFFUSE => cosine_direction(u),
+            REFLECTION if self.mirror => {
                 let i = Vec3::new(-self.o.x, -self.o.y, self.o.z);
-                return self.finish_mirror(i, self.reflectance(self.o.z) / reflection, false, false);
+                return self.finish_mirror(i, self.reflectance(self.o.z) / chance, false, false);
             }
-            let h = ggx::sample_normal(self.o, self.alpha, u);
-            let i = ggx::reflect(self.o, h);
-            if i.z <= 0.0 {
-                return None;
+            THIN if self.mirror => return self.finish_mirror(-self.o, self.thin / chance, true, false),
+            REFLECTION | THIN => {
+                let i = ggx::reflect(self.o, ggx::sample_normal(self.o, self.alpha, u));
+                if i.z <= 0.0 {
+                    return None;
+                }
+                if lobe == THIN { Vec3::new(i.x, i.y, -i.z) } else { i }
             }
-            (i, self.alpha)
-        } else if u_lobe < reflection + diffuse {
-            (cosine_direction(u), 1.0)
-        } else if u_lobe < reflection + diffuse + thin {
-            if self.mirror {
-                return self.finish_mirror(-self.o, self.thin / thin, true, false);
-            }
-            let h = ggx::sample_normal(self.o, self.alpha, u);
-            let i = ggx::reflect(self.o, h);
-            if i.z <= 0.0 {
-                return None;
-            }
-            (Vec3::new(i.x, i.y, -i.z), self.alpha)
-        } else {
-            let interface = self.glass.as_ref()?;
-            u_lobe = ((u_lobe - (1.0 - glass)) / glass).clamp(0.0, 1.0);
-            let scale = interface.weight / glass;
-            if interface.straight {
-                return self.finish_mirror(-self.o, scale * interface.tint, true, true);
-            }
-            let h = if self.mirror { Vec3::Z } else { ggx::sample_normal(self.o, self.alpha, u) };
-            let cosine = self.o.dot(h);
-            let (fresnel, cosine_far) = fresnel_dielectric(cosine, interface.eta);
-            let reflected = u_lobe < fresnel;
-            let i = if reflected {
-                ggx::reflect(self.o, h)
-            } else {
-                (cosine / interface.eta - cosine_far) * h - self.o / interface.eta
-            };
-            if self.mirror {
-                let weight = if reflected { Vec3::ONE } else { interface.tint };
-                return self.finish_mirror(i, scale * weight, !reflected, !reflected);
-            }
-            if (i.z > 0.0) != reflected {
-                return None;
-            }
-            (i, self.alpha)
+            _ => return self.sample_glass(self.glass.as_ref()?, chance, u, u_fresnel),
         };
+        self.finish(i, if lobe == DIFFUSE { 1.0 } else { self.alpha })
+    }
+
+    fn sample_glass(&self, glass: &Glass, chance: f32, u: [f32; 2], u_fresnel: f32) -> Option<Scatter> {
+        let scale = glass.weight / chance;
+        if glass.straight {
+            return self.finish_mirror(-self.o, scale * glass.tint, true, true);
+        }
+        let h = if self.mirror { Vec3::Z } else { ggx::sample_normal(self.o, self.alpha, u) };
+        let cosine = self.o.dot(h);
+        let (fresnel, cosine_far) = fresnel_dielectric(cosine, glass.eta);
+        let reflected = u_fresnel < fresnel;
+        let i = if reflected {
+            ggx::reflect(self.o, h)
+        } else {
+            (cosine / glass.eta - cosine_far) * h - self.o / glass.eta
+        };
+        if self.mirror {
+            let weight = if reflected { Vec3::ONE } else { glass.tint };
+            return self.finish_mirror(i, scale * weight, !reflected, !reflected);
+        }
+        if (i.z > 0.0) != reflected {
+            return None;
+        }
+        self.finish(i, self.alpha)
+    }
+
+    fn finish(&self, i: Vec3, alpha: f32) -> Option<Scatter> {
         let direction = (self.scene_from_local * i).try_normalize()?;
         if !self.same_side(direction, i) {
             return None;
@@ -254,29 +259,29 @@ impl Bsdf {
         let mut pdf = 0.0;
         if i.z > 0.0 {
             value += self.diffuse * (i.z * FRAC_1_PI);
-            pdf += self.chances[1] * i.z * FRAC_1_PI;
+            pdf += self.chances[DIFFUSE] * i.z * FRAC_1_PI;
             if !self.mirror
                 && let Some(h) = (o + i).try_normalize()
             {
                 let specular = ggx::density(h, alpha) * ggx::visibility(o.z, i.z, alpha) * i.z;
                 let reflection_pdf = ggx::reflection_pdf(o, h, alpha);
                 value += self.reflectance(o.dot(h)) * specular;
-                pdf += self.chances[0] * reflection_pdf;
+                pdf += self.chances[REFLECTION] * reflection_pdf;
                 if let Some(glass) = &self.glass
                     && !glass.straight
                 {
                     let (fresnel, _) = fresnel_dielectric(o.dot(h), glass.eta);
                     value += Vec3::splat(glass.weight * fresnel * specular);
-                    pdf += self.chances[3] * fresnel * reflection_pdf;
+                    pdf += self.chances[GLASS] * fresnel * reflection_pdf;
                 }
             }
         } else if !self.mirror {
-            if self.chances[2] > 0.0
+            if self.chances[THIN] > 0.0
                 && let Some(h) = (o + Vec3::new(i.x, i.y, -i.z)).try_normalize()
             {
                 let specular = ggx::density(h, alpha) * ggx::visibility(o.z, i.z, alpha) * -i.z;
                 value += self.thin * (self.thin_scale * specular);
-                pdf += self.chances[2] * ggx::reflection_pdf(o, h, alpha);
+                pdf += self.chances[THIN] * ggx::reflection_pdf(o, h, alpha);
             }
             if let Some(glass) = &self.glass
                 && !glass.straight
@@ -292,7 +297,7 @@ impl Bsdf {
                     let specular =
                         4.0 * ggx::density(h, alpha) * ggx::visibility(o.z, i.z, alpha) * -i.z * o_h * jacobian;
                     value += glass.tint * (glass.weight * (1.0 - fresnel) * specular);
-                    pdf += self.chances[3] * (1.0 - fresnel) * ggx::normal_pdf(o, h, alpha) * jacobian;
+                    pdf += self.chances[GLASS] * (1.0 - fresnel) * ggx::normal_pdf(o, h, alpha) * jacobian;
                 }
             }
         }
@@ -311,6 +316,20 @@ fn fresnel_dielectric(cosine: f32, eta: f32) -> (f32, f32) {
     let parallel = (eta * cosine - far) / (eta * cosine + far);
     let perpendicular = (cosine - eta * far) / (cosine + eta * far);
     (0.5 * (parallel * parallel + perpendicular * perpendicular), far)
+}
+
+/// Chooses an entry by its chance and stretches `u` over the entry's share. `None` when all chances are 0.
+fn choose(chances: &[f32; 4], u: &mut f32) -> Option<usize> {
+    let last = chances.iter().rposition(|&chance| chance > 0.0)?;
+    let mut below = 0.0;
+    for (index, &chance) in chances.iter().enumerate() {
+        if *u < below + chance || index == last {
+            *u = ((*u - below) / chance).clamp(0.0, 1.0 - f32::EPSILON);
+            return Some(index);
+        }
+        below += chance;
+    }
+    None
 }
 
 /// A direction of the upper hemisphere with density cos/π (concentric map of Shirley, Chiu 1997).

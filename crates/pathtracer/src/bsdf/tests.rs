@@ -33,8 +33,8 @@ fn pair(stream: &mut Stream) -> [f32; 2] {
 fn sampled_albedo(bsdf: &Bsdf, count: usize, seed: u64) -> Mean {
     let mut stream = Stream::new(seed);
     Mean::of((0..count).map(|_| {
-        let u_lobe = stream.next_f32();
-        bsdf.sample(u_lobe, pair(&mut stream)).map_or(0.0, |scatter| f64::from(scatter.weight.x))
+        let u_fresnel = stream.next_f32();
+        bsdf.sample(pair(&mut stream), u_fresnel).map_or(0.0, |scatter| f64::from(scatter.weight.x))
     }))
 }
 
@@ -81,12 +81,12 @@ fn transmission_conserves_energy() {
 fn refraction_bends_by_snells_law() {
     let glass = Appearance { transmission: 1.0, roughness: 0.0, solid: true, ..appearance() };
     let bsdf = Bsdf::new(&glass, viewer(0.5), Vec3::Z, Vec3::Z, true);
-    let scatter = bsdf.sample(0.99, [0.5; 2]).unwrap();
+    let scatter = bsdf.sample([0.5; 2], 0.99).unwrap();
     assert!(scatter.crossed && scatter.refracted);
     // sin θ / 1.5 on the far side, away from the viewer
     assert!((scatter.direction.x + 0.75f32.sqrt() / 1.5).abs() < 1e-5, "{}", scatter.direction);
     let inside = Bsdf::new(&glass, viewer(0.5), Vec3::Z, Vec3::Z, false);
-    let reflected = inside.sample(0.99, [0.5; 2]).unwrap();
+    let reflected = inside.sample([0.5; 2], 0.99).unwrap();
     assert!(!reflected.crossed, "total internal reflection");
 }
 
@@ -133,8 +133,8 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     let mut observed = vec![0u64; rows * cols + 1];
     let mut stream = Stream::new(seed);
     for _ in 0..count {
-        let u_lobe = stream.next_f32();
-        let cell = match bsdf.sample(u_lobe, pair(&mut stream)) {
+        let u_fresnel = stream.next_f32();
+        let cell = match bsdf.sample(pair(&mut stream), u_fresnel) {
             Some(scatter) => {
                 let d = bsdf.scene_from_local.transpose() * scatter.direction;
                 let row = ((0.5 * (d.z + 1.0) * rows as f32) as usize).min(rows - 1);
@@ -156,8 +156,8 @@ fn light_does_not_leak_around_a_tilted_shading_normal() {
     assert_eq!(bsdf.evaluate(Vec3::new(0.95, 0.0, -0.3).normalize()).0, Vec3::ZERO);
     let mut stream = Stream::new(5);
     for _ in 0..5000 {
-        let u_lobe = stream.next_f32();
-        if let Some(scatter) = bsdf.sample(u_lobe, pair(&mut stream)) {
+        let u_fresnel = stream.next_f32();
+        if let Some(scatter) = bsdf.sample(pair(&mut stream), u_fresnel) {
             assert!(scatter.direction.z > 0.0 && !scatter.crossed);
         }
     }

@@ -21,6 +21,8 @@ use crate::shading::Materials;
 const EQUAL_SHARE: f64 = 0.3;
 /// Points per triangle at which a textured emission is looked at to estimate its power, per edge.
 const POWER_POINTS: usize = 6;
+/// Step between the random numbers that choose a light.
+const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
 /// No light.
 const NONE: u32 = u32::MAX;
 
@@ -98,17 +100,19 @@ impl Lights {
         }
     }
 
-    /// Chooses a light and a point of it, as seen from `from`.
+    /// Chooses a light and a point of it, as seen from `from`. The first number of `u` also chooses the light and is stretched over the
+    /// light's share, which leaves each light a stratified set of its own; `u_fine` adds the digits that this costs it.
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
         materials: &Materials,
         from: Vec3,
-        u_choice: f32,
         u: [f32; 2],
+        u_fine: f32,
     ) -> Option<LightSample> {
-        let (index, _) = self.choice.as_ref()?.sample(u_choice);
+        let (index, inside) = self.choice.as_ref()?.sample(u[0]);
         let chance = self.chance(index);
+        let u = [(inside + u_fine * DIGIT / chance).min(1.0 - f32::EPSILON), u[1]];
         if let Some(light) = self.triangles.get(index) {
             return light.sample(geometry, materials, from, chance, u);
         }
