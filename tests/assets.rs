@@ -26,12 +26,15 @@ fn check(flags: &[&str]) {
     for file in FILES {
         let run = folder.path().join(file.split('/').next().unwrap());
         let scene = assets.join("gltf").join(file);
-        succeed(lumistack().arg("run").arg(&scene).args(["--display", "paper-three-layer"]).arg("-o").arg(&run).args(flags));
+        succeed(
+            lumistack().arg("run").arg(&scene).args(["--display", "paper-three-layer"]).arg("-o").arg(&run).args(flags),
+        );
         let report = report(&run);
         let scene = &report["scene"];
         let (coverage, span) = (number(scene, "coverage"), number(scene, "target span"));
         let views = report["views"]["psnr_view"].as_array().unwrap();
-        let values: Vec<f64> = views.iter().flat_map(|row| row.as_array().unwrap()).map(|v| v.as_f64().unwrap()).collect();
+        let values: Vec<f64> =
+            views.iter().flat_map(|row| row.as_array().unwrap()).map(|v| v.as_f64().unwrap()).collect();
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         println!("{file}: coverage {coverage:.2}, span {span:.2}, mean psnr_view {mean:.1} dB");
         assert!(coverage >= COVERAGE, "{file}: the object covers {coverage} of the window");

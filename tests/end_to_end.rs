@@ -140,7 +140,11 @@ fn a_killed_run_goes_on_from_what_is_finished() {
     let begin = text.lines().find(|line| line.contains("\"begin\"") && line.contains("render")).unwrap();
     let begin: serde_json::Value = serde_json::from_str(begin).unwrap();
     let (all, views) = (begin["total"].as_u64().unwrap(), 25 + 4);
-    assert_eq!(left * views, all * (views - finished), "{finished} views were finished, {left} of {all} tiles came again");
+    assert_eq!(
+        left * views,
+        all * (views - finished),
+        "{finished} views were finished, {left} of {all} tiles came again"
+    );
     for part in ["target", "layers", "outputs"] {
         assert!(files(&killed.join(part)) == files(&whole.join(part)), "{part} differs from an uninterrupted run");
     }

@@ -34,7 +34,8 @@ fn run_fails(name: &str, content: &[u8]) -> String {
     let scene = folder.path().join(name);
     std::fs::write(&scene, content).unwrap();
     let run = folder.path().join("run");
-    let text = fail(lumistack().arg("run").arg(&scene).arg("-o").arg(&run).args(["--resolution", "20x12", "--samples", "1"]));
+    let text =
+        fail(lumistack().arg("run").arg(&scene).arg("-o").arg(&run).args(["--resolution", "20x12", "--samples", "1"]));
     assert!(text.contains(name), "the error names the file: {text}");
     assert!(!run.join("report.html").exists() && !run.join("layers").exists());
     text
@@ -52,7 +53,8 @@ fn scenes() {
         "textures": [{"source": 0}], "images": [{"uri": "missing.png"}]}"#;
     let text = run_fails("texture.gltf", format!("{}{texture}", triangle("", r#", "material": 0"#)).as_bytes());
     assert!(text.contains("missing.png") && text.contains("/images/0"), "{text}");
-    let required = r#", "extensionsRequired": ["KHR_draco_mesh_compression"], "extensionsUsed": ["KHR_draco_mesh_compression"]}"#;
+    let required =
+        r#", "extensionsRequired": ["KHR_draco_mesh_compression"], "extensionsUsed": ["KHR_draco_mesh_compression"]}"#;
     let text = run_fails("draco.gltf", format!("{}{required}", triangle("", "")).as_bytes());
     assert!(text.contains("KHR_draco_mesh_compression"), "{text}");
     run_fails("text.gltf", b"this is not JSON");
@@ -92,10 +94,16 @@ fn jobs() {
     );
     check(&format!("scene = 3\n{display}"), &["line 1", "string"]);
     check(display, &["either `scene` or `light_field`", "neither"]);
-    check("scene = \"SCENE\"\n[display]\npreset = \"fig7-unifrom\"\n", &["fig7-unifrom", "did you mean `fig7-uniform`"]);
+    check(
+        "scene = \"SCENE\"\n[display]\npreset = \"fig7-unifrom\"\n",
+        &["fig7-unifrom", "did you mean `fig7-uniform`"],
+    );
     check("scene = \"SCENE\"\n[display]\npreset = \"fig7-uniform\"\nbrightness = 2.0\n", &["brightness", "found 2"]);
     check(&format!("scene = \"SCENE\"\n{display}[factorize]\nsolver = \"magic\"\n"), &["magic", "multiplicative"]);
-    check(&format!("scene = \"SCENE\"\n{display}[factorize]\nstart = \"randon\"\n"), &["randon", "did you mean `random`"]);
+    check(
+        &format!("scene = \"SCENE\"\n{display}[factorize]\nstart = \"randon\"\n"),
+        &["randon", "did you mean `random`"],
+    );
     check(&format!("scene = \"SCENE\"\n{display}[[outputs]]\nplugin = \"imagse\"\n"), &["imagse", "images"]);
     check(
         &format!("scene = \"SCENE\"\n{display}[[outputs]]\nplugin = \"images\"\nparams = {{ pgn8 = true }}\n"),
@@ -113,7 +121,8 @@ fn a_display_file_with_a_typo() {
     let text = std::fs::read_to_string(root().join("scenes/displays/fig7-uniform.toml")).unwrap();
     std::fs::write(&display, text.replacen("d_mm =", "d_m =", 1)).unwrap();
     let scene = root().join("scenes/glass/glass.gltf");
-    let error = fail(lumistack().arg("run").arg(scene).arg("--display").arg(&display).arg("-o").arg(folder.path().join("run")));
+    let error =
+        fail(lumistack().arg("run").arg(scene).arg("--display").arg(&display).arg("-o").arg(folder.path().join("run")));
     assert!(error.contains("display.toml: line") && error.contains("did you mean `d_mm`"), "{error}");
 }
 

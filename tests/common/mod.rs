@@ -98,7 +98,8 @@ pub fn python() -> Option<PathBuf> {
 pub fn write_test_field(path: &Path, [views_y, views_x, rows, cols]: [usize; 4], fov_deg: f64, pitch_mm: f64) {
     use npyz::WriterBuilder;
     let half_width = (fov_deg / 2.0).to_radians().tan();
-    let slope = |view: usize, count: usize| (view as f64 - (count as f64 - 1.0) / 2.0) * 2.0 / count as f64 * half_width;
+    let slope =
+        |view: usize, count: usize| (view as f64 - (count as f64 - 1.0) / 2.0) * 2.0 / count as f64 * half_width;
     let mut values = Vec::new();
     for view_y in 0..views_y {
         for view_x in 0..views_x {
@@ -109,7 +110,8 @@ pub fn write_test_field(path: &Path, [views_y, views_x, rows, cols]: [usize; 4],
                     let y = ((rows as f64 - 1.0) / 2.0 - row as f64) * pitch_mm;
                     let (near_x, near_y) = (x + 30.0 * s_x, y + 30.0 * s_y);
                     let (far_x, far_y) = (x - 40.0 * s_x, y - 40.0 * s_y);
-                    let card = near_x.abs() < 0.12 * cols as f64 * pitch_mm && near_y.abs() < 0.2 * rows as f64 * pitch_mm;
+                    let card =
+                        near_x.abs() < 0.12 * cols as f64 * pitch_mm && near_y.abs() < 0.2 * rows as f64 * pitch_mm;
                     let wave = 0.5 + 0.35 * (far_x / (3.0 * pitch_mm)).sin() * (far_y / (4.0 * pitch_mm)).cos();
                     let rgb = if card { [0.9, 0.3, 0.1] } else { [0.2 * wave, 0.6 * wave, wave] };
                     values.extend(rgb.map(|v| v as f32));
@@ -119,7 +121,8 @@ pub fn write_test_field(path: &Path, [views_y, views_x, rows, cols]: [usize; 4],
     }
     let file = std::fs::File::create(path).expect("the test's folder is writable");
     let shape = [views_y, views_x, rows, cols, 3].map(|n| n as u64);
-    let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd().expect("npy header");
+    let mut writer =
+        npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd().expect("npy header");
     writer.extend(values).expect("npy values");
     writer.finish().expect("npy end");
 }

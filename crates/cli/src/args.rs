@@ -26,15 +26,21 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Scene to outputs: render, factorize, write, report
-    #[command(after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n\nA run that was stopped goes on from what is finished when the same command is given again.")]
+    #[command(
+        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n\nA run that was stopped goes on from what is finished when the same command is given again."
+    )]
     Run(Run),
     /// The views of a scene only, as a light-field folder
     Render(Render),
     /// Layer patterns from a light field that somebody else rendered
-    #[command(after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExample:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views")]
+    #[command(
+        after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExample:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views"
+    )]
     Factorize(Factorize),
     /// What a finished display shows from somewhere
-    #[command(after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      4° from the right, 2° from below\n  lumistack simulate runs/still-life --eye 100,0,600 -o eye.png   an eye 600 mm in front, 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right")]
+    #[command(
+        after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      4° from the right, 2° from below\n  lumistack simulate runs/still-life --eye 100,0,600 -o eye.png   an eye 600 mm in front, 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
+    )]
     Simulate(Simulate),
     /// What is in a scene, a light field, a layer stack, a run folder, a display or a job
     Info(Info),
@@ -107,7 +113,7 @@ pub(crate) struct FactorizeArgs {
     /// A `layers` folder to start from
     #[arg(long, value_name = "DIR")]
     pub(crate) warm_start: Option<PathBuf>,
-    /// Weights as .npy, [view_y][view_x] or [view_y][view_x][row][col]
+    /// Weights ≥ 0 as .npy, one per view or one per ray
     #[arg(long, value_name = "FILE")]
     pub(crate) weights: Option<PathBuf>,
 }

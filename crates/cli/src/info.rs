@@ -4,7 +4,9 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{Backlight, Display};
-use lumistack_pipeline::{Job, LightJob, PipelineError, describe_light_field, load_scene, plugin_list, plugin_text, presets};
+use lumistack_pipeline::{
+    Job, LightJob, PipelineError, describe_light_field, load_scene, plugin_list, plugin_text, presets,
+};
 use serde_json::{Value, json};
 
 use crate::args::Info;
@@ -170,7 +172,7 @@ fn short(value: &Value) -> String {
 }
 
 pub(crate) fn print_plugins(as_json: bool) -> Result<(), PipelineError> {
-        if as_json {
+    if as_json {
         println!("{}", plugin_list()?);
     } else {
         println!("{}", plugin_text()?);

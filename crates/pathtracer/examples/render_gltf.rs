@@ -52,8 +52,7 @@ fn main() -> ExitCode {
 }
 
 fn arguments() -> Result<Arguments, String> {
-    let mut parsed =
-        Arguments { scene: PathBuf::new(), out: None, size: [420, 262], samples: 16, views: 5 };
+    let mut parsed = Arguments { scene: PathBuf::new(), out: None, size: [420, 262], samples: 16, views: 5 };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         let mut value = || words.next().ok_or(format!("{word} needs a value"));

@@ -97,9 +97,8 @@ impl Geometry {
             );
             let mesh = &scene.meshes[instance.mesh];
             for (triangle, corners) in mesh.triangles.iter().enumerate() {
-                let [a, b, c] = corners.map(|i| {
-                    render_from_mesh.transform_point3(mesh.positions[i as usize].as_dvec3()).as_vec3()
-                });
+                let [a, b, c] =
+                    corners.map(|i| render_from_mesh.transform_point3(mesh.positions[i as usize].as_dvec3()).as_vec3());
                 triangles.push(if mirrored { [a, c, b] } else { [a, b, c] });
                 sources.push((index as u32, triangle as u32));
             }
@@ -242,6 +241,10 @@ mod tests {
             bent += usize::from(result != shading);
         }
         assert!(bent > 1000 && bent < 9000, "{bent}");
-        assert_eq!(bend_normal(Vec3::Z, Vec3::Z, Vec3::new(1.0, 0.0, 1e-4).normalize()), Vec3::Z, "grazing on a flat surface");
+        assert_eq!(
+            bend_normal(Vec3::Z, Vec3::Z, Vec3::new(1.0, 0.0, 1e-4).normalize()),
+            Vec3::Z,
+            "grazing on a flat surface"
+        );
     }
 }

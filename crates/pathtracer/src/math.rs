@@ -28,7 +28,10 @@ mod tests {
             let turns = i as f32 / 1000.0;
             let (sin, cos) = sin_cos_turns(turns);
             let angle = f64::from(turns) * std::f64::consts::TAU;
-            assert!((f64::from(sin) - angle.sin()).abs() < 1e-6 && (f64::from(cos) - angle.cos()).abs() < 1e-6, "{turns}");
+            assert!(
+                (f64::from(sin) - angle.sin()).abs() < 1e-6 && (f64::from(cos) - angle.cos()).abs() < 1e-6,
+                "{turns}"
+            );
         }
     }
 }

@@ -40,10 +40,8 @@ impl PrimaryRays<'_> {
     pub(crate) fn ray(&self, row: usize, col: usize, pixel_offset: [f64; 2], slope_offset: [f64; 2]) -> PrimaryRay {
         let pitch = self.geometry.pitch_mm;
         let grid = &self.geometry.grid;
-        let point = [
-            self.geometry.x_mm(col) + pixel_offset[0] * pitch,
-            self.geometry.y_mm(row) + pixel_offset[1] * pitch,
-        ];
+        let point =
+            [self.geometry.x_mm(col) + pixel_offset[0] * pitch, self.geometry.y_mm(row) + pixel_offset[1] * pitch];
         let slope_at = grid.slope_at(self.view, point);
         let slope = [0, 1].map(|axis| slope_at[axis] + slope_offset[axis] * self.slope_width[axis]);
         let map = &self.window.scene_from_display;
@@ -89,7 +87,8 @@ impl PrimaryRays<'_> {
                 }
                 continue;
             }
-            let (a, b) = ((-half[axis] - origin[axis]) / direction[axis], (half[axis] - origin[axis]) / direction[axis]);
+            let (a, b) =
+                ((-half[axis] - origin[axis]) / direction[axis], (half[axis] - origin[axis]) / direction[axis]);
             near = near.max(a.min(b));
             far = far.min(a.max(b));
         }

@@ -7,9 +7,9 @@ use glam::Vec3;
 use lumistack_core::{Cancelled, Task, Tensor, seed};
 use lumistack_display::{FieldGeometry, GridError};
 use lumistack_scene::{Scene, Window};
-use thiserror::Error;
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;
+use thiserror::Error;
 
 use crate::bvh::{self, Bvh, Stack};
 use crate::geometry::Geometry;

@@ -160,9 +160,7 @@ fn interpolate(
     }
     let (left, right, fx) = neighbours(uv.x, width, texture.wrap_u, 0.5);
     let (top, bottom, fy) = neighbours(uv.y, height, texture.wrap_v, 0.5);
-    fetch(left, top)
-        .lerp(fetch(right, top), fx)
-        .lerp(fetch(left, bottom).lerp(fetch(right, bottom), fx), fy)
+    fetch(left, top).lerp(fetch(right, top), fx).lerp(fetch(left, bottom).lerp(fetch(right, bottom), fx), fy)
 }
 
 /// The two texels beside a coordinate, `shift` texels before it, and the share of the second.
@@ -273,7 +271,9 @@ mod tests {
         assert_eq!(nearest([-1.0, 3.0, 4.0, 7.0], Wrap::MirroredRepeat), [0, 3, 3, 0]);
         assert_eq!(nearest([-9.0, 0.0, 3.0, 9.0], Wrap::ClampToEdge), [0, 0, 3, 3]);
         for wrap in [Wrap::Repeat, Wrap::MirroredRepeat, Wrap::ClampToEdge] {
-            for x in [-1.0, 0.0, 1.0, 2.0, 0.5, f32::MAX, -f32::MAX, f32::NAN, f32::INFINITY, 1.0 - f32::EPSILON, -1e-30] {
+            for x in
+                [-1.0, 0.0, 1.0, 2.0, 0.5, f32::MAX, -f32::MAX, f32::NAN, f32::INFINITY, 1.0 - f32::EPSILON, -1e-30]
+            {
                 let (first, second, _) = neighbours(x, 4, wrap, 0.5);
                 assert!(first < 4 && second < 4, "{x} {wrap:?}");
             }
@@ -285,7 +285,8 @@ mod tests {
 
     #[test]
     fn bilinear_interpolation_stands_at_texel_centres() {
-        let texture = Texture { image: 0, wrap_u: Wrap::ClampToEdge, wrap_v: Wrap::ClampToEdge, filter: Filter::Linear };
+        let texture =
+            Texture { image: 0, wrap_u: Wrap::ClampToEdge, wrap_v: Wrap::ClampToEdge, filter: Filter::Linear };
         let fetch = |x: usize, y: usize| Vec4::new(x as f32, y as f32, 0.0, 1.0);
         let at = |u: f32, v: f32, filter| interpolate(&texture, 4, 2, Vec2::new(u, v), filter, fetch);
         assert_eq!(at(0.375, 0.25, Filter::Linear), Vec4::new(1.0, 0.0, 0.0, 1.0));

@@ -31,7 +31,8 @@ fn a_closed_room_radiates_the_geometric_series() {
             mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
             mesh.normals.iter_mut().for_each(|n| *n = -*n);
         }
-        let radiance = render(&scene.renderer(), &window_at(DVec3::ZERO, 1.0), &one_view(32, [0.1, 0.2]), &long_paths(32));
+        let radiance =
+            render(&scene.renderer(), &window_at(DVec3::ZERO, 1.0), &one_view(32, [0.1, 0.2]), &long_paths(32));
         for (channel, emitted) in [1.0, 0.5, 0.25].into_iter().enumerate() {
             let expected = emitted / (1.0 - f64::from(albedo));
             mean_of(&radiance, channel).assert_is(expected, ROUNDING * expected, FALSE_ALARM_RATE);

@@ -10,13 +10,8 @@ use lumistack_pathtracer::{AngularFilter, RenderError, Renderer, Settings};
 use lumistack_scene::{AlphaMode, Filter, Image, Material, Pixels, Texture, TextureUse, Window, Wrap};
 
 /// Enough samples that every pixel of a card's interior is hit.
-const SAMPLES: Settings = Settings {
-    samples: 4,
-    max_bounces: 2,
-    roulette_start: 3,
-    seed: 0,
-    angular_filter: AngularFilter::Point,
-};
+const SAMPLES: Settings =
+    Settings { samples: 4, max_bounces: 2, roulette_start: 3, seed: 0, angular_filter: AngularFilter::Point };
 /// Pixels per edge of the test views: the pitch is 1/50 of the window.
 const SIZE: usize = 50;
 const PITCH: f64 = WINDOW_MM / SIZE as f64;
@@ -70,7 +65,11 @@ fn perspective_views_meet_at_the_eye() {
     let distance = 3.0;
     let (x, y, z) = (0.2f32, -0.1f32, 0.5f32);
     let renderer = card(Vec3::new(x, y, z), 0.1, Vec3::ONE).renderer();
-    let grid = ViewGrid { projection: Projection::Perspective { distance_mm: distance }, slope_x: vec![-0.1, 0.15], slope_y: vec![0.2, 0.0] };
+    let grid = ViewGrid {
+        projection: Projection::Perspective { distance_mm: distance },
+        slope_x: vec![-0.1, 0.15],
+        slope_y: vec![0.2, 0.0],
+    };
     let geometry = one_view(SIZE, [0.0, 0.0]).with_grid(grid.clone());
     for view in grid.iter() {
         let (image, _) = render_view(&renderer, &window(), &geometry, view, &SAMPLES);
@@ -206,7 +205,12 @@ fn normal_maps_keep_their_relief() {
         let texel = [217, 128, 217, 255];
         let mut scene = Builder::default();
         scene.parts.images.push(Image { name: "n".into(), width: 1, height: 1, pixels: Pixels::Rgba8(vec![texel]) });
-        scene.parts.textures.push(Texture { image: 0, wrap_u: Wrap::Repeat, wrap_v: Wrap::Repeat, filter: Filter::Linear });
+        scene.parts.textures.push(Texture {
+            image: 0,
+            wrap_u: Wrap::Repeat,
+            wrap_v: Wrap::Repeat,
+            filter: Filter::Linear,
+        });
         let map = TextureUse { texture: 0, uv_set: 0, texture_from_mesh: glam::Affine2::IDENTITY };
         scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), Material { normal_texture: Some(map), ..matt(1.0) });
         scene.parts.instances[0].scene_from_mesh = placement;
@@ -232,7 +236,8 @@ fn single_sided_backs_are_invisible_and_mirrored_copies_keep_their_front() {
     let mut scene = Builder::default();
     let front_only = Material { double_sided: false, ..glowing(Vec3::ONE) };
     scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), front_only);
-    let seen = |scene: &Builder| render(&scene.renderer(), &window(), &one_view(2, [0.0, 0.0]), &SAMPLES).get([0, 0, 0]);
+    let seen =
+        |scene: &Builder| render(&scene.renderer(), &window(), &one_view(2, [0.0, 0.0]), &SAMPLES).get([0, 0, 0]);
     assert_eq!(seen(&scene), 1.0);
     scene.parts.instances[0].scene_from_mesh = Affine3A::from_scale(Vec3::new(-1.0, 1.0, 1.0));
     assert_eq!(seen(&scene), 1.0, "a mirrored copy still faces the viewer");
@@ -245,11 +250,15 @@ fn a_fine_texture_is_filtered_to_its_mean() {
     // a checkerboard of 512 × 512 texels seen by 4 × 4 pixels: each pixel is near the mean even with one sample
     let mut scene = Builder::default();
     let size = 512;
-    let texels = (0..size * size).map(|i| if (i % size + i / size) % 2 == 0 { [255; 4] } else { [0, 0, 0, 255] }).collect();
+    let texels =
+        (0..size * size).map(|i| if (i % size + i / size) % 2 == 0 { [255; 4] } else { [0, 0, 0, 255] }).collect();
     scene.parts.images.push(Image { name: "c".into(), width: size, height: size, pixels: Pixels::Rgba8(texels) });
     scene.parts.textures.push(Texture { image: 0, wrap_u: Wrap::Repeat, wrap_v: Wrap::Repeat, filter: Filter::Linear });
     let picture = TextureUse { texture: 0, uv_set: 0, texture_from_mesh: glam::Affine2::IDENTITY };
-    scene.add(rectangle(Vec3::ZERO, Vec3::X, Vec3::Y), Material { unlit: true, base_color_texture: Some(picture), ..matt(1.0) });
+    scene.add(
+        rectangle(Vec3::ZERO, Vec3::X, Vec3::Y),
+        Material { unlit: true, base_color_texture: Some(picture), ..matt(1.0) },
+    );
     for slope in [[0.0, 0.0], [0.8, -0.3]] {
         let one = Settings { samples: 1, ..SAMPLES };
         let image = render(&scene.renderer(), &window(), &one_view(4, slope), &one);
@@ -284,7 +293,10 @@ fn busy_scene() -> Renderer {
     let floor = Material { base_color_texture: Some(picture), ..matt(0.8) };
     scene.add(rectangle(Vec3::new(0.0, -0.6, 0.0), 2.0 * Vec3::X, 2.0 * Vec3::NEG_Z), floor);
     scene.add(common::sphere(Vec3::new(-0.3, 0.0, 0.2), 0.5, 20), Material { ior: 1.5, roughness: 0.2, ..matt(0.5) });
-    scene.add(common::sphere(Vec3::new(0.6, 0.0, -0.3), 0.4, 20), Material { metallic: 1.0, roughness: 0.1, ..matt(0.9) });
+    scene.add(
+        common::sphere(Vec3::new(0.6, 0.0, -0.3), 0.4, 20),
+        Material { metallic: 1.0, roughness: 0.1, ..matt(0.9) },
+    );
     scene.add(rectangle(Vec3::new(0.0, 2.0, 0.0), 0.5 * Vec3::X, 0.5 * Vec3::Z), glowing(Vec3::splat(4.0)));
     scene.sky(&[0.5, 0.2]).renderer()
 }
@@ -355,7 +367,10 @@ fn wrong_requests_are_refused() {
     let none = Settings { samples: 0, ..SAMPLES };
     assert!(matches!(render(&good, [0, 0], &none), Err(RenderError::Settings(_))));
     assert!(matches!(render(&good, [1, 0], &SAMPLES), Err(RenderError::View { .. })));
-    assert!(matches!(render(&FieldGeometry { rows: 0, ..good.clone() }, [0, 0], &SAMPLES), Err(RenderError::Geometry(_))));
+    assert!(matches!(
+        render(&FieldGeometry { rows: 0, ..good.clone() }, [0, 0], &SAMPLES),
+        Err(RenderError::Geometry(_))
+    ));
     cancel.cancel();
     assert!(matches!(render(&good, [0, 0], &SAMPLES), Err(RenderError::Cancelled(_))));
 }
@@ -378,12 +393,20 @@ fn extreme_scenes_stay_finite() {
         let mut scene = Builder::default();
         let place = |v: Vec3| (scale * v.as_dvec3() + DVec3::splat(at)).as_vec3();
         let unit = scale as f32;
-        scene.add(common::sphere(place(Vec3::ZERO), 0.5 * unit, 12), Material { metallic: 1.0, roughness: 0.0, ..matt(1.0) });
-        scene.add(rectangle(place(Vec3::new(0.0, -0.5, 0.0)), 2.0 * unit * Vec3::X, 2.0 * unit * Vec3::NEG_Z), matt(1.0));
+        scene.add(
+            common::sphere(place(Vec3::ZERO), 0.5 * unit, 12),
+            Material { metallic: 1.0, roughness: 0.0, ..matt(1.0) },
+        );
+        scene.add(
+            rectangle(place(Vec3::new(0.0, -0.5, 0.0)), 2.0 * unit * Vec3::X, 2.0 * unit * Vec3::NEG_Z),
+            matt(1.0),
+        );
         scene.sky(&[1.0]);
         scene.parts.environment.as_mut().unwrap().scene_from_environment = Quat::from_rotation_x(1.0);
-        let window = Window::given(DVec3::splat(at), DVec3::NEG_Z, DVec3::Y, 2.0 * scale, [WINDOW_MM, WINDOW_MM]).unwrap();
-        let (image, warnings) = render_view(&scene.renderer(), &window, &one_view(24, [0.1, 0.1]), [0, 0], &Settings::default());
+        let window =
+            Window::given(DVec3::splat(at), DVec3::NEG_Z, DVec3::Y, 2.0 * scale, [WINDOW_MM, WINDOW_MM]).unwrap();
+        let (image, warnings) =
+            render_view(&scene.renderer(), &window, &one_view(24, [0.1, 0.1]), [0, 0], &Settings::default());
         assert!(warnings.is_empty(), "{warnings:?}");
         // lossless and uniformly lit: everything is 1, on average
         let mean = image.data().iter().map(|&v| f64::from(v)).sum::<f64>() / image.data().len() as f64;

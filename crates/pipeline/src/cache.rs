@@ -109,7 +109,9 @@ impl Stamps {
     pub fn clear(&self, stage: &str) -> Result<(), PipelineError> {
         let path = self.path(stage);
         match std::fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(PipelineError::Write { path, source: error }),
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(PipelineError::Write { path, source: error })
+            }
             _ => Ok(()),
         }
     }

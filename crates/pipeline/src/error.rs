@@ -152,12 +152,7 @@ impl PipelineError {
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> Self {
-        Self::Value {
-            path: path.as_ref().to_owned(),
-            key: key.into(),
-            expected: expected.into(),
-            found: found.into(),
-        }
+        Self::Value { path: path.as_ref().to_owned(), key: key.into(), expected: expected.into(), found: found.into() }
     }
 
     /// A failed write, as a conversion for `map_err`.

@@ -156,12 +156,12 @@ fn close_up(
     let cols = geometry.cols.min(PROBE_COLS);
     let pitch_mm = window.size_mm[0] / cols as f64;
     let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
-    let probe =
-        FieldGeometry { rows, cols, pitch_mm, grid: ViewGrid::single(geometry.grid.projection, [0.0, 0.0]) };
+    let probe = FieldGeometry { rows, cols, pitch_mm, grid: ViewGrid::single(geometry.grid.projection, [0.0, 0.0]) };
     let mask = renderer.hit_mask(&window, &probe, [0, 0], task).map_err(render_error)?;
     let (factor, [row, col]) = best_crop(&mask, recentre);
     let half = 0.5 * pitch_mm;
-    let fitted = window.scaled_about([probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm], factor);
+    let fitted =
+        window.scaled_about([probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm], factor);
     let map = fitted.scene_from_display;
     std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
     write(&cached, &serde_json::to_vec(&(map.translation.to_array(), map.scale)).expect("numbers serialize"))?;
@@ -193,7 +193,8 @@ fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
                     continue;
                 }
                 let (bottom, right) = (top + height, left + width);
-                let hits = sums.get([bottom, right]) - sums.get([top, right]) - sums.get([bottom, left]) + sums.get([top, left]);
+                let hits = sums.get([bottom, right]) - sums.get([top, right]) - sums.get([bottom, left])
+                    + sums.get([top, left]);
                 // among parts that show about the same, the one nearest to the middle
                 let value = f64::from(hits) / (height * width) as f64 - 1e-4 * distance;
                 if value > best {

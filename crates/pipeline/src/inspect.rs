@@ -14,11 +14,7 @@ use crate::run::field_error;
 ///
 /// # Errors
 /// When it cannot be read.
-pub fn describe_light_field(
-    path: &Path,
-    flags: &GeometryFlags,
-    task: Task<'_>,
-) -> Result<Description, PipelineError> {
+pub fn describe_light_field(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, PipelineError> {
     lumistack_field_io::describe(path, flags, task).map_err(field_error)
 }
 

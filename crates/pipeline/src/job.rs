@@ -329,8 +329,11 @@ impl Job {
     /// When the file cannot be read, does not parse, or has unknown keys.
     pub fn load(path: &Path) -> Result<Self, PipelineError> {
         let text = read_to_string(path)?;
-        let mut job: Self = config::parse(&text)
-            .map_err(|source| PipelineError::Config { path: path.to_owned(), text: text.clone(), source })?;
+        let mut job: Self = config::parse(&text).map_err(|source| PipelineError::Config {
+            path: path.to_owned(),
+            text: text.clone(),
+            source,
+        })?;
         if job.schema != Self::SCHEMA || job.version != 1 {
             return Err(PipelineError::value(
                 path,

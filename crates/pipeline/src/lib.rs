@@ -19,11 +19,9 @@ mod simulate;
 pub use cache::{KeyBuilder, Stamps};
 pub use error::PipelineError;
 pub use ingest::{Ingested, load_scene, place_window};
-pub use job::{
-    AngularFilter, DisplayJob, FactorizeJob, Job, LightJob, OutputJob, RenderJob, WindowFrom, WindowJob,
-};
-pub use run::{Summary, render_only, run};
 pub use inspect::{describe_light_field, plugin_list, plugin_text};
+pub use job::{AngularFilter, DisplayJob, FactorizeJob, Job, LightJob, OutputJob, RenderJob, WindowFrom, WindowJob};
+pub use run::{Summary, render_only, run};
 pub use simulate::{RunFolder, Viewpoint, simulate_to_file};
 
 /// Sets the number of worker threads of the whole program; results do not depend on it. Call it before any work.

@@ -64,8 +64,11 @@ pub fn by_name_or_path(text: &str) -> crate::DisplayJob {
 }
 
 fn parse(path: &Path, text: &str) -> Result<Display, PipelineError> {
-    Display::from_toml(text)
-        .map_err(|source| PipelineError::Display { path: path.to_owned(), text: text.into(), source })
+    Display::from_toml(text).map_err(|source| PipelineError::Display {
+        path: path.to_owned(),
+        text: text.into(),
+        source,
+    })
 }
 
 #[cfg(test)]

@@ -42,11 +42,7 @@ pub fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid> {
         let count = per_axis.min(slopes.len());
         (0..count).map(|i| slopes[(2 * i + 1) * slopes.len() / (2 * count)]).collect()
     };
-    Some(ViewGrid {
-        projection: grid.projection,
-        slope_x: pick(&midpoints.slope_x),
-        slope_y: pick(&midpoints.slope_y),
-    })
+    Some(ViewGrid { projection: grid.projection, slope_x: pick(&midpoints.slope_x), slope_y: pick(&midpoints.slope_y) })
 }
 
 /// Traces all views that the cache does not hold.
@@ -71,8 +67,7 @@ pub fn render(
         },
         ..Settings::default()
     };
-    let held_out_geometry =
-        held_out_grid(&geometry.grid, job.render.held_out).map(|grid| geometry.with_grid(grid));
+    let held_out_geometry = held_out_grid(&geometry.grid, job.render.held_out).map(|grid| geometry.with_grid(grid));
     let mut key = KeyBuilder::new("render", RENDER_VERSION);
     ingested.add_to(&mut key);
     key.add_json("light", &job.light).add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
@@ -140,7 +135,8 @@ fn trace(
     let steps: u64 = todo.iter().map(|(field, ..)| Renderer::steps_per_view(&fields[*field].0)).sum();
     task.progress.begin("render", steps, "tiles");
     let result = todo.iter().enumerate().try_for_each(|(number, (field, view, path))| {
-        let settings = Settings { seed: lumistack_core::seed::derive(settings.seed, &[*field as u64]), ..settings.clone() };
+        let settings =
+            Settings { seed: lumistack_core::seed::derive(settings.seed, &[*field as u64]), ..*settings };
         let picture = renderer.render_view(window, &fields[*field].0, *view, &settings, task).map_err(render_error)?;
         let [rows, cols, _] = picture.shape();
         picture::write_exr(path, [cols, rows], picture.data(), Precision::Float).map_err(field_error)?;

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use lumistack_core::config::nearest;
 use lumistack_core::{Collector, Task, Tensor, Warning, Warnings};
 use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
-use lumistack_core::config::nearest;
 use lumistack_factorizer::{Factorization, FactorizeError, Problem, StartKind};
 use lumistack_plugin_host::{HostError, OutputContext, OutputData, Registry, Time};
 use lumistack_report::{Iteration, Output, ReportInput, Stage};
@@ -380,7 +380,11 @@ impl<'a> Run<'a> {
             let written: Vec<PathBuf> = written;
             files.push(Output {
                 label: format!("{}, {} files", output.plugin, written.len()),
-                path: relative.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/"),
+                path: relative
+                    .components()
+                    .map(|part| part.as_os_str().to_string_lossy())
+                    .collect::<Vec<_>>()
+                    .join("/"),
             });
         }
         Ok(files)
@@ -390,7 +394,8 @@ impl<'a> Run<'a> {
 fn start_kind(name: &str) -> Result<StartKind, PipelineError> {
     StartKind::from_name(name).ok_or_else(|| {
         let names: Vec<&str> = StartKind::ALL.iter().map(|(name, _)| *name).collect();
-        let hint = nearest(name, names.iter().copied()).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
+        let hint =
+            nearest(name, names.iter().copied()).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
         let expected = format!("one of {}", names.join(", "));
         PipelineError::value("job", "factorize.start", expected, format!("`{name}`{hint}"))
     })

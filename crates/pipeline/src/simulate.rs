@@ -62,7 +62,12 @@ impl RunFolder {
             Viewpoint::Eye(eye_mm) => {
                 if eye_mm[2] <= 0.0 {
                     let found = eye_mm[2].to_string();
-                    return Err(PipelineError::value("--eye", "Z", "a distance above 0 in front of the display", found));
+                    return Err(PipelineError::value(
+                        "--eye",
+                        "Z",
+                        "a distance above 0 in front of the display",
+                        found,
+                    ));
                 }
                 view_from_eye(&self.display, &self.stack, eye_mm).radiance
             }
@@ -107,12 +112,13 @@ pub fn simulate_to_file(picture: &Tensor<3>, path: &Path) -> Result<(), Pipeline
         "exr" => write_exr(path, [cols, rows], picture.data(), Precision::Float).map_err(field_error),
         "png" => {
             let codes: Vec<u8> = picture.data().iter().map(|&value| colour::srgb_code(value)).collect();
-            let image = image::RgbImage::from_raw(cols as u32, rows as u32, codes)
-                .ok_or_else(|| PipelineError::value(path, "picture", "a size that PNG can hold", format!("{cols} × {rows}")))?;
+            let image = image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or_else(|| {
+                PipelineError::value(path, "picture", "a size that PNG can hold", format!("{cols} × {rows}"))
+            })?;
             let mut bytes = std::io::Cursor::new(Vec::new());
-            image
-                .write_to(&mut bytes, image::ImageFormat::Png)
-                .map_err(|error| PipelineError::value(path, "picture", "a picture that PNG can hold", error.to_string()))?;
+            image.write_to(&mut bytes, image::ImageFormat::Png).map_err(|error| {
+                PipelineError::value(path, "picture", "a picture that PNG can hold", error.to_string())
+            })?;
             write(path, bytes.get_ref())
         }
         other => Err(PipelineError::value(path, "extension", "png or exr", format!("`{other}`"))),

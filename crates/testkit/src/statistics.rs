@@ -63,10 +63,8 @@ impl Mean {
     /// As [`assert_is`](Self::assert_is).
     #[track_caller]
     pub fn assert_same(self, other: Self, systematic_error: f64, false_alarm_rate: f64) {
-        let difference = Self {
-            value: self.value - other.value,
-            standard_error: self.standard_error.hypot(other.standard_error),
-        };
+        let difference =
+            Self { value: self.value - other.value, standard_error: self.standard_error.hypot(other.standard_error) };
         difference.assert_is(0.0, systematic_error, false_alarm_rate);
     }
 }

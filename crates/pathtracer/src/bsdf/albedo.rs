@@ -103,7 +103,10 @@ mod tests {
             for alpha in [0.003f32, 0.02, 0.1, 0.4, 1.0] {
                 let (table, direct) = (albedo(cosine, alpha.sqrt()), integrate(cosine, alpha));
                 assert!((table.full - direct.full).abs() < TABLE_TOLERANCE, "{cosine} {alpha}: {table:?} {direct:?}");
-                assert!((table.grazing - direct.grazing).abs() < TABLE_TOLERANCE, "{cosine} {alpha}: {table:?} {direct:?}");
+                assert!(
+                    (table.grazing - direct.grazing).abs() < TABLE_TOLERANCE,
+                    "{cosine} {alpha}: {table:?} {direct:?}"
+                );
             }
         }
         // a mirror loses nothing and reflects (1 − μ)⁵

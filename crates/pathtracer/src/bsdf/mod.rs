@@ -91,7 +91,13 @@ pub(crate) struct Scatter {
 impl Bsdf {
     /// `to_viewer` is a unit vector; `normals` are the geometric and the shading normal on the viewer's side. `front` tells whether the
     /// viewer sees the front face.
-    pub(crate) fn new(appearance: &Appearance, to_viewer: Vec3, geometric_normal: Vec3, shading_normal: Vec3, front: bool) -> Self {
+    pub(crate) fn new(
+        appearance: &Appearance,
+        to_viewer: Vec3,
+        geometric_normal: Vec3,
+        shading_normal: Vec3,
+        front: bool,
+    ) -> Self {
         let (tangent, bitangent) = shading_normal.any_orthonormal_pair();
         let scene_from_local = Mat3::from_cols(tangent, bitangent, shading_normal);
         let mut o = scene_from_local.transpose() * to_viewer;
@@ -116,8 +122,7 @@ impl Bsdf {
             tint: base.max(Vec3::ZERO).powf(0.5),
             straight: (ior - 1.0).abs() < NO_REFRACTION,
         });
-        let metal_albedo: Vec3 =
-            Vec3::from_array(base.to_array().map(|f0| table.schlick(f0, 1.0))) * metal_weight;
+        let metal_albedo: Vec3 = Vec3::from_array(base.to_array().map(|f0| table.schlick(f0, 1.0))) * metal_weight;
         let mean = |v: Vec3| v.element_sum() * (1.0 / 3.0);
         let mut chances = [
             mean(metal_albedo) + layered * reflected,

@@ -122,7 +122,12 @@ impl Bvh {
 
     /// Product of `transmittance` over all triangles that the segment crosses; it is asked only for triangles with flags other than
     /// [`CULL_BACK`], the others are opaque. Stops at zero.
-    pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, mut transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
+    pub(crate) fn transmittance(
+        &self,
+        ray: &Ray,
+        stack: &mut Stack,
+        mut transmittance: impl FnMut(&Hit) -> Vec3,
+    ) -> Vec3 {
         let prepared = Prepared::new(ray);
         let mut product = Vec3::ONE;
         let mut depth = 0;
@@ -323,8 +328,11 @@ mod tests {
             for i in 0..400 {
                 let origin = random_point(&mut stream, 4.0);
                 let axis_parallel = [Vec3::X, Vec3::NEG_Y, Vec3::Z][i % 3];
-                let direction =
-                    if i % 10 == 0 { axis_parallel } else { (random_point(&mut stream, 1.0) - 0.5 * origin).normalize() };
+                let direction = if i % 10 == 0 {
+                    axis_parallel
+                } else {
+                    (random_point(&mut stream, 1.0) - 0.5 * origin).normalize()
+                };
                 let ray = Ray { origin, direction, t_max: f32::INFINITY };
                 let (expected, doubtful) = oracle(&triangles, &ray);
                 if doubtful {
@@ -354,8 +362,10 @@ mod tests {
         // a finely divided, bumpy sphere seen from inside: every ray must hit, also through vertices and along edges
         let (rows, cols) = (40, 60);
         let point = |row: usize, col: usize| {
-            let (theta, phi) =
-                (std::f32::consts::PI * row as f32 / rows as f32, std::f32::consts::TAU * (col % cols) as f32 / cols as f32);
+            let (theta, phi) = (
+                std::f32::consts::PI * row as f32 / rows as f32,
+                std::f32::consts::TAU * (col % cols) as f32 / cols as f32,
+            );
             let radius = 1.0 + 0.1 * ((7 * row + 13 * (col % cols)) % 11) as f32 / 11.0;
             match row {
                 0 => Vec3::Z,

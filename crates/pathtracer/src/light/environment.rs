@@ -78,7 +78,8 @@ impl EnvironmentLight {
     /// Radiance from a direction, and the density per solid angle with which [`sample`](Self::sample) finds it.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         let (u, v, sine) = self.map_coordinates(direction);
-        let density = self.map_density(self.rows.at(v), self.columns.at(u)) / (2.0 * PI * PI * sine).max(f32::MIN_POSITIVE);
+        let density =
+            self.map_density(self.rows.at(v), self.columns.at(u)) / (2.0 * PI * PI * sine).max(f32::MIN_POSITIVE);
         (self.bilinear(u, v), density)
     }
 
@@ -92,7 +93,8 @@ impl EnvironmentLight {
         let (sine, cosine) = sin_cos_turns(0.5 * v);
         let direction = Vec3::new(sine * sin_phi, cosine, -sine * cos_phi);
         let density = self.map_density(row, column) / (2.0 * PI * PI * sine);
-        (sine > 0.0 && density.is_finite()).then(|| (self.scene_from_environment * direction, self.bilinear(u, v), density))
+        (sine > 0.0 && density.is_finite())
+            .then(|| (self.scene_from_environment * direction, self.bilinear(u, v), density))
     }
 
     /// u, v and sin θ of a direction.
@@ -143,9 +145,7 @@ impl EnvironmentLight {
         let (top, bottom) = (y0.saturating_sub(1) * self.width, y0.min(self.height - 1) * self.width);
         let at = |index: usize| Vec3::from_array(texels[index]);
         environment.strength
-            * at(top + left)
-                .lerp(at(top + right), fx)
-                .lerp(at(bottom + left).lerp(at(bottom + right), fx), fy)
+            * at(top + left).lerp(at(top + right), fx).lerp(at(bottom + left).lerp(at(bottom + right), fx), fy)
     }
 }
 

@@ -237,7 +237,10 @@ mod tests {
             }
         }
         for k in 0..3 {
-            assert!((first[k] - 1.0 / 3.0).abs() < 1e-3 && (second[k] - 1.0 / 6.0).abs() < 1e-3, "{first:?} {second:?}");
+            assert!(
+                (first[k] - 1.0 / 3.0).abs() < 1e-3 && (second[k] - 1.0 / 6.0).abs() < 1e-3,
+                "{first:?} {second:?}"
+            );
         }
     }
 }

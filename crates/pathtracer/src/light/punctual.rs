@@ -60,8 +60,7 @@ impl PunctualLight {
             }
             LightKind::Point | LightKind::Directional => 1.0,
         };
-        (distance > 0.0 && falloff > 0.0).then(|| {
-            (direction, Some(self.position), self.intensity * (falloff / (distance * distance)))
-        })
+        (distance > 0.0 && falloff > 0.0)
+            .then(|| (direction, Some(self.position), self.intensity * (falloff / (distance * distance))))
     }
 }
