@@ -34,11 +34,13 @@ impl Scene {
         self.instances.iter().map(|instance| self.meshes[instance.mesh].triangles.len()).sum()
     }
 
-    /// Whether anything emits light.
+    /// Whether something lights the scene: an environment, a punctual light, or a surface that emits more than white (radiance 1). What emits
+    /// less, such as a label or a display in the scene, is seen but leaves the rest black.
     pub fn is_lit(&self) -> bool {
-        self.environment.is_some()
-            || !self.lights.is_empty()
-            || self.instances.iter().any(|i| self.materials[self.meshes[i.mesh].material].is_emissive())
+        let is_lamp = |instance: &crate::Instance| {
+            self.materials[self.meshes[instance.mesh].material].emission.max_element() > 1.0
+        };
+        self.environment.is_some() || !self.lights.is_empty() || self.instances.iter().any(is_lamp)
     }
 
     /// Takes the parts out again, to change and revalidate them.
@@ -424,6 +426,15 @@ mod tests {
         assert_eq!(scene.meshes[0].normals, vec![Vec3::Z; 3]);
         assert_eq!(scene.bounds().max, Vec3::new(1.0, 1.0, 0.0));
         assert!(warnings.is_empty() && !scene.is_lit());
+    }
+
+    #[test]
+    fn a_glowing_label_is_no_lamp() {
+        let mut parts = triangle();
+        parts.materials[0].emission = Vec3::ONE;
+        assert!(!validate(parts.clone()).0.unwrap().is_lit());
+        parts.materials[0].emission = Vec3::splat(5.0);
+        assert!(validate(parts).0.unwrap().is_lit());
     }
 
     #[test]
