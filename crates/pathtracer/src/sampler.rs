@@ -62,10 +62,17 @@ impl Sampler<'_> {
     /// The next two numbers, each in [0, 1).
     #[inline]
     pub(crate) fn pair(&mut self) -> [f32; 2] {
-        let hash = seed::mix(self.pixel.wrapping_add(self.pair.wrapping_mul(PAIR_STEP)));
-        // a different pattern for each of 64 pairs in a row, starting at random
-        let pattern = (self.pixel.wrapping_add(self.pair.wrapping_mul(37)) as usize) % PATTERNS;
+        let pair = self.pair;
         self.pair += 1;
+        self.pair_at(pair)
+    }
+
+    /// The two numbers of any pair of dimensions.
+    #[inline]
+    pub(crate) fn pair_at(&self, pair: u64) -> [f32; 2] {
+        let hash = seed::mix(self.pixel.wrapping_add(pair.wrapping_mul(PAIR_STEP)));
+        // a different pattern for each of 64 pairs in a row, starting at random
+        let pattern = (self.pixel.wrapping_add(pair.wrapping_mul(37)) as usize) % PATTERNS;
         let length = self.bank.length;
         let flip = (hash ^ (hash >> 27)) as u32 & (length - 1);
         let [x, y] = self.bank.points[pattern * length as usize + (self.index ^ flip) as usize];
@@ -76,12 +83,6 @@ impl Sampler<'_> {
     #[inline]
     pub(crate) fn jump_to(&mut self, pair: u64) {
         self.pair = pair;
-    }
-
-    /// A hash that all samples of the pixel share.
-    #[inline]
-    pub(crate) fn pixel_hash(&self, label: u64) -> u64 {
-        seed::mix(self.pixel ^ seed::mix(label))
     }
 }
 

@@ -10,7 +10,6 @@
 //! shadow rays, so both have the right mean.
 
 use glam::Vec3;
-use lumistack_core::seed;
 
 use crate::bsdf::Bsdf;
 use crate::bvh::{ALPHA, Bvh, Hit, Ray, Stack, TINT};
@@ -22,8 +21,11 @@ use crate::shading::Materials;
 
 /// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
-/// Pairs per vertex of a path: scattered direction, point of a light, roulette and alpha, Fresnel and light choice.
-const VERTEX_PAIRS: u64 = 4;
+/// Pairs per vertex of a path: scattered direction, point of a light, roulette and choice between reflection and refraction.
+const VERTEX_PAIRS: u64 = 3;
+/// First of the pairs that decide about surfaces with alpha: one for each bounce and triangle, so that surfaces behind one another
+/// decide independently.
+const ALPHA_PAIRS: u64 = 1 << 62;
 /// Paths survive roulette with no more than this chance, so that lossless scenes end too.
 const MOST_SURVIVAL: f32 = 0.95;
 /// Footprints widen by this share of the distance after a scattering lobe of α = 1.
@@ -77,14 +79,9 @@ impl Tracer<'_> {
             sampler.jump_to(PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce));
             let u_scatter = sampler.pair();
             let u_light = sampler.pair();
-            let [u_roulette, u_alpha] = sampler.pair();
-            let [u_fresnel, u_fine] = sampler.pair();
-            let rotation = sampler.pixel_hash(u64::from(bounce));
-            let hit = if in_bounds {
-                self.bvh.nearest(&ray, stack, |hit| self.is_there(hit, u_alpha, rotation))
-            } else {
-                None
-            };
+            let [u_roulette, u_fresnel] = sampler.pair();
+            let hit =
+                if in_bounds { self.bvh.nearest(&ray, stack, |hit| self.is_there(hit, bounce, sampler)) } else { None };
             let Some(hit) = hit else {
                 let (environment, light_pdf) = self.lights.infinite(ray.direction);
                 radiance += throughput * environment * heuristic(scattered_pdf, light_pdf);
@@ -106,7 +103,8 @@ impl Tracer<'_> {
             }
             let bsdf = self.bsdf(&vertex, -ray.direction);
             if bsdf.is_smooth() {
-                radiance += throughput * self.direct(&vertex, &bsdf, u_light, u_fine, stack);
+                // the roulette's number may serve twice: this term and the rest of the path only add up
+                radiance += throughput * self.direct(&vertex, &bsdf, u_light, u_roulette, stack);
             }
             let Some(scatter) = bsdf.sample(u_scatter, u_fresnel) else { break };
             throughput *= scatter.weight;
@@ -177,15 +175,16 @@ impl Tracer<'_> {
         contribution * self.bvh.transmittance(&shadow, stack, |hit| self.passed(hit, light.direction))
     }
 
-    /// Decides by chance whether a surface with alpha is there. The number is stratified over samples and turned by a hash per
-    /// triangle, so that surfaces behind one another decide independently.
-    fn is_there(&self, hit: &Hit, u_alpha: f32, rotation: u64) -> bool {
+    /// Decides by chance whether a surface with alpha is there.
+    fn is_there(&self, hit: &Hit, bounce: u32, sampler: &Sampler<'_>) -> bool {
         if hit.flags & ALPHA == 0 {
             return true;
         }
-        let turn = seed::unit_f32(seed::mix(rotation ^ u64::from(hit.triangle)));
-        let u = u_alpha + turn;
-        (if u >= 1.0 { u - 1.0 } else { u }) < self.coverage(hit)
+        let coverage = self.coverage(hit);
+        if coverage <= 0.0 || coverage >= 1.0 {
+            return coverage > 0.0;
+        }
+        sampler.pair_at(ALPHA_PAIRS + (u64::from(bounce) << 32) + u64::from(hit.triangle))[0] < coverage
     }
 
     fn coverage(&self, hit: &Hit) -> f32 {

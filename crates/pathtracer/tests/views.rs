@@ -164,6 +164,25 @@ fn masked_and_blended_surfaces_let_light_through() {
     assert!((image.get([6, 6, 0]) - (alpha + (1.0 - alpha) * 0.5)).abs() < 1.0 / 256.0, "{}", image.get([6, 6, 0]));
 }
 
+/// Surfaces that cover one another decide independently in every pixel: noise must vanish with more samples.
+#[test]
+fn layers_of_blended_surfaces_converge() {
+    let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 2.0, Vec3::Z);
+    for (z, color, alpha) in [(0.0, Vec3::Y, 0.5), (0.3, Vec3::X, 0.4)] {
+        let material =
+            Material { base_color: color.extend(alpha), unlit: true, alpha_mode: AlphaMode::Blend, ..matt(1.0) };
+        scene.add(rectangle(Vec3::new(0.0, 0.0, z), 2.0 * Vec3::X, 2.0 * Vec3::Y), material);
+    }
+    let many = Settings { samples: 4096, ..SAMPLES };
+    let image = render(&scene.renderer(), &window(), &one_view(8, [0.0, 0.0]), &many);
+    for pixel in image.data().chunks(3) {
+        for (value, expected) in pixel.iter().zip([0.4, 0.6 * 0.5, 0.6 * 0.5]) {
+            // five standard errors of independent samples: √(0.3 · 0.7 / 4096) = 0.007
+            assert!((value - expected).abs() < 0.036, "{pixel:?}");
+        }
+    }
+}
+
 /// The share of light that a blended surface lets pass reaches what lies behind it.
 #[test]
 fn blended_surfaces_cast_partial_shadows() {
@@ -384,6 +403,18 @@ fn a_scene_without_light_is_reported() {
     let scene = std::sync::Arc::new(scene.parts.clone().validate(task).unwrap());
     Renderer::new(scene, task).unwrap();
     assert!(collector.take().iter().any(|w| w.message.contains("nothing in the scene emits light")));
+}
+
+#[test]
+fn samples_that_overflow_are_counted_and_left_out() {
+    // so bright that the sum of emitted and reflected light is beyond f32; what one ray sees directly is not
+    let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 1.0, Vec3::splat(3e38));
+    scene.parts.materials[0].base_color = Vec4::ONE;
+    scene.add(rectangle(Vec3::new(0.0, -0.9, 0.0), Vec3::X, Vec3::NEG_Z), glowing(Vec3::splat(3e38)));
+    let (image, warnings) =
+        render_view(&scene.renderer(), &window(), &one_view(8, [0.0, 0.0]), [0, 0], &Settings::default());
+    assert!(image.data().iter().all(|v| v.is_finite()));
+    assert!(warnings.iter().any(|w| w.message.contains("samples are not finite numbers")), "{warnings:?}");
 }
 
 #[test]

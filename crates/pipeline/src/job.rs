@@ -234,7 +234,7 @@ fn yes() -> bool {
 }
 
 fn default_samples() -> u32 {
-    48
+    32
 }
 
 fn default_bounces() -> u32 {

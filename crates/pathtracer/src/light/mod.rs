@@ -13,7 +13,7 @@ use lumistack_scene::Scene;
 use self::environment::EnvironmentLight;
 use self::punctual::PunctualLight;
 use crate::distribution::Distribution;
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, SurfacePoint};
 use crate::shading::Materials;
 
 /// Part of the choice that is shared equally between the kinds of light that exist, so that a kind of little power that shines
@@ -41,6 +41,11 @@ struct TriangleLight {
     triangle: u32,
     area: f32,
     double_sided: bool,
+    corners: [Vec3; 3],
+    normal: Vec3,
+    offset: f32,
+    /// Radiance where it is the same everywhere on the triangle.
+    uniform: Option<Vec3>,
 }
 
 /// Light that could arrive at a point.
@@ -140,18 +145,21 @@ impl TriangleLight {
         chance: f32,
         u: [f32; 2],
     ) -> Option<LightSample> {
-        let point = geometry.point(self.triangle, uniform_barycentric(u));
-        let to_light = point.position - from;
+        let barycentric = uniform_barycentric(u);
+        let position: Vec3 = (0..3).map(|k| barycentric[k] * self.corners[k]).sum();
+        let to_light = position - from;
         let distance = to_light.length();
         let direction = to_light / distance;
-        let cosine = -direction.dot(point.geometric_normal);
+        let cosine = -direction.dot(self.normal);
         if !(distance > 0.0 && cosine.abs() > 0.0 && (cosine > 0.0 || self.double_sided)) {
             return None;
         }
-        let material = geometry.material_index(self.triangle);
-        let radiance = materials.emission(material, &point, 0.0, cosine > 0.0) * materials.coverage(material, &point);
+        let radiance = self.uniform.unwrap_or_else(|| {
+            let point = geometry.point(self.triangle, barycentric);
+            emitted(materials, geometry.material_index(self.triangle), &point)
+        });
         let pdf = chance * distance * distance / (self.area * cosine.abs());
-        let end = Some(point.position + cosine.signum() * point.offset * point.geometric_normal);
+        let end = Some(position + cosine.signum() * self.offset * self.normal);
         (radiance != Vec3::ZERO && pdf.is_finite()).then(|| LightSample { direction, end, weight: radiance / pdf, pdf })
     }
 }
@@ -168,6 +176,11 @@ fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     [x, y, 1.0 - x - y]
 }
 
+/// Radiance that leaves a point, alpha included.
+fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>) -> Vec3 {
+    materials.emission(material, point, 0.0, true) * materials.coverage(material, point)
+}
+
 /// Triangles that emit, with their powers.
 fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<TriangleLight>, Vec<f64>) {
     let mut lights = Vec::new();
@@ -178,20 +191,34 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
             continue;
         }
         let index = geometry.material_index(triangle);
-        let mut sum = 0.0;
-        let mut area = 0.0;
-        for i in 0..POWER_POINTS * POWER_POINTS {
-            let at = |k: usize| (k as f32 + 0.5) / POWER_POINTS as f32;
-            let point = geometry.point(triangle, uniform_barycentric([at(i % POWER_POINTS), at(i / POWER_POINTS)]));
-            area = 0.5 * point.doubled_area;
-            let emission = materials.emission(index, &point, 0.0, true) * materials.coverage(index, &point);
-            sum += f64::from(luminance(emission.to_array()));
-        }
+        let at = |k: usize| (k as f32 + 0.5) / POWER_POINTS as f32;
+        let centre = geometry.point(triangle, [1.0 / 3.0; 3]);
+        let varies = material.textures().next().is_some() || !centre.mesh.colors.is_empty();
+        let uniform = (!varies).then(|| emitted(materials, index, &centre));
+        let mean = match uniform {
+            Some(radiance) => radiance,
+            None => {
+                let points = (0..POWER_POINTS * POWER_POINTS).map(|i| {
+                    let u = [at(i % POWER_POINTS), at(i / POWER_POINTS)];
+                    emitted(materials, index, &geometry.point(triangle, uniform_barycentric(u)))
+                });
+                points.sum::<Vec3>() / (POWER_POINTS * POWER_POINTS) as f32
+            }
+        };
+        let area = 0.5 * centre.doubled_area;
         let sides = if material.double_sided { 2.0 } else { 1.0 };
-        let power = sides * std::f64::consts::PI * f64::from(area) * sum / (POWER_POINTS * POWER_POINTS) as f64;
+        let power = f64::from(sides * PI * area * luminance(mean.to_array()));
         // what light sampling cannot choose is still found by scattering
         if power > 0.0 && area.is_normal() {
-            lights.push(TriangleLight { triangle, area, double_sided: material.double_sided });
+            lights.push(TriangleLight {
+                triangle,
+                area,
+                double_sided: material.double_sided,
+                corners: geometry.triangles[triangle as usize],
+                normal: centre.geometric_normal,
+                offset: centre.offset,
+                uniform,
+            });
             powers.push(power);
         }
     }
