@@ -441,3 +441,58 @@ impl Job {
         toml::to_string(self).expect("a job holds nothing that TOML cannot")
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The keys that a table takes: what the parser offers when it meets one that it does not know.
+    fn keys<T: serde::de::DeserializeOwned>() -> Vec<String> {
+        let Err(error) = config::parse::<T>("no_such_key = 1") else { panic!("unknown keys are accepted") };
+        let names: Vec<String> = error.message.split('`').skip(1).step_by(2).map(String::from).collect();
+        assert_eq!(names[0], "no_such_key", "{}", error.message);
+        names[1..].to_vec()
+    }
+
+    #[test]
+    fn every_key_is_documented() {
+        let text = include_str!("../../../docs/JOB.md");
+        let documented = |key: &str| text.contains(&format!("`{key}`")) || text.contains(&format!(".{key}`"));
+        let tables = [
+            keys::<DisplayJob>(),
+            keys::<WindowJob>(),
+            keys::<LightJob>(),
+            keys::<RenderJob>(),
+            keys::<FactorizeJob>(),
+            keys::<OutputJob>(),
+            keys::<GeometryFlags>(),
+            keys::<lumistack_display::Layer>(),
+            keys::<lumistack_display::FieldConfig>(),
+            keys::<lumistack_display::LensletBacklight>(),
+        ];
+        for key in tables.iter().flatten() {
+            assert!(documented(key), "docs/JOB.md does not list `{key}`");
+        }
+        for key in ["schema", "version", "name", "scene", "light_field", "seed"] {
+            assert!(documented(key), "docs/JOB.md does not list `{key}`");
+        }
+    }
+
+    #[test]
+    fn a_written_job_reads_back_the_same() {
+        let job =
+            Job { scene: Some("a.glb".into()), name: "a".into(), ..Job::new(presets::by_name_or_path("fig7-uniform")) };
+        assert_eq!(config::parse::<Job>(&job.to_toml()).unwrap(), job);
+    }
+
+    #[test]
+    fn a_display_is_changed_by_the_job() {
+        let mut job = Job::new(presets::by_name_or_path("paper-three-layer"));
+        job.display.resolution = Some([420, 262]);
+        job.display.frames = Some(6);
+        let display = job.resolve_display().unwrap();
+        assert_eq!((display.layers[0].resolution, display.frames, display.brightness), ([420, 262], 6, 0.2));
+        job.display.brightness = Some(0.0);
+        assert!(job.resolve_display().unwrap_err().to_string().contains("brightness"));
+    }
+}

@@ -135,8 +135,7 @@ fn trace(
     let steps: u64 = todo.iter().map(|(field, ..)| Renderer::steps_per_view(&fields[*field].0)).sum();
     task.progress.begin("render", steps, "tiles");
     let result = todo.iter().enumerate().try_for_each(|(number, (field, view, path))| {
-        let settings =
-            Settings { seed: lumistack_core::seed::derive(settings.seed, &[*field as u64]), ..*settings };
+        let settings = Settings { seed: lumistack_core::seed::derive(settings.seed, &[*field as u64]), ..*settings };
         let picture = renderer.render_view(window, &fields[*field].0, *view, &settings, task).map_err(render_error)?;
         let [rows, cols, _] = picture.shape();
         picture::write_exr(path, [cols, rows], picture.data(), Precision::Float).map_err(field_error)?;
