@@ -6,7 +6,7 @@
 
 use crate::{Backlight, Display, FieldGeometry, LensletBacklight, OutsideBins, Sampling};
 
-/// Where one axis of a ray meets a layer: value = (1 − t)·f[first] + t·f[second].
+/// Where one axis of a ray meets a layer: value = (1 − t)·f(first) + t·f(second).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tap {
     /// Pixel index, or [`Tap::MISSED`].
