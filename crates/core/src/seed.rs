@@ -28,7 +28,7 @@ pub fn unit_f32(hash: u64) -> f32 {
 pub struct Stream(u64);
 
 impl Stream {
-    /// Starts a stream; see [`derive`] for seeds.
+    /// Starts a stream; see [`derive()`] for seeds.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
