@@ -49,21 +49,12 @@ pub fn run_ci(full: bool) -> Outcome {
     Ok(())
 }
 
-/// The benchmarks that exist as ignored tests and examples, in a release build.
+/// Times the two kernels in a release build: factorizer updates of the paper's main case, and the path tracer on our main scene.
 pub fn bench() -> Outcome {
-    cargo(&[
-        "test",
-        "--release",
-        "--package",
-        "lumistack-factorizer",
-        "--package",
-        "lumistack-pathtracer",
-        "bench_",
-        "--",
-        "--ignored",
-        "--nocapture",
-        "--test-threads=1",
-    ])
+    cargo(&["run", "--release", "--package", "lumistack-factorizer", "--example", "main_case"])?;
+    let scene = "scenes/still-life/still-life.gltf";
+    let renderer = ["run", "--release", "--package", "lumistack-pathtracer", "--example", "render_gltf", "--"];
+    cargo(&[renderer.as_slice(), &[scene, "--size", "210x131", "--samples", "32", "--views", "3"]].concat())
 }
 
 fn step(name: &str, work: impl FnOnce() -> Outcome) -> Outcome {
