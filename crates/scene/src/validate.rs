@@ -79,11 +79,13 @@ impl SceneParts {
         self.check_materials(task)?;
         let uses_normal_map: Vec<bool> = self.materials.iter().map(|m| m.normal_texture.is_some()).collect();
         let material_count = self.materials.len();
-        let (mut flat, mut flat_meshes) = (0, 0);
+        let mut flat: Vec<(String, usize, usize)> = Vec::new();
         for mesh in &mut self.meshes {
+            let before = mesh.triangles.len();
             let dropped = check_mesh(mesh, material_count, task)?;
-            flat += dropped;
-            flat_meshes += usize::from(dropped > 0);
+            if dropped > 0 {
+                flat.push((mesh.place.clone(), dropped, before));
+            }
             if mesh.normals.is_empty() {
                 generate_flat_normals(mesh);
             }
@@ -92,9 +94,17 @@ impl SceneParts {
                 generate_tangents(mesh, uv_set);
             }
         }
-        if flat > 0 {
-            let message = format!("{flat} triangles in {flat_meshes} meshes have no area and are left out");
-            task.warn("/meshes", message);
+        match flat.as_slice() {
+            [] => {}
+            [(place, dropped, before)] => {
+                task.warn(place, format!("{dropped} of {before} triangles have no area and are left out"));
+            }
+            // files from CAD have them everywhere: one line for all
+            many => {
+                let dropped: usize = many.iter().map(|(_, dropped, _)| dropped).sum();
+                let message = format!("{dropped} triangles in {} meshes have no area and are left out", many.len());
+                task.warn("/meshes", message);
+            }
         }
         self.check_instances(task)?;
         self.check_lights_and_cameras()?;
