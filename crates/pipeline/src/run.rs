@@ -61,9 +61,13 @@ pub fn run(job: &Job, run_dir: &Path, command: Option<&str>, task: Task<'_>) -> 
     let mut run = Run::open(job, run_dir)?;
     let input = run.input(task)?;
     let display = run.display.clone();
-    run.write_settings(&display)?;
     let weights = run.weights(&input.target)?;
     let (stack, steps) = run.factorize(&display, &input.target, &weights, task)?;
+    // only now: a run that was stopped before has left the older settings, patterns and report together
+    run.write_settings(&display)?;
+    if run.stages.last().is_some_and(|stage| !stage.cached) {
+        run.remove_reports()?;
+    }
     let outputs = run.outputs(&display, &stack, &input.target, task)?;
 
     let stage = Instant::now();
@@ -215,6 +219,20 @@ impl<'a> Run<'a> {
         }
         write(&self.dir.join("job.toml"), job.to_toml().as_bytes())?;
         write(&self.dir.join("display.toml"), display.to_toml().as_bytes())
+    }
+
+    /// Removes the reports of older patterns.
+    fn remove_reports(&self) -> Result<(), PipelineError> {
+        for name in ["report.html", "report.json"] {
+            let path = self.dir.join(name);
+            match std::fs::remove_file(&path) {
+                Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(PipelineError::Write { path, source });
+                }
+                _ => {}
+            }
+        }
+        Ok(())
     }
 
     fn weights(&self, target: &LightField) -> Result<Weights, PipelineError> {
