@@ -203,6 +203,15 @@ fn the_small_commands_answer() {
     let folder = tempfile::tempdir().unwrap();
     assert!(succeed(lumistack().arg("plugins")).contains("images"));
     assert!(succeed(lumistack().arg("displays")).contains("paper-three-layer"));
+    let mut piped = lumistack()
+        .arg("displays")
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(piped.stdout.take());
+    let ended = piped.wait_with_output().unwrap();
+    assert!(ended.status.success() && ended.stderr.is_empty(), "a reader that has gone is no error");
     assert!(succeed(lumistack().args(["completions", "bash"])).contains("lumistack"));
     let info = succeed(lumistack().arg("info").arg(root().join("scenes/still-life/still-life.gltf")));
     assert!(info.contains("triangles"), "{info}");

@@ -14,7 +14,7 @@ use serde_json::json;
 use crate::args::{
     Args, Command, DisplayArgs, Factorize, FactorizeArgs, GeometryArgs, Render, RenderArgs, Run, Simulate,
 };
-use crate::console::Console;
+use crate::console::{Console, say};
 use crate::info;
 
 /// The display of `run` and `render` when nobody names one.
@@ -70,11 +70,11 @@ fn finish(job: &Job, folder: &Path, json: bool, task: Task<'_>) -> Result<(), Pi
     if json {
         let mut event = serde_json::to_value(&summary).expect("summaries serialize");
         event["event"] = "done".into();
-        println!("{event}");
+        say!("{event}");
     } else {
         let held_out = summary.psnr_held_out.map_or(String::new(), |psnr| format!(", in between {psnr:.1} dB"));
-        println!("PSNR {:.1} dB at the target views{held_out}; {:.0} s", summary.psnr_view, summary.seconds);
-        println!("{}", summary.report.display());
+        say!("PSNR {:.1} dB at the target views{held_out}; {:.0} s", summary.psnr_view, summary.seconds);
+        say!("{}", summary.report.display());
     }
     Ok(())
 }
@@ -86,9 +86,9 @@ fn render_command(args: &Render, json: bool, task: Task<'_>) -> Result<(), Pipel
     render_only(&job, &args.output, task)?;
     let index = args.output.join("lightfield.json");
     if json {
-        println!("{}", json!({"event": "done", "light_field": index}));
+        say!("{}", json!({"event": "done", "light_field": index}));
     } else {
-        println!("{}", index.display());
+        say!("{}", index.display());
     }
     Ok(())
 }
@@ -102,9 +102,9 @@ fn simulate_command(args: &Simulate, json: bool) -> Result<(), PipelineError> {
     let picture = RunFolder::open(&args.dir)?.picture(viewpoint, args.raw)?;
     simulate_to_file(&picture, &args.output)?;
     if json {
-        println!("{}", json!({"event": "done", "picture": args.output}));
+        say!("{}", json!({"event": "done", "picture": args.output}));
     } else {
-        println!("{}", args.output.display());
+        say!("{}", args.output.display());
     }
     Ok(())
 }

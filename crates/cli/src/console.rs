@@ -1,12 +1,24 @@
 //! Progress and warnings for people on a terminal, for log files, and for machines.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use lumistack_core::{Progress, Warning, Warnings};
 use serde_json::json;
+
+/// `println!` that ends the program quietly when nobody reads any more (`lumistack displays | head -1`).
+macro_rules! say {
+    ($($text:tt)*) => { $crate::console::print_line(format_args!($($text)*)) };
+}
+pub(crate) use say;
+
+pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {
+    if writeln!(std::io::stdout(), "{text}").is_err() {
+        std::process::exit(0);
+    }
+}
 
 /// How often a stage reports where there is no terminal.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(10);
@@ -71,7 +83,7 @@ impl Progress for Console {
                 *lock(state) = Some(Stage::new(stage, total, unit));
             }
             Self::Json(state, _) => {
-                println!("{}", json!({"event": "begin", "stage": stage, "total": total, "unit": unit}));
+                say!("{}", json!({"event": "begin", "stage": stage, "total": total, "unit": unit}));
                 *lock(state) = Some(Stage::new(stage, total, unit));
             }
         }
@@ -99,7 +111,7 @@ impl Progress for Console {
                     eprintln!("{}: {} of {} {} {note}", stage.name, stage.done, stage.total, stage.unit);
                 } else {
                     let event = json!({"event": "progress", "stage": stage.name, "done": stage.done, "total": stage.total, "note": note});
-                    println!("{event}");
+                    say!("{event}");
                 }
             }
         }
@@ -123,7 +135,7 @@ impl Progress for Console {
             Self::Json(state, _) => {
                 if let Some(stage) = lock(state).take() {
                     let seconds = stage.start.elapsed().as_secs_f64();
-                    println!("{}", json!({"event": "end", "stage": stage.name, "seconds": seconds}));
+                    say!("{}", json!({"event": "end", "stage": stage.name, "seconds": seconds}));
                 }
             }
         }
@@ -147,7 +159,7 @@ impl Warnings for Console {
             },
             Self::Plain(..) => eprintln!("warning: {warning}"),
             Self::Json(..) => {
-                println!("{}", json!({"event": "warning", "place": warning.place, "message": warning.message}));
+                say!("{}", json!({"event": "warning", "place": warning.place, "message": warning.message}));
             }
         }
     }

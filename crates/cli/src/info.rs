@@ -11,11 +11,12 @@ use serde_json::{Value, json};
 
 use crate::args::Info;
 use crate::commands::geometry;
+use crate::console::say;
 
 pub(crate) fn print(args: &Info, as_json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let value = describe(args, task)?;
     if as_json {
-        println!("{value}");
+        say!("{value}");
     } else {
         show(&value, 0);
     }
@@ -131,7 +132,7 @@ fn stack(path: &Path) -> Result<Value, PipelineError> {
 fn show(value: &Value, depth: usize) {
     let margin = "  ".repeat(depth);
     let Value::Object(map) = value else {
-        println!("{margin}{}", short(value));
+        say!("{margin}{}", short(value));
         return;
     };
     for (key, value) in map {
@@ -139,20 +140,20 @@ fn show(value: &Value, depth: usize) {
         match value {
             Value::Null => {}
             Value::Object(inner) if !inner.is_empty() => {
-                println!("{margin}{key}");
+                say!("{margin}{key}");
                 show(value, depth + 1);
             }
             Value::Array(items) if items.iter().any(|item| item.is_object() || item.is_string()) => {
-                println!("{margin}{key}: {}", items.len());
+                say!("{margin}{key}: {}", items.len());
                 items.iter().for_each(|item| match item {
                     Value::Object(_) => {
-                        println!("{margin}  -");
+                        say!("{margin}  -");
                         show(item, depth + 2);
                     }
-                    _ => println!("{margin}  {}", short(item)),
+                    _ => say!("{margin}  {}", short(item)),
                 });
             }
-            _ => println!("{margin}{key}: {}", short(value)),
+            _ => say!("{margin}{key}: {}", short(value)),
         }
     }
 }
@@ -173,9 +174,9 @@ fn short(value: &Value) -> String {
 
 pub(crate) fn print_plugins(as_json: bool) -> Result<(), PipelineError> {
     if as_json {
-        println!("{}", plugin_list()?);
+        say!("{}", plugin_list()?);
     } else {
-        println!("{}", plugin_text()?);
+        say!("{}", plugin_text()?);
     }
     Ok(())
 }
@@ -183,10 +184,10 @@ pub(crate) fn print_plugins(as_json: bool) -> Result<(), PipelineError> {
 pub(crate) fn print_displays(as_json: bool) -> Result<(), PipelineError> {
     for (name, text) in presets::PRESETS {
         if as_json {
-            println!("{}", json!({ "name": name, "display": presets::load(name)? }));
+            say!("{}", json!({ "name": name, "display": presets::load(name)? }));
         } else {
             // the first comment line of the file says what it is
-            println!("{name:28} {}", text.lines().next().unwrap_or_default().trim_start_matches("# "));
+            say!("{name:28} {}", text.lines().next().unwrap_or_default().trim_start_matches("# "));
         }
     }
     Ok(())
