@@ -150,14 +150,16 @@ fn frames_are_worth_more_than_layers() {
     assert!(six >= still + 12.0);
 }
 
-/// On the teapot alone the claim holds where every ray counts: eight layers 40 mm apart reach 140 mm from z = 0, and dropping the rays that
-/// leave one of them drops the hard ones (33.4 dB).
+/// The paper's bound of 30 dB for eight static layers holds with 5 × 5 views, and with 3 × 3 views where every ray counts. It does not hold with
+/// 3 × 3 views under the default `drop`: 33.4 dB, which an independent forward model on the written patterns confirms. The test keeps all three.
 #[test]
-fn eight_static_layers_stay_below_30_db() {
+fn eight_static_layers_stay_below_30_db_except_on_dropped_3x3_views() {
     let display = display(5, 8, 1, 0.2);
     let Some(target) = light_field("main_5x5_160x100_fov20", &display) else { return };
     let five_views = curve(&display, &target, &[50])[0];
     let Some(three_views) = teapot(8, 1, Missing::Clear) else { return };
+    let Some(dropped) = teapot(8, 1, Missing::Drop) else { return };
+    check("teapot, N = 8, M = 1, dropped rays", &[dropped], &[33.4]);
     println!(
         "N = 8, M = 1: {five_views:.2} dB with 5 × 5 views, {three_views:.2} dB with 3 × 3 views and every ray counted"
     );
