@@ -88,10 +88,14 @@ fn display(display: &Display) -> Value {
         Backlight::Lenslets(lenslets) => serde_json::to_value(lenslets).expect("backlights serialize"),
     };
     let size = display.field_pixels().size_mm();
+    let name = |value: serde_json::Result<Value>| value.expect("names serialize");
     json!({ "display": {
         "name": display.name,
+        "formation": name(serde_json::to_value(display.formation)),
         "frames": display.frames,
+        "colour sequence": name(serde_json::to_value(display.colour_sequence)),
         "refresh": format!("{} Hz, {:.1} periods a second", display.refresh_hz, display.period_hz()),
+        "flicker": display.flicker_warning(),
         "brightness": display.brightness,
         "light field": format!(
             "{} × {} pixels of {} mm ({:.1} × {:.1} mm)",
@@ -100,7 +104,7 @@ fn display(display: &Display) -> Value {
         "views": format!(
             "{} × {} over {}° × {}°, {}",
             display.field.views[0], display.field.views[1], display.field.fov_deg[0], display.field.fov_deg[1],
-            serde_json::to_value(display.field.projection).expect("names serialize").as_str().unwrap_or_default()
+            name(serde_json::to_value(display.field.projection)).as_str().unwrap_or_default()
         ),
         "layers": display.layers.iter().map(|layer| format!(
             "z = {} mm: {} × {} pixels of {} mm", layer.d_mm, layer.resolution[0], layer.resolution[1], layer.pitch_mm
@@ -117,7 +121,9 @@ fn run_folder(path: &Path) -> Result<Value, PipelineError> {
     {
         value["result"] = json!({
             "title": report["title"], "psnr_view": report["psnr_view"], "psnr_raw": report["psnr_raw"],
-            "psnr in between": report["held_out"]["overall_psnr_view"], "command": report["command"],
+            "psnr in between": report["held_out"]["overall_psnr_view"],
+            "psnr outside": report["outside"]["overall_psnr_view"], "ssim": report["ssim"], "flip": report["flip"],
+            "command": report["command"],
         });
     }
     Ok(value)

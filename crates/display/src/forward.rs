@@ -1,10 +1,13 @@
-//! The forward model: what a display emits.
+//! The forward model: what a display emits; the equations are those of [`Formation`], channels independent.
 //!
-//! L̃ = (1/M) Σ_m b_m(ray) Π_n f_m^(n)(ξ_n) (eqs. 7 and 18), channels independent, b = 1 for a uniform backlight.
+//! Rays meet what the layers' hardware makes of the stored values ([`LayerStack::effective`]); a [`Simulator`] works that out once and then
+//! gives any number of views.
 
-use lumistack_core::{Cancelled, Tensor};
+use std::borrow::Cow;
 
-use crate::{BacklightTap, Display, FieldGeometry, LayerStack, Missing, Projection, RayMap, Tap, ViewGrid};
+use lumistack_core::Tensor;
+
+use crate::{BacklightTap, Display, FieldGeometry, Formation, LayerStack, Missing, Projection, RayMap, Tap, ViewGrid};
 
 /// One emitted view.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,70 +19,92 @@ pub struct EmittedView {
     pub valid: Vec<bool>,
 }
 
-/// The view from slope (s_x, s_y): a parallel projection, as from far away.
-pub fn view_from_slope(display: &Display, stack: &LayerStack, slope: [f64; 2]) -> EmittedView {
-    single(display, stack, ViewGrid::single(Projection::Oblique, slope))
+/// A display that shows a stack. The stack must fit the display ([`LayerStack::check`]).
+#[derive(Clone, Debug)]
+pub struct Simulator<'a> {
+    display: &'a Display,
+    /// What rays meet.
+    stack: Cow<'a, LayerStack>,
 }
 
-/// The view from an eye at (x, y, z) millimetres in display space, z > 0.
-pub fn view_from_eye(display: &Display, stack: &LayerStack, eye_mm: [f64; 3]) -> EmittedView {
-    let [x, y, z] = eye_mm;
-    single(display, stack, ViewGrid::single(Projection::Perspective { distance_mm: z }, [x / z, y / z]))
-}
-
-fn single(display: &Display, stack: &LayerStack, grid: ViewGrid) -> EmittedView {
-    let geometry = FieldGeometry { grid, ..display.field_pixels() };
-    simulate(display, &RayMap::new(display, &geometry), stack, &geometry, [0, 0])
-}
-
-/// Every view of a grid, in row order, handed to `sink` one at a time.
-///
-/// # Errors
-/// What `sink` returns.
-pub fn simulate_all(
-    display: &Display,
-    stack: &LayerStack,
-    geometry: &FieldGeometry,
-    mut sink: impl FnMut([usize; 2], EmittedView) -> Result<(), Cancelled>,
-) -> Result<(), Cancelled> {
-    let map = RayMap::new(display, geometry);
-    geometry.grid.iter().try_for_each(|view| sink(view, simulate(display, &map, stack, geometry, view)))
-}
-
-/// The view `view` = [view_y, view_x] of a geometry whose tables are `map`. The stack must fit the display.
-pub fn simulate(
-    display: &Display,
-    map: &RayMap,
-    stack: &LayerStack,
-    geometry: &FieldGeometry,
-    view: [usize; 2],
-) -> EmittedView {
-    let (rows, cols, frames) = (geometry.rows, geometry.cols, stack.frames());
-    let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
-    let mut valid = vec![true; rows * cols];
-    let mut product = vec![0.0f32; cols * 3];
-    let mut sum = vec![0.0f64; cols * 3];
-    for row in 0..rows {
-        sum.fill(0.0);
-        for frame in 0..frames {
-            product.fill(1.0);
-            for (layer, values) in map.layers.iter().zip(&stack.layers) {
-                let tap_y = layer.y.of_view(view[0])[row];
-                multiply_layer(&mut product, values, frame, tap_y, layer.x.of_view(view[1]), display.missing);
-            }
-            if let (Some(map), Some(emission)) = (&map.backlight, &stack.emission) {
-                multiply_backlight(&mut product, emission, frame, map.y(view[0])[row], map.x(view[1]));
-            }
-            sum.iter_mut().zip(&product).for_each(|(sum, &product)| *sum += f64::from(product));
-        }
-        for (value, sum) in radiance.block_mut([row]).iter_mut().zip(&sum) {
-            *value = (sum / frames as f64) as f32;
-        }
-        for col in 0..cols {
-            valid[row * cols + col] = ray_is_valid(map, display.missing, view, row, col);
-        }
+impl<'a> Simulator<'a> {
+    /// Works out what rays meet: the one step that does not depend on the view.
+    pub fn new(display: &'a Display, stack: &'a LayerStack) -> Self {
+        Self { display, stack: stack.effective(display) }
     }
-    EmittedView { radiance, valid }
+
+    /// The view from slope (s_x, s_y): a parallel projection, as from far away.
+    pub fn from_slope(&self, slope: [f64; 2]) -> EmittedView {
+        self.single(ViewGrid::single(Projection::Oblique, slope))
+    }
+
+    /// The view from an eye at (x, y, z) millimetres in display space, z > 0.
+    pub fn from_eye(&self, eye_mm: [f64; 3]) -> EmittedView {
+        let [x, y, z] = eye_mm;
+        self.single(ViewGrid::single(Projection::Perspective { distance_mm: z }, [x / z, y / z]))
+    }
+
+    fn single(&self, grid: ViewGrid) -> EmittedView {
+        let geometry = FieldGeometry { grid, ..self.display.field_pixels() };
+        self.view(&RayMap::new(self.display, &geometry), &geometry, [0, 0])
+    }
+
+    /// The view `view` = [view_y, view_x] of a geometry whose tables for this display are `map`.
+    pub fn view(&self, map: &RayMap, geometry: &FieldGeometry, view: [usize; 2]) -> EmittedView {
+        let (rows, cols, frames) = (geometry.rows, geometry.cols, self.stack.frames());
+        let formation = self.display.formation;
+        let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
+        let mut valid = vec![true; rows * cols];
+        let mut met = vec![0.0f32; cols * 3];
+        let mut sum = vec![0.0f64; cols * 3];
+        for row in 0..rows {
+            sum.fill(0.0);
+            for frame in 0..frames {
+                met.fill(formation.neutral());
+                for (layer, values) in map.layers.iter().zip(&self.stack.layers) {
+                    let (tap_y, taps_x) = (layer.y.of_view(view[0])[row], layer.x.of_view(view[1]));
+                    match formation {
+                        Formation::Attenuating => {
+                            meet_layer(&mut met, values, frame, tap_y, taps_x, |met, v| *met *= v)
+                        }
+                        _ => meet_layer(&mut met, values, frame, tap_y, taps_x, |met, v| *met += v),
+                    }
+                }
+                if formation == Formation::Polarization {
+                    met.iter_mut().for_each(|met| *met = sin2_of_quarter_turns(*met));
+                }
+                if let (Some(map), Some(emission)) = (&map.backlight, &self.stack.emission) {
+                    let (tap_y, taps_x) = (map.y(view[0])[row], map.x(view[1]));
+                    match formation {
+                        Formation::Additive => {
+                            meet_backlight(&mut met, emission, frame, tap_y, taps_x, |met, b| *met += b)
+                        }
+                        _ => meet_backlight(&mut met, emission, frame, tap_y, taps_x, |met, b| *met *= b),
+                    }
+                }
+                sum.iter_mut().zip(&met).for_each(|(sum, &met)| *sum += f64::from(met));
+            }
+            for (col, (pixel, sum)) in
+                radiance.block_mut([row]).chunks_exact_mut(3).zip(sum.chunks_exact(3)).enumerate()
+            {
+                valid[row * cols + col] = ray_is_valid(map, self.display.missing, view, row, col);
+                if valid[row * cols + col] {
+                    pixel.iter_mut().zip(sum).for_each(|(value, sum)| *value = (sum / frames as f64) as f32);
+                }
+            }
+        }
+        EmittedView { radiance, valid }
+    }
+}
+
+/// One view from a slope; for more than one make a [`Simulator`].
+pub fn view_from_slope(display: &Display, stack: &LayerStack, slope: [f64; 2]) -> EmittedView {
+    Simulator::new(display, stack).from_slope(slope)
+}
+
+/// One view from an eye; for more than one make a [`Simulator`].
+pub fn view_from_eye(display: &Display, stack: &LayerStack, eye_mm: [f64; 3]) -> EmittedView {
+    Simulator::new(display, stack).from_eye(eye_mm)
 }
 
 /// Whether a ray counts: it meets the lenslet grid and, under [`Missing::Drop`], every layer.
@@ -96,49 +121,62 @@ pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize
     layers && backlight
 }
 
-/// product[col][rgb] *= layer transmittance.
-fn multiply_layer(product: &mut [f32], values: &Tensor<4>, frame: usize, tap_y: Tap, taps_x: &[Tap], missing: Missing) {
-    let outside = match missing {
-        Missing::Drop => 0.0,
-        Missing::Clear => 1.0,
-    };
+/// Hands each `met[col][rgb]` the layer's value there. Where the ray misses, nothing happens: that is the neutral value, and a ray that does
+/// not count is set to 0 later.
+fn meet_layer(
+    met: &mut [f32],
+    values: &Tensor<4>,
+    frame: usize,
+    tap_y: Tap,
+    taps_x: &[Tap],
+    meet: impl Fn(&mut f32, f32),
+) {
     if tap_y.is_missed() {
-        product.iter_mut().for_each(|value| *value *= outside);
         return;
     }
     let upper = values.block([frame, tap_y.first as usize]);
     let lower = values.block([frame, tap_y.second as usize]);
-    for (pixel, tap) in product.chunks_exact_mut(3).zip(taps_x) {
-        if tap.is_missed() {
-            pixel.iter_mut().for_each(|value| *value *= outside);
-            continue;
-        }
+    for (pixel, tap) in met.chunks_exact_mut(3).zip(taps_x).filter(|(_, tap)| !tap.is_missed()) {
         let (left, right) = (3 * tap.first as usize, 3 * tap.second as usize);
         for c in 0..3 {
             let top = upper[left + c] + tap.t * (upper[right + c] - upper[left + c]);
             let bottom = lower[left + c] + tap.t * (lower[right + c] - lower[left + c]);
-            pixel[c] *= top + tap_y.t * (bottom - top);
+            meet(&mut pixel[c], top + tap_y.t * (bottom - top));
         }
     }
 }
 
-/// product[col][rgb] *= backlight emission.
-fn multiply_backlight(
-    product: &mut [f32],
+/// Hands each `met[col][rgb]` the backlight's emission there; 0 where it is dark or missed.
+fn meet_backlight(
+    met: &mut [f32],
     emission: &Tensor<6>,
     frame: usize,
     tap_y: BacklightTap,
     taps_x: &[BacklightTap],
+    meet: impl Fn(&mut f32, f32),
 ) {
-    for (pixel, &tap_x) in product.chunks_exact_mut(3).zip(taps_x) {
+    for (pixel, &tap_x) in met.chunks_exact_mut(3).zip(taps_x) {
         match (tap_x, tap_y) {
             (BacklightTap::Lit { lenslet: col, bin: bin_x }, BacklightTap::Lit { lenslet: row, bin: bin_y }) => {
-                let value = emission.block([frame, bin_y as usize, bin_x as usize, row as usize, col as usize]);
-                pixel.iter_mut().zip(value).for_each(|(pixel, value)| *pixel *= value);
+                let values = emission.block([frame, bin_y as usize, bin_x as usize, row as usize, col as usize]);
+                pixel.iter_mut().zip(values).for_each(|(met, value)| meet(met, *value));
             }
-            _ => pixel.fill(0.0),
+            _ => pixel.iter_mut().for_each(|met| meet(met, 0.0)),
         }
     }
+}
+
+/// sin²(π/2 · x) for 0 ≤ x < 1000, which no number of layers passes; the absolute error stays below 1e-6 up to x = 8. In place of `f32::sin`,
+/// whose calls would take most of a view's time.
+fn sin2_of_quarter_turns(x: f32) -> f32 {
+    // adding 1.5 · 2²³ leaves no room for a fraction: the sum is rounded to whole half turns
+    const ROUND: f32 = 12_582_912.0;
+    let half_turns = (0.5 * x + ROUND) - ROUND;
+    let angle = std::f32::consts::FRAC_PI_2 * (x - 2.0 * half_turns);
+    // the Taylor series of the sine; its next term is at most 6e-8 for |angle| ≤ π/2
+    let s = angle * angle;
+    let series = [-1.0 / 39_916_800.0, 1.0 / 362_880.0, -1.0 / 5040.0, 1.0 / 120.0, -1.0 / 6.0, 1.0];
+    (angle * series.into_iter().fold(0.0, |sum, factor| sum * s + factor)).powi(2)
 }
 
 #[cfg(test)]
@@ -193,5 +231,14 @@ mod tests {
         let clear = view_from_slope(&display, &stack, [0.14, 0.0]);
         assert!(clear.valid.iter().all(|v| *v));
         assert!(clear.radiance.data().iter().any(|v| (*v - 0.25).abs() < 1e-6), "one layer missed");
+    }
+
+    #[test]
+    fn the_series_agrees_with_the_sine() {
+        for i in 0..=80_000 {
+            let x = i as f32 / 10_000.0;
+            let expected = (std::f64::consts::FRAC_PI_2 * f64::from(x)).sin().powi(2);
+            assert!((f64::from(sin2_of_quarter_turns(x)) - expected).abs() < 1e-6, "{x}");
+        }
     }
 }

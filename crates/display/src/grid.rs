@@ -126,6 +126,25 @@ impl ViewGrid {
         Self { projection: self.projection, slope_x: midpoints(&self.slope_x), slope_y: midpoints(&self.slope_y) }
     }
 
+    /// Views beyond the zone: `steps` on the left and as many on the right of the outermost columns, one mean spacing apart, in the middle row; of a
+    /// grid with one column above and below. `None` without steps or without two different views.
+    pub fn outside(&self, steps: usize) -> Option<Self> {
+        let beyond = |slopes: &[f64]| {
+            let (low, high) = slopes.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));
+            let step = (high - low) / (slopes.len() as f64 - 1.0);
+            let below = (1..=steps).rev().map(|k| low - k as f64 * step);
+            let above = (1..=steps).map(|k| high + k as f64 * step);
+            (steps > 0 && step > 0.0).then(|| below.chain(above).collect::<Vec<f64>>())
+        };
+        let middle = |slopes: &[f64]| vec![slopes[slopes.len() / 2]];
+        if let Some(slope_x) = beyond(&self.slope_x) {
+            return Some(Self { projection: self.projection, slope_x, slope_y: middle(&self.slope_y) });
+        }
+        let mut slope_y = beyond(&self.slope_y)?;
+        slope_y.reverse();
+        Some(Self { projection: self.projection, slope_x: middle(&self.slope_x), slope_y })
+    }
+
     /// Width of one view's bin of slopes per axis (x, y): the mean spacing; 0 for an axis with one view.
     pub fn bin_width(&self) -> [f64; 2] {
         [&self.slope_x, &self.slope_y].map(|slopes| match slopes.as_slice() {
@@ -218,6 +237,20 @@ mod tests {
         assert!((grid.slope_y[0] - 0.117_551_320_472_309_98).abs() < EXACT, "the topmost view comes first");
         assert_eq!(grid.views(), [3, 5]);
         assert_eq!(grid.in_between().views(), [2, 4]);
+    }
+
+    #[test]
+    fn outside_views_stand_beyond_the_outermost_ones() {
+        let grid = ViewGrid::uniform(Projection::Oblique, [5, 3], [20.0, 20.0]).unwrap();
+        let outside = grid.outside(2).unwrap();
+        assert_eq!((outside.views(), outside.slope_y[0]), ([1, 4], 0.0));
+        let step = grid.slope_x[1] - grid.slope_x[0];
+        for (slope, steps) in outside.slope_x.iter().zip([-4.0, -3.0, 3.0, 4.0]) {
+            assert!((slope - steps * step).abs() < EXACT);
+        }
+        let column = ViewGrid { slope_x: vec![0.1], ..grid.clone() }.outside(1).unwrap();
+        assert!(column.slope_x == [0.1] && column.slope_y[0] > grid.slope_y[0] && column.slope_y[1] < grid.slope_y[2]);
+        assert!(grid.outside(0).is_none() && ViewGrid::single(Projection::Oblique, [0.0; 2]).outside(1).is_none());
     }
 
     #[test]

@@ -5,25 +5,40 @@
 //! slope s = tangent of its direction (the paper's v/d_r, eq. 1).
 //!
 //! ```text
-//! Display + FieldGeometry ──▶ RayMap ──▶ forward::simulate(LayerStack) ──▶ views ──▶ score against a LightField
+//! Display + FieldGeometry ──▶ RayMap ─────────────────┐
+//! Display + LayerStack ──▶ what rays meet (Response) ──┴─▶ Simulator ──▶ views ──▶ score against a LightField
 //! ```
 
+mod adapt;
+mod backlight;
+mod blur;
+mod check;
 mod config;
 mod field;
+mod formation;
 pub mod forward;
 mod grid;
+mod layer;
 mod raymap;
+mod response;
 mod score;
 mod stack;
+#[cfg(test)]
+mod tests;
+mod time;
 mod weights;
 
-pub use config::{
-    Backlight, Display, DisplayError, FieldConfig, Layer, LensletBacklight, Missing, OutsideBins, ProjectionKind,
-    Sampling, Transfer,
-};
+pub use backlight::{Backlight, LensletBacklight, OutsideBins};
+pub use check::DisplayError;
+pub use config::{Display, FieldConfig, Missing, ProjectionKind, Sampling};
 pub use field::LightField;
+pub use formation::Formation;
+pub use forward::{EmittedView, Simulator};
 pub use grid::{FieldGeometry, GridError, Projection, ViewGrid};
+pub use layer::{Layer, LayerColour, Transfer, quantize};
 pub use raymap::{AxisTaps, BacklightMap, BacklightTap, LayerMap, RayMap, Tap};
+pub use response::Response;
 pub use score::{Score, ViewScore, score, view_error};
 pub use stack::{LayerStack, StackError};
-pub use weights::{WeightError, Weights};
+pub use time::ColourSequence;
+pub use weights::{EyeBox, WeightError, Weights};

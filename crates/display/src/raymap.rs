@@ -252,15 +252,7 @@ mod tests {
     #[test]
     fn a_ray_of_the_target_grid_reads_its_own_view() {
         let mut display = small_display();
-        let backlight = LensletBacklight {
-            d_mm: -100.0,
-            lenslets: [4, 3],
-            pitch_mm: 4.0,
-            fov_deg: display.field.fov_deg,
-            views: display.field.views,
-            offset_mm: [0.0; 2],
-            outside_bins: OutsideBins::Dark,
-        };
+        let backlight = LensletBacklight::new(-100.0, [4, 3], 4.0, display.field.views, display.field.fov_deg);
         display.backlight = Backlight::Lenslets(backlight.clone());
         let geometry = display.geometry().unwrap();
         let map = RayMap::new(&display, &geometry).backlight.unwrap();

@@ -5,8 +5,7 @@
 
 use lumistack_core::metrics::SquaredError;
 
-use crate::forward::{EmittedView, simulate};
-use crate::{Display, LayerStack, LightField, RayMap, Weights};
+use crate::{Display, EmittedView, LayerStack, LightField, RayMap, Simulator, Weights};
 
 /// Errors of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,9 +62,9 @@ pub fn view_error(
 /// Simulates every view of the target and compares.
 pub fn score(display: &Display, stack: &LayerStack, target: &LightField, weights: &Weights) -> Score {
     let geometry = target.geometry();
-    let map = RayMap::new(display, geometry);
+    let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
     let views = geometry.grid.iter().map(|view| {
-        let emitted = simulate(display, &map, stack, geometry, view);
+        let emitted = simulator.view(&map, geometry, view);
         let weight = |i: usize| weights.at(view, i / geometry.cols, i % geometry.cols);
         ViewScore { view, error: view_error(&emitted, target.view(view), stack.brightness, weight) }
     });

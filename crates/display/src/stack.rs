@@ -1,5 +1,7 @@
 //! The patterns of a tensor display.
 
+use std::borrow::Cow;
+
 use lumistack_core::Tensor;
 use thiserror::Error;
 
@@ -64,7 +66,22 @@ impl LayerStack {
         self.layers.first().map_or(0, |layer| layer.shape()[0])
     }
 
-    /// Checks that the stack has the shapes of the display and values in 0..1.
+    /// The stack that rays meet: every layer's [`Response`](crate::Response) applied. Borrowed where no layer has one that changes values.
+    pub fn effective(&self, display: &Display) -> Cow<'_, Self> {
+        let responses: Vec<_> =
+            display.layers.iter().map(|layer| layer.response().filter(|response| !response.is_identity())).collect();
+        if responses.iter().all(Option::is_none) {
+            return Cow::Borrowed(self);
+        }
+        let layers = self.layers.iter().zip(&responses).map(|(layer, response)| match response {
+            Some(response) => response.apply(layer),
+            None => layer.clone(),
+        });
+        Cow::Owned(Self { layers: layers.collect(), emission: self.emission.clone(), brightness: self.brightness })
+    }
+
+    /// Checks that the stack has the shapes of the display and values in 0..1. The box of a layer is narrower where its hardware is limited
+    /// ([`Layer::range`](crate::Layer::range)); patterns from elsewhere may ignore it.
     ///
     /// # Errors
     /// On the first part that does not fit.

@@ -62,10 +62,7 @@ fn truncated_arrays_and_stacks_are_errors() {
     npy::write(&path, &[2, 3, 4, 5, 3], &[0.5; 360]).unwrap();
     truncate(&path, 0, || open(&path, &GeometryFlags::default(), &defaults()).0.map(drop).map_err(|e| e.to_string()));
 
-    let display = Display::from_toml(
-        "name = \"a\"\nframes = 2\n[field]\nresolution = [4, 3]\npitch_mm = 1.0\nviews = [1, 1]\nfov_deg = [9.0, 9.0]\n[[layers]]\nd_mm = 0.0\nresolution = [4, 3]\npitch_mm = 1.0\n",
-    )
-    .unwrap();
+    let display = Display::uniform([4, 3], 1.0, [1, 1], [9.0, 9.0], &[0.0], 2);
     let layers = folder.path().join("layers");
     write_stack(&layers, &display, &LayerStack::filled(&display, 0.5)).unwrap();
     truncate(&layers.join("layer_0.npy"), 0, || read_stack(&layers).map(drop).map_err(|e| e.to_string()));

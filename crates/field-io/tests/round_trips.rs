@@ -7,7 +7,9 @@ use std::process::Command;
 
 use common::{defaults, open, random_field};
 use lumistack_core::Tensor;
-use lumistack_display::{Display, LayerStack, LightField, Projection, ProjectionKind};
+use lumistack_display::{
+    Backlight, Display, Layer, LayerStack, LensletBacklight, LightField, Projection, ProjectionKind,
+};
 use lumistack_field_io::{
     FieldError, GeometryFlags, describe, npy, read_field_folder, read_stack, read_stack_index, round_to_half,
     write_field, write_stack,
@@ -136,40 +138,18 @@ fn views_are_subsampled_around_the_middle_and_pixels_are_averaged() {
     assert!((cropped.radiance().get([0, 0, 0, 0, 0]) - mean).abs() < CODE);
 }
 
-const DISPLAY: &str = r#"
-name = "small"
-frames = 2
-brightness = 0.25
-[field]
-resolution = [6, 4]
-pitch_mm = 1.0
-views = [3, 3]
-fov_deg = [20.0, 20.0]
-[[layers]]
-d_mm = -12.0
-resolution = [7, 5]
-pitch_mm = 1.0
-[[layers]]
-d_mm = 12.0
-resolution = [3, 2]
-pitch_mm = 2.5
-offset_mm = [0.5, 0.0]
-[backlight]
-kind = "lenslets"
-d_mm = -20.0
-lenslets = [4, 3]
-pitch_mm = 2.0
-fov_deg = [20.0, 20.0]
-views = [3, 2]
-"#;
-
 fn ramp<const N: usize>(tensor: &mut Tensor<N>, offset: usize) {
     let count = tensor.data().len();
     tensor.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = ((i + offset) % count) as f32 / count as f32);
 }
 
 fn stack() -> (Display, LayerStack) {
-    let display = Display::from_toml(DISPLAY).unwrap();
+    let plain = Display::uniform([6, 4], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 12.0], 2);
+    let mut display = Display { brightness: 0.25, ..plain };
+    display.layers[0].resolution = [7, 5];
+    display.layers[1] = Layer { offset_mm: [0.5, 0.0], ..Layer::new(12.0, [3, 2], 2.5) };
+    let lenslets = LensletBacklight::new(-20.0, [4, 3], 2.0, [3, 2], [20.0, 20.0]);
+    display.backlight = Backlight::Lenslets(lenslets);
     let mut stack = LayerStack::filled(&display, 0.0);
     ramp(&mut stack.layers[0], 0);
     ramp(&mut stack.layers[1], 7);
@@ -188,7 +168,7 @@ fn a_stack_survives_its_folder() {
     assert_eq!((index.frames, index.brightness, index.layers[1].d_mm), (2, 0.25, 12.0));
     assert_eq!(index.layers[1].file, "layer_1.npy");
     // a stack with a uniform backlight in the same folder leaves no stale emission
-    let uniform = Display::from_toml(DISPLAY.split("[backlight]").next().unwrap()).unwrap();
+    let uniform = Display { backlight: Backlight::Uniform, ..display.clone() };
     let plain = LayerStack::filled(&uniform, 0.5);
     write_stack(&layers, &uniform, &plain).unwrap();
     assert_eq!(read_stack(&layers).unwrap(), plain);

@@ -113,16 +113,16 @@ fn remove_key(json: &mut Value, path: &Path, key: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use lumistack_display::{Backlight, LensletBacklight, Transfer};
     use serde_json::json;
 
+    use super::*;
+
     fn display() -> Display {
-        Display::from_toml(
-            "name = \"d\"\nframes = 2\n[field]\nresolution = [4, 3]\npitch_mm = 1.0\nviews = [3, 3]\nfov_deg = [20.0, 20.0]\n\
-             [backlight]\nkind = \"lenslets\"\nd_mm = -9.0\nlenslets = [2, 2]\npitch_mm = 2.0\nfov_deg = [20.0, 20.0]\nviews = [3, 3]\n\
-             [[layers]]\nd_mm = 0.0\nresolution = [4, 3]\npitch_mm = 1.0\ntransfer = { gamma = 2.2 }\n",
-        )
-        .unwrap()
+        let mut display = Display::uniform([4, 3], 1.0, [3, 3], [20.0, 20.0], &[0.0], 2);
+        display.layers[0].transfer = Transfer::Gamma(2.2);
+        display.backlight = Backlight::Lenslets(LensletBacklight::new(-9.0, [2, 2], 2.0, [3, 3], [20.0, 20.0]));
+        display
     }
 
     #[test]

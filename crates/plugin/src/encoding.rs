@@ -1,25 +1,15 @@
 //! Panels' transfer functions: from linear transmittance or radiance to code values, and back.
 
-use lumistack_core::colour::{srgb_decode, srgb_encode};
 use lumistack_display::Transfer;
 
 /// The code of a linear value, both in 0..1. Values outside are clamped; NaN becomes 0.
 pub fn encode(transfer: Transfer, linear: f32) -> f32 {
-    let linear = if linear.is_nan() { 0.0 } else { linear.clamp(0.0, 1.0) };
-    match transfer {
-        Transfer::Srgb => srgb_encode(linear).clamp(0.0, 1.0),
-        Transfer::Linear => linear,
-        Transfer::Gamma(gamma) => f64::from(linear).powf(1.0 / gamma) as f32,
-    }
+    transfer.encode(linear)
 }
 
 /// The linear value of a code, both in 0..1.
 pub fn decode(transfer: Transfer, code: f32) -> f32 {
-    match transfer {
-        Transfer::Srgb => srgb_decode(code),
-        Transfer::Linear => code,
-        Transfer::Gamma(gamma) => f64::from(code).powf(gamma) as f32,
-    }
+    transfer.decode(code)
 }
 
 /// 8-bit codes of linear values.

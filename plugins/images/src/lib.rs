@@ -4,12 +4,12 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `layer_L_frame_MM.png` | the pattern of one layer in one frame, in the panel's code values |
+//! | `layer_L_frame_MM.png` | the pattern of one layer in one frame, in the panel's code values: from the darkest state that `black_level` and `peak` allow to the brightest |
 //! | `backlight_frame_MM.png` | what the panel behind the lenslets roughly shows, one cell per lenslet; see [`pictures`] |
 //! | `simulated_YY_XX.png` | what an adapted viewer sees from one place of the target's view grid: emitted radiance / β |
 //! | `images.json` | for every file: layer, frame or view, encoding, whether it is linear |
 //!
-//! Of a light field: `view_YY_XX.png` of every view. 16-bit PNGs end in `_16bit.png`, EXR files hold the same values linear, and a PNG whose
+//! Of a light field: `view_YY_XX.png` of every view. 16-bit PNGs end in `_16bit.png`, EXR files hold the values themselves, linear, and a PNG whose
 //! codes are proportional to light because the job asked for it ends in `_linear.png`. Later times of a sequence go to `t0001/`, `t0002/`, ....
 
 mod manifest;

@@ -1,9 +1,11 @@
 //! From lent planes to files.
 
+use std::borrow::Cow;
+
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use lumistack_field_io::picture::{Precision, exr_bytes};
-use lumistack_plugin::display::Transfer;
+use lumistack_plugin::display::{Layer, Transfer};
 use lumistack_plugin::encoding::{codes8, codes16};
 use lumistack_plugin::{FieldInput, PluginError, StackInput, Stage, Time, ViewPoint};
 
@@ -12,7 +14,7 @@ use crate::pictures::{backlight_picture, centre_and_corners};
 use crate::{Encode, ExrDepth, Images, Views};
 
 /// Linear values on their way to a file.
-struct Picture {
+struct Picture<'a> {
     /// Path without suffixes.
     stem: String,
     content: Content,
@@ -21,6 +23,8 @@ struct Picture {
     /// `[row][col][rgb]`.
     rgb: Vec<f32>,
     transfer: Transfer,
+    /// The panel that the codes drive, from its darkest state to its brightest; none for codes that stand for the values themselves.
+    panel: Option<&'a Layer>,
 }
 
 impl Images {
@@ -49,6 +53,7 @@ impl Images {
                 size: [plane.rows(), plane.cols()],
                 rgb: plane.to_vec(),
                 transfer: self.params.encode.of_layer(panel.transfer),
+                panel: (self.params.encode == Encode::Panel).then_some(panel),
             };
             self.write_picture(time, &picture, &stage, &mut entries)?;
         }
@@ -63,6 +68,7 @@ impl Images {
                     size: [rows * bins_y, cols * bins_x],
                     rgb: backlight_picture(bins, lenslets, bin)?,
                     transfer: self.params.encode.of_other(),
+                    panel: None,
                 };
                 self.write_picture(time, &picture, &stage, &mut entries)?;
             }
@@ -79,6 +85,7 @@ impl Images {
                 size: [plane.rows(), plane.cols()],
                 rgb: plane.to_vec().into_iter().map(|value| value * adapted).collect(),
                 transfer: self.params.encode.of_other(),
+                panel: None,
             };
             self.write_picture(time, &picture, &stage, &mut entries)?;
         }
@@ -100,6 +107,7 @@ impl Images {
                 size: [plane.rows(), plane.cols()],
                 rgb: plane.to_vec(),
                 transfer: self.params.encode.of_other(),
+                panel: None,
             };
             self.write_picture(time, &picture, &stage, &mut entries)?;
         }
@@ -127,14 +135,18 @@ impl Images {
         let linear = if params.encode == Encode::Linear { "_linear" } else { "" };
         let png = |bits| Format::Png { bits, encoding: transfer };
         let proportional = transfer == Transfer::Linear;
+        let driven: Cow<[f32]> = match picture.panel {
+            Some(panel) => picture.rgb.iter().map(|&value| panel.drive(value)).collect(),
+            None => Cow::Borrowed(&picture.rgb),
+        };
         if params.png8 {
-            let codes = codes8(transfer, &picture.rgb);
+            let codes = codes8(transfer, &driven);
             let bytes = png_bytes(&codes, picture.size, ExtendedColorType::Rgb8)?;
             write(format!("{linear}.png"), png(8), proportional, bytes)?;
         }
         if params.png16 {
             // the encoder takes 16-bit samples in native byte order
-            let codes: Vec<u8> = codes16(transfer, &picture.rgb).into_iter().flat_map(u16::to_ne_bytes).collect();
+            let codes: Vec<u8> = codes16(transfer, &driven).into_iter().flat_map(u16::to_ne_bytes).collect();
             let bytes = png_bytes(&codes, picture.size, ExtendedColorType::Rgb16)?;
             write(format!("{linear}_16bit.png"), png(16), proportional, bytes)?;
         }

@@ -100,6 +100,24 @@ fn pngs_hold_every_layer_and_frame_in_the_panel_s_codes() {
 }
 
 #[test]
+fn codes_of_a_limited_panel_run_from_its_darkest_to_its_brightest_state() {
+    let mut sample = layered();
+    let layer = sample.stack().unwrap().layers[0].clone();
+    (sample.display.layers[0].black_level, sample.display.layers[0].peak) = (0.1, 0.8);
+    let files = write(&sample, json!({"exr": true, "exr_depth": "float"})).unwrap();
+    let size = [layer.shape()[1], layer.shape()[2]];
+    let driven: Vec<f32> = layer.block([0]).iter().map(|value| ((value - 0.08) / 0.72).clamp(0.0, 1.0)).collect();
+    assert_png(&files, "layer_0_frame_00.png", size, &driven, Transfer::Srgb);
+    assert_eq!(
+        exr(&files, "layer_0_frame_00.exr"),
+        (size, layer.block([0]).to_vec()),
+        "EXR holds the values themselves"
+    );
+    let files = write(&sample, json!({"encode": "srgb"})).unwrap();
+    assert_png(&files, "layer_0_frame_00.png", size, layer.block([0]), Transfer::Srgb);
+}
+
+#[test]
 fn the_job_can_choose_another_encoding() {
     let sample = layered();
     let layer = &sample.stack().unwrap().layers[2];

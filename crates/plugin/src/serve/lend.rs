@@ -1,9 +1,9 @@
 //! Lends layer stacks and light fields, one plane at a time.
 
 use std::ffi::c_void;
+use std::sync::OnceLock;
 
-use lumistack_display::forward::simulate as simulate_view;
-use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, RayMap, ViewGrid};
+use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, RayMap, Simulator, ViewGrid};
 use lumistack_plugin_abi::{Data, ErrorSink, Plane, Status, Str, View, dtype, view};
 
 use crate::describe::{Description, Geometry};
@@ -34,6 +34,8 @@ pub(crate) struct Lent<'a> {
     display: &'a Display,
     /// The light field that the patterns were made for; for a light field its own.
     geometry: FieldGeometry,
+    /// Made when the first view is asked for.
+    simulator: OnceLock<Simulator<'a>>,
     description: String,
 }
 
@@ -69,7 +71,7 @@ impl<'a> Lent<'a> {
         };
         let description =
             serde_json::to_string(&description).map_err(|error| PluginError::failed("description", error))?;
-        Ok(Self { data, display, geometry, description })
+        Ok(Self { data, display, geometry, simulator: OnceLock::new(), description })
     }
 
     pub(crate) fn port(&self) -> Port {
@@ -175,7 +177,8 @@ pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut 
     };
     let geometry = lent.geometry.with_grid(grid);
     geometry.check().map_err(|error| PluginError::Refused(format!("view: {error}")))?;
-    let view = simulate_view(lent.display, &RayMap::new(lent.display, &geometry), stack, &geometry, [0, 0]);
+    let simulator = lent.simulator.get_or_init(|| Simulator::new(lent.display, stack));
+    let view = simulator.view(&RayMap::new(lent.display, &geometry), &geometry, [0, 0]);
     let owner = Box::new(view.radiance.into_data());
     // SAFETY: the caller's promise; on success the plane owns the values, which a box does not move.
     unsafe {

@@ -1,7 +1,9 @@
 //! Small displays with data whose every value differs, so that swapped layers, frames, views or channels show.
 
 use lumistack_core::seed::{Stream, derive};
-use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, ViewGrid};
+use lumistack_display::{
+    Backlight, Display, FieldGeometry, Layer, LayerStack, LensletBacklight, LightField, Projection, Transfer, ViewGrid,
+};
 
 use crate::Port;
 use crate::serve::OutputData;
@@ -55,8 +57,8 @@ impl Sample {
 
 /// All samples; those of a port with [`Sample::port`].
 pub fn samples() -> Vec<Sample> {
-    let layered = display(LAYERED);
-    let directional = display(DIRECTIONAL);
+    let layered = three_layers();
+    let directional = one_directional_layer();
     let perspective = FieldGeometry {
         rows: 5,
         cols: 9,
@@ -84,54 +86,18 @@ pub fn samples() -> Vec<Sample> {
     ]
 }
 
-const LAYERED: &str = r#"
-name = "three layers"
-frames = 2
-brightness = 0.5
-[field]
-resolution = [8, 6]
-pitch_mm = 1.0
-views = [3, 3]
-fov_deg = [10.0, 10.0]
-[[layers]]
-d_mm = -4.0
-resolution = [8, 6]
-pitch_mm = 1.0
-[[layers]]
-d_mm = 0.0
-resolution = [10, 7]
-pitch_mm = 0.8
-transfer = "linear"
-[[layers]]
-d_mm = 4.0
-resolution = [4, 3]
-pitch_mm = 2.0
-transfer = { gamma = 2.2 }
-"#;
+fn three_layers() -> Display {
+    let plain = Display::uniform([8, 6], 1.0, [3, 3], [10.0, 10.0], &[-4.0, 0.0, 4.0], 2);
+    let mut display = Display { name: "three layers".into(), brightness: 0.5, ..plain };
+    display.layers[1] = Layer { transfer: Transfer::Linear, ..Layer::new(0.0, [10, 7], 0.8) };
+    display.layers[2] = Layer { transfer: Transfer::Gamma(2.2), ..Layer::new(4.0, [4, 3], 2.0) };
+    display
+}
 
-const DIRECTIONAL: &str = r#"
-name = "directional"
-frames = 1
-[field]
-resolution = [8, 6]
-pitch_mm = 1.0
-views = [3, 2]
-fov_deg = [40.0, 40.0]
-[backlight]
-kind = "lenslets"
-d_mm = -6.0
-lenslets = [4, 3]
-pitch_mm = 2.0
-fov_deg = [40.0, 40.0]
-views = [3, 2]
-[[layers]]
-d_mm = 0.0
-resolution = [8, 6]
-pitch_mm = 1.0
-"#;
-
-fn display(toml: &str) -> Display {
-    Display::from_toml(toml).expect("the sample displays are sound")
+fn one_directional_layer() -> Display {
+    let plain = Display::uniform([8, 6], 1.0, [3, 2], [40.0, 40.0], &[0.0], 1);
+    let lenslets = LensletBacklight::new(-6.0, [4, 3], 2.0, [3, 2], [40.0, 40.0]);
+    Display { name: "directional".into(), backlight: Backlight::Lenslets(lenslets), ..plain }
 }
 
 /// A stack of uniformly distributed values.

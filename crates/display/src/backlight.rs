@@ -1,0 +1,72 @@
+//! What lights the layers.
+
+use serde::{Deserialize, Serialize};
+
+/// What lights the layers.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", tag = "kind")]
+pub enum Backlight {
+    /// Unit radiance in all directions.
+    #[default]
+    Uniform,
+    /// A low-resolution light field emitter.
+    Lenslets(LensletBacklight),
+}
+
+/// A lenslet grid in front of a panel: a light field emitter of low resolution (section 3.3).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LensletBacklight {
+    /// Signed distance of the lenslets from z = 0, millimetres; behind every layer.
+    pub d_mm: f64,
+    /// [columns, rows] of lenslets.
+    pub lenslets: [usize; 2],
+    /// Lenslet pitch, millimetres.
+    pub pitch_mm: f64,
+    /// [horizontal, vertical] full angle over which the bins spread, degrees.
+    pub fov_deg: [f64; 2],
+    /// [horizontal, vertical] number of angular bins.
+    pub views: [usize; 2],
+    /// [x, y] of the grid's centre, millimetres.
+    #[serde(default)]
+    pub offset_mm: [f64; 2],
+    /// Emission of the darkest state relative to the brightest, 0 to less than 1: the lower bound of the optimized emission.
+    #[serde(default)]
+    pub black_level: f64,
+    /// What a ray reads beyond the bins.
+    #[serde(default)]
+    pub outside_bins: OutsideBins,
+}
+
+impl LensletBacklight {
+    /// A centred grid at `d_mm` of [columns, rows] lenslets of `pitch_mm`, with [horizontal, vertical] bins `views` over full angles `fov_deg`; dark outside
+    /// the bins.
+    pub fn new(d_mm: f64, lenslets: [usize; 2], pitch_mm: f64, views: [usize; 2], fov_deg: [f64; 2]) -> Self {
+        Self {
+            d_mm,
+            lenslets,
+            pitch_mm,
+            fov_deg,
+            views,
+            offset_mm: [0.0; 2],
+            black_level: 0.0,
+            outside_bins: OutsideBins::default(),
+        }
+    }
+
+    /// [darkest, brightest] emission that the solver may ask for.
+    pub fn range(&self) -> [f32; 2] {
+        [self.black_level as f32, 1.0]
+    }
+}
+
+/// What a ray reads beyond a lenslet's angular bins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OutsideBins {
+    /// Nothing: 0.
+    #[default]
+    Dark,
+    /// The neighbouring lenslet's bins, as behind a real lens array.
+    Repeat,
+}

@@ -1,0 +1,131 @@
+//! A Gaussian point spread over the pixels of a plane, and its transpose.
+//!
+//! Along one axis of n pixels
+//!
+//! ```text
+//! out(i) = Σ_k w_k in(i + k) / Σ_k w_k      over the k with 0 ≤ i + k < n
+//! w_k ∝ exp(−k²/2σ²), |k| ≤ ⌈3σ⌉, Σ_k w_k = 1
+//! ```
+//!
+//! and a plane has the same along both axes. The divisor is 1 away from the borders; near them it keeps a constant plane constant. With D the
+//! diagonal matrix of one over the divisors and K the symmetric band of weights the map is D·K, its transpose K·D.
+//!
+//! The simple version is two passes over the plane, each pixel a loop over the weights. Departures: (1) the rows are summed into one line with
+//! zeros on both sides, along which the second pass runs at once, so the plane is read and written once and no pixel asks for the border; (2) sums of
+//! [`LANES`] neighbouring pixels stay in registers while the weights go by. 840 × 525 pixels take 0.3 ms at σ = 1 and 1.9 ms at σ = 8 on a Zen 5 core.
+//! Tried: 16 lanes (five times slower: the compiler unrolls instead of using vectors), and copies for AVX2 and AVX-512 (faster by 20 and 30 %, not worth
+//! a second instruction set here; without fused multiply-adds every machine computes the same bytes).
+
+/// Pixels whose sums are kept in registers.
+const LANES: usize = 32;
+
+/// The weights of a point spread; the same along both axes.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct PointSpread {
+    /// Odd number of weights with sum 1; a single 1 without blur.
+    taps: Vec<f32>,
+    /// Sums of the first 0, 1, ... taps.
+    sums: Vec<f32>,
+}
+
+impl PointSpread {
+    /// `sigma_px`: standard deviation in pixels, ≥ 0.
+    pub(crate) fn gaussian(sigma_px: f64) -> Self {
+        let radius = (3.0 * sigma_px).ceil() as i32;
+        let weight = |k: i32| if k == 0 { 1.0 } else { (-0.5 * (f64::from(k) / sigma_px).powi(2)).exp() };
+        let total: f64 = (-radius..=radius).map(weight).sum();
+        let taps: Vec<f32> = (-radius..=radius).map(|k| (weight(k) / total) as f32).collect();
+        let sums = std::iter::once(0.0).chain(taps.iter().scan(0.0f64, |sum, tap| {
+            *sum += f64::from(*tap);
+            Some(*sum as f32)
+        }));
+        Self { sums: sums.collect(), taps }
+    }
+
+    pub(crate) fn taps(&self) -> &[f32] {
+        &self.taps
+    }
+
+    pub(crate) fn is_identity(&self) -> bool {
+        self.taps.len() == 1
+    }
+
+    /// The map, or its transpose, of the plane `input[row][col]`.
+    pub(crate) fn apply<const TRANSPOSED: bool>(
+        &self,
+        [rows, cols]: [usize; 2],
+        input: &[f32],
+        output: &mut [f32],
+        scratch: &mut Vec<f32>,
+    ) {
+        assert!(input.len() == rows * cols && output.len() == rows * cols, "planes of {rows} × {cols} values");
+        if self.is_identity() || input.is_empty() {
+            output.copy_from_slice(input);
+            return;
+        }
+        let radius = self.radius();
+        scratch.clear();
+        scratch.resize(cols + 2 * radius, 0.0);
+        let mut weights = Vec::with_capacity(self.taps.len());
+        for (row, output) in output.chunks_exact_mut(cols).enumerate() {
+            let sources = row.saturating_sub(radius)..(row + radius + 1).min(rows);
+            weights.clear();
+            weights.extend(sources.clone().map(|source| {
+                let divided = if TRANSPOSED { source } else { row };
+                self.taps[source + radius - row] * self.border_scale(divided, rows)
+            }));
+            let line = &mut scratch[radius..radius + cols];
+            weighted_sums(line, &weights, &input[sources.start * cols..], cols);
+            if TRANSPOSED {
+                self.scale_ends(line);
+            }
+            weighted_sums(output, &self.taps, scratch, 1);
+            if !TRANSPOSED {
+                self.scale_ends(output);
+            }
+        }
+    }
+
+    fn radius(&self) -> usize {
+        self.taps.len() / 2
+    }
+
+    /// Scales what lies so near to an end of a line that part of the point spread falls outside.
+    fn scale_ends(&self, line: &mut [f32]) {
+        let count = line.len();
+        let left = self.radius().min(count);
+        let right = count.saturating_sub(self.radius()).max(left);
+        for i in (0..left).chain(right..count) {
+            line[i] *= self.border_scale(i, count);
+        }
+    }
+
+    /// One over the sum of the weights that fall inside an axis of `count` pixels around pixel `i`.
+    #[inline]
+    fn border_scale(&self, i: usize, count: usize) -> f32 {
+        let radius = self.radius();
+        let (first, end) = (radius.saturating_sub(i), (count - i + radius).min(self.taps.len()));
+        1.0 / (self.sums[end] - self.sums[first])
+    }
+}
+
+/// out(i) = Σ_k weights(k) · input(k · stride + i).
+fn weighted_sums(output: &mut [f32], weights: &[f32], input: &[f32], stride: usize) {
+    let mut first = 0;
+    let (blocks, rest) = output.as_chunks_mut::<LANES>();
+    for block in blocks {
+        let mut sums = [0.0; LANES];
+        for (k, &weight) in weights.iter().enumerate() {
+            let input = &input[k * stride + first..][..LANES];
+            for lane in 0..LANES {
+                sums[lane] += weight * input[lane];
+            }
+        }
+        *block = sums;
+        first += LANES;
+    }
+    rest.fill(0.0);
+    for (k, &weight) in weights.iter().enumerate() {
+        rest.iter_mut().zip(&input[k * stride + first..]).for_each(|(sum, value)| *sum += weight * value);
+    }
+}

@@ -1,0 +1,35 @@
+//! How the layers of one frame form an image.
+//!
+//! With v_n the value that a ray meets on layer n in frame m, and b_m the backlight's:
+//!
+//! ```text
+//! attenuating    L̃ = (1/M) Σ_m b_m Π_n v_n               (eqs. 7 and 18)
+//! additive       L̃ = (1/M) Σ_m (b_m + Σ_n v_n)           b_m = 0 for a uniform backlight
+//! polarization   L̃ = (1/M) Σ_m b_m sin²(π/2 · Σ_n v_n)   (Lanman et al., "Polarization Fields", SIGGRAPH Asia 2011)
+//! ```
+
+use serde::{Deserialize, Serialize};
+
+/// How the layers of one frame form an image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Formation {
+    /// Layers absorb: the product of their transmittances.
+    #[default]
+    Attenuating,
+    /// Layers emit and are clear: the sum of their emissions. A uniform backlight adds nothing; a directional one is one more emitter.
+    Additive,
+    /// Layers between one pair of crossed polarizers rotate the polarization: sin² of the summed rotation. A value of 1 is a rotation by 90°.
+    Polarization,
+}
+
+impl Formation {
+    /// The value of a layer that is not there: 1 where layers absorb, otherwise 0.
+    #[inline]
+    pub fn neutral(self) -> f32 {
+        match self {
+            Self::Attenuating => 1.0,
+            Self::Additive | Self::Polarization => 0.0,
+        }
+    }
+}

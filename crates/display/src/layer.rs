@@ -1,0 +1,230 @@
+//! One layer: where it stands, what its pixels can do, and what its hardware does to them.
+//!
+//! A stored value f is absolute: the transmittance (or emission, or rotation in units of 90°) of a mask pixel. The panel reaches
+//!
+//! ```text
+//! f = peak · (black + (1 − black) · decode(code / (2^bits − 1)))
+//! ```
+//!
+//! so f lies in the box [black · peak, peak]. What rays then meet is [`Layer::response`] of the stored values.
+
+use lumistack_core::colour::{srgb_decode, srgb_encode};
+use serde::{Deserialize, Serialize};
+
+/// One layer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Layer {
+    /// Signed distance from z = 0, millimetres; rear is negative.
+    pub d_mm: f64,
+    /// [columns, rows] of the mask that is optimized.
+    pub resolution: [usize; 2],
+    /// Mask pixel pitch, millimetres.
+    pub pitch_mm: f64,
+    /// [x, y] of the layer's centre, millimetres. A misalignment that was measured goes here too: the solver then makes up for it. Fractions of a
+    /// pixel need `sampling = "bilinear"`; under nearest sampling they round.
+    #[serde(default)]
+    pub offset_mm: [f64; 2],
+    /// Value of the brightest state, above 0 and at most 1: what a filter, a polarizer or clear film takes away even where it is open.
+    #[serde(default = "default_peak")]
+    pub peak: f64,
+    /// Value of the darkest state relative to the brightest, 0 to less than 1: one over the contrast.
+    #[serde(default)]
+    pub black_level: f64,
+    /// Code values per channel are 2^bits, 1 to 16; none for a continuous range.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bits: Option<u32>,
+    /// From linear values to the panel's code values.
+    #[serde(default)]
+    pub transfer: Transfer,
+    /// Standard deviation of the layer's Gaussian point spread, mask pixels, 0 to 8.
+    #[serde(default)]
+    pub blur_px: f64,
+    /// What each emitted channel (row) takes of each mask channel (column): entries ≥ 0, row sums above 0 and at most 1. None: each its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crosstalk: Option<[[f64; 3]; 3]>,
+    /// Whether a mask pixel has three values or one.
+    #[serde(default)]
+    pub colour: LayerColour,
+    /// Column stripes of colour filters on a `mono` layer: column j has the RGB factors `filters[j % len]`, 0..1. Empty: clear.
+    #[serde(default)]
+    pub filters: Vec<[f64; 3]>,
+    /// [columns, rows] of the physical panel, where it differs from the mask.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panel_resolution: Option<[usize; 2]>,
+    /// Pitch of the physical panel, millimetres, where it differs from the mask's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panel_pitch_mm: Option<f64>,
+}
+
+fn default_peak() -> f64 {
+    1.0
+}
+
+/// Whether a mask pixel has three values or one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LayerColour {
+    /// A value per channel.
+    #[default]
+    Rgb,
+    /// One value: the three stored channels are equal.
+    Mono,
+}
+
+/// A panel's transfer function.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Transfer {
+    /// IEC 61966-2-1.
+    #[default]
+    Srgb,
+    /// Codes proportional to light.
+    Linear,
+    /// Light = code^gamma.
+    Gamma(f64),
+}
+
+impl Layer {
+    /// Codes per channel at most 2^this.
+    pub const MAX_BITS: u32 = 16;
+    /// Largest point spread, mask pixels.
+    pub const MAX_BLUR_PX: f64 = 8.0;
+
+    /// An ideal layer at `d_mm` with [columns, rows] pixels of `pitch_mm`.
+    pub fn new(d_mm: f64, resolution: [usize; 2], pitch_mm: f64) -> Self {
+        Self {
+            d_mm,
+            resolution,
+            pitch_mm,
+            offset_mm: [0.0; 2],
+            peak: default_peak(),
+            black_level: 0.0,
+            bits: None,
+            transfer: Transfer::default(),
+            blur_px: 0.0,
+            crosstalk: None,
+            colour: LayerColour::default(),
+            filters: Vec::new(),
+            panel_resolution: None,
+            panel_pitch_mm: None,
+        }
+    }
+
+    /// [darkest, brightest] value that a mask pixel can take: the solver's box.
+    pub fn range(&self) -> [f32; 2] {
+        [(self.black_level * self.peak) as f32, self.peak as f32]
+    }
+
+    /// The 2^bits values that a mask pixel can take, rising; the first and the last are those of [`range`](Self::range). `None` for a
+    /// continuous range.
+    pub fn levels(&self) -> Option<Vec<f32>> {
+        let codes = 1u32 << self.bits?.clamp(1, Self::MAX_BITS);
+        let level = |code: u32| {
+            let light = f64::from(self.transfer.decode((f64::from(code) / f64::from(codes - 1)) as f32));
+            (self.peak * (self.black_level + (1.0 - self.black_level) * light)) as f32
+        };
+        Some((0..codes).map(level).collect())
+    }
+
+    /// What the transfer function encodes to show `value`: 0 for the darkest state, 1 for the brightest. Values outside the range are clamped; NaN becomes 0.
+    pub fn drive(&self, value: f32) -> f32 {
+        let drive = (f64::from(value) / self.peak - self.black_level) / (1.0 - self.black_level);
+        if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }
+    }
+}
+
+/// The level nearest to `value`, of levels that rise; of two equally near the lower. Without levels the value itself; NaN goes to the lowest.
+pub fn quantize(value: f32, levels: &[f32]) -> f32 {
+    let above = levels.partition_point(|level| *level < value);
+    match (above.checked_sub(1).map(|below| levels[below]), levels.get(above)) {
+        (Some(below), Some(&above)) if above - value < value - below => above,
+        (Some(below), _) => below,
+        (None, Some(&above)) => above,
+        (None, None) => value,
+    }
+}
+
+impl Transfer {
+    /// The code of a linear value, both in 0..1. Values outside are clamped; NaN becomes 0.
+    pub fn encode(self, linear: f32) -> f32 {
+        let linear = if linear.is_nan() { 0.0 } else { linear.clamp(0.0, 1.0) };
+        match self {
+            Self::Srgb => srgb_encode(linear).clamp(0.0, 1.0),
+            Self::Linear => linear,
+            Self::Gamma(gamma) => f64::from(linear).powf(1.0 / gamma) as f32,
+        }
+    }
+
+    /// The linear value of a code, both in 0..1.
+    pub fn decode(self, code: f32) -> f32 {
+        match self {
+            Self::Srgb => srgb_decode(code),
+            Self::Linear => code,
+            Self::Gamma(gamma) => f64::from(code).powf(gamma) as f32,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_core::seed::Stream;
+
+    use super::*;
+
+    /// f32 arithmetic on values in 0..1.
+    const ROUNDING: f32 = 1e-6;
+
+    fn limited() -> Layer {
+        Layer { peak: 0.8, black_level: 0.02, ..Layer::new(0.0, [4, 3], 1.0) }
+    }
+
+    #[test]
+    fn levels_rise_from_black_to_peak_through_the_transfer_function() {
+        assert_eq!(limited().levels(), None);
+        for transfer in [Transfer::Srgb, Transfer::Linear, Transfer::Gamma(2.2), Transfer::Gamma(0.5)] {
+            for bits in [1, 2, 4, 8, 16] {
+                let layer = Layer { bits: Some(bits), transfer, ..limited() };
+                let levels = layer.levels().unwrap();
+                assert_eq!(levels.len(), 1 << bits);
+                // above black, 16 bits come closer together than single precision tells apart
+                let rise = |pair: &[f32]| if bits < 16 { pair[0] < pair[1] } else { pair[0] <= pair[1] };
+                assert!(levels.windows(2).all(rise), "{transfer:?}, {bits} bits");
+                assert_eq!([levels[0], levels[levels.len() - 1]], layer.range());
+            }
+        }
+        // the middle code of 3 levels of light above black: 0.8 (0.02 + 0.98 · (2/3)²)
+        let layer = Layer { bits: Some(2), transfer: Transfer::Gamma(2.0), ..limited() };
+        assert!((layer.levels().unwrap()[2] - 0.364_444_44).abs() < ROUNDING);
+        assert_eq!(limited().range(), [0.016, 0.8]);
+    }
+
+    #[test]
+    fn values_go_to_the_nearest_level() {
+        let levels = Layer { bits: Some(3), ..limited() }.levels().unwrap();
+        let mut random = Stream::new(5);
+        for _ in 0..1000 {
+            let value = 1.2 * random.next_f32() - 0.1;
+            let distance = |level: f32| (level - value).abs();
+            let nearest = levels.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b))).unwrap();
+            assert_eq!(quantize(value, &levels), nearest);
+        }
+        assert!(levels.iter().all(|&level| quantize(level, &levels) == level));
+        assert_eq!(quantize(0.5, &[0.25, 0.75]), 0.25);
+        assert_eq!(quantize(f32::NAN, &levels), levels[0]);
+        assert_eq!((quantize(f32::INFINITY, &levels), quantize(0.3, &[])), (levels[7], 0.3));
+    }
+
+    #[test]
+    fn the_drive_of_a_level_is_its_code() {
+        for transfer in [Transfer::Srgb, Transfer::Linear, Transfer::Gamma(2.2)] {
+            let layer = Layer { bits: Some(5), transfer, ..limited() };
+            for (code, level) in layer.levels().unwrap().into_iter().enumerate() {
+                let found = 31.0 * layer.transfer.encode(layer.drive(level));
+                assert!((found - code as f32).abs() < 0.01, "{transfer:?}: {code} became {found}");
+            }
+        }
+        assert_eq!([0.0, 0.9, f32::NAN].map(|value| limited().drive(value)), [0.0, 1.0, 0.0]);
+        assert_eq!(Layer::new(0.0, [4, 3], 1.0).drive(0.3), 0.3);
+    }
+}

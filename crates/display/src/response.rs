@@ -1,0 +1,118 @@
+//! What a layer's hardware does to the values that it stores: the linear map A from mask pixels to what rays meet.
+//!
+//! ```text
+//! F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c')
+//! ```
+//!
+//! The filters stand on the mask's columns; the blur is a Gaussian along both axes that keeps constants. On a `mono` layer the three stored channels
+//! are equal: there A maps one unknown per pixel to three channels.
+
+use lumistack_core::Tensor;
+
+use crate::blur::PointSpread;
+use crate::{Layer, LayerColour};
+
+/// The linear map of one layer; see the module.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Response {
+    tied: bool,
+    mix: [[f32; 3]; 3],
+    /// Empty for clear columns.
+    filters: Vec<[f32; 3]>,
+    spread: PointSpread,
+}
+
+const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+impl Layer {
+    /// What the hardware does to this layer's values; `None` where rays meet just what is stored and every channel is free.
+    pub fn response(&self) -> Option<Response> {
+        let response = Response::of(self);
+        (response.is_tied() || !response.is_identity()).then_some(response)
+    }
+}
+
+impl Response {
+    fn of(layer: &Layer) -> Self {
+        let clear = layer.filters.iter().all(|filter| *filter == [1.0; 3]);
+        Self {
+            tied: layer.colour == LayerColour::Mono,
+            mix: layer.crosstalk.map_or(IDENTITY, |rows| rows.map(|row| row.map(|share| share as f32))),
+            filters: if clear { Vec::new() } else { layer.filters.iter().map(|f| f.map(|v| v as f32)).collect() },
+            spread: PointSpread::gaussian(layer.blur_px),
+        }
+    }
+
+    /// Whether the three channels of a pixel are one unknown.
+    pub fn is_tied(&self) -> bool {
+        self.tied
+    }
+
+    /// Whether rays meet just what is stored.
+    pub fn is_identity(&self) -> bool {
+        !self.is_blurred() && self.filters.is_empty() && self.mix == IDENTITY
+    }
+
+    /// Whether there is any blur.
+    pub fn is_blurred(&self) -> bool {
+        !self.spread.is_identity()
+    }
+
+    /// Crosstalk: row = emitted channel, column = mask channel.
+    pub fn mix(&self) -> [[f32; 3]; 3] {
+        self.mix
+    }
+
+    /// RGB factors of the colour filter on a column.
+    #[inline]
+    pub fn filter(&self, col: usize) -> [f32; 3] {
+        if self.filters.is_empty() { [1.0; 3] } else { self.filters[col % self.filters.len()] }
+    }
+
+    /// Weights of the point spread along either axis: an odd number, symmetric, with sum 1.
+    pub fn taps(&self) -> &[f32] {
+        self.spread.taps()
+    }
+
+    /// The blur of one plane `[row][col]`. `scratch` is for reuse from call to call.
+    ///
+    /// # Panics
+    /// If a plane does not hold `rows · cols` values.
+    pub fn blur(&self, rows: usize, cols: usize, input: &[f32], output: &mut [f32], scratch: &mut Vec<f32>) {
+        self.spread.apply::<false>([rows, cols], input, output, scratch);
+    }
+
+    /// The transpose of [`blur`](Self::blur): ⟨blur(x), y⟩ = ⟨x, blur_adjoint(y)⟩.
+    ///
+    /// # Panics
+    /// If a plane does not hold `rows · cols` values.
+    pub fn blur_adjoint(&self, rows: usize, cols: usize, input: &[f32], output: &mut [f32], scratch: &mut Vec<f32>) {
+        self.spread.apply::<true>([rows, cols], input, output, scratch);
+    }
+
+    /// The whole map for a layer `[frame][row][col][rgb]`.
+    pub fn apply(&self, layer: &Tensor<4>) -> Tensor<4> {
+        let mut met = layer.clone();
+        let [frames, rows, cols, _] = layer.shape();
+        let filters: Vec<[f32; 3]> = (0..cols).map(|col| self.filter(col)).collect();
+        let mut stored = vec![0.0; rows * cols];
+        let mut blurred = [(); 3].map(|()| vec![0.0; rows * cols]);
+        let mut scratch = Vec::new();
+        for frame in 0..frames {
+            let frame = met.block_mut([frame]);
+            for (c, plane) in blurred.iter_mut().enumerate() {
+                let columns = filters.iter().cycle();
+                let pixels = frame.chunks_exact(3).zip(columns);
+                stored.iter_mut().zip(pixels).for_each(|(stored, (rgb, filter))| *stored = filter[c] * rgb[c]);
+                self.blur(rows, cols, &stored, plane, &mut scratch);
+            }
+            for (i, pixel) in frame.chunks_exact_mut(3).enumerate() {
+                let rgb = [blurred[0][i], blurred[1][i], blurred[2][i]];
+                for (value, row) in pixel.iter_mut().zip(&self.mix) {
+                    *value = row[0] * rgb[0] + row[1] * rgb[1] + row[2] * rgb[2];
+                }
+            }
+        }
+        met
+    }
+}

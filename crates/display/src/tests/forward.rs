@@ -1,0 +1,135 @@
+//! The forward model of every formation, sampling, border rule, backlight and projection.
+
+use lumistack_core::seed::{Stream, derive};
+
+use super::oracle::{Met, emitted};
+use super::random_stack;
+use crate::{
+    Backlight, Display, FieldGeometry, Formation, LayerColour, LayerStack, LensletBacklight, Missing, OutsideBins,
+    ProjectionKind, RayMap, Sampling, Simulator,
+};
+
+/// Single precision against double precision, in radiance.
+const AGREEMENT: f64 = 1e-5;
+
+const FORMATIONS: [Formation; 3] = [Formation::Attenuating, Formation::Additive, Formation::Polarization];
+
+/// Layers of different size, pitch and place; everything else by the arguments.
+fn random_display(formation: Formation, choices: [bool; 5], seed: u64) -> Display {
+    let [bilinear, clear, perspective, limited, repeat] = choices;
+    let mut random = Stream::new(derive(seed, &[]));
+    let mut unit = || f64::from(random.next_f32());
+    // odd distances keep positions away from the ties of rounding
+    let mut display = Display {
+        formation,
+        sampling: if bilinear { Sampling::Bilinear } else { Sampling::Nearest },
+        missing: if clear { Missing::Clear } else { Missing::Drop },
+        ..Display::uniform([9, 7], 1.0, [3, 2], [24.0, 17.0], &[-7.31, -0.43, 6.17], 2)
+    };
+    if perspective {
+        display.field.projection = ProjectionKind::Perspective;
+        display.field.distance_mm = Some(50.0 + 40.0 * unit());
+    }
+    for (n, layer) in display.layers.iter_mut().enumerate() {
+        layer.resolution = [8 + n, 6 + n];
+        layer.pitch_mm = 0.9 + 0.2 * unit();
+        layer.offset_mm = [unit() - 0.5, unit() - 0.5];
+    }
+    if limited {
+        display.layers[0].blur_px = 0.4 + unit();
+        display.layers[1].crosstalk = Some([[0.8, 0.1, 0.1], [0.0, 0.7, 0.1], [0.05, 0.05, 0.9]]);
+        display.layers[2].colour = LayerColour::Mono;
+        display.layers[2].filters = vec![[1.0, 0.1, 0.0], [0.2, 0.9, 0.1]];
+    }
+    if !seed.is_multiple_of(3) {
+        display.backlight = Backlight::Lenslets(LensletBacklight {
+            offset_mm: [unit() - 0.5, unit() - 0.5],
+            outside_bins: if repeat { OutsideBins::Repeat } else { OutsideBins::Dark },
+            ..LensletBacklight::new(-9.3, [4, 3], 2.3 + unit(), [3, 2], [13.0, 19.0])
+        });
+    }
+    display
+}
+
+/// Compares every ray of every view.
+fn assert_agrees(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, what: &str) {
+    let met: Vec<Met> =
+        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Met::of(layer, values)).collect();
+    let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
+    for view in geometry.grid.iter() {
+        let found = simulator.view(&map, geometry, view);
+        for (i, pixel) in found.radiance.data().chunks_exact(3).enumerate() {
+            let expected = emitted(display, &met, stack, geometry, view, [i / geometry.cols, i % geometry.cols]);
+            assert_eq!(found.valid[i], expected.is_some(), "{what}: ray {i} of view {view:?}");
+            for (found, expected) in pixel.iter().zip(expected.unwrap_or_default()) {
+                let error = (f64::from(*found) - expected).abs();
+                assert!(error < AGREEMENT, "{what}: ray {i} of view {view:?} is {found}, expected {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_kind_of_display_agrees_with_the_oracle() {
+    for (f, formation) in FORMATIONS.into_iter().enumerate() {
+        for kind in 0..32u64 {
+            let choices = [0, 1, 2, 3, 4].map(|bit| kind >> bit & 1 == 1);
+            for seed in 0..3 {
+                let seed = derive(seed, &[kind, f as u64]) / 3 * 3 + seed;
+                let display = random_display(formation, choices, seed);
+                display.check().unwrap();
+                let stack = random_stack(&display, seed);
+                let what = format!("{formation:?}, choices {choices:?}, seed {seed}");
+                assert_agrees(&display, &stack, &display.geometry().unwrap(), &what);
+            }
+        }
+    }
+}
+
+#[test]
+fn layers_that_are_not_there_change_nothing() {
+    for formation in FORMATIONS {
+        let mut display = Display { formation, missing: Missing::Clear, ..random_display(formation, [false; 5], 3) };
+        let stack = random_stack(&display, 1);
+        for layer in &mut display.layers {
+            layer.offset_mm = [1e6, -1e6];
+        }
+        let view = Simulator::new(&display, &stack).from_slope([0.05, 0.0]);
+        assert!(view.valid.iter().all(|valid| *valid));
+        // attenuating: the bare backlight; otherwise nothing emits or turns the light
+        let expected = if formation == Formation::Attenuating { 1.0 } else { 0.0 };
+        assert!(view.radiance.data().iter().all(|value| *value == expected), "{formation:?}");
+        display.missing = Missing::Drop;
+        let view = Simulator::new(&display, &stack).from_slope([0.05, 0.0]);
+        assert!(view.valid.iter().all(|valid| !*valid) && view.radiance.data().iter().all(|value| *value == 0.0));
+    }
+}
+
+#[test]
+fn one_pixel_and_extreme_values_stay_in_range() {
+    for formation in FORMATIONS {
+        for value in [0.0, 1.0] {
+            let display = Display { formation, ..Display::uniform([1, 1], 1.0, [1, 1], [10.0, 10.0], &[-1.0, 1.0], 3) };
+            let stack = LayerStack::filled(&display, value);
+            let view = Simulator::new(&display, &stack).from_eye([0.0, 0.0, 500.0]);
+            let expected = match formation {
+                Formation::Attenuating => value,
+                Formation::Additive => 2.0 * value,
+                // a half turn brings the polarization back
+                Formation::Polarization => 0.0,
+            };
+            assert!(view.valid[0]);
+            assert!(view.radiance.data().iter().all(|found| (found - expected).abs() < 1e-6), "{formation:?} {value}");
+        }
+    }
+}
+
+#[test]
+fn two_quarter_turns_of_half_a_right_angle_are_bright() {
+    let mut display = Display::uniform([4, 3], 1.0, [1, 1], [10.0, 10.0], &[-1.0, 1.0], 1);
+    display.formation = Formation::Polarization;
+    let bright = Simulator::new(&display, &LayerStack::filled(&display, 0.5)).from_slope([0.0; 2]);
+    assert!(bright.radiance.data().iter().all(|value| (value - 1.0).abs() < 1e-6));
+    let half = Simulator::new(&display, &LayerStack::filled(&display, 0.25)).from_slope([0.0; 2]);
+    assert!(half.radiance.data().iter().all(|value| (value - 0.5).abs() < 1e-6));
+}

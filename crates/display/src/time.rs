@@ -1,0 +1,99 @@
+//! What the eye sees in time.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Display;
+
+/// Whether the colours of a frame are shown together or one after another.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ColourSequence {
+    /// Colour filters beside one another: one refresh per frame.
+    #[default]
+    Simultaneous,
+    /// No colour filters; red, green and blue light in turn: three refreshes per frame. Each colour has its own pattern, so layers keep
+    /// [`LayerColour::Rgb`](crate::LayerColour::Rgb).
+    Field,
+}
+
+impl ColourSequence {
+    /// Refreshes of the panels that one frame takes.
+    pub fn fields(self) -> usize {
+        match self {
+            Self::Simultaneous => 1,
+            Self::Field => 3,
+        }
+    }
+}
+
+impl Display {
+    /// Rate below which eyes see flicker, periods a second.
+    pub const FLICKER_HZ: f64 = 60.0;
+
+    /// Refreshes of one period: M, or 3·M where colours are shown in turn.
+    pub fn subframes(&self) -> usize {
+        self.frames * self.colour_sequence.fields()
+    }
+
+    /// Periods that the eye sees a second.
+    pub fn period_hz(&self) -> f64 {
+        self.refresh_hz / self.subframes() as f64
+    }
+
+    /// What to tell the user where a period is so long that it flickers.
+    pub fn flicker_warning(&self) -> Option<String> {
+        // a display made for the limit exactly does not flicker for a rounding error
+        const ROUNDING: f64 = 1e-9;
+        if self.subframes() <= 1 || self.period_hz() >= Self::FLICKER_HZ * (1.0 - ROUNDING) {
+            return None;
+        }
+        let frames = match (self.frames, self.colour_sequence) {
+            (1, ColourSequence::Field) => "3 colours in turn".into(),
+            (frames, ColourSequence::Field) => format!("{frames} frames of 3 colours in turn"),
+            (frames, ColourSequence::Simultaneous) => format!("{frames} frames"),
+        };
+        Some(format!(
+            "{frames} at {} Hz are shown {:.1} times a second and will flicker; {} times a second need a refresh rate of {} Hz",
+            self.refresh_hz,
+            self.period_hz(),
+            Self::FLICKER_HZ,
+            Self::FLICKER_HZ * self.subframes() as f64
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::tests::small_display;
+
+    #[test]
+    fn colours_in_turn_take_three_times_as_long() {
+        let mut display = Display { frames: 6, refresh_hz: 120.0, ..small_display() };
+        assert_eq!((display.subframes(), display.period_hz()), (6, 20.0));
+        display.colour_sequence = ColourSequence::Field;
+        assert_eq!(display.subframes(), 18);
+        assert!((display.period_hz() - 120.0 / 18.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_warning_says_which_refresh_rate_would_do() {
+        let mut display = Display { frames: 6, refresh_hz: 120.0, ..small_display() };
+        let warning = display.flicker_warning().unwrap();
+        assert!(warning.starts_with("6 frames at 120 Hz are shown 20.0 times a second"), "{warning}");
+        assert!(warning.ends_with("refresh rate of 360 Hz"), "{warning}");
+        display.refresh_hz = 360.0;
+        assert_eq!(display.flicker_warning(), None);
+        display.colour_sequence = ColourSequence::Field;
+        let warning = display.flicker_warning().unwrap();
+        assert!(
+            warning.starts_with("6 frames of 3 colours in turn at 360 Hz") && warning.ends_with("1080 Hz"),
+            "{warning}"
+        );
+        // what never changes cannot flicker, however slow the panel
+        let still = Display { frames: 1, refresh_hz: 30.0, ..small_display() };
+        assert_eq!(still.flicker_warning(), None);
+        let coloured = Display { colour_sequence: ColourSequence::Field, ..still };
+        assert!(coloured.flicker_warning().unwrap().starts_with("3 colours in turn at 30 Hz"));
+    }
+}
