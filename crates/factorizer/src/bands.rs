@@ -35,3 +35,18 @@ pub(crate) fn map<T: Send + Clone + Default, S>(
     for_each_chunk(&mut results, 1, init, |scratch, index, result| result[0] = work(scratch, index));
     results
 }
+
+/// Whether `holds` is true of every part of `data`.
+pub(crate) fn all<T: Sync>(data: &[T], holds: impl Fn(&[T]) -> bool + Sync + Send) -> bool {
+    /// Values of one part.
+    const PART: usize = 1 << 16;
+    #[cfg(feature = "parallel")]
+    {
+        use rayon::prelude::*;
+        data.par_chunks(PART).all(holds)
+    }
+    #[cfg(not(feature = "parallel"))]
+    {
+        data.chunks(PART).all(holds)
+    }
+}

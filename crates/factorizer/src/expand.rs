@@ -1,12 +1,15 @@
-//! A factor's values along the rays of one field row, and products of them.
+//! A factor's values along the rays of one field row, and what the display emits along them.
 //!
 //! Tables become loops over columns: pieces of equal shift as slices, everything else one index at a time.
 
+use std::f32::consts::{FRAC_PI_2, PI};
 use std::ops::Range;
 
-use crate::factor::{Factor, PAD};
+use lumistack_display::Formation;
+
+use crate::factor::Factor;
 use crate::plan::{Access, ColumnTaps, LineTap, Plan};
-use crate::rows::Scratch;
+use crate::sums::Scratch;
 
 /// Rays of one view through a part of one field row.
 pub(crate) struct Rays<'a> {
@@ -16,27 +19,83 @@ pub(crate) struct Rays<'a> {
     pub(crate) run: &'a Range<usize>,
 }
 
-impl Rays<'_> {
-    /// The target and the weights of the rays.
-    #[inline(always)]
-    pub(crate) fn target<'p>(&self, plan: &'p Plan) -> (&'p [f32], Option<&'p [f32]>) {
-        let view = plan.view(self.view[0], self.view[1]);
-        let part = PAD + self.run.start..PAD + self.run.end;
-        (
-            &plan.target.row(self.channel, view, self.row)[part.clone()],
-            plan.target.weights(view, self.row).map(|weights| &weights[part]),
-        )
+/// a_m = ∂L̃/∂(f_m/M) for the values f of factor `own`, and L̃, along the rays.
+///
+/// Where layers attenuate, a_m = Π_{k ≠ own} f_k. Where they emit, a_m = 1. Where they rotate polarization, L̃ = (1/M) Σ b sin²((π/2) s_m) with
+/// the sum s_m of all layers: a_m = b (π/2) sin(π s_m) for a layer and sin²((π/2) s_m) for the backlight; there, the curvature along a
+/// layer's values is bounded by (π/2)² M (1 + 2 max|e|), from ‖sin‖² ≤ M and |cos| ≤ 1.
+#[inline(always)]
+pub(crate) fn coefficients(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
+    match plan.formation {
+        Formation::Attenuating => {
+            expand_product(plan, factors, own, rays, scratch);
+            emit_product(plan, factors, own, rays, scratch);
+        }
+        Formation::Additive => {
+            let len = rays.run.len();
+            let Scratch { product, values, emitted, .. } = scratch;
+            let (values, emitted) = (&mut values[..len], &mut emitted[..len]);
+            emitted.fill(0.0);
+            for k in 0..factors.len() {
+                for frame in 0..plan.frames {
+                    expand_factor(plan, factors, k, frame, rays, values);
+                    emitted.iter_mut().zip(&*values).for_each(|(sum, &value)| *sum += value);
+                }
+            }
+            let mean = 1.0 / plan.frames as f32;
+            emitted.iter_mut().for_each(|sum| *sum *= mean);
+            if own.is_some() {
+                product.fill(1.0);
+            }
+        }
+        Formation::Polarization => rotate(plan, factors, own, rays, scratch),
+    }
+}
+
+/// [`coefficients`] of polarization-rotating layers.
+#[inline(always)]
+fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
+    let len = rays.run.len();
+    let Scratch { product, phase, values, emitted, curvature, .. } = scratch;
+    let (values, emitted) = (&mut values[..len], &mut emitted[..len]);
+    emitted.fill(0.0);
+    let (layers, backlight) = (0..plan.layers, (plan.layers < factors.len()).then_some(plan.layers));
+    for frame in 0..plan.frames {
+        let phase = &mut phase[frame * plan.cols..][..len];
+        phase.fill(0.0);
+        for k in layers.clone() {
+            expand_factor(plan, factors, k, frame, rays, values);
+            phase.iter_mut().zip(&*values).for_each(|(sum, &value)| *sum += value);
+        }
+        values.fill(1.0);
+        if let Some(k) = backlight {
+            expand_factor(plan, factors, k, frame, rays, values);
+        }
+        let product = &mut product[frame * plan.cols..][..len];
+        for (((a, sum), &s), &b) in product.iter_mut().zip(&mut *emitted).zip(&*phase).zip(&*values) {
+            let (sin, cos) = (FRAC_PI_2 * s).sin_cos();
+            *sum += b * sin * sin;
+            *a = if own == backlight { sin * sin } else { b * PI * sin * cos };
+        }
+    }
+    let mean = 1.0 / plan.frames as f32;
+    emitted.iter_mut().for_each(|sum| *sum *= mean);
+    if own.is_some() && own != backlight {
+        let curvature = &mut curvature[..len];
+        plan.target.wanted(rays, plan, curvature);
+        let most = FRAC_PI_2 * FRAC_PI_2 * plan.frames as f32;
+        // L̃ stays in 0..1
+        curvature.iter_mut().for_each(|value| *value = most * (1.0 + 2.0 * value.abs().max((1.0 - *value).abs())));
     }
 }
 
 /// P_m = Π_{k ≠ skip} of the factors' values along the rays.
 #[inline(always)]
-pub(crate) fn expand_product(plan: &Plan, factors: &[Factor], skip: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
-    let frames = plan.maps[0].layout.frames;
+fn expand_product(plan: &Plan, factors: &[Factor], skip: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     let len = rays.run.len();
     let mut first = true;
     for k in (0..factors.len()).filter(|&k| Some(k) != skip) {
-        for frame in 0..frames {
+        for frame in 0..plan.frames {
             let product = &mut scratch.product[frame * plan.cols..][..len];
             if first {
                 expand(plan, factors, k, frame, rays, product, |product, value| *product = value);
@@ -53,16 +112,15 @@ pub(crate) fn expand_product(plan: &Plan, factors: &[Factor], skip: Option<usize
 
 /// L̃ = (1/M) Σ_m P_m f_m with the values of factor `own`, or (1/M) Σ_m P_m where the product holds every factor.
 #[inline(always)]
-pub(crate) fn emit(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
-    let frames = plan.maps[0].layout.frames;
+fn emit_product(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     let len = rays.run.len();
     let emitted = &mut scratch.emitted[..len];
     emitted.fill(0.0);
-    for frame in 0..frames {
+    for frame in 0..plan.frames {
         let product = &scratch.product[frame * plan.cols..][..len];
         if let Some(own) = own {
             let values = &mut scratch.values[..len];
-            expand(plan, factors, own, frame, rays, values, |to, value| *to = value);
+            expand_factor(plan, factors, own, frame, rays, values);
             for ((sum, &p), &f) in emitted.iter_mut().zip(product).zip(&*values) {
                 *sum += p * f;
             }
@@ -70,8 +128,14 @@ pub(crate) fn emit(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &R
             emitted.iter_mut().zip(product).for_each(|(sum, &p)| *sum += p);
         }
     }
-    let scale = 1.0 / frames as f32;
+    let scale = 1.0 / plan.frames as f32;
     emitted.iter_mut().for_each(|sum| *sum *= scale);
+}
+
+/// One factor's values along the rays.
+#[inline(always)]
+pub(crate) fn expand_factor(plan: &Plan, factors: &[Factor], k: usize, frame: usize, rays: &Rays, to: &mut [f32]) {
+    expand(plan, factors, k, frame, rays, to, |to, value| *to = value);
 }
 
 /// One factor's values along the rays, handed to `put` one by one.

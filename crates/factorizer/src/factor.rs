@@ -6,8 +6,7 @@
 //!
 //! The backlight's line is bin_y·R + lenslet row and its column bin_x·C + lenslet column: its map is separable too.
 
-use std::ops::Range;
-
+use crate::aligned::Aligned;
 use crate::bands;
 
 /// Padding on both sides of every line; the widest vector.
@@ -51,15 +50,8 @@ impl Layout {
         self.lines() + 1
     }
 
-    /// Where the columns of a frame lie within a line.
-    #[inline(always)]
-    pub(crate) fn columns(&self, frame: usize) -> Range<usize> {
-        let start = frame * self.stride + self.pad;
-        start..start + self.cols()
-    }
-
     /// Offset of the red value in the tensor of a layer or of the emission.
-    fn tensor_offset(&self, frame: usize, line: usize, col: usize) -> usize {
+    pub(crate) fn tensor_offset(&self, frame: usize, line: usize, col: usize) -> usize {
         let ([bins_y, bins_x], [rows, cols]) = (self.bins, self.size);
         let (bin_y, row, bin_x, col) = (line / rows, line % rows, col / cols, col % cols);
         ((((frame * bins_y + bin_y) * bins_x + bin_x) * rows + row) * cols + col) * 3
@@ -70,15 +62,15 @@ impl Layout {
 #[derive(Clone, Debug)]
 pub(crate) struct Factor {
     pub(crate) layout: Layout,
-    pub(crate) values: Vec<f32>,
+    pub(crate) values: Aligned,
 }
 
 impl Factor {
-    /// From a tensor's values, moved into `floor`..1.
-    pub(crate) fn upload(layout: &Layout, tensor: &[f32], floor: f32) -> Self {
-        let mut values = vec![layout.outside; 3 * layout.stored_lines() * layout.line_len()];
+    /// From a tensor's values, moved into `low`..`high`.
+    pub(crate) fn upload(layout: &Layout, tensor: &[f32], [low, high]: [f32; 2]) -> Self {
+        let mut factor = Self::blank(layout, 3);
         bands::for_each_chunk(
-            &mut values,
+            &mut factor.values,
             layout.line_len(),
             || (),
             |(), index, chunk| {
@@ -88,11 +80,17 @@ impl Factor {
                 }
                 for (frame, row) in chunk.chunks_exact_mut(layout.stride).enumerate() {
                     for (col, value) in row[layout.pad..layout.pad + layout.cols()].iter_mut().enumerate() {
-                        *value = tensor[layout.tensor_offset(frame, line, col) + channel].clamp(floor, 1.0);
+                        *value = tensor[layout.tensor_offset(frame, line, col) + channel].clamp(low, high);
                     }
                 }
             },
         );
+        factor
+    }
+
+    /// All of it as where rays miss.
+    pub(crate) fn blank(layout: &Layout, channels: usize) -> Self {
+        let values = Aligned::filled(layout.outside, channels * layout.stored_lines() * layout.line_len());
         Self { layout: layout.clone(), values }
     }
 

@@ -3,26 +3,63 @@
 use lumistack_core::Task;
 use lumistack_display::LayerStack;
 
-use crate::{FactorizeError, Problem, StartKind, random_start, solver};
+use crate::coarse::Coarse;
+use crate::engine::Engine;
+use crate::quantize::{has_levels, reoptimize_on_levels, round_to_levels};
+use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, solver, start_patterns};
 
 /// How to factorize.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// Name of the solver; see [`crate::solvers`].
+    /// Name of the solver, see [`crate::solvers`], or [`AUTO`].
     pub solver: String,
     /// Number of iterations; 0 hands the start back.
     pub iterations: u32,
     /// Seed of everything random.
     pub seed: u64,
-    /// How starting patterns are made, unless a warm start is given.
-    pub start: StartKind,
+    /// How starting patterns are made, unless a warm start is given; `None` for what suits the solver.
+    pub start: Option<StartKind>,
+    /// Coarser levels at which to begin, each at half the resolution of the next; fewer where the problem gets too small. `None` for what suits the
+    /// solver. Not for warm starts.
+    pub coarse_levels: Option<u32>,
+    /// Iterations at each coarser level.
+    pub coarse_iterations: u32,
     /// The objective is evaluated after every so many iterations and after the last; it costs about a third of an iteration. At least 1.
     pub report_every: u32,
+    /// Whether patterns for layers of few bits are re-optimized on the panels' levels; otherwise they stay continuous.
+    pub levels: bool,
 }
+
+/// Name of the choice of solver by what the benchmarks show to be best.
+pub const AUTO: &str = "auto";
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { solver: "multiplicative".into(), iterations: 50, seed: 1, start: StartKind::Random, report_every: 1 }
+        Self {
+            solver: AUTO.into(),
+            iterations: 50,
+            seed: 1,
+            start: None,
+            coarse_levels: None,
+            coarse_iterations: 5,
+            report_every: 1,
+            levels: true,
+        }
+    }
+}
+
+impl Settings {
+    /// The same with every choice made. The paper's rule begins as the paper leaves open, at random; all else begins near the content, at half the
+    /// resolution. On every light field measured that reached any quality first.
+    pub fn resolved(&self) -> Self {
+        let paper = self.solver == Multiplicative.name();
+        let solver = if self.solver == AUTO { Extrapolated.name().into() } else { self.solver.clone() };
+        Self {
+            solver,
+            start: Some(self.start.unwrap_or(if paper { StartKind::Random } else { StartKind::Content })),
+            coarse_levels: Some(self.coarse_levels.unwrap_or(u32::from(!paper))),
+            ..self.clone()
+        }
     }
 }
 
@@ -44,6 +81,23 @@ pub struct Factorization {
     pub stack: LayerStack,
     /// Every evaluation of the objective; the first is that of the start (iteration 0).
     pub history: Vec<Iteration>,
+    /// The settings with every choice made.
+    pub settings: Settings,
+    /// How far the patterns are from the first-order (KKT) conditions, before quantization; see [`crate::Run::unsettled`].
+    pub unsettled: f64,
+    /// What few levels cost, where layers have few.
+    pub levels: Option<LevelsLoss>,
+}
+
+/// PSNR (dB, `psnr_view`) of patterns for panels of few bits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LevelsLoss {
+    /// Of the continuous patterns.
+    pub continuous: f64,
+    /// Of their values rounded to the nearest levels.
+    pub rounded: f64,
+    /// Of the patterns that were re-optimized on the levels; those are handed back.
+    pub reoptimized: f64,
 }
 
 /// Factorizes a light field. A warm start replaces the start of the settings: patterns of the same display, for example of the time before.
@@ -58,6 +112,7 @@ pub fn factorize(
     task: Task,
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, FactorizeError> {
+    let settings = &settings.resolved();
     let solver = solver(&settings.solver)?;
     problem.check()?;
     if let Some(warm) = warm {
@@ -66,9 +121,9 @@ pub fn factorize(
             task.warn("warm start", "all frames are equal and will stay equal: more frames than one have no effect");
         }
     }
-    let start = match (warm, settings.start) {
-        (Some(warm), _) => warm.clone(),
-        (None, StartKind::Random) => random_start(problem.display, settings.seed),
+    let start = match warm {
+        Some(warm) => warm.clone(),
+        None => start_from_coarse(problem, settings, settings.coarse_levels.unwrap_or(0), task)?,
     };
     let mut run = solver.start(problem, start)?;
     if run.rays() == 0 {
@@ -97,7 +152,37 @@ pub fn factorize(
     };
     let result = iterate();
     task.progress.end();
-    result.map(|()| Factorization { stack: run.download(), history })
+    result?;
+    let (unsettled, mut stack, mut levels) = (run.unsettled(), run.download(), None);
+    drop(run);
+    if settings.levels && has_levels(problem) {
+        let psnr_view = |stack: &LayerStack| -> Result<f64, FactorizeError> {
+            Ok(Engine::new(problem, stack.clone(), 0.0)?.objective().psnr_view)
+        };
+        let continuous = psnr_view(&stack)?;
+        let rounded = psnr_view(&round_to_levels(problem, &stack))?;
+        stack = reoptimize_on_levels(problem, stack, task)?;
+        levels = Some(LevelsLoss { continuous, rounded, reoptimized: psnr_view(&stack)? });
+    }
+    Ok(Factorization { stack, history, settings: settings.clone(), unsettled, levels })
+}
+
+/// The start of a problem: that of its kind, or what a few iterations make of it at half the resolution, and so on for every level.
+fn start_from_coarse(
+    problem: &Problem,
+    settings: &Settings,
+    levels: u32,
+    task: Task,
+) -> Result<LayerStack, FactorizeError> {
+    let Some(coarse) = (levels > 0).then(|| Coarse::of(problem)).flatten() else {
+        return Ok(start_patterns(problem, settings.start.unwrap_or_default(), settings.seed));
+    };
+    let start = start_from_coarse(&coarse.problem(), settings, levels - 1, task)?;
+    let mut run = solver(&settings.solver)?.start(&coarse.problem(), start)?;
+    for _ in 0..settings.coarse_iterations {
+        run.step(task.cancel)?;
+    }
+    Ok(coarse.refine(&run.download(), problem.display))
 }
 
 /// Whether every layer and the backlight show the same in all frames.

@@ -1,35 +1,51 @@
 //! Weighted nonnegative tensor factorization of a light field into layer patterns.
 //!
-//! Minimizes Σ w (βL − L̃)² over 0 ≤ f ≤ 1 with L̃ = (1/M) Σ_m b_m Π_n f_m^(n) (eqs. 18 and 27 of Wetzstein et al. 2012): N layers, M frames,
-//! channels independent, a uniform or a directional backlight. Rays are never expanded into a list; the separable tables of
-//! [`lumistack_display::RayMap`] describe them all.
+//! Minimizes Σ w (βL − L̃)² over the box that the hardware allows, with L̃ = (1/M) Σ_m b_m Π_n f_m^(n) (eqs. 18 and 27 of Wetzstein et al. 2012), or the
+//! sum or the sin² of the sum of the layers ([`lumistack_display::Formation`]): N layers, M frames, a uniform or a directional backlight. Rays
+//! are never expanded into a list; the separable tables of [`lumistack_display::RayMap`] describe them all.
 //!
 //! ```text
-//! Problem ──Settings.start or a warm LayerStack──▶ Solver::start ──▶ Run::step × iterations ──▶ LayerStack
+//! Problem ──start: warm, or content at half the resolution──▶ Solver::start ──▶ Run::step × iterations ──▶ levels of few bits ──▶ LayerStack
+//!
+//! Run::step, factor by factor:  gather (constant shifts) or sums (any table) ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
 //! ```
 //!
-//! [`factorize`] drives a solver; [`solvers`] lists them. Results are the same bytes on any number of threads, for a given seed and instruction
-//! set.
+//! [`factorize`] drives a solver; [`solvers`] lists them; [`ChannelRun`] takes one channel whose target stays on disk. Results are the same bytes on
+//! any number of threads, for a given seed and instruction set.
 
+mod aligned;
 mod bands;
+mod block_exact;
+mod coarse;
+mod engine;
+mod errors;
 mod expand;
 mod factor;
 mod factorize;
+mod gather;
 mod lanes;
+mod line;
 mod multiplicative;
 mod plan;
 mod problem;
-mod rows;
-mod shifted;
+mod quantize;
+mod respond;
 mod solver;
 mod start;
+mod step;
+mod stream;
+mod sums;
 mod target;
 
 #[cfg(test)]
 mod tests;
 
-pub use factorize::{Factorization, Iteration, Settings, factorize};
+pub use block_exact::{BlockExact, Extrapolated};
+pub use factorize::{AUTO, Factorization, Iteration, LevelsLoss, Settings, factorize};
 pub use multiplicative::Multiplicative;
 pub use problem::{FactorizeError, Problem};
+pub use quantize::{has_levels, reoptimize_on_levels, round_to_levels};
 pub use solver::{Objective, Run, Solver, solver, solvers};
-pub use start::{FLOOR, StartKind, random_start};
+pub use start::{FLOOR, StartKind, random_start, start_patterns};
+pub use stream::{ChannelRun, Estimate};
+pub use target::LentTarget;

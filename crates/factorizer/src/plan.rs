@@ -4,7 +4,9 @@
 
 use std::ops::Range;
 
-use lumistack_display::{AxisTaps, Backlight, BacklightTap, Display, LayerMap, Missing, RayMap, Tap};
+use lumistack_display::{
+    AxisTaps, Backlight, BacklightTap, Display, FieldGeometry, Formation, LayerMap, Missing, RayMap, Tap,
+};
 
 use crate::Problem;
 use crate::factor::{Layout, PAD};
@@ -19,6 +21,16 @@ pub(crate) struct Plan {
     pub(crate) rows: usize,
     /// Field columns.
     pub(crate) cols: usize,
+    /// Frames M.
+    pub(crate) frames: usize,
+    /// Layers N; the backlight's map, if any, follows theirs.
+    pub(crate) layers: usize,
+    /// How layers act together.
+    pub(crate) formation: Formation,
+    /// Whether layers attenuate and every map is a constant shift per view.
+    pub(crate) shifted: bool,
+    /// As many ones as there are columns.
+    pub(crate) ones: Vec<f32>,
     /// Layers rear to front, then the directional backlight.
     pub(crate) maps: Vec<FactorMap>,
     /// Per view column: the field columns whose rays count, normally one range.
@@ -47,6 +59,12 @@ pub(crate) struct FactorMap {
     rays: Vec<RaysOfLine>,
     /// Whether few enough rays meet every pixel for their sum to be exact enough in f32.
     pub(crate) short_sums: bool,
+    /// Whether every ray reads exactly one pixel, at a column that is the field column plus a constant of the view.
+    pub(crate) shifted: bool,
+    /// Whether every ray that counts meets the factor.
+    pub(crate) complete: bool,
+    /// The most field rows that meet one line, over all view rows.
+    pub(crate) most_rows: usize,
 }
 
 /// Columns of one view column's rays, as indices into a padded line.
@@ -100,11 +118,15 @@ struct RaysOfLine {
 
 impl Plan {
     pub(crate) fn new(problem: &Problem) -> Self {
-        let geometry = problem.target.geometry();
-        let map = RayMap::new(problem.display, geometry);
+        Self::with_target(problem.display, problem.target.geometry(), Target::new(problem))
+    }
+
+    /// For rays of `geometry`, whose radiance is `target`.
+    pub(crate) fn with_target(display: &Display, geometry: &FieldGeometry, target: Target) -> Self {
+        let map = RayMap::new(display, geometry);
         let views = geometry.grid.views();
         let (rows, cols) = (geometry.rows, geometry.cols);
-        let drop = problem.display.missing == Missing::Drop;
+        let drop = display.missing == Missing::Drop;
         let valid = |view: usize, i: usize, axis: fn(&LayerMap) -> &AxisTaps, lit: &dyn Fn(usize, usize) -> bool| {
             (!drop || map.layers.iter().all(|layer| !axis(layer).of_view(view)[i].is_missed())) && lit(view, i)
         };
@@ -116,11 +138,37 @@ impl Plan {
             .collect();
         let valid_rows: Vec<Vec<bool>> =
             (0..views[0]).map(|view| (0..rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect()).collect();
-        let maps = raw_maps(problem.display, &map, views)
+        let frames = display.frames;
+        let maps: Vec<_> = raw_maps(display, &map, views)
             .into_iter()
-            .map(|raw| FactorMap::new(raw, problem.display.frames, &runs, &valid_rows))
+            .map(|raw| FactorMap::new(raw, frames, &runs, &valid_rows))
             .collect();
-        Self { views, rows, cols, maps, runs, valid_rows, target: Target::new(problem) }
+        let formation = display.formation;
+        let shifted = formation == Formation::Attenuating && maps.iter().all(|map| map.shifted);
+        Self {
+            views,
+            rows,
+            cols,
+            frames,
+            layers: map.layers.len(),
+            formation,
+            shifted,
+            ones: vec![1.0; cols],
+            maps,
+            runs,
+            valid_rows,
+            target,
+        }
+    }
+
+    /// Whether layers attenuate.
+    pub(crate) fn is_product(&self) -> bool {
+        self.formation == Formation::Attenuating
+    }
+
+    /// Whether L̃ is linear in the values of factor `n`, so that its Gram matrix bounds the curvature.
+    pub(crate) fn is_bounded(&self, n: usize) -> bool {
+        self.formation != Formation::Polarization || n >= self.layers
     }
 
     /// Number of rays that count.
@@ -151,13 +199,6 @@ impl FactorMap {
         &rays.entries[rays.starts[line] as usize..rays.starts[line + 1] as usize]
     }
 
-    /// Whether every ray reads exactly one pixel, at a column that is the field column plus a constant of the view.
-    pub(crate) fn is_shifted(&self, runs: &[Vec<Range<usize>>]) -> bool {
-        let columns =
-            self.x.iter().zip(runs).all(|(x, runs)| runs.is_empty() || (x.shift.is_some() && runs.len() == 1));
-        columns && self.y.iter().flatten().all(|tap| tap.t == 0.0)
-    }
-
     fn new(raw: RawMap, frames: usize, runs: &[Vec<Range<usize>>], valid_rows: &[Vec<bool>]) -> Self {
         let (lines, cols) = (raw.bins[0] * raw.size[0], raw.bins[1] * raw.size[1]);
         let shifts: Vec<_> = raw.x.iter().zip(runs).map(|(taps, runs)| constant_shift(taps, runs, cols)).collect();
@@ -170,10 +211,11 @@ impl FactorMap {
                 after = after.max(end as isize + shift - cols as isize);
             }
         }
-        let pad = PAD + before as usize;
+        // own columns start on a cache line
+        let pad = (PAD + before as usize).next_multiple_of(PAD);
         let stride = (pad + cols + after as usize + PAD).next_multiple_of(PAD);
         let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
-        let x = raw.x.iter().zip(&shifts).map(|(taps, shift)| ColumnTaps::new(taps, *shift, pad)).collect();
+        let x: Vec<_> = raw.x.iter().zip(&shifts).map(|(taps, shift)| ColumnTaps::new(taps, *shift, pad)).collect();
         let y: Vec<Vec<LineTap>> = raw
             .y
             .iter()
@@ -194,7 +236,17 @@ impl FactorMap {
             rays_of_col[tap.second as usize] += usize::from(tap.t > 0.0);
         }
         let short_sums = most_rows * rays_of_col.into_iter().max().unwrap_or(0) <= SHORT_SUM;
-        Self { layout, x, y, rays, short_sums }
+        let one_shift = |x: &ColumnTaps, runs: &[Range<usize>]| runs.is_empty() || x.shift.is_some() && runs.len() == 1;
+        let shifted =
+            x.iter().zip(runs).all(|(x, runs)| one_shift(x, runs)) && y.iter().flatten().all(|tap| tap.t == 0.0);
+        let complete =
+            raw.x.iter().zip(runs).all(|(taps, runs)| runs.iter().flat_map(Clone::clone).all(|i| taps[i].is_some()))
+                && raw
+                    .y
+                    .iter()
+                    .zip(valid_rows)
+                    .all(|(taps, valid)| taps.iter().zip(valid).all(|(tap, valid)| tap.is_some() || !valid));
+        Self { layout, x, y, rays, short_sums, shifted, complete, most_rows }
     }
 }
 
@@ -295,7 +347,7 @@ fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
         .map(|layer| RawMap {
             bins: [1, 1],
             size: [layer.rows, layer.cols],
-            outside: 1.0,
+            outside: display.formation.neutral(),
             x: (0..views[1]).map(|view| hit(layer.x.of_view(view))).collect(),
             y: (0..views[0]).map(|view| hit(layer.y.of_view(view))).collect(),
         })

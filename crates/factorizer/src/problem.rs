@@ -95,6 +95,14 @@ pub enum FactorizeError {
         /// The name.
         found: String,
     },
+    /// The solver does not fit the display.
+    #[error("solver {solver}: {why}")]
+    Unsuitable {
+        /// Its name.
+        solver: &'static str,
+        /// The reason.
+        why: &'static str,
+    },
     /// Somebody asked to stop.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),

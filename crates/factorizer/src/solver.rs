@@ -3,7 +3,7 @@
 use lumistack_core::{Cancel, Cancelled};
 use lumistack_display::LayerStack;
 
-use crate::{FactorizeError, Multiplicative, Problem};
+use crate::{BlockExact, Extrapolated, FactorizeError, Multiplicative, Problem};
 
 /// A method that improves patterns iteration by iteration.
 pub trait Solver: Sync {
@@ -31,11 +31,16 @@ pub trait Run {
     /// The objective of the present patterns.
     fn objective(&mut self) -> Objective;
 
+    /// How far the patterns are from the first-order (KKT) conditions: root mean square, over all values, of the change of the emission (root of
+    /// the weighted sum of squares over the rays through the pixel, weights relative to the largest) that an exact coordinate step within the
+    /// box would still make.
+    fn unsettled(&mut self) -> f64;
+
     /// Number of rays with w > 0 that meet the display.
     fn rays(&self) -> u64;
 
     /// The present patterns.
-    fn download(&self) -> LayerStack;
+    fn download(&mut self) -> LayerStack;
 }
 
 /// How far patterns are from the target.
@@ -49,16 +54,21 @@ pub struct Objective {
 
 /// All solvers.
 pub fn solvers() -> &'static [&'static dyn Solver] {
-    &[&Multiplicative]
+    &[&Multiplicative, &BlockExact, &Extrapolated]
 }
 
-/// The solver of a name.
+/// The solver of a name; [`crate::AUTO`] is the best known.
 ///
 /// # Errors
 /// If there is none; the error lists all names.
 pub fn solver(name: &str) -> Result<&'static dyn Solver, FactorizeError> {
+    let name = if name == crate::AUTO { Extrapolated.name() } else { name };
     solvers().iter().copied().find(|solver| solver.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {
-        expected: solvers().iter().map(|solver| solver.name()).collect::<Vec<_>>().join(", "),
+        expected: [crate::AUTO]
+            .into_iter()
+            .chain(solvers().iter().map(|solver| solver.name()))
+            .collect::<Vec<_>>()
+            .join(", "),
         found: name.into(),
     })
 }

@@ -1,22 +1,64 @@
 //! The target and the weights in the order in which the inner loops read them: `[channel][view][row][x]`, rows padded on both sides.
 
 use std::ops::Range;
+use std::sync::Arc;
 
-use lumistack_display::Weights;
+use lumistack_display::{FieldGeometry, Weights};
 
+use crate::expand::Rays;
 use crate::factor::PAD;
+use crate::lanes::float_from_half;
+use crate::plan::Plan;
 use crate::{Problem, bands};
 
-/// Target βL and weights w.
+/// Target L, brightness β and weights w.
 #[derive(Clone, Debug)]
 pub(crate) struct Target {
     stride: usize,
     rows: usize,
     views: usize,
-    values: Vec<f32>,
+    /// Colour channels.
+    pub(crate) channels: usize,
+    /// L, not yet scaled by β.
+    values: Radiance,
+    /// β.
+    pub(crate) brightness: f32,
+    /// √w.
     weights: RayWeights,
     /// The largest weight; kept weights are divided by it, since only ratios matter to a step.
     pub(crate) weight_scale: f64,
+}
+
+/// L in 16 bits where that is all it holds: the inner loops wait for memory.
+#[derive(Clone, Debug)]
+enum Radiance {
+    Half(Vec<u16>),
+    Float(Vec<f32>),
+    Lent(Lent),
+}
+
+/// Half floats `[view_y][view_x][row][col]` that lie elsewhere, for example in a mapped file.
+pub type LentTarget = Arc<dyn AsRef<[u16]> + Send + Sync>;
+
+/// Rows without padding: a row's neighbours are read in its place, except at the ends.
+#[derive(Clone)]
+struct Lent {
+    values: LentTarget,
+    first: Vec<u16>,
+    last: Vec<u16>,
+}
+
+impl std::fmt::Debug for Lent {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Lent({} values)", (*self.values).as_ref().len())
+    }
+}
+
+/// One padded row of L.
+#[derive(Clone, Copy)]
+pub(crate) enum Row<'a> {
+    Half(&'a [u16]),
+    Float(&'a [f32]),
 }
 
 #[derive(Clone, Debug)]
@@ -35,31 +77,77 @@ impl Target {
         let [view_rows, view_cols] = geometry.grid.views();
         let views = view_rows * view_cols;
         let stride = PAD + cols + PAD;
-        let (radiance, beta) = (problem.target.radiance().data(), problem.display.brightness);
-        let mut values = vec![0.0; 3 * views * rows * stride];
-        bands::for_each_chunk(
-            &mut values,
-            stride,
-            || (),
-            |(), index, row| {
-                let (channel, pixels) = (index / (views * rows), index % (views * rows) * cols);
-                for (col, value) in row[PAD..PAD + cols].iter_mut().enumerate() {
-                    *value = (beta * f64::from(radiance[(pixels + col) * 3 + channel])) as f32;
-                }
-            },
-        );
+        let radiance = problem.target.radiance().data();
+        let exact = |value: &f32| half_from_float(*value).is_some();
+        let values = if bands::all(radiance, |part| part.iter().all(exact)) {
+            Radiance::Half(rows_of(radiance, cols, stride, |value| half_from_float(value).unwrap_or_default()))
+        } else {
+            Radiance::Float(rows_of(radiance, cols, stride, |value| value))
+        };
         let (weights, weight_scale) = ray_weights(problem.weights, [views, rows, cols], stride);
-        Self { stride, rows, views, values, weights, weight_scale }
+        let brightness = problem.display.brightness as f32;
+        Self { stride, rows, views, channels: 3, values, brightness, weights, weight_scale }
     }
 
-    /// One padded row of βL; column c stands at [`PAD`] + c.
+    /// One channel of half floats that are not copied; all weights are 1.
+    ///
+    /// # Panics
+    /// If the values are not those of the geometry, or rows are narrower than [`PAD`].
+    pub(crate) fn lent(geometry: &FieldGeometry, brightness: f64, lent: LentTarget) -> Self {
+        let [view_rows, view_cols] = geometry.grid.views();
+        let (views, cols) = (view_rows * view_cols, geometry.cols);
+        let values = (*lent).as_ref();
+        assert!(cols >= PAD && values.len() == views * geometry.rows * cols, "lent target of {} values", values.len());
+        let padded = |row: &[u16]| [&[0; PAD][..], row, &[0; PAD][..]].concat();
+        let (first, last) = (padded(&values[..cols]), padded(&values[values.len() - cols..]));
+        Self {
+            stride: PAD + cols + PAD,
+            rows: geometry.rows,
+            views,
+            channels: 1,
+            values: Radiance::Lent(Lent { values: lent, first, last }),
+            brightness: brightness as f32,
+            weights: RayWeights::Uniform,
+            weight_scale: 1.0,
+        }
+    }
+
+    /// One padded row of L; column c stands at [`PAD`] + c.
     #[inline(always)]
-    pub(crate) fn row(&self, channel: usize, view: usize, row: usize) -> &[f32] {
-        let at = ((channel * self.views + view) * self.rows + row) * self.stride;
-        &self.values[at..at + self.stride]
+    pub(crate) fn row(&self, channel: usize, view: usize, row: usize) -> Row<'_> {
+        let index = (channel * self.views + view) * self.rows + row;
+        let at = index * self.stride;
+        match &self.values {
+            Radiance::Half(values) => Row::Half(&values[at..at + self.stride]),
+            Radiance::Float(values) => Row::Float(&values[at..at + self.stride]),
+            Radiance::Lent(lent) if index == 0 => Row::Half(&lent.first),
+            Radiance::Lent(lent) if index + 1 == self.views * self.rows => Row::Half(&lent.last),
+            Radiance::Lent(lent) => {
+                let at = index * (self.stride - 2 * PAD) - PAD;
+                Row::Half(&(*lent.values).as_ref()[at..at + self.stride])
+            }
+        }
     }
 
-    /// One padded row of weights relative to the largest, or `None` where all are 1.
+    /// βL along rays.
+    #[inline(always)]
+    pub(crate) fn wanted(&self, rays: &Rays, plan: &Plan, to: &mut [f32]) {
+        let part = PAD + rays.run.start..PAD + rays.run.end;
+        let beta = self.brightness;
+        match self.row(rays.channel, plan.view(rays.view[0], rays.view[1]), rays.row) {
+            Row::Half(row) => to.iter_mut().zip(&row[part]).for_each(|(to, &half)| *to = beta * float_from_half(half)),
+            Row::Float(row) => to.iter_mut().zip(&row[part]).for_each(|(to, &value)| *to = beta * value),
+        }
+    }
+
+    /// e = βL − L̃ along rays.
+    #[inline(always)]
+    pub(crate) fn errors(&self, rays: &Rays, plan: &Plan, emitted: &[f32], to: &mut [f32]) {
+        self.wanted(rays, plan, to);
+        to.iter_mut().zip(emitted).for_each(|(to, &emitted)| *to -= emitted);
+    }
+
+    /// One padded row of √w, weights relative to the largest, or `None` where all are 1.
     #[inline(always)]
     pub(crate) fn weights(&self, view: usize, row: usize) -> Option<&[f32]> {
         match &self.weights {
@@ -72,17 +160,55 @@ impl Target {
         }
     }
 
-    /// Whether weights differ between rays.
-    pub(crate) fn is_weighted(&self) -> bool {
-        !matches!(self.weights, RayWeights::Uniform)
-    }
-
     /// Number of rays with w > 0 in a part of a row.
     pub(crate) fn count(&self, view: usize, row: usize, cols: &Range<usize>) -> u64 {
         match self.weights(view, row) {
             None => cols.len() as u64,
             Some(weights) => weights[PAD + cols.start..PAD + cols.end].iter().filter(|w| **w > 0.0).count() as u64,
         }
+    }
+}
+
+/// `[view][row][col][rgb]` into padded rows `[channel][view][row][x]`.
+fn rows_of<T: Copy + Default + Send>(
+    radiance: &[f32],
+    cols: usize,
+    stride: usize,
+    convert: impl Fn(f32) -> T + Sync + Send,
+) -> Vec<T> {
+    let lines = radiance.len() / (3 * cols);
+    let mut values = vec![T::default(); 3 * lines * stride];
+    bands::for_each_chunk(
+        &mut values,
+        stride,
+        || (),
+        |(), index, row| {
+            let (channel, line) = (index / lines, index % lines);
+            let pixels = radiance[line * cols * 3..][..cols * 3].chunks_exact(3);
+            for (value, pixel) in row[PAD..PAD + cols].iter_mut().zip(pixels) {
+                *value = convert(pixel[channel]);
+            }
+        },
+    );
+    values
+}
+
+/// The half float that is exactly `value`, if there is one and it is finite.
+#[inline(always)]
+fn half_from_float(value: f32) -> Option<u16> {
+    let bits = value.to_bits();
+    let (sign, exponent, mantissa) = ((bits >> 16 & 0x8000) as u16, (bits >> 23 & 0xff) as i32, bits & 0x7f_ffff);
+    // f32 has 13 mantissa bits more; below 2^-14 a half float loses one more per power of two
+    let lost = 13 + (113 - exponent).max(0);
+    match exponent {
+        0 if mantissa == 0 => Some(sign),
+        103..=142 => {
+            let whole = mantissa | 0x80_0000;
+            let kept = whole >> lost;
+            let half = if exponent > 112 { ((exponent - 112) as u32) << 10 | kept & 0x3ff } else { kept };
+            (kept << lost == whole).then_some(sign | half as u16)
+        }
+        _ => None,
     }
 }
 
@@ -95,7 +221,7 @@ fn ray_weights(weights: &Weights, [views, rows, cols]: [usize; 3], stride: usize
     let largest = data.iter().copied().fold(0.0f32, f32::max);
     let scale = if largest > 0.0 { f64::from(largest) } else { 1.0 };
     // a tiny weight must not become 0: PSNR counts every ray with w > 0
-    let relative = |w: f32| if w > 0.0 { ((f64::from(w) / scale) as f32).max(f32::MIN_POSITIVE) } else { 0.0 };
+    let relative = |w: f32| if w > 0.0 { ((f64::from(w) / scale).sqrt() as f32).max(f32::MIN_POSITIVE) } else { 0.0 };
     let ray_weights = match weights {
         Weights::PerRay(_) => {
             let mut values = vec![0.0; views * rows * stride];
@@ -113,4 +239,27 @@ fn ray_weights(weights: &Weights, [views, rows, cols]: [usize; 3], stride: usize
         }
     };
     (ray_weights, scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_floats_are_found_exactly() {
+        for bits in 0..=u16::MAX {
+            // by the definition of the format
+            let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
+            let magnitude = match exponent {
+                0 => mantissa / 1024.0 * 2f64.powi(-14),
+                31 => continue,
+                _ => (1.0 + mantissa / 1024.0) * 2f64.powi(exponent - 15),
+            };
+            let value = if bits & 0x8000 == 0 { magnitude } else { -magnitude } as f32;
+            assert_eq!(half_from_float(value), Some(bits), "{value}");
+        }
+        for value in [0.1, 1.0 + 1.0 / 2048.0, 65536.0, 2f32.powi(-25), f32::INFINITY, f32::NAN] {
+            assert_eq!(half_from_float(value), None, "{value}");
+        }
+    }
 }

@@ -1,12 +1,15 @@
 //! Exact small cases, degenerate input, errors, threads, cancellation.
 
 use std::cell::Cell;
+use std::sync::Arc;
 
 use lumistack_core::{Cancel, Collector, Progress, Task, Tensor};
 use lumistack_display::{LayerStack, Sampling, Weights};
 
 use super::problems::{Kind, Owned, display, random};
-use crate::{Factorization, FactorizeError, Settings, factorize, random_start};
+use crate::engine::Engine;
+use crate::step::Rule;
+use crate::{ChannelRun, Factorization, FactorizeError, Settings, factorize, random_start};
 
 /// What an exact solution may miss in f32.
 const EXACT: f32 = 1e-6;
@@ -17,7 +20,7 @@ fn solve(owned: &Owned, settings: &Settings, warm: Option<&LayerStack>) -> Resul
 }
 
 fn iterations(iterations: u32) -> Settings {
-    Settings { iterations, ..Settings::default() }
+    Settings { solver: "multiplicative".into(), iterations, ..Settings::default() }
 }
 
 #[test]
@@ -120,7 +123,10 @@ fn what_does_not_fit_is_named() {
     let text = message(&owned, &iterations(1), Some(&other));
     assert_eq!(text, "starting patterns: shape of layer 0: expected [2, 4, 6, 3], found [2, 5, 6, 3]");
     let unknown = Settings { solver: "fastest".into(), ..iterations(1) };
-    assert_eq!(message(&owned, &unknown, None), "solver: expected one of multiplicative, found fastest");
+    assert_eq!(
+        message(&owned, &unknown, None),
+        "solver: expected one of auto, multiplicative, block-exact, extrapolated, found fastest"
+    );
     owned.weights = Weights::PerView(Tensor::zeros(["view_y", "view_x"], [3, 3]));
     assert_eq!(message(&owned, &iterations(1), None), "weights: expected shape [2, 3], found [3, 3]");
     owned.weights = Weights::Uniform;
@@ -184,4 +190,46 @@ impl Progress for Steps {
     fn end(&self) {
         self.0.lock().unwrap().push("end".into());
     }
+}
+
+#[test]
+fn one_lent_channel_is_solved_like_a_channel_of_the_whole() {
+    let mut owned = random(Kind::Wide, 2);
+    let geometry = owned.target.geometry().clone();
+    // halves of 0, 1/256 ... 1 in every channel
+    let halves: Vec<u16> = (0..owned.target.radiance().data().len() / 3)
+        .map(|i| if i * 37 % 257 == 0 { 0 } else { 0x3c00 - (i * 37 % 257) as u16 * 8 })
+        .collect();
+    let pixels = owned.target.radiance_mut().data_mut().chunks_exact_mut(3);
+    pixels.zip(&halves).for_each(|(pixel, &half)| pixel.fill(crate::lanes::float_from_half(half)));
+    let mut channel = ChannelRun::start(&owned.display, &geometry, Arc::new(halves.clone()), 3).unwrap();
+    let mut stack = LayerStack::filled(&owned.display, 0.0);
+    let fetch = |run: &ChannelRun, stack: &mut LayerStack| {
+        for (n, layer) in stack.layers.iter_mut().enumerate() {
+            let [frames, rows, cols, _] = layer.shape();
+            for (frame, row) in (0..frames).flat_map(|frame| (0..rows).map(move |row| (frame, row))) {
+                let values = run.row(n, frame, row);
+                assert_eq!(values.len(), cols);
+                let pixels = layer.block_mut([frame, row]).chunks_exact_mut(3);
+                pixels.zip(values).for_each(|(pixel, &value)| pixel.fill(value));
+            }
+        }
+    };
+    fetch(&channel, &mut stack);
+    let problem = owned.problem();
+    let mut whole = Engine::new(&problem, stack.clone(), 0.0).unwrap();
+    let first = channel.objective();
+    assert!((first.psnr_view - whole.objective().psnr_view).abs() < 1e-9);
+    for _ in 0..3 {
+        channel.step(&Cancel::default()).unwrap();
+        (0..whole.factor_count()).for_each(|n| {
+            whole.update(n, Rule::Block { sweeps: 2 }, None);
+        });
+    }
+    fetch(&channel, &mut stack);
+    assert_eq!(whole.download().layers, stack.layers);
+    assert!(channel.objective().psnr_view > first.psnr_view + 3.0);
+    let infinite = Arc::new(vec![0x7c00u16; halves.len()]);
+    let error = ChannelRun::start(&owned.display, &geometry, infinite, 3).err().unwrap();
+    assert!(error.to_string().contains("not finite"), "{error}");
 }

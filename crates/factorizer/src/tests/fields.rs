@@ -2,12 +2,10 @@
 
 use std::path::PathBuf;
 
-use lumistack_core::{Cancel, Tensor};
-use lumistack_display::{
-    Backlight, Display, FieldConfig, Layer, LensletBacklight, LightField, Missing, OutsideBins, Weights,
-};
+use lumistack_core::{Cancel, Collector, Task, Tensor};
+use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Missing, OutsideBins, Weights};
 
-use crate::{Multiplicative, Problem, Solver, random_start};
+use crate::{Multiplicative, Problem, Settings, Solver, factorize, random_start};
 
 /// What starts may change, dB.
 const FIGURE_TOLERANCE: f64 = 0.3;
@@ -17,7 +15,7 @@ const WIDTH_MM: f64 = 473.76;
 
 /// Reads a light field of the shared folder, or says that it is not there.
 #[allow(clippy::disallowed_methods, reason = "a test may read files")]
-fn light_field(name: &str, display: &Display) -> Option<LightField> {
+pub(super) fn light_field(name: &str, display: &Display) -> Option<LightField> {
     let folder = std::env::var_os("LUMISTACK_LIGHTFIELDS").map_or_else(
         || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/lightfields")),
         PathBuf::from,
@@ -34,37 +32,14 @@ fn light_field(name: &str, display: &Display) -> Option<LightField> {
 }
 
 /// `layers` layers 40 mm apart around z = 0, 160 × 100 pixels, 20° × 20°.
-fn display(views: usize, layers: usize, frames: usize, brightness: f64) -> Display {
+pub(super) fn display(views: usize, layers: usize, frames: usize, brightness: f64) -> Display {
     let pitch_mm = WIDTH_MM / 160.0;
-    let layer = |n: usize| Layer {
-        d_mm: (n as f64 - (layers as f64 - 1.0) / 2.0) * 40.0,
-        resolution: [160, 100],
-        pitch_mm,
-        offset_mm: [0.0; 2],
-        black_level: 0.0,
-        transfer: Default::default(),
-        panel_resolution: None,
-        panel_pitch_mm: None,
-    };
+    let d_mm: Vec<f64> = (0..layers).map(|n| (n as f64 - (layers as f64 - 1.0) / 2.0) * 40.0).collect();
     Display {
-        schema: Display::SCHEMA.into(),
-        version: 1,
         name: "published".into(),
-        frames,
         refresh_hz: 120.0,
         brightness,
-        sampling: Default::default(),
-        missing: Default::default(),
-        field: FieldConfig {
-            resolution: [160, 100],
-            pitch_mm,
-            views: [views; 2],
-            fov_deg: [20.0; 2],
-            projection: Default::default(),
-            distance_mm: None,
-        },
-        backlight: Backlight::Uniform,
-        layers: (0..layers).map(layer).collect(),
+        ..Display::uniform([160, 100], pitch_mm, [views; 2], [20.0; 2], &d_mm, frames)
     }
 }
 
@@ -77,6 +52,7 @@ fn directional(frames: usize, brightness: f64) -> Display {
         fov_deg: [20.0; 2],
         views: [5; 2],
         offset_mm: [0.0; 2],
+        black_level: 0.0,
         outside_bins: OutsideBins::Dark,
     });
     Display { backlight, ..display(5, 1, frames, brightness) }
@@ -134,6 +110,44 @@ fn one_layer_before_lenslets_reaches_the_published_figures() {
         let Some(target) = light_field("main_5x5_160x100_fov20", &display) else { return };
         check(&format!("directional, β = {brightness}"), &curve(&display, &target, &[50]), &[published]);
     }
+}
+
+/// PSNR after each of the given numbers of iterations of the default solver, from its own start.
+fn default_curve(display: &Display, target: &LightField, iterations: &[u32]) -> Vec<f64> {
+    let problem = Problem { display, target, weights: &Weights::Uniform };
+    let last = iterations.iter().copied().max().unwrap_or(0);
+    let settings = Settings { iterations: last, ..Settings::default() };
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let result = factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| ()).unwrap();
+    iterations.iter().map(|&count| result.history[count as usize].psnr_view).collect()
+}
+
+/// The default solver against the best published row at the same number of iterations.
+fn check_default(what: &str, display: &Display, rows: &[(u32, f64)]) {
+    let Some(target) = light_field("main_5x5_160x100_fov20", display) else { return };
+    let (iterations, published): (Vec<u32>, Vec<f64>) = rows.iter().copied().unzip();
+    let found = default_curve(display, &target, &iterations);
+    println!("{what}, default: {found:.2?} best published {published:?}");
+    // published figures are rounded to a tenth
+    assert!(
+        found.iter().zip(&published).all(|(found, best)| *found >= best - 0.05),
+        "{what}: {found:.2?} {published:?}"
+    );
+}
+
+#[test]
+fn the_default_solver_is_at_least_the_best_published_row() {
+    check_default("three layers, β = 0.2", &display(5, 3, 6, 0.2), &[(5, 29.6), (10, 31.3), (20, 32.9), (50, 34.1)]);
+    check_default("three layers, β = 1", &display(5, 3, 6, 1.0), &[(5, 25.7), (20, 26.4), (50, 26.6)]);
+}
+
+#[test]
+#[ignore = "slow"]
+fn the_default_solver_is_at_least_the_best_published_row_in_the_long_run() {
+    check_default("three layers, β = 0.2", &display(5, 3, 6, 0.2), &[(200, 34.8), (500, 35.1)]);
+    check_default("three layers, β = 1", &display(5, 3, 6, 1.0), &[(500, 26.8)]);
+    check_default("directional, β = 0.2", &directional(8, 0.2), &[(50, 42.3), (200, 44.1)]);
+    check_default("directional, β = 1", &directional(8, 1.0), &[(50, 29.7), (200, 29.8)]);
 }
 
 /// PSNR after 50 updates of N layers and M frames on the teapot, or `None` where the light field is missing.

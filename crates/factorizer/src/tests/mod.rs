@@ -3,6 +3,7 @@
 mod behaviour;
 mod card;
 mod fields;
+mod hardware;
 mod oracle;
 mod problems;
 mod updates;

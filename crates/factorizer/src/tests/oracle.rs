@@ -1,14 +1,26 @@
 //! The update and the objective in `f64`, as loops over an explicit list of rays. Geometry is computed here from the design's formulas,
 //! not from the tables under test.
 
-use lumistack_display::{Backlight, LayerStack, Missing, OutsideBins, Projection, Sampling};
+use lumistack_display::{
+    Backlight, Formation, Layer, LayerColour, LayerStack, Missing, OutsideBins, Projection, Sampling,
+};
 
-use crate::{FLOOR, Problem};
+use crate::Problem;
 
-/// What a ray reads of one factor.
+/// One stored value that a ray reads.
+#[derive(Clone)]
+struct Entry {
+    /// Pixel and channel, as an offset in one frame.
+    at: usize,
+    /// Its share in what the ray reads.
+    share: f64,
+    /// Its share in the bound of the curvature: the same, times the sum of the shares of what the met pixel is mixed from.
+    bound: f64,
+}
+
+/// What a ray reads of one factor, per channel.
 enum Read {
-    /// Pixels and their weights.
-    Pixels(Vec<(usize, f64)>),
+    Entries([Vec<Entry>; 3]),
     /// A constant.
     Constant(f64),
 }
@@ -24,19 +36,43 @@ struct Ray {
 pub(crate) struct Oracle {
     rays: Vec<Ray>,
     frames: usize,
+    formation: Formation,
+    layers: usize,
+    ranges: Vec<[f64; 2]>,
+    tied: Vec<bool>,
     pub(crate) factors: Vec<Vec<f64>>,
 }
 
 impl Oracle {
-    pub(crate) fn new(problem: &Problem, stack: &LayerStack) -> Self {
-        let mut oracle = Self { rays: rays(problem), frames: problem.display.frames, factors: Vec::new() };
+    pub(crate) fn new(problem: &Problem, stack: &LayerStack, floor: f32) -> Self {
+        let display = problem.display;
+        let mut ranges: Vec<_> = display.layers.iter().map(|l| [l.black_level * l.peak, l.peak]).collect();
+        ranges.push([0.0, 1.0]);
+        ranges.iter_mut().for_each(|range| range[0] = range[0].max(f64::from(floor)));
+        let mut oracle = Self {
+            rays: rays(problem),
+            frames: display.frames,
+            formation: display.formation,
+            layers: display.layers.len(),
+            ranges,
+            tied: display.layers.iter().map(|l| l.colour == LayerColour::Mono).chain([false]).collect(),
+            factors: Vec::new(),
+        };
         oracle.upload(stack);
         oracle
     }
 
     pub(crate) fn upload(&mut self, stack: &LayerStack) {
         let tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
-        self.factors = tensors.map(|data| data.iter().map(|&v| f64::from(v).max(f64::from(FLOOR))).collect()).collect();
+        let clamped = |v: f32, [low, high]: [f64; 2]| f64::from(v).clamp(low, high);
+        let tensors = tensors.zip(&self.ranges);
+        self.factors = tensors.map(|(data, range)| data.iter().map(|&v| clamped(v, *range)).collect()).collect();
+        for (factor, _) in self.factors.iter_mut().zip(&self.tied).filter(|(_, tied)| **tied) {
+            for pixel in factor.chunks_exact_mut(3) {
+                let mean = pixel.iter().sum::<f64>() / 3.0;
+                pixel.fill(mean);
+            }
+        }
     }
 
     /// Value of factor k in frame m along a ray.
@@ -45,38 +81,108 @@ impl Oracle {
         let frame = factor.len() / self.frames * m;
         match &ray.reads[k] {
             Read::Constant(value) => *value,
-            Read::Pixels(pixels) => pixels.iter().map(|(j, t)| t * factor[frame + 3 * j + channel]).sum(),
+            Read::Entries(entries) => entries[channel].iter().map(|e| e.share * factor[frame + e.at]).sum(),
+        }
+    }
+
+    /// Emission of frame m with factor n's value, if given, replaced.
+    fn frame(&self, ray: &Ray, m: usize, channel: usize, replaced: Option<(usize, f64)>) -> f64 {
+        let value = |k: usize| match replaced {
+            Some((n, value)) if n == k => value,
+            _ => self.value(ray, k, m, channel),
+        };
+        let all = 0..self.factors.len();
+        match self.formation {
+            Formation::Attenuating => all.map(value).product(),
+            Formation::Additive => all.map(value).sum(),
+            Formation::Polarization => {
+                let light = (self.layers..self.factors.len()).map(value).product::<f64>();
+                light * ((0..self.layers).map(value).sum::<f64>() * std::f64::consts::FRAC_PI_2).sin().powi(2)
+            }
         }
     }
 
     fn emitted(&self, ray: &Ray, channel: usize) -> f64 {
-        let product = |m| (0..self.factors.len()).map(|k| self.value(ray, k, m, channel)).product::<f64>();
-        (0..self.frames).map(product).sum::<f64>() / self.frames as f64
+        (0..self.frames).map(|m| self.frame(ray, m, channel, None)).sum::<f64>() / self.frames as f64
     }
 
-    /// f_m[j] ← clamp(f_m[j] · Σ w βL P_m / Σ w L̃ P_m) for factor n.
-    pub(crate) fn update(&mut self, n: usize) {
-        let size = self.factors[n].len() / self.frames;
-        let (mut above, mut below) = (vec![0.0; size * self.frames], vec![0.0; size * self.frames]);
+    /// Derivative of frame m's emission by factor n's value: exact where it is linear, else by central differences.
+    fn slope(&self, ray: &Ray, n: usize, m: usize, channel: usize) -> f64 {
+        let f = self.value(ray, n, m, channel);
+        let [low, high] = if self.is_linear(n) { [0.0, 1.0] } else { [f - 1e-5, f + 1e-5] };
+        let [below, above] = [low, high].map(|f| self.frame(ray, m, channel, Some((n, f))));
+        (above - below) / (high - low)
+    }
+
+    fn is_linear(&self, n: usize) -> bool {
+        self.formation != Formation::Polarization || n >= self.layers
+    }
+
+    /// One update of factor n by the paper's rule (no sweeps), or by so many sweeps of coordinate steps on the bounding quadratic. Returns, per
+    /// value, by how much the emission of the rays through it changes with it (root of the sum of squares).
+    pub(crate) fn update(&mut self, n: usize, sweeps: Option<u32>) -> Vec<f64> {
+        let frames = self.frames;
+        let size = self.factors[n].len() / frames;
+        let (mut residual, mut wanted) = (vec![vec![0.0; frames]; size], vec![vec![0.0; frames]; size]);
+        let (mut emitted_sum, mut gram) = (vec![vec![0.0; frames]; size], vec![vec![vec![0.0; frames]; frames]; size]);
         for ray in &self.rays {
-            let Read::Pixels(pixels) = &ray.reads[n] else { continue };
+            let Read::Entries(entries) = &ray.reads[n] else { continue };
             for channel in 0..3 {
-                let emitted = self.emitted(ray, channel);
-                for m in 0..self.frames {
-                    let others = (0..self.factors.len()).filter(|k| *k != n);
-                    let p: f64 = others.map(|k| self.value(ray, k, m, channel)).product();
-                    for (j, t) in pixels {
-                        above[m * size + 3 * j + channel] += t * ray.weight * ray.wanted[channel] * p;
-                        below[m * size + 3 * j + channel] += t * ray.weight * emitted * p;
+                let (emitted, beta_l) = (self.emitted(ray, channel), ray.wanted[channel]);
+                // derivatives by f_m/M
+                let a: Vec<f64> = (0..frames).map(|m| self.slope(ray, n, m, channel)).collect();
+                let quarter = std::f64::consts::FRAC_PI_2.powi(2);
+                let most = quarter * frames as f64 * (1.0 + 2.0 * beta_l.abs().max((1.0 - beta_l).abs()));
+                for entry in &entries[channel] {
+                    for m in 0..frames {
+                        residual[entry.at][m] += entry.share * ray.weight * (beta_l - emitted) * a[m];
+                        wanted[entry.at][m] += entry.share * ray.weight * beta_l * a[m];
+                        emitted_sum[entry.at][m] += entry.share * ray.weight * emitted * a[m];
+                        for k in 0..frames {
+                            let linear = if self.is_linear(n) {
+                                a[m] * a[k]
+                            } else if m == k {
+                                most
+                            } else {
+                                0.0
+                            };
+                            gram[entry.at][m][k] += entry.bound * ray.weight * linear;
+                        }
                     }
                 }
             }
         }
-        for (f, (above, below)) in self.factors[n].iter_mut().zip(above.iter().zip(below)) {
-            if below > 0.0 {
-                *f = (*f * above / below).clamp(f64::from(FLOOR), 1.0);
+        let [low, high] = self.ranges[n];
+        for at in 0..size {
+            let f = |m: usize| m * size + at;
+            let Some(sweeps) = sweeps else {
+                for m in (0..frames).filter(|&m| emitted_sum[at][m] > 0.0) {
+                    let value = self.factors[n][f(m)] * wanted[at][m] / emitted_sum[at][m];
+                    self.factors[n][f(m)] = value.clamp(low, high);
+                }
+                continue;
+            };
+            for _ in 0..sweeps {
+                for m in (0..frames).filter(|&m| gram[at][m][m] > 0.0) {
+                    let before = self.factors[n][f(m)];
+                    let best = before + frames as f64 * residual[at][m] / gram[at][m][m];
+                    let after = best.clamp(low, high);
+                    self.factors[n][f(m)] = after;
+                    for k in 0..frames {
+                        residual[at][k] -= gram[at][m][k] * (after - before) / frames as f64;
+                    }
+                }
             }
         }
+        let influence = |m: usize, at: usize| gram[at][m][m].sqrt() / frames as f64;
+        let mut influences: Vec<f64> = (0..frames * size).map(|i| influence(i / size, i % size)).collect();
+        if self.tied[n] {
+            // entries name the red value alone
+            for values in [&mut self.factors[n], &mut influences] {
+                values.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&[pixel[0]; 3]));
+            }
+        }
+        influences
     }
 
     /// Σ w (βL − L̃)².
@@ -89,12 +195,53 @@ impl Oracle {
         self.rays.len()
     }
 
-    /// Largest difference to a stack.
-    pub(crate) fn distance(&self, stack: &LayerStack) -> f64 {
-        let tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
-        let pairs = self.factors.iter().zip(tensors).flat_map(|(a, b)| a.iter().zip(b));
-        pairs.map(|(a, &b)| (a - f64::from(b)).abs()).fold(0.0, f64::max)
+    /// Largest difference to a stack in the values of factor n, each times what it `counts`.
+    pub(crate) fn distance(&self, n: usize, stack: &LayerStack, counts: impl Fn(usize) -> f64) -> f64 {
+        let mut tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
+        let found = tensors.nth(n).unwrap_or(&[]);
+        let differences = self.factors[n].iter().zip(found).map(|(a, &b)| (a - f64::from(b)).abs());
+        differences.enumerate().map(|(i, difference)| difference * counts(i)).fold(0.0, f64::max)
     }
+}
+
+/// What rays that meet these pixels read of a layer's stored values.
+fn entries(layer: &Layer, pixels: &[(usize, f64)]) -> [Vec<Entry>; 3] {
+    let [cols, rows] = layer.resolution;
+    let tied = layer.colour == LayerColour::Mono;
+    let taps: Vec<f64> =
+        layer.response().map_or(vec![1.0], |response| response.taps().iter().map(|&t| f64::from(t)).collect());
+    let radius = (taps.len() / 2) as isize;
+    // shares along one axis, those beyond the border dealt out over the others
+    let spread = |i: usize, count: usize| -> Vec<(usize, f64)> {
+        let all = (-radius..=radius).map(|k| (i as isize + k, taps[(k + radius) as usize]));
+        let within: Vec<_> = all.filter(|(i, _)| (0..count as isize).contains(i)).collect();
+        let total: f64 = within.iter().map(|(_, tap)| tap).sum();
+        within.into_iter().map(|(i, tap)| (i as usize, tap / total)).collect()
+    };
+    let crosstalk = layer.crosstalk.unwrap_or([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+    let filter =
+        |col: usize| if layer.filters.is_empty() { [1.0; 3] } else { layer.filters[col % layer.filters.len()] };
+    [0, 1, 2].map(|channel: usize| {
+        let mut list: Vec<Entry> = Vec::new();
+        for &(pixel, t) in pixels {
+            let mut shares = Vec::new();
+            for (row, y) in spread(pixel / cols, rows) {
+                for (col, x) in spread(pixel % cols, cols) {
+                    for from in 0..3 {
+                        let at = (row * cols + col) * 3 + if tied { 0 } else { from };
+                        shares.push((at, crosstalk[channel][from] * y * x * filter(col)[from]));
+                    }
+                }
+            }
+            let total: f64 = shares.iter().map(|(_, share)| share).sum();
+            list.extend(shares.iter().filter(|(_, s)| *s > 0.0).map(|&(at, s)| Entry {
+                at,
+                share: t * s,
+                bound: t * s * total,
+            }));
+        }
+        list
+    })
 }
 
 /// All rays that count.
@@ -118,15 +265,15 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                 let (i, j) = ((u + 0.5).floor(), (v + 0.5).floor());
                 if i < 0.0 || j < 0.0 || i >= cols as f64 || j >= rows as f64 {
                     counts &= display.missing == Missing::Clear;
-                    reads.push(Read::Constant(1.0));
+                    reads.push(Read::Constant(if display.formation == Formation::Attenuating { 1.0 } else { 0.0 }));
                 } else if display.sampling == Sampling::Nearest {
-                    reads.push(Read::Pixels(vec![(j as usize * cols + i as usize, 1.0)]));
+                    reads.push(Read::Entries(entries(layer, &[(j as usize * cols + i as usize, 1.0)])));
                 } else {
                     let mut pixels = Vec::new();
                     for (j, tv) in neighbours(v, rows) {
                         pixels.extend(neighbours(u, cols).map(|(i, tu)| (j * cols + i, tu * tv)));
                     }
-                    reads.push(Read::Pixels(pixels));
+                    reads.push(Read::Entries(entries(layer, &pixels)));
                 }
             }
             if let Backlight::Lenslets(b) = &display.backlight {
@@ -144,7 +291,8 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                 let lit = (zone_x == 0.0 && zone_y == 0.0)
                     || (b.outside_bins == OutsideBins::Repeat && i >= 0.0 && j >= 0.0 && i < cols && j < rows);
                 let pixel = (((bin_y * bins_x) + bin_x) * rows + j) * cols + i;
-                reads.push(if lit { Read::Pixels(vec![(pixel as usize, 1.0)]) } else { Read::Constant(0.0) });
+                let entry = |channel: usize| vec![Entry { at: pixel as usize * 3 + channel, share: 1.0, bound: 1.0 }];
+                reads.push(if lit { Read::Entries([0, 1, 2].map(entry)) } else { Read::Constant(0.0) });
             }
             let weight = f64::from(problem.weights.at([view_y, view_x], row, col));
             if counts && weight > 0.0 {

@@ -3,7 +3,7 @@
 use lumistack_core::Tensor;
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{
-    Backlight, Display, FieldConfig, Layer, LensletBacklight, LightField, Missing, OutsideBins, ProjectionKind,
+    Backlight, Display, Formation, LayerColour, LensletBacklight, LightField, Missing, OutsideBins, ProjectionKind,
     Sampling, Weights,
 };
 
@@ -30,12 +30,18 @@ pub(crate) enum Kind {
     Perspective,
     Clear,
     MixedLayers,
+    /// A contrast floor and a peak transmittance per layer.
+    Floors,
+    /// Blur, crosstalk, tied channels, colour filters.
+    Responses,
+    Additive,
+    Polarization,
     /// All of sampling, projection, missing, layers, backlight and weights at random.
     Anything,
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 19] = [
+    pub(crate) const ALL: [Self; 23] = [
         Self::Plain,
         Self::OnePixel,
         Self::OneView,
@@ -54,6 +60,10 @@ impl Kind {
         Self::Perspective,
         Self::Clear,
         Self::MixedLayers,
+        Self::Floors,
+        Self::Responses,
+        Self::Additive,
+        Self::Polarization,
         Self::Anything,
     ];
 }
@@ -80,35 +90,11 @@ impl Owned {
 
 /// A display whose layers have the field's pixels.
 pub(crate) fn display(resolution: [usize; 2], views: [usize; 2], d_mm: &[f64], frames: usize) -> Display {
-    let layer = |&d_mm: &f64| Layer {
-        d_mm,
-        resolution,
-        pitch_mm: 1.0,
-        offset_mm: [0.0; 2],
-        black_level: 0.0,
-        transfer: Default::default(),
-        panel_resolution: None,
-        panel_pitch_mm: None,
-    };
     Display {
-        schema: Display::SCHEMA.into(),
-        version: 1,
         name: "random".into(),
-        frames,
         refresh_hz: 120.0,
         brightness: 0.4,
-        sampling: Sampling::Nearest,
-        missing: Missing::Drop,
-        field: FieldConfig {
-            resolution,
-            pitch_mm: 1.0,
-            views,
-            fov_deg: [20.0, 16.0],
-            projection: ProjectionKind::Oblique,
-            distance_mm: None,
-        },
-        backlight: Backlight::Uniform,
-        layers: d_mm.iter().map(layer).collect(),
+        ..Display::uniform(resolution, 1.0, views, [20.0, 16.0], d_mm, frames)
     }
 }
 
@@ -134,10 +120,12 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
         Kind::EightLayers => 8,
         _ => 1 + below(4),
     };
-    let lenslets = matches!(kind, Kind::LensletsDark | Kind::LensletsRepeat) || any && below(2) == 0;
-    let bilinear = matches!(kind, Kind::Bilinear | Kind::WideBilinear) || any && below(2) == 0;
+    let formed = matches!(kind, Kind::Additive | Kind::Polarization);
+    let lenslets = matches!(kind, Kind::LensletsDark | Kind::LensletsRepeat) || (any || formed) && below(2) == 0;
+    let responses = kind == Kind::Responses;
+    let bilinear = matches!(kind, Kind::Bilinear | Kind::WideBilinear) || (any || responses || formed) && below(2) == 0;
     let perspective = kind == Kind::Perspective || any && below(2) == 0;
-    let clear = kind == Kind::Clear || any && below(2) == 0;
+    let clear = kind == Kind::Clear || (any || formed) && below(2) == 0;
     let mixed = kind == Kind::MixedLayers || any && below(2) == 0;
     let repeat = kind == Kind::LensletsRepeat || any && below(2) == 0;
     let weights = match kind {
@@ -179,6 +167,36 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
             layer.pitch_mm = 5.0 + unit();
         }
     }
+    if kind == Kind::Additive {
+        display.formation = Formation::Additive;
+    }
+    if kind == Kind::Polarization {
+        display.formation = Formation::Polarization;
+    }
+    if matches!(kind, Kind::Floors | Kind::Anything) {
+        for layer in &mut display.layers {
+            layer.peak = 0.6 + 0.4 * unit();
+            layer.black_level = 0.1 * unit();
+        }
+    }
+    if responses {
+        for layer in &mut display.layers {
+            if unit() < 0.5 {
+                layer.blur_px = 0.3 + unit();
+            }
+            if unit() < 0.5 {
+                let row =
+                    |own: usize, leak: f64| [0, 1, 2].map(|c: usize| if c == own { 0.9 - leak } else { leak / 2.0 });
+                layer.crosstalk = Some([row(0, 0.2 * unit()), row(1, 0.2 * unit()), row(2, 0.2 * unit())]);
+            }
+            if unit() < 0.5 {
+                layer.colour = LayerColour::Mono;
+                if unit() < 0.5 {
+                    layer.filters = vec![[1.0, 0.2, 0.1], [0.2, 0.9, 0.3]];
+                }
+            }
+        }
+    }
     if lenslets {
         display.backlight = Backlight::Lenslets(LensletBacklight {
             d_mm: distances[0] - 2.0 * unit(),
@@ -187,6 +205,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
             fov_deg: [11.0, 13.0],
             views: [1 + (unit() * 4.0) as usize, 1 + (unit() * 3.0) as usize],
             offset_mm: [unit() - 0.5, unit() - 0.5],
+            black_level: 0.0,
             outside_bins: if repeat { OutsideBins::Repeat } else { OutsideBins::Dark },
         });
     }

@@ -1,0 +1,92 @@
+//! What is timed: the paper's main case and its neighbours, and what an update of each needs at least.
+//!
+//! Counted per ray that counts and per colour channel, with F factors (layers, and the directional backlight) and M frames, for every factor once:
+//!
+//! ```text
+//! multiplicative   F · [M (F−2)  products of the others   + M  L̃   + 2M  both sums]           = F M (F+1)
+//! block-exact      F · [M (F−2)  products of the others   + M  right side   + M (M+1)/2  Gram matrix]
+//! ```
+//!
+//! multiplications and multiply-adds, one operation each (the clamped coordinate steps, once per pixel, are left out). Memory: for every factor, the
+//! target once (2 bytes a value: it is rounded to half floats) and all factors once (4 bytes a value), and the factor itself is written. That is
+//! what must cross the memory bus when nothing but single rows stays in a cache and each factor has its own pass.
+
+use lumistack_display::{Backlight, Display, LayerStack, LensletBacklight, LightField, Sampling, Weights};
+use lumistack_factorizer::Problem;
+
+/// Frames M of every case.
+const FRAMES: usize = 6;
+/// β of every case.
+const BRIGHTNESS: f64 = 0.2;
+/// Width of the display, millimetres: 840 pixels of 0.564 mm.
+const WIDTH_MM: f64 = 473.76;
+
+/// A display and what it shall show.
+pub struct Case {
+    pub name: &'static str,
+    pub display: Display,
+    pub target: LightField,
+}
+
+/// The paper's main case: three layers, nearest sampling.
+pub fn three_layers(resolution: [usize; 2]) -> Display {
+    let display =
+        Display::uniform(resolution, WIDTH_MM / resolution[0] as f64, [5; 2], [20.0; 2], &[-40.0, 0.0, 40.0], FRAMES);
+    Display { brightness: BRIGHTNESS, ..display }
+}
+
+/// The same, read between pixel centres.
+pub fn bilinear(resolution: [usize; 2]) -> Display {
+    Display { sampling: Sampling::Bilinear, ..three_layers(resolution) }
+}
+
+/// One layer in front of the paper's lenslets: 187 × 117 of 2.54 mm for 840 × 525 pixels, as many pixels per lenslet at any resolution.
+pub fn directional(resolution: [usize; 2]) -> Display {
+    let pitch_mm = WIDTH_MM / resolution[0] as f64;
+    let coarser = 840.0 / resolution[0] as f64;
+    let lenslets = [187.0, 117.0].map(|count| (count / coarser).round() as usize);
+    let lenslets = LensletBacklight::new(-8.5, lenslets, 2.54 * coarser, [5; 2], [48.0; 2]);
+    let display = Display::uniform(resolution, pitch_mm, [5; 2], [48.0; 2], &[0.0], FRAMES);
+    Display { brightness: BRIGHTNESS, backlight: Backlight::Lenslets(lenslets), ..display }
+}
+
+/// An update rule with a known number of operations.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Update {
+    Multiplicative,
+    BlockExact,
+}
+
+/// What one update needs.
+#[derive(Clone, Copy)]
+pub struct Needs {
+    /// Multiplications and multiply-adds.
+    pub operations: f64,
+    /// Bytes from and to memory.
+    pub bytes: f64,
+}
+
+impl Case {
+    pub fn problem(&self) -> Problem<'_> {
+        Problem { display: &self.display, target: &self.target, weights: &Weights::Uniform }
+    }
+
+    /// Work of one update, see the top; `rays` as [`lumistack_factorizer::Run::rays`] counts them.
+    pub fn needs(&self, update: Update, rays: u64) -> Needs {
+        let stack = LayerStack::filled(&self.display, 0.0);
+        let values = stack.layers.iter().map(|layer| layer.data().len());
+        let values: usize = values.chain(stack.emission.iter().map(|emission| emission.data().len())).sum();
+        let factors = (stack.layers.len() + usize::from(stack.emission.is_some())) as f64;
+        let frames = stack.frames() as f64;
+        let products = frames * (factors - 2.0);
+        let per_ray = match update {
+            Update::Multiplicative => products + 3.0 * frames,
+            Update::BlockExact => products + frames + frames * (frames + 1.0) / 2.0,
+        };
+        let target_bytes = 2.0 * self.target.radiance().data().len() as f64;
+        Needs {
+            operations: factors * per_ray * 3.0 * rays as f64,
+            bytes: factors * (target_bytes + 4.0 * values as f64) + 4.0 * values as f64,
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! The block-exact solve: every pixel's M values at once.
+//!
+//! With all other factors fixed, L̃ is linear in a pixel's values f = (f_1 … f_M), so that they minimize
+//!
+//! ```text
+//! Σ_{r through the pixel} w (βL − (1/M) Σ_m P_m f_m)²   over the box,
+//! ```
+//!
+//! a least-squares problem of M unknowns whose Gram matrix and right-hand side are gathered from the rays; a few rounds of clamped coordinate steps
+//! (Gauss-Seidel) solve it. Under nearest sampling all pixels of a layer are independent, so a layer's update is exact in the limit of many rounds; under
+//! bilinear sampling it is exact for a separable quadratic that bounds the objective from above. Neither ever worsens.
+//!
+//! Between iterations the patterns are extrapolated along the way they came, with restart when the objective rises (Ang and Gillis, "Accelerating
+//! nonnegative matrix factorization algorithms using extrapolation", Neural Computation 31, 2019).
+
+use lumistack_core::{Cancel, Cancelled};
+use lumistack_display::LayerStack;
+
+use crate::engine::Engine;
+use crate::line::Outcome;
+use crate::step::Rule;
+use crate::{FactorizeError, Objective, Problem, Run, Solver};
+
+/// Rounds of coordinate steps per update. Measured after 5 and 50 iterations (3 layers, 6 frames, β = 0.2): one round loses 2.4 and 1.1 dB, two 0.7
+/// and 0.2 dB, eight gain 0.1 and 0; a round costs about 2 % of an update.
+const SWEEPS: u32 = 4;
+
+/// Block-exact, each iteration from where the last one ended.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BlockExact;
+
+impl Solver for BlockExact {
+    fn name(&self) -> &'static str {
+        "block-exact"
+    }
+
+    fn doc(&self) -> &'static str {
+        "Solves every pixel's frames together, one layer after another. Never worsens; converges in a few iterations."
+    }
+
+    fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
+        Ok(Box::new(BlockExactRun::new(problem, start, None)?))
+    }
+}
+
+/// Block-exact with extrapolation between iterations and restart.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Extrapolated;
+
+impl Solver for Extrapolated {
+    fn name(&self) -> &'static str {
+        "extrapolated"
+    }
+
+    fn doc(&self) -> &'static str {
+        "block-exact, extrapolated between iterations, restarted where that worsens. The fastest to a given quality."
+    }
+
+    fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
+        Ok(Box::new(BlockExactRun::new(problem, start, Some(Extrapolation::default()))?))
+    }
+}
+
+/// How far to extrapolate: Ang and Gillis' β_k, its bound, and how both change.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Extrapolation {
+    factor: f32,
+    bound: f32,
+    grow: f32,
+    grow_bound: f32,
+    shrink: f32,
+    /// Objective after the last accepted iteration.
+    error: f64,
+}
+
+impl Default for Extrapolation {
+    fn default() -> Self {
+        // measured: a first factor of 0.5 costs 0.6 dB at 5 iterations and gains 0.02 at 500; faster growth restarts too often
+        Self { factor: 0.35, bound: 1.0, grow: 1.05, grow_bound: 1.01, shrink: 1.5, error: f64::INFINITY }
+    }
+}
+
+impl Extrapolation {
+    /// Takes note of the objective; returns whether to restart.
+    fn observe(&mut self, error: f64) -> bool {
+        let worse = error > self.error;
+        self.error = error;
+        if worse {
+            self.bound = self.factor;
+            self.factor /= self.shrink;
+        } else {
+            self.factor = (self.factor * self.grow).min(self.bound);
+            self.bound = (self.bound * self.grow_bound).min(1.0);
+        }
+        worse
+    }
+}
+
+/// State of a run.
+pub(crate) struct BlockExactRun {
+    pub(crate) engine: Engine,
+    rule: Rule,
+    extrapolation: Option<Extrapolation>,
+}
+
+impl BlockExactRun {
+    pub(crate) fn new(
+        problem: &Problem,
+        start: LayerStack,
+        extrapolation: Option<Extrapolation>,
+    ) -> Result<Self, FactorizeError> {
+        Ok(Self { engine: Engine::new(problem, start, 0.0)?, rule: Rule::Block { sweeps: SWEEPS }, extrapolation })
+    }
+
+    /// Updates factor `n` from the present state of all.
+    pub(crate) fn update_factor(&mut self, n: usize) -> Outcome {
+        let beyond = self.extrapolation.map(|extrapolation| extrapolation.factor);
+        self.engine.update(n, self.rule, beyond)
+    }
+}
+
+impl Run for BlockExactRun {
+    fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
+        let last = self.engine.factor_count() - 1;
+        for n in 0..=last {
+            cancel.check()?;
+            let outcome = self.update_factor(n);
+            if let (true, Some(extrapolation)) = (n == last, &mut self.extrapolation) {
+                let error = if self.engine.sees_all_rays(n) {
+                    outcome.error - outcome.gain
+                } else {
+                    self.engine.objective().value
+                };
+                if extrapolation.observe(error) {
+                    self.engine.return_to_latest();
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn objective(&mut self) -> Objective {
+        self.engine.at_latest(|engine| engine.objective())
+    }
+
+    fn unsettled(&mut self) -> f64 {
+        self.engine.at_latest(Engine::unsettled)
+    }
+
+    fn rays(&self) -> u64 {
+        self.engine.rays()
+    }
+
+    fn download(&mut self) -> LayerStack {
+        self.engine.at_latest(|engine| engine.download())
+    }
+}

@@ -1,0 +1,405 @@
+//! State of a run on this machine's processor, and the update of one factor.
+
+use lumistack_display::{Backlight, LayerStack, Response};
+
+use crate::aligned::Aligned;
+use crate::errors::{ErrorSum, RowErrors};
+use crate::factor::{Factor, Layout};
+use crate::gather::{self, GatherLine};
+use crate::lanes::{InstructionSet, dispatch};
+use crate::line::{LineOf, LineStep, Outcome, quantities_of};
+use crate::plan::Plan;
+use crate::respond::{self, Pulled, StepLine};
+use crate::step::{Block, Levels, Rule};
+use crate::sums::{self, SumLine};
+use crate::{FactorizeError, Objective, Problem, bands};
+
+/// Patterns under way.
+pub(crate) struct Engine {
+    plan: Plan,
+    /// What rays read: layers rear to front, then the backlight.
+    factors: Vec<Factor>,
+    /// Per factor, what is stored where that is not what rays read.
+    stored: Vec<Option<(Response, Factor)>>,
+    /// Per factor, the levels of its values and which frames keep to them.
+    pub(crate) levels: Vec<Option<Levels>>,
+    /// Where the last steps ended, while the patterns go beyond them; else empty.
+    latest: Vec<Aligned>,
+    /// Spare storage for factors that cannot be updated in place.
+    spare: Aligned,
+    /// The boxes of the factors' values.
+    ranges: Vec<[f32; 2]>,
+    /// What was handed in; gives the downloaded stack its shapes. Empty where patterns are fetched row by row.
+    shapes: LayerStack,
+    set: InstructionSet,
+    fast: bool,
+    rays: u64,
+}
+
+impl Engine {
+    /// Values of the start, and of all patterns later, stay within the hardware's box and at `floor` or above.
+    pub(crate) fn new(problem: &Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
+        problem.check()?;
+        start.check(problem.display)?;
+        let plan = Plan::new(problem);
+        let display = problem.display;
+        let mut ranges: Vec<[f32; 2]> = display.layers.iter().map(|layer| layer.range()).collect();
+        if let Backlight::Lenslets(lenslets) = &display.backlight {
+            ranges.push(lenslets.range());
+        }
+        ranges.iter_mut().for_each(|[low, high]| *low = low.max(floor).min(*high));
+        let tensors = start.layers.iter().map(|layer| layer.data()).chain(start.emission.iter().map(|e| e.data()));
+        let factors = plan.maps.iter().zip(tensors).zip(&ranges);
+        let mut factors: Vec<_> =
+            factors.map(|((map, tensor), range)| Factor::upload(&map.layout, tensor, *range)).collect();
+        let responses = display.layers.iter().map(|layer| layer.response()).chain(std::iter::repeat(None));
+        let stored = factors.iter_mut().zip(responses).map(|(met, response)| {
+            let response = response?;
+            let mut stored = met.clone();
+            if response.is_tied() {
+                respond::tie(&mut stored);
+            }
+            respond::respond(&response, &stored, &mut met.values);
+            Some((response, stored))
+        });
+        let stored = stored.collect();
+        let levels = vec![None; factors.len()];
+        let shapes = LayerStack { brightness: display.brightness, ..start };
+        let rays = plan.rays();
+        let (latest, spare) = (Vec::new(), Aligned::default());
+        Ok(Self {
+            plan,
+            factors,
+            stored,
+            levels,
+            latest,
+            spare,
+            ranges,
+            shapes,
+            set: InstructionSet::detect(),
+            fast: true,
+            rays,
+        })
+    }
+
+    /// For patterns that never leave as a whole: begins at `start(factor, channel, line, values)`, which fills a line's rows frame by frame.
+    pub(crate) fn by_lines(
+        plan: Plan,
+        ranges: Vec<[f32; 2]>,
+        brightness: f64,
+        start: impl Fn(&Plan, LineOf, &mut [f32]) + Sync,
+    ) -> Self {
+        let mut factors = Vec::new();
+        for n in 0..plan.maps.len() {
+            let layout = &plan.maps[n].layout;
+            let mut factor = Factor::blank(layout, plan.target.channels);
+            bands::for_each_chunk(
+                &mut factor.values,
+                layout.line_len(),
+                || (),
+                |(), index, values| {
+                    let at = LineOf {
+                        factor: n,
+                        channel: index / layout.stored_lines(),
+                        line: index % layout.stored_lines(),
+                    };
+                    if at.line < layout.lines() {
+                        start(&plan, at, values);
+                    }
+                },
+            );
+            factors.push(factor);
+        }
+        let shapes = LayerStack { layers: Vec::new(), emission: None, brightness };
+        let (stored, levels) = (factors.iter().map(|_| None).collect(), vec![None; factors.len()]);
+        let (latest, spare, rays) = (Vec::new(), Aligned::default(), plan.rays());
+        let set = InstructionSet::detect();
+        Self { plan, factors, stored, levels, latest, spare, ranges, shapes, set, fast: true, rays }
+    }
+
+    /// One row of a pattern.
+    pub(crate) fn row(&self, n: usize, channel: usize, line: usize, frame: usize) -> &[f32] {
+        let layout = &self.factors[n].layout;
+        &self.factors[n].row(channel, line, frame)[layout.pad..layout.pad + layout.cols()]
+    }
+
+    /// Chooses the instruction set and whether the fast kernel may be used.
+    #[cfg(test)]
+    pub(crate) fn use_kernel(&mut self, set: InstructionSet, fast: bool) {
+        self.set = set;
+        self.fast = fast;
+    }
+
+    /// What sums of weighted errors are to be multiplied by.
+    #[cfg(test)]
+    pub(crate) fn weight_scale(&self) -> f64 {
+        self.plan.target.weight_scale
+    }
+
+    /// Number of factors: layers and backlight.
+    pub(crate) fn factor_count(&self) -> usize {
+        self.factors.len()
+    }
+
+    /// Number of rays with w > 0 that meet the display.
+    pub(crate) fn rays(&self) -> u64 {
+        self.rays
+    }
+
+    /// Whether the fast kernel updates factor `n`.
+    pub(crate) fn is_fast(&self, n: usize) -> bool {
+        self.fast && self.plan.is_product() && self.plan.maps[n].shifted
+    }
+
+    /// Whether the outcome of updating factor `n` covers all rays.
+    pub(crate) fn sees_all_rays(&self, n: usize) -> bool {
+        self.plan.maps[n].complete
+    }
+
+    /// Updates factor `n` from the present state of all. With `beyond`, rays then read the point that lies so much further along the way from
+    /// the step before.
+    pub(crate) fn update(&mut self, n: usize, rule: Rule, beyond: Option<f32>) -> Outcome {
+        if beyond.is_some() && self.latest.is_empty() {
+            let own = self.factors.iter().zip(&self.stored);
+            let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
+            self.latest = own.map(|factor| factor.values.clone()).collect();
+        }
+        if self.stored[n].is_some() {
+            return self.update_stored(n, rule, beyond);
+        }
+        let in_place = self.is_fast(n);
+        let mut values = std::mem::take(&mut self.factors[n].values);
+        if !in_place {
+            // rays through one line read others: those keep their old values until all are done
+            let mut next = std::mem::take(&mut self.spare);
+            if next.len() != values.len() {
+                next = Aligned::filled(0.0, values.len());
+            }
+            next.copy_from_slice(&values);
+            self.factors[n].values = std::mem::replace(&mut values, next);
+        }
+        let outcome = self.update_lines(n, rule, beyond, &mut values, None);
+        let before = std::mem::replace(&mut self.factors[n].values, values);
+        if !in_place {
+            self.spare = before;
+        }
+        outcome
+    }
+
+    /// Updates a factor that stores other values than rays read.
+    fn update_stored(&mut self, n: usize, rule: Rule, beyond: Option<f32>) -> Outcome {
+        let layout = self.plan.maps[n].layout.clone();
+        let line_sums = quantities_of(rule, layout.frames) * layout.stride;
+        let mut sums = vec![0.0; self.plan.target.channels * layout.stored_lines() * line_sums];
+        let mut met = self.factors[n].values.clone();
+        let seen = self.update_lines(n, rule, None, &mut met, Some(&mut sums));
+        let Some((response, stored)) = &mut self.stored[n] else { return seen };
+        let pulled = Pulled::back(response, &layout, rule, &sums);
+        let steps = Steps::new(&layout, rule, self.ranges[n], self.levels[n].as_ref());
+        let latest = beyond.map(|_| &mut self.latest[n]);
+        let mut lines = lines_of(&layout, &mut stored.values, beyond.zip(latest), None);
+        let set = self.set;
+        bands::for_each_chunk(
+            &mut lines,
+            1,
+            || Block::new(layout.frames),
+            |block, index, line| {
+                let (channel, at) = (index / layout.stored_lines(), index % layout.stored_lines());
+                if at < layout.lines() {
+                    let step = StepLine { pulled: &pulled, channel, line: at, step: steps.of(&mut line[0]), block };
+                    line[0].outcome = dispatch(set, step);
+                }
+            },
+        );
+        let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
+        // tied channels are one unknown, stepped three times alike
+        let gain = if response.is_tied() { gain / 3.0 } else { gain };
+        respond::respond(response, stored, &mut self.factors[n].values);
+        Outcome { error: seen.error, gain }
+    }
+
+    fn update_lines(
+        &mut self,
+        n: usize,
+        rule: Rule,
+        beyond: Option<f32>,
+        values: &mut [f32],
+        sums: Option<&mut [f32]>,
+    ) -> Outcome {
+        let (plan, factors, set, fast) = (&self.plan, &self.factors, self.set, self.is_fast(n));
+        let layout = &plan.maps[n].layout;
+        let latest = beyond.map(|_| &mut self.latest[n]);
+        let mut lines = lines_of(layout, values, beyond.zip(latest), sums);
+        let line_of = |index: usize| LineOf {
+            factor: n,
+            channel: index / layout.stored_lines(),
+            line: index % layout.stored_lines(),
+        };
+        let steps = Steps::new(layout, rule, self.ranges[n], self.levels[n].as_ref());
+        let is_line = |at: &LineOf| at.line < layout.lines();
+        if fast {
+            bands::for_each_chunk(
+                &mut lines,
+                1,
+                || gather::Scratch::new(plan, n),
+                |scratch, index, line| {
+                    let at = line_of(index);
+                    if is_line(&at) {
+                        let outcome =
+                            dispatch(set, GatherLine { plan, factors, at, step: steps.of(&mut line[0]), scratch });
+                        line[0].outcome = outcome;
+                    }
+                },
+            );
+        } else {
+            bands::for_each_chunk(
+                &mut lines,
+                1,
+                || sums::Scratch::new(plan, n),
+                |scratch, index, line| {
+                    let at = line_of(index);
+                    if is_line(&at) {
+                        let outcome =
+                            dispatch(set, SumLine { plan, factors, at, step: steps.of(&mut line[0]), scratch });
+                        line[0].outcome = outcome;
+                    }
+                },
+            );
+        }
+        lines.iter().fold(Outcome::default(), |sum, line| sum.merged(line.outcome))
+    }
+
+    /// Exchanges the patterns for where the last steps ended, or back.
+    fn swap_latest(&mut self) {
+        let own = self.factors.iter_mut().zip(&mut self.stored);
+        for ((met, stored), latest) in own.zip(&mut self.latest) {
+            match stored {
+                None => std::mem::swap(&mut met.values, latest),
+                Some((response, stored)) => {
+                    std::mem::swap(&mut stored.values, latest);
+                    respond::respond(response, stored, &mut met.values);
+                }
+            }
+        }
+    }
+
+    /// The patterns where the last steps ended, seen by `look`.
+    pub(crate) fn at_latest<T>(&mut self, look: impl FnOnce(&mut Self) -> T) -> T {
+        self.swap_latest();
+        let seen = look(self);
+        self.swap_latest();
+        seen
+    }
+
+    /// Drops what lies beyond where the last steps ended.
+    pub(crate) fn return_to_latest(&mut self) {
+        self.swap_latest();
+        let own = self.factors.iter().zip(&self.stored);
+        let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
+        self.latest.iter_mut().zip(own).for_each(|(latest, factor)| latest.copy_from_slice(&factor.values));
+    }
+
+    /// Root mean square, over all values, of the change of the emission that an exact coordinate step within the box would still make: 0 at a
+    /// first-order (KKT) point.
+    pub(crate) fn unsettled(&mut self) -> f64 {
+        let (mut sum, mut count) = (0.0, 0);
+        for n in 0..self.factors.len() {
+            sum += self.update(n, Rule::Probe, None).gain;
+            let layout = &self.plan.maps[n].layout;
+            count += self.plan.target.channels * layout.lines() * layout.cols() * layout.frames;
+        }
+        (sum / count as f64).sqrt()
+    }
+
+    /// The objective of what rays read.
+    pub(crate) fn objective(&self) -> Objective {
+        let (plan, factors, set) = (&self.plan, &self.factors, self.set);
+        let sums = bands::map(
+            plan.target.channels * plan.rows,
+            || sums::Scratch::new(plan, 0),
+            |scratch, index| {
+                let (channel, row) = (index / plan.rows, index % plan.rows);
+                dispatch(set, RowErrors { plan, factors, channel, row, scratch })
+            },
+        );
+        let total = sums.iter().fold(ErrorSum::default(), |total, sum| total.merged(*sum));
+        let mean = total.plain / (plan.target.channels as u64 * self.rays) as f64;
+        Objective {
+            value: plan.target.weight_scale * total.weighted,
+            psnr_view: -10.0 * mean.log10() + 20.0 * self.shapes.brightness.log10(),
+        }
+    }
+
+    /// The patterns that rays read.
+    pub(crate) fn download(&self) -> LayerStack {
+        let mut stack = self.shapes.clone();
+        let tensors = stack
+            .layers
+            .iter_mut()
+            .map(|layer| layer.data_mut())
+            .chain(stack.emission.iter_mut().map(|e| e.data_mut()));
+        let own = self.factors.iter().zip(&self.stored);
+        let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
+        own.zip(tensors).for_each(|(factor, tensor)| factor.download(tensor));
+        stack
+    }
+}
+
+/// One line of the factor under update.
+struct Line<'a> {
+    values: &'a mut [f32],
+    beyond: Option<(f32, &'a mut [f32])>,
+    sums: Option<&'a mut [f32]>,
+    outcome: Outcome,
+}
+
+/// A factor's lines, with what goes along line by line.
+fn lines_of<'a>(
+    layout: &Layout,
+    values: &'a mut [f32],
+    beyond: Option<(f32, &'a mut Aligned)>,
+    sums: Option<&'a mut [f32]>,
+) -> Vec<Line<'a>> {
+    let (far, latest) = beyond.unzip();
+    let mut latest = latest.map(|latest| latest.chunks_exact_mut(layout.line_len()));
+    let count = values.len() / layout.line_len();
+    let mut sums = sums.map(|sums| {
+        let len = sums.len() / count;
+        sums.chunks_exact_mut(len)
+    });
+    let lines = values.chunks_exact_mut(layout.line_len()).map(|values| Line {
+        values,
+        beyond: far.zip(latest.as_mut().and_then(Iterator::next)),
+        sums: sums.as_mut().and_then(Iterator::next),
+        outcome: Outcome::default(),
+    });
+    lines.collect()
+}
+
+/// What the steps of all lines have in common.
+struct Steps<'a> {
+    rule: Rule,
+    range: [f32; 2],
+    levels: Option<&'a Levels>,
+    columns: std::ops::Range<usize>,
+    stride: usize,
+}
+
+impl<'s> Steps<'s> {
+    fn new(layout: &Layout, rule: Rule, range: [f32; 2], levels: Option<&'s Levels>) -> Self {
+        Self { rule, range, levels, columns: layout.pad..layout.pad + layout.cols(), stride: layout.stride }
+    }
+
+    fn of<'a>(&'a self, line: &'a mut Line) -> LineStep<'a> {
+        LineStep {
+            rule: self.rule,
+            range: self.range,
+            levels: self.levels,
+            columns: self.columns.clone(),
+            stride: self.stride,
+            values: &mut *line.values,
+            beyond: line.beyond.as_mut().map(|(far, latest)| (*far, &mut **latest)),
+            sums: line.sums.as_deref_mut(),
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! Layers whose stored values f are not what rays meet: F = A f with a blur, crosstalk, colour filters or tied channels
+//! ([`lumistack_display::Response`]).
+//!
+//! With G_i the Gram matrix and r_i the residual sums of what rays meet at pixel i, a change d of the stored values changes the objective by
+//!
+//! ```text
+//! Σ_i −2 r_iᵀ (Σ_j A_ij d_j) + (Σ_j A_ij d_j)ᵀ G_i (Σ_j A_ij d_j)
+//!     ≤ Σ_j −2 (Σ_i A_ij r_i)ᵀ d_j + d_jᵀ (Σ_i A_ij ρ_i G_i) d_j,      ρ_i = Σ_j A_ij  (A ≥ 0, Jensen)
+//! ```
+//!
+//! which touches it at d = 0 and is separable over the stored pixels: the same step on Aᵀr and Aᵀ(ρG) never worsens. Without blur and crosstalk
+//! (tied channels behind filters) the bound is exact. The multiplicative rule takes Aᵀn and Aᵀd.
+
+use lumistack_display::Response;
+
+use crate::aligned::Aligned;
+use crate::bands;
+use crate::factor::{Factor, Layout};
+use crate::lanes::{Kernel, Lanes};
+use crate::line::{LineStep, Outcome, quantities_of};
+use crate::step::{Block, Rule};
+
+/// Sums of all lines of a factor as planes of stored pixels: `[quantity][channel][line · cols + col]`.
+pub(crate) struct Pulled {
+    planes: Vec<[Vec<f32>; 3]>,
+}
+
+impl Pulled {
+    /// From what rays meet to what is stored. `sums` is `[channel and stored line][quantity][x]`.
+    pub(crate) fn back(response: &Response, layout: &Layout, rule: Rule, sums: &[f32]) -> Self {
+        let (rows, cols) = (layout.lines(), layout.cols());
+        let quantities = quantities_of(rule, layout.frames);
+        let line_len = quantities * layout.stride;
+        let filters: Vec<[f32; 3]> = (0..cols).map(|col| response.filter(col)).collect();
+        let mix = response.mix();
+        let mut scratch = Vec::new();
+        // blur(filter_c')[i], the same in every row
+        let passed = [0, 1, 2].map(|c: usize| {
+            let filter: Vec<f32> = filters.iter().map(|filter| filter[c]).collect();
+            let mut blurred = vec![0.0; cols];
+            response.blur(1, cols, &filter, &mut blurred, &mut scratch);
+            blurred
+        });
+        let plane_of = |quantity: usize| -> [Vec<f32>; 3] {
+            let bounded = rule.needs_gram() && quantity >= layout.frames;
+            let (mut mixed, mut plane, mut scratch) = (vec![0.0; rows * cols], vec![0.0; rows * cols], Vec::new());
+            let mut stored = [0, 1, 2].map(|to: usize| {
+                mixed.fill(0.0);
+                for (channel, row) in mix.iter().enumerate().filter(|(_, row)| row[to] != 0.0) {
+                    for line in 0..rows {
+                        let at =
+                            (channel * layout.stored_lines() + line) * line_len + quantity * layout.stride + layout.pad;
+                        let values = &sums[at..at + cols];
+                        for (col, (mixed, &value)) in mixed[line * cols..][..cols].iter_mut().zip(values).enumerate() {
+                            let reach: f32 = if bounded { (0..3).map(|c| row[c] * passed[c][col]).sum() } else { 1.0 };
+                            *mixed += row[to] * reach * value;
+                        }
+                    }
+                }
+                response.blur_adjoint(rows, cols, &mixed, &mut plane, &mut scratch);
+                let columns = filters.iter().cycle();
+                plane.iter().zip(columns).map(|(&value, filter)| value * filter[to]).collect::<Vec<f32>>()
+            });
+            if response.is_tied() {
+                let [red, green, blue] = &stored;
+                let sum: Vec<f32> = red.iter().zip(green).zip(blue).map(|((r, g), b)| r + g + b).collect();
+                stored = [sum.clone(), sum.clone(), sum];
+            }
+            stored
+        };
+        Self { planes: bands::map(quantities, || (), |(), quantity| plane_of(quantity)) }
+    }
+}
+
+/// Steps one line of stored values.
+pub(crate) struct StepLine<'a, 'b> {
+    pub(crate) pulled: &'a Pulled,
+    pub(crate) channel: usize,
+    pub(crate) line: usize,
+    pub(crate) step: LineStep<'b>,
+    pub(crate) block: &'a mut Block,
+}
+
+impl Kernel for StepLine<'_, '_> {
+    type Output = Outcome;
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>(self) -> Outcome {
+        let Self { pulled, channel, line, mut step, block } = self;
+        let columns = step.columns.clone();
+        let mut outcome = Outcome::default();
+        for x in columns.clone().step_by(V::COUNT) {
+            let room = (columns.end - x).min(V::COUNT);
+            let from = line * columns.len() + x - columns.start;
+            step.fetch_block::<V>(block, x, |quantity, to| {
+                to.fill(0.0);
+                to[..room].copy_from_slice(&pulled.planes[quantity][channel][from..from + room]);
+            });
+            // SAFETY: the machine has V; padding covers the last block
+            outcome.gain += unsafe { crate::step::sum::<V>(step.finish_block::<V>(block, x)) };
+        }
+        outcome
+    }
+}
+
+/// Tied channels begin equal: at their mean.
+pub(crate) fn tie(stored: &mut Factor) {
+    let (left, right) = stored.values.split_at_mut(stored.layout.stored_lines() * stored.layout.line_len());
+    let (middle, right) = right.split_at_mut(left.len());
+    for ((red, green), blue) in left.iter_mut().zip(middle).zip(right) {
+        let mean = (*red + *green + *blue) / 3.0;
+        (*red, *green, *blue) = (mean, mean, mean);
+    }
+}
+
+/// What rays meet of the stored values.
+pub(crate) fn respond(response: &Response, stored: &Factor, met: &mut Aligned) {
+    let layout = &stored.layout;
+    let (rows, cols) = (layout.lines(), layout.cols());
+    let mix = response.mix();
+    let frame_of = |frame: usize| -> [Vec<f32>; 3] {
+        let (mut plane, mut scratch) = (vec![0.0; rows * cols], Vec::new());
+        [0, 1, 2].map(|channel: usize| {
+            for line in 0..rows {
+                let row = &stored.row(channel, line, frame)[layout.pad..layout.pad + cols];
+                for (col, (to, &value)) in plane[line * cols..][..cols].iter_mut().zip(row).enumerate() {
+                    *to = response.filter(col)[channel] * value;
+                }
+            }
+            let mut blurred = vec![0.0; rows * cols];
+            response.blur(rows, cols, &plane, &mut blurred, &mut scratch);
+            blurred
+        })
+    };
+    let frames: Vec<[Vec<f32>; 3]> = bands::map(layout.frames, || (), |(), frame| frame_of(frame));
+    bands::for_each_chunk(
+        met,
+        layout.line_len(),
+        || (),
+        |(), index, values| {
+            let (channel, line) = (index / layout.stored_lines(), index % layout.stored_lines());
+            if line == rows {
+                return;
+            }
+            for (frame, planes) in frames.iter().enumerate() {
+                let to = &mut values[frame * layout.stride + layout.pad..][..cols];
+                for (col, to) in to.iter_mut().enumerate() {
+                    let i = line * cols + col;
+                    *to = (0..3).map(|c| mix[channel][c] * planes[c][i]).sum();
+                }
+            }
+        },
+    );
+}

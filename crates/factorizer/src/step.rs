@@ -1,0 +1,303 @@
+//! What a step does with the sums of a pixel: the rules, for one vector of pixels at a time.
+//!
+//! For pixel j of one factor, over the rays r through it, with a_m(r) = ∂L̃/∂(f_m/M) (the other factors' product P_m where layers attenuate) and
+//! e = βL − L̃ before the step:
+//!
+//! ```text
+//! residual   r_m  = Σ w e a_m          Gram     G_mk = Σ w a_m a_k
+//! wanted     n_m  = Σ w βL a_m         emitted  d_m  = Σ w L̃ a_m
+//! ```
+//!
+//! In u = f/M the pixel's part of the objective is the quadratic −2 rᵀδ + δᵀGδ + constant, δ the change of u.
+//!
+//! Sums are kept in units of u, so that no inner loop multiplies by 1/M.
+
+use lumistack_display::quantize;
+
+use crate::aligned::Aligned;
+use crate::factor::PAD;
+use crate::lanes::Lanes;
+
+/// How a pixel's M values follow from its sums.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rule {
+    /// f ← clamp(f·n/d): the paper's rule (eq. 16). n = r + d is summed apart: values may shrink by orders of magnitude in one step, and keep
+    /// their relative precision.
+    Multiplicative,
+    /// `sweeps` rounds of exact coordinate steps on the quadratic within the box.
+    Block {
+        /// Rounds over the M frames.
+        sweeps: u32,
+    },
+    /// Nothing moves: the gain is Σ δᵀδ G_mm over the coordinate steps δ that could be made, the squared change of the emission.
+    Probe,
+}
+
+impl Rule {
+    /// Whether the rule needs the Gram matrix; otherwise it needs the wanted and the emitted sums.
+    pub(crate) fn needs_gram(self) -> bool {
+        !matches!(self, Self::Multiplicative)
+    }
+}
+
+/// Which values a factor may take where they are few.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Levels {
+    /// The levels, rising.
+    pub(crate) values: Vec<f32>,
+    /// Per frame.
+    pub(crate) frames: Vec<Freedom>,
+}
+
+/// How a frame's values may move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Freedom {
+    /// Anywhere in the box.
+    Free,
+    /// From level to level.
+    Levels,
+}
+
+/// The smallest diagonal of a Gram matrix; what is less is a pixel that next to no light reaches, and any value of it is as good.
+const LEAST_CURVATURE: f32 = 1e-30;
+
+/// Sums and values of one vector of pixels, `[frame][lane]`.
+pub(crate) struct Block {
+    pub(crate) frames: usize,
+    /// r, or n.
+    pub(crate) residual: Aligned,
+    /// d, or 1/G_mm while solving.
+    pub(crate) emitted: Aligned,
+    /// G, `[frame][frame][lane]`; the upper triangle is given.
+    pub(crate) gram: Aligned,
+    /// f.
+    pub(crate) values: Aligned,
+    /// r before the step.
+    before: Aligned,
+    /// Change of u.
+    change: Aligned,
+}
+
+impl Block {
+    pub(crate) fn new(frames: usize) -> Self {
+        let vectors = |count: usize| Aligned::filled(0.0, count * PAD);
+        Self {
+            frames,
+            residual: vectors(frames),
+            emitted: vectors(frames),
+            gram: vectors(frames * frames),
+            values: vectors(frames),
+            before: vectors(frames),
+            change: vectors(frames),
+        }
+    }
+
+    /// Moves the values by the rule, within `range`. Returns by how much the objective falls, per lane (in weights relative to the largest); the
+    /// multiplicative rule does not know and returns 0.
+    ///
+    /// # Safety
+    /// The machine has `V`'s instruction set.
+    #[inline(always)]
+    pub(crate) unsafe fn step<V: Lanes>(&mut self, rule: Rule, range: [f32; 2], levels: Option<&Levels>) -> V {
+        // SAFETY: every buffer holds `frames` (or frames²) vectors of at most PAD values
+        unsafe {
+            match rule {
+                Rule::Multiplicative => self.multiply::<V>(range),
+                Rule::Block { sweeps } => match levels {
+                    None => self.descend::<V>(sweeps, range),
+                    Some(levels) => self.descend_levels::<V>(sweeps, range, levels),
+                },
+                Rule::Probe => self.unsettled::<V>(range),
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn multiply<V: Lanes>(&mut self, [low, high]: [f32; 2]) -> V {
+        // SAFETY: see `step`
+        unsafe {
+            for m in 0..self.frames {
+                let at = m * V::COUNT;
+                let (f, n, d) = (get::<V>(&self.values, at), get::<V>(&self.residual, at), get::<V>(&self.emitted, at));
+                let moved = f.mul(n.div(d)).max(V::splat(low)).min(V::splat(high));
+                // where d is 0 (below f32's normal range) the value is left alone
+                put(d.above(V::splat(f32::MIN_POSITIVE), moved, f), &mut self.values, at);
+            }
+            V::splat(0.0)
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn descend<V: Lanes>(&mut self, sweeps: u32, range: [f32; 2]) -> V {
+        // SAFETY: see `step`
+        unsafe {
+            match self.frames {
+                1 => self.descend_in_registers::<V, 1>(sweeps, range),
+                2 => self.descend_in_registers::<V, 2>(sweeps, range),
+                3 => self.descend_in_registers::<V, 3>(sweeps, range),
+                4 => self.descend_in_registers::<V, 4>(sweeps, range),
+                5 => self.descend_in_registers::<V, 5>(sweeps, range),
+                6 => self.descend_in_registers::<V, 6>(sweeps, range),
+                7 => self.descend_in_registers::<V, 7>(sweeps, range),
+                8 => self.descend_in_registers::<V, 8>(sweeps, range),
+                _ => self.descend_in_memory::<V>(sweeps, range),
+            }
+        }
+    }
+
+    /// Every coordinate step waits for the one before: through registers that takes 5 instructions' latencies, through memory three times as long.
+    #[inline(always)]
+    unsafe fn descend_in_registers<V: Lanes, const M: usize>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
+        let n = V::COUNT;
+        // SAFETY: see `step`
+        unsafe {
+            let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / M as f32));
+            // G/M in the upper triangle, M/G_mm on the diagonal
+            for m in 0..M {
+                for k in m + 1..M {
+                    let g = get::<V>(&self.gram, (m * M + k) * n).mul(mean);
+                    put(g, &mut self.gram, (m * M + k) * n);
+                }
+                let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
+                put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
+            }
+            let start: [V; M] = std::array::from_fn(|m| get::<V>(&self.values, m * n));
+            let before: [V; M] = std::array::from_fn(|m| get::<V>(&self.residual, m * n));
+            let (mut values, mut residual) = (start, before);
+            for _ in 0..sweeps {
+                for m in 0..M {
+                    let best = residual[m].mul_add(get::<V>(&self.emitted, m * n), values[m]);
+                    let moved = best.max(low).min(high);
+                    let delta = moved.sub(values[m]);
+                    values[m] = moved;
+                    for k in 0..M {
+                        let at = if k < m { k * M + m } else { m * M + k };
+                        let g = get::<V>(&self.gram, at * n);
+                        let g = if k == m { g.mul(mean) } else { g };
+                        residual[k] = g.neg_mul_add(delta, residual[k]);
+                    }
+                }
+            }
+            // −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
+            let mut gain = V::splat(0.0);
+            for m in 0..M {
+                gain = before[m].add(residual[m]).mul_add(values[m].sub(start[m]).mul(mean), gain);
+                put(values[m], &mut self.values, m * n);
+            }
+            gain
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn descend_in_memory<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
+        let n = V::COUNT;
+        let frames = self.frames;
+        // SAFETY: see `step`
+        unsafe {
+            let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / frames as f32));
+            for m in 0..frames {
+                for k in 0..m {
+                    let mirrored = get::<V>(&self.gram, (k * frames + m) * n);
+                    put(mirrored, &mut self.gram, (m * frames + k) * n);
+                }
+                let curvature = get::<V>(&self.gram, (m * frames + m) * n).max(V::splat(LEAST_CURVATURE));
+                put(V::splat(frames as f32).div(curvature), &mut self.emitted, m * n);
+                put(get::<V>(&self.residual, m * n), &mut self.before, m * n);
+                put(V::splat(0.0), &mut self.change, m * n);
+            }
+            for _ in 0..sweeps {
+                for m in 0..frames {
+                    let f = get::<V>(&self.values, m * n);
+                    let best = get::<V>(&self.residual, m * n).mul_add(get::<V>(&self.emitted, m * n), f);
+                    let moved = best.max(low).min(high);
+                    let delta = moved.sub(f).mul(mean);
+                    put(moved, &mut self.values, m * n);
+                    put(get::<V>(&self.change, m * n).add(delta), &mut self.change, m * n);
+                    for k in 0..frames {
+                        let r = get::<V>(&self.residual, k * n);
+                        put(
+                            get::<V>(&self.gram, (m * frames + k) * n).neg_mul_add(delta, r),
+                            &mut self.residual,
+                            k * n,
+                        );
+                    }
+                }
+            }
+            let mut gain = V::splat(0.0);
+            for m in 0..frames {
+                let both = get::<V>(&self.before, m * n).add(get::<V>(&self.residual, m * n));
+                gain = both.mul_add(get::<V>(&self.change, m * n), gain);
+            }
+            gain
+        }
+    }
+
+    /// Coordinate steps where some frames move between levels: the level nearest to the minimum of a coordinate's parabola is the best one.
+    #[inline(always)]
+    unsafe fn descend_levels<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2], levels: &Levels) -> V {
+        let (n, frames) = (V::COUNT, self.frames);
+        let mut gains = [0.0f32; PAD];
+        for (lane, gain) in gains.iter_mut().enumerate().take(n) {
+            let gram = |m: usize, k: usize| self.gram[(m.min(k) * frames + m.max(k)) * n + lane];
+            for _ in 0..sweeps {
+                for (m, &freedom) in levels.frames.iter().enumerate() {
+                    let f = self.values[m * n + lane];
+                    let curvature = gram(m, m);
+                    let best = f + self.residual[m * n + lane] * frames as f32 / curvature.max(LEAST_CURVATURE);
+                    let moved = match freedom {
+                        Freedom::Free => best.max(low).min(high),
+                        Freedom::Levels => quantize(best.max(low).min(high), &levels.values),
+                    };
+                    let delta = (moved - f) / frames as f32;
+                    *gain += delta * (2.0 * self.residual[m * n + lane] - curvature * delta);
+                    self.values[m * n + lane] = moved;
+                    for k in 0..frames {
+                        self.residual[k * n + lane] -= gram(m, k) * delta;
+                    }
+                }
+            }
+        }
+        // SAFETY: see `step`
+        unsafe { V::load(gains.as_ptr()) }
+    }
+
+    #[inline(always)]
+    unsafe fn unsettled<V: Lanes>(&mut self, [low, high]: [f32; 2]) -> V {
+        let (n, frames) = (V::COUNT, self.frames);
+        // SAFETY: see `step`
+        unsafe {
+            let mut sum = V::splat(0.0);
+            for m in 0..frames {
+                let f = get::<V>(&self.values, m * n);
+                let curvature = get::<V>(&self.gram, (m * frames + m) * n).max(V::splat(LEAST_CURVATURE));
+                let best = get::<V>(&self.residual, m * n).mul(V::splat(frames as f32)).div(curvature).add(f);
+                let move_by = best.max(V::splat(low)).min(V::splat(high)).sub(f).mul(V::splat(1.0 / frames as f32));
+                sum = move_by.mul(move_by).mul_add(curvature, sum);
+            }
+            sum
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn get<V: Lanes>(from: &[f32], at: usize) -> V {
+    debug_assert!(at + V::COUNT <= from.len(), "{at} + {} > {}", V::COUNT, from.len());
+    // SAFETY: the caller guarantees the range
+    unsafe { V::load(from.as_ptr().add(at)) }
+}
+
+#[inline(always)]
+unsafe fn put<V: Lanes>(vector: V, to: &mut [f32], at: usize) {
+    debug_assert!(at + V::COUNT <= to.len(), "{at} + {} > {}", V::COUNT, to.len());
+    // SAFETY: the caller guarantees the range
+    unsafe { vector.store(to.as_mut_ptr().add(at)) }
+}
+
+/// Sum of all lanes in f64.
+#[inline(always)]
+pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
+    let mut lanes = [0.0f32; PAD];
+    // SAFETY: a vector has at most PAD lanes
+    unsafe { vector.store(lanes.as_mut_ptr()) };
+    lanes[..V::COUNT].iter().map(|&lane| f64::from(lane)).sum()
+}
