@@ -1,4 +1,13 @@
-//! Image metrics, accumulated in `f64`.
+//! Image metrics: squared error and PSNR in linear light, SSIM and FLIP as an eye judges pictures.
+//!
+//! Sums run in `f64`. Pictures are `[row][col][rgb]`, linear light, 0..1; SSIM and FLIP clamp them and encode or decode as they need.
+
+mod filter;
+mod flip;
+mod ssim;
+
+pub use flip::Flip;
+pub use ssim::ssim;
 
 /// Sum of squared errors and how many values it covers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -48,6 +57,62 @@ impl SquaredError {
     }
 }
 
+/// A mean that can be joined with others.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Mean {
+    /// Sum of the values.
+    pub sum: f64,
+    /// Number of values.
+    pub count: u64,
+}
+
+impl Mean {
+    /// Mean of two disjoint sets of values together.
+    pub fn merged(self, other: Self) -> Self {
+        Self { sum: self.sum + other.sum, count: self.count + other.count }
+    }
+
+    /// The mean; NaN of nothing.
+    pub fn value(self) -> f64 {
+        self.sum / self.count as f64
+    }
+}
+
+/// A metric at every pixel of a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MetricMap {
+    /// Pixel rows.
+    pub rows: usize,
+    /// Pixel columns.
+    pub cols: usize,
+    /// `[row][col]`.
+    pub values: Vec<f32>,
+    /// Width of the border, pixels, that the metric's mean leaves out.
+    pub margin: usize,
+}
+
+impl MetricMap {
+    /// The metric of the whole picture.
+    pub fn mean(&self) -> Mean {
+        self.mean_where(|_| true)
+    }
+
+    /// Mean over the pixels that count, by their index in `values`; the border never does.
+    pub fn mean_where(&self, counts: impl Fn(usize) -> bool) -> Mean {
+        let mut mean = Mean::default();
+        for row in self.margin..self.rows.saturating_sub(self.margin) {
+            for col in self.margin..self.cols.saturating_sub(self.margin) {
+                let i = row * self.cols + col;
+                if counts(i) {
+                    mean.sum += f64::from(self.values[i]);
+                    mean.count += 1;
+                }
+            }
+        }
+        mean
+    }
+}
+
 /// The value below which the share `share` (0..1) of the values lies; 0 for no values. Reorders the slice.
 pub fn percentile(values: &mut [f32], share: f64) -> f32 {
     if values.is_empty() {
@@ -75,5 +140,14 @@ mod tests {
         assert_eq!(percentile(&mut values, 0.25), 25.0);
         assert_eq!(percentile(&mut values, 1.0), 100.0);
         assert_eq!(percentile(&mut [], 0.5), 0.0);
+    }
+
+    #[test]
+    fn a_mean_leaves_the_border_and_what_does_not_count_out() {
+        let map = MetricMap { rows: 3, cols: 4, values: (0..12).map(|i| i as f32).collect(), margin: 1 };
+        assert_eq!(map.mean(), Mean { sum: 11.0, count: 2 });
+        assert_eq!(map.mean_where(|i| i != 6).value(), 5.0);
+        assert_eq!(map.mean_where(|i| i == 6).merged(map.mean_where(|i| i == 5)), map.mean());
+        assert!(MetricMap { margin: 2, ..map }.mean().value().is_nan());
     }
 }

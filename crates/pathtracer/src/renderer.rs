@@ -210,6 +210,7 @@ impl Renderer {
         let slope_width = match angular_filter {
             AngularFilter::Point => [0.0; 2],
             AngularFilter::Bin => geometry.grid.bin_width(),
+            AngularFilter::Width(width) => width,
         };
         Ok(PrimaryRays { window, geometry, view, space: self.geometry.space, slope_width })
     }

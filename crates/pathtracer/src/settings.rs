@@ -19,7 +19,7 @@ pub struct Settings {
 }
 
 /// Directions that a view averages.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum AngularFilter {
     /// Only the slope of the view itself.
     #[default]
@@ -27,6 +27,8 @@ pub enum AngularFilter {
     /// All slopes of the view's bin: a box as wide as the spacing of the grid, centred on the view. An axis with a single view has no
     /// spacing and stays a point.
     Bin,
+    /// A box of so wide slopes (x, y), each ≥ 0, centred on the view: for views that stand between or beyond those of a grid.
+    Width([f64; 2]),
 }
 
 /// A setting outside its range.

@@ -1,0 +1,297 @@
+//! FLIP: the error that an eye sees when it flips between two pictures.
+//!
+//! ```text
+//! colour    linear RGB ─▶ Y Cx Cz ─▶ contrast sensitivity filters (Gaussians) ─▶ clamped RGB ─▶ Lab, a and b times L/100 (Hunt)
+//!           ΔE_c = HyAB distance ^ 0.7, mapped to 0..1: up to 0.4 of the largest distance to 0..0.95, the rest to 0.95..1
+//! features  Y ─▶ first and second derivatives of a Gaussian of 0.082°/2 ─▶ edges and points, lengths over x and y
+//!           ΔE_f = (larger difference / √2) ^ 0.5
+//! FLIP      ΔE_c ^ (1 − ΔE_f), 0 (equal) to 1 (worst)
+//! ```
+//!
+//! Filters are given in degrees of visual angle, so the error depends on how many pixels a degree holds; they read the outermost pixel
+//! beyond a picture's edge. Every filter is separable, the sum of two Gaussians of Cz as two separate filters whose total weight is 1.
+//!
+//! Source: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference Evaluator for Alternating Images", High
+//! Performance Graphics 2020 (LDR-FLIP). Checked against the authors' tool. The tool reads sRGB-encoded pictures and decodes them first; here they
+//! come in linear light.
+
+use std::ops::Range;
+
+use super::MetricMap;
+use super::filter::{Border, Plane, bands, channels};
+
+/// Contrast sensitivity in degrees: a·√(π/b)·exp(−π² x²/b), as (a, b); Cz is the sum of two.
+const SENSITIVITY_Y: (f64, f64) = (1.0, 0.0047);
+const SENSITIVITY_CX: (f64, f64) = (1.0, 0.0053);
+const SENSITIVITY_CZ: [(f64, f64); 2] = [(34.1, 0.04), (13.5, 0.025)];
+/// Exponent of the colour distance.
+const COLOUR_EXPONENT: f32 = 0.7;
+/// Distances up to this share of the largest are mapped to the share `COLOUR_KNEE_TO` of the range.
+const COLOUR_KNEE_FROM: f32 = 0.4;
+const COLOUR_KNEE_TO: f32 = 0.95;
+/// Width of the feature detectors, degrees; twice the Gaussian's standard deviation.
+const FEATURE_WIDTH_DEG: f64 = 0.082;
+
+/// XYZ of linear sRGB.
+const XYZ_FROM_RGB: [[f64; 3]; 3] = [
+    [10135552.0 / 24577794.0, 8788810.0 / 24577794.0, 4435075.0 / 24577794.0],
+    [2613072.0 / 12288897.0, 8788810.0 / 12288897.0, 887015.0 / 12288897.0],
+    [1425312.0 / 73733382.0, 8788810.0 / 73733382.0, 70074185.0 / 73733382.0],
+];
+
+/// FLIP at a viewing distance.
+#[derive(Clone, Debug)]
+pub struct Flip {
+    y: Vec<f32>,
+    cx: Vec<f32>,
+    cz: [Vec<f32>; 2],
+    smooth: Vec<f32>,
+    edge: Vec<f32>,
+    point: Vec<f32>,
+    colours: Colours,
+}
+
+/// What the eye has of a band of a picture.
+struct Seen {
+    /// Lab after Hunt's effect, one value per pixel each.
+    lightness: Vec<f32>,
+    a: Vec<f32>,
+    b: Vec<f32>,
+    /// Strength of edges and of points.
+    edges: Vec<f32>,
+    points: Vec<f32>,
+}
+
+impl Flip {
+    /// The authors' setting: a screen of 3840 pixels as wide as it is far away, 67.02 pixels per degree.
+    pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 3840.0 * std::f64::consts::PI / 180.0;
+
+    /// Filters for so many pixels per degree of visual angle, kept within 1 to 1000.
+    pub fn new(pixels_per_degree: f64) -> Self {
+        let density = if pixels_per_degree.is_finite() {
+            pixels_per_degree.clamp(1.0, 1000.0)
+        } else {
+            Self::DEFAULT_PIXELS_PER_DEGREE
+        };
+        // as far as three standard deviations of the widest Gaussian reach
+        let pi = std::f64::consts::PI;
+        let radius = (3.0 * (SENSITIVITY_CZ[0].1 / (2.0 * pi * pi)).sqrt() * density).ceil() as usize;
+        let gaussian = |amplitude: f64, b: f64| -> Vec<f64> {
+            let x = |i: usize| (i as f64 - radius as f64) / density;
+            (0..=2 * radius).map(|i| amplitude * (-pi * pi * x(i).powi(2) / b).exp()).collect()
+        };
+        let unit = |b: f64| scaled(&gaussian(1.0, b), 1.0 / gaussian(1.0, b).iter().sum::<f64>());
+        // a 2D Gaussian of weight a·√(π/b) is the product of two of the square root of that
+        let [cz1, cz2] = SENSITIVITY_CZ.map(|(a, b)| gaussian((a * (pi / b).sqrt()).sqrt(), b));
+        let total = cz1.iter().sum::<f64>().hypot(cz2.iter().sum());
+        let (smooth, edge, point) = feature_filters(0.5 * FEATURE_WIDTH_DEG * density);
+        Self {
+            y: unit(SENSITIVITY_Y.1),
+            cx: unit(SENSITIVITY_CX.1),
+            cz: [scaled(&cz1, 1.0 / total), scaled(&cz2, 1.0 / total)],
+            smooth,
+            edge,
+            point,
+            colours: Colours::new(),
+        }
+    }
+
+    /// FLIP at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows, cols].
+    ///
+    /// # Panics
+    /// If a picture does not fill the shape.
+    pub fn compare(&self, reference: &[f32], test: &[f32], shape: [usize; 2]) -> MetricMap {
+        let [rows, cols] = shape;
+        assert!(reference.len() == 3 * rows * cols && test.len() == reference.len(), "pictures fill their shape");
+        let mut values = Vec::with_capacity(rows * cols);
+        for band in bands(rows) {
+            let (reference, test) = (self.seen(reference, shape, &band), self.seen(test, shape, &band));
+            let error = |i: usize| {
+                let lightness = (reference.lightness[i] - test.lightness[i]).abs();
+                let chroma = (reference.a[i] - test.a[i]).hypot(reference.b[i] - test.b[i]);
+                let colour = self.colours.error(lightness + chroma);
+                let edge = (reference.edges[i] - test.edges[i]).abs();
+                let feature = edge.max((reference.points[i] - test.points[i]).abs());
+                colour.powf(1.0 - (std::f32::consts::FRAC_1_SQRT_2 * feature).sqrt())
+            };
+            values.extend((0..band.len() * cols).map(error));
+        }
+        MetricMap { rows, cols, values, margin: 0 }
+    }
+
+    /// What the eye has of a band of a picture.
+    fn seen(&self, rgb: &[f32], shape: [usize; 2], band: &Range<usize>) -> Seen {
+        let halo = self.y.len().max(self.smooth.len()) / 2;
+        let clamped = |value: f32| if value > 0.0 { value.min(1.0) } else { 0.0 };
+        let [red, green, blue] = channels(rgb, shape, band, halo, Border::Nearest, clamped);
+        let opponent = |weights: [f32; 3]| {
+            let [r, g, b] = weights;
+            red.with(&green, |red, green| r * red + g * green).with(&blue, |sum, blue| sum + b * blue)
+        };
+        let [y, cx, cz] = self.colours.opponent_from_rgb.map(opponent);
+        let along_rows = |plane: &Plane<f32>, weights: &[f32]| plane.filtered_along_rows(weights, Border::Nearest);
+        let blurred =
+            |plane: &Plane<f32>, weights: &[f32]| along_rows(plane, weights).filtered_along_columns(weights, halo).data;
+        let (blurred_y, blurred_cx) = (blurred(&y, &self.y), blurred(&cx, &self.cx));
+        let (cz1, cz2) = (blurred(&cz, &self.cz[0]), blurred(&cz, &self.cz[1]));
+        let pixels = blurred_y.len();
+        let (mut lightness, mut a, mut b) = (vec![0.0; pixels], vec![0.0; pixels], vec![0.0; pixels]);
+        for i in 0..pixels {
+            [lightness[i], a[i], b[i]] = self.colours.seen([blurred_y[i], blurred_cx[i], cz1[i] + cz2[i]]);
+        }
+        let smooth_y = along_rows(&y, &self.smooth);
+        let strength = |derivative: &[f32]| -> Vec<f32> {
+            let x = along_rows(&y, derivative).filtered_along_columns(&self.smooth, halo);
+            x.with(&smooth_y.filtered_along_columns(derivative, halo), |x, y| (x * x + y * y).sqrt()).data
+        };
+        Seen { lightness, a, b, edges: strength(&self.edge), points: strength(&self.point) }
+    }
+}
+
+/// Gaussian, its first and its second derivative; positive and negative weights of the derivatives sum to 1 and −1.
+fn feature_filters(deviation_px: f64) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
+    let radius = (3.0 * deviation_px).ceil() as i64;
+    let offsets: Vec<f64> = (-radius..=radius).map(|i| i as f64).collect();
+    let gaussian = |x: f64| (-0.5 * (x / deviation_px).powi(2)).exp();
+    let smooth: Vec<f64> = offsets.iter().map(|x| gaussian(*x)).collect();
+    let edge: Vec<f64> = offsets.iter().map(|x| -x * gaussian(*x)).collect();
+    let point: Vec<f64> = offsets.iter().map(|x| ((x / deviation_px).powi(2) - 1.0) * gaussian(*x)).collect();
+    let balanced = |weights: &[f64]| {
+        let positive: f64 = weights.iter().filter(|w| **w > 0.0).sum();
+        let negative: f64 = -weights.iter().filter(|w| **w < 0.0).sum::<f64>();
+        weights.iter().map(|w| (w / if *w > 0.0 { positive } else { negative }) as f32).collect()
+    };
+    let total: f64 = smooth.iter().sum();
+    (scaled(&smooth, 1.0 / total), balanced(&edge), balanced(&point))
+}
+
+fn scaled(weights: &[f64], factor: f64) -> Vec<f32> {
+    weights.iter().map(|weight| (weight * factor) as f32).collect()
+}
+
+/// Colour spaces, all relative to the white point: y = Y/Y_n, Cx ∝ X/X_n − Y/Y_n, Cz ∝ Y/Y_n − Z/Z_n.
+#[derive(Clone, Debug)]
+struct Colours {
+    opponent_from_rgb: [[f32; 3]; 3],
+    rgb_from_opponent: [[f32; 3]; 3],
+    /// X/X_n, Y/Y_n, Z/Z_n.
+    relative_from_rgb: [[f32; 3]; 3],
+    /// The largest colour distance, that of green and blue, to the power of `COLOUR_EXPONENT`.
+    largest: f32,
+}
+
+impl Colours {
+    fn new() -> Self {
+        // white is RGB (1, 1, 1)
+        let relative = XYZ_FROM_RGB.map(|row| row.map(|value| value / row.iter().sum::<f64>()));
+        let [x, y, z] = relative;
+        let minus = |a: [f64; 3], b: [f64; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+        let opponent = [y, minus(x, y), minus(y, z)];
+        let narrow = |matrix: [[f64; 3]; 3]| matrix.map(|row| row.map(|value| value as f32));
+        let mut colours = Self {
+            opponent_from_rgb: narrow(opponent),
+            rgb_from_opponent: narrow(inverse(opponent)),
+            relative_from_rgb: narrow(relative),
+            largest: 1.0,
+        };
+        let [green, blue] = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|rgb| colours.hunt_lab(rgb));
+        let distance = (green[0] - blue[0]).abs() + (green[1] - blue[1]).hypot(green[2] - blue[2]);
+        colours.largest = distance.powf(COLOUR_EXPONENT);
+        colours
+    }
+
+    /// Filtered opponent colours as the eye compares them.
+    #[inline]
+    fn seen(&self, opponent: [f32; 3]) -> [f32; 3] {
+        self.hunt_lab(transform(&self.rgb_from_opponent, opponent).map(|value| value.clamp(0.0, 1.0)))
+    }
+
+    /// Lab whose a and b grow with lightness.
+    #[inline]
+    fn hunt_lab(&self, rgb: [f32; 3]) -> [f32; 3] {
+        /// δ = 6/29 of CIE Lab.
+        const DELTA: f32 = 6.0 / 29.0;
+        let [x, y, z] = transform(&self.relative_from_rgb, rgb)
+            .map(|t| if t > DELTA * DELTA * DELTA { t.cbrt() } else { t / (3.0 * DELTA * DELTA) + 4.0 / 29.0 });
+        let lightness = 116.0 * y - 16.0;
+        let hunt = 0.01 * lightness;
+        [lightness, hunt * 500.0 * (x - y), hunt * 200.0 * (y - z)]
+    }
+
+    /// Colour error 0..1 of a distance.
+    #[inline]
+    fn error(&self, distance: f32) -> f32 {
+        let power = distance.powf(COLOUR_EXPONENT);
+        let knee = COLOUR_KNEE_FROM * self.largest;
+        if power < knee {
+            power * (COLOUR_KNEE_TO / knee)
+        } else {
+            COLOUR_KNEE_TO + (power - knee) / (self.largest - knee) * (1.0 - COLOUR_KNEE_TO)
+        }
+    }
+}
+
+#[inline]
+fn transform(matrix: &[[f32; 3]; 3], v: [f32; 3]) -> [f32; 3] {
+    matrix.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+}
+
+/// Inverse by cofactors.
+fn inverse(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    let cofactor = |r: usize, c: usize| {
+        let (r1, r2, c1, c2) = ((r + 1) % 3, (r + 2) % 3, (c + 1) % 3, (c + 2) % 3);
+        m[r1][c1] * m[r2][c2] - m[r1][c2] * m[r2][c1]
+    };
+    let determinant: f64 = (0..3).map(|c| m[0][c] * cofactor(0, c)).sum();
+    std::array::from_fn(|r| std::array::from_fn(|c| cofactor(c, r) / determinant))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rounding of f32 after a power of 0.7.
+    const SAME: f64 = 1e-4;
+
+    fn flip(reference: &[f32], test: &[f32], shape: [usize; 2]) -> f64 {
+        Flip::new(Flip::DEFAULT_PIXELS_PER_DEGREE).compare(reference, test, shape).mean().value()
+    }
+
+    #[test]
+    fn equal_pictures_have_no_error_and_black_on_white_has_most() {
+        let flat = |value: f32| vec![value; 3 * 7 * 9];
+        assert_eq!(flip(&flat(0.4), &flat(0.4), [7, 9]), 0.0);
+        // Lab lightness 0 and 100: 100^0.7, mapped; flat pictures have no features
+        let colours = Colours::new();
+        let expected = f64::from(colours.error(100.0));
+        assert!((flip(&flat(0.0), &flat(1.0), [7, 9]) - expected).abs() < SAME && expected > 0.9);
+        assert_eq!(flip(&flat(f32::NAN), &flat(-3.0), [7, 9]), 0.0, "clamped");
+        assert!(flip(&[], &[], [0, 9]).is_nan(), "nothing to compare");
+    }
+
+    #[test]
+    fn green_and_blue_are_farthest_apart() {
+        let colours = Colours::new();
+        let flat = |rgb: [f32; 3]| rgb.repeat(25);
+        assert!((flip(&flat([0.0, 1.0, 0.0]), &flat([0.0, 0.0, 1.0]), [5, 5]) - 1.0).abs() < SAME);
+        assert!((colours.error(0.0), colours.largest > 30.0) == (0.0, true));
+    }
+
+    #[test]
+    fn a_finer_screen_hides_the_same_noise() {
+        let mut stream = crate::seed::Stream::new(1);
+        let noise: Vec<f32> = (0..3 * 40 * 40).map(|_| 0.4 + 0.2 * stream.next_f32()).collect();
+        let grey = vec![0.5; noise.len()];
+        let at = |density: f64| Flip::new(density).compare(&grey, &noise, [40, 40]).mean().value();
+        assert!(at(30.0) > at(67.0) && at(67.0) > at(150.0));
+        assert_eq!(at(f64::NAN), at(Flip::DEFAULT_PIXELS_PER_DEGREE));
+    }
+
+    #[test]
+    fn the_inverse_undoes_the_matrix() {
+        let forth = Colours::new().opponent_from_rgb;
+        let back = Colours::new().rgb_from_opponent;
+        let rgb = transform(&back, transform(&forth, [0.3, 0.9, 0.1]));
+        assert!(rgb.iter().zip([0.3, 0.9, 0.1]).all(|(a, b)| (a - b).abs() < 1e-5), "{rgb:?}");
+    }
+}
