@@ -80,9 +80,28 @@ fn the_same_bytes_on_one_and_two_threads() {
         succeed(small_run(&run).args(["--threads", threads]));
         run
     });
-    for part in ["target", "held-out", "layers", "outputs"] {
+    for part in ["target", "held-out", "outside", "layers", "outputs"] {
         assert!(files(&one.join(part)) == files(&two.join(part)), "{part} differs");
     }
+    check_views_beyond_the_zone(&report(&one));
+}
+
+/// One view spacing beyond the outermost views on both sides, with figures of their own; and a warning where a period is too long.
+fn check_views_beyond_the_zone(report: &serde_json::Value) {
+    let slopes = |field: &str| -> Vec<f64> {
+        report[field]["slope_x"].as_array().unwrap().iter().map(|slope| slope.as_f64().unwrap()).collect()
+    };
+    let (target, outside) = (slopes("views"), slopes("outside"));
+    let step = target[1] - target[0];
+    assert!((outside[0] - (target[0] - step)).abs() < 1e-9 && (outside[1] - (target[4] + step)).abs() < 1e-9);
+    for key in ["overall_psnr_view", "overall_ssim", "overall_flip"] {
+        assert!(number(&report["outside"], key).is_finite());
+    }
+    assert!(number(&report["outside"], "overall_psnr_view") < number(report, "psnr_view"), "nothing constrains them");
+    let hz = number(&report["display"], "refresh_hz") / number(&report["display"], "frames");
+    let warnings = report["warnings"].as_array().unwrap();
+    let warned = warnings.iter().any(|warning| warning["message"].as_str().unwrap().contains("flicker"));
+    assert_eq!(warned, hz < 60.0, "{hz} periods a second: {warnings:?}");
 }
 
 #[test]
@@ -139,7 +158,7 @@ fn a_killed_run_goes_on_from_what_is_finished() {
     let text = succeed(small_run(&whole).args(["--samples", "16", "--json"]));
     let begin = text.lines().find(|line| line.contains("\"begin\"") && line.contains("render")).unwrap();
     let begin: serde_json::Value = serde_json::from_str(begin).unwrap();
-    let (all, views) = (begin["total"].as_u64().unwrap(), 25 + 4);
+    let (all, views) = (begin["total"].as_u64().unwrap(), 25 + 4 + 2);
     assert_eq!(
         left * views,
         all * (views - finished),

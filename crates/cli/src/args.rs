@@ -27,14 +27,14 @@ pub(crate) struct Args {
 pub(crate) enum Command {
     /// Scene to outputs: render, factorize, write, report
     #[command(
-        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n\nA run that was stopped goes on from what is finished when the same command is given again."
+        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n\nA run that was stopped goes on from what is finished when the same command is given again."
     )]
     Run(Run),
     /// The views of a scene only, as a light-field folder
     Render(Render),
     /// Layer patterns from a light field that somebody else rendered
     #[command(
-        after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExample:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views"
+        after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExample:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times      times/t0001.npy, times/t0002.npy, ..."
     )]
     Factorize(Factorize),
     /// What a finished display shows from somewhere
@@ -104,10 +104,10 @@ pub(crate) struct FactorizeArgs {
     /// Full updates of all layers
     #[arg(long, value_name = "N")]
     pub(crate) iterations: Option<u32>,
-    /// Solver
+    /// Solver: auto, multiplicative, block-exact or extrapolated
     #[arg(long, value_name = "NAME")]
     pub(crate) solver: Option<String>,
-    /// Starting values: random
+    /// Starting values: auto, random, smooth or content
     #[arg(long, value_name = "NAME")]
     pub(crate) start: Option<String>,
     /// A `layers` folder to start from
@@ -116,6 +116,24 @@ pub(crate) struct FactorizeArgs {
     /// Weights ≥ 0 as .npy, one per view or one per ray
     #[arg(long, value_name = "FILE")]
     pub(crate) weights: Option<PathBuf>,
+}
+
+/// A sequence of times instead of a still: the window moves through the scene.
+#[derive(Debug, Default, ClapArgs)]
+#[command(next_help_heading = "Sequence")]
+pub(crate) struct SequenceArgs {
+    /// Number of times; every one is a run folder t0001, t0002, ... and starts from the patterns of the one before
+    #[arg(long, value_name = "N")]
+    pub(crate) times: Option<usize>,
+    /// Turn of the window about its vertical axis from the first time to the last, degrees; above 0 the viewer walks to the right
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
+    pub(crate) turn_deg: Option<f64>,
+    /// Movement of the window from the first time to the last, millimetres of the display: X right, Y up, Z to the viewer
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub(crate) shift_mm: Option<Numbers<3>>,
+    /// Full updates at every time after the first [default: 5]
+    #[arg(long, value_name = "N")]
+    pub(crate) sequence_iterations: Option<u32>,
 }
 
 #[derive(Debug, ClapArgs)]
@@ -131,6 +149,8 @@ pub(crate) struct Run {
     pub(crate) render: RenderArgs,
     #[command(flatten)]
     pub(crate) factorize: FactorizeArgs,
+    #[command(flatten)]
+    pub(crate) sequence: SequenceArgs,
 }
 
 #[derive(Debug, ClapArgs)]
@@ -148,7 +168,7 @@ pub(crate) struct Render {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Factorize {
-    /// Light field: a folder, a quilt or .npy
+    /// Light field: a folder, a quilt or .npy; with --sequence a folder of them
     pub(crate) light_field: PathBuf,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
@@ -162,6 +182,12 @@ pub(crate) struct Factorize {
     /// Seed of all random streams
     #[arg(long)]
     pub(crate) seed: Option<u64>,
+    /// Take the folder as a sequence: one light field per time, folders or .npy files in the order of their names
+    #[arg(long, help_heading = "Sequence")]
+    pub(crate) sequence: bool,
+    /// Full updates at every time after the first [default: 5]
+    #[arg(long, value_name = "N", requires = "sequence", help_heading = "Sequence")]
+    pub(crate) sequence_iterations: Option<u32>,
 }
 
 /// The display; its light field is the one that is read.

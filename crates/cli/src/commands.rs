@@ -6,13 +6,13 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, Job, PipelineError, RunFolder, Viewpoint, presets, render_only, run as run_job, set_threads,
+    DisplayJob, Job, PipelineError, RunFolder, SequenceJob, Viewpoint, presets, render_only, run as run_job, set_threads,
     simulate_to_file,
 };
 use serde_json::json;
 
 use crate::args::{
-    Args, Command, DisplayArgs, Factorize, FactorizeArgs, GeometryArgs, Render, RenderArgs, Run, Simulate,
+    Args, Command, DisplayArgs, Factorize, FactorizeArgs, GeometryArgs, Render, RenderArgs, Run, SequenceArgs, Simulate,
 };
 use crate::console::{Console, say};
 use crate::info;
@@ -47,6 +47,7 @@ fn run_command(args: &Run, json: bool, task: Task<'_>) -> Result<(), PipelineErr
     change_display(&mut job, &args.display);
     change_render(&mut job, &args.render);
     change_factorize(&mut job, &args.factorize);
+    change_sequence(&mut job, &args.sequence);
     let folder = args.output.clone().unwrap_or_else(|| Path::new("runs").join(&job.name));
     finish(&job, &folder, json, task)
 }
@@ -60,6 +61,11 @@ fn factorize_command(args: &Factorize, json: bool, task: Task<'_>) -> Result<(),
     job.display.brightness = args.display.brightness;
     job.seed = args.seed.unwrap_or(job.seed);
     change_factorize(&mut job, &args.factorize);
+    if args.sequence {
+        let default = SequenceJob::default();
+        let iterations = args.sequence_iterations.unwrap_or(default.iterations);
+        job.sequence = Some(SequenceJob { iterations, ..default });
+    }
     finish(&job, &args.output, json, task)
 }
 
@@ -71,9 +77,16 @@ fn finish(job: &Job, folder: &Path, json: bool, task: Task<'_>) -> Result<(), Pi
         let mut event = serde_json::to_value(&summary).expect("summaries serialize");
         event["event"] = "done".into();
         say!("{event}");
+    } else if let Some(sequence) = &summary.sequence {
+        let times = sequence.times;
+        let others = [(", flicker", sequence.psnr_change), (", where still", sequence.psnr_still)];
+        let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("{name} {psnr:.1} dB")));
+        say!("PSNR {:.1} dB over {times} times{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
+        say!("{}", summary.report.display());
     } else {
-        let held_out = summary.psnr_held_out.map_or(String::new(), |psnr| format!(", in between {psnr:.1} dB"));
-        say!("PSNR {:.1} dB at the target views{held_out}; {:.0} s", summary.psnr_view, summary.seconds);
+        let others = [("in between", summary.psnr_held_out), ("outside", summary.psnr_outside)];
+        let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!(", {name} {psnr:.1} dB")));
+        say!("PSNR {:.1} dB at the target views{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
         say!("{}", summary.report.display());
     }
     Ok(())
@@ -165,6 +178,18 @@ fn change_factorize(job: &mut Job, args: &FactorizeArgs) {
     };
     path(&args.warm_start, &mut factorize.warm_start);
     path(&args.weights, &mut factorize.weights);
+}
+
+fn change_sequence(job: &mut Job, args: &SequenceArgs) {
+    let SequenceArgs { times, turn_deg, shift_mm, sequence_iterations } = args;
+    if times.is_none() && turn_deg.is_none() && shift_mm.is_none() && sequence_iterations.is_none() {
+        return;
+    }
+    let sequence = job.sequence.get_or_insert_default();
+    sequence.times = times.or(sequence.times);
+    sequence.turn_deg = turn_deg.unwrap_or(sequence.turn_deg);
+    sequence.shift_mm = shift_mm.map_or(sequence.shift_mm, |shift| shift.0);
+    sequence.iterations = sequence_iterations.unwrap_or(sequence.iterations);
 }
 
 /// The geometry flags as the job has them.

@@ -51,6 +51,12 @@ pub struct Job {
     /// Factorizer.
     #[serde(default)]
     pub factorize: FactorizeJob,
+    /// Times of a sequence; without it the job is a still.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sequence: Option<SequenceJob>,
+    /// Report.
+    #[serde(default)]
+    pub report: ReportJob,
     /// Output plugins; default: `images`.
     #[serde(default = "default_outputs")]
     pub outputs: Vec<OutputJob>,
@@ -168,6 +174,9 @@ pub struct RenderJob {
     /// In-between views per axis that are rendered for the report only; 0 for none.
     #[serde(default = "default_held_out")]
     pub held_out: usize,
+    /// Views on either side beyond the outermost ones, one view spacing apart, that are rendered for the report only; 0 for none.
+    #[serde(default = "default_outside")]
+    pub outside: usize,
 }
 
 /// Angular extent of a view.
@@ -191,15 +200,73 @@ pub struct FactorizeJob {
     /// Full updates.
     #[serde(default = "default_iterations")]
     pub iterations: u32,
-    /// Starting values: `random`.
+    /// Starting values: `auto`, `random`, `smooth` or `content`.
     #[serde(default = "default_start")]
     pub start: String,
+    /// Levels of half the resolution to begin at; without it what suits the solver.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coarse_levels: Option<u32>,
+    /// Iterations at each coarser level.
+    #[serde(default = "default_coarse_iterations")]
+    pub coarse_iterations: u32,
+    /// Whether patterns of layers with few `bits` are re-optimized on the levels that the panel can show.
+    #[serde(default = "default_true")]
+    pub levels: bool,
     /// A `layers` folder to start from instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub warm_start: Option<PathBuf>,
     /// `.npy` of weights, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights: Option<PathBuf>,
+    /// Weight of rays far from every eye of `eyes`.
+    #[serde(default = "default_eye_floor")]
+    pub eye_floor: f64,
+    /// Where viewers' eyes are expected; rays count by how near they pass.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub eyes: Vec<EyeJob>,
+}
+
+/// A Gaussian around an expected eye.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EyeJob {
+    /// [x, y, z] in display space, millimetres; z > 0.
+    pub eye_mm: [f64; 3],
+    /// Standard deviation, millimetres.
+    pub sigma_mm: f64,
+    /// Weight of rays through its centre.
+    #[serde(default = "default_eye_weight")]
+    pub weight: f64,
+}
+
+/// A sequence: light fields of one geometry, or a window that moves through the scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SequenceJob {
+    /// Number of times; without it one for every light field in the folder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub times: Option<usize>,
+    /// Full updates at every time after the first, which starts from nothing and takes `factorize.iterations`.
+    #[serde(default = "default_sequence_iterations")]
+    pub iterations: u32,
+    /// Angle by which the window turns about its vertical axis from the first time to the last, degrees; above 0 the viewer walks to the right.
+    #[serde(default)]
+    pub turn_deg: f64,
+    /// [right, up, to the viewer] by which the window moves from the first time to the last, millimetres of display space at the first time.
+    #[serde(default)]
+    pub shift_mm: [f64; 3],
+    /// Whether every time gets a whole report of its own; the sequence's is always written.
+    #[serde(default)]
+    pub reports: bool,
+}
+
+/// Report.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReportJob {
+    /// Pixels of a view per degree of visual angle, for FLIP.
+    #[serde(default = "default_pixels_per_degree")]
+    pub pixels_per_degree: f64,
 }
 
 /// One output plugin.
@@ -245,16 +312,44 @@ fn default_held_out() -> usize {
     2
 }
 
+fn default_outside() -> usize {
+    1
+}
+
+fn default_sequence_iterations() -> u32 {
+    5
+}
+
+fn default_pixels_per_degree() -> f64 {
+    67.02
+}
+
 fn default_solver() -> String {
-    "multiplicative".into()
+    lumistack_factorizer::AUTO.into()
+}
+
+fn default_coarse_iterations() -> u32 {
+    lumistack_factorizer::Settings::default().coarse_iterations
+}
+
+fn default_true() -> bool {
+    true
+}
+
+fn default_eye_floor() -> f64 {
+    0.05
+}
+
+fn default_eye_weight() -> f64 {
+    1.0
 }
 
 fn default_iterations() -> u32 {
-    200
+    lumistack_factorizer::Settings::default().iterations
 }
 
 fn default_start() -> String {
-    "random".into()
+    lumistack_factorizer::AUTO.into()
 }
 
 fn default_outputs() -> Vec<OutputJob> {
@@ -284,7 +379,26 @@ impl Default for RenderJob {
             max_bounces: default_bounces(),
             angular_filter: AngularFilter::Point,
             held_out: default_held_out(),
+            outside: default_outside(),
         }
+    }
+}
+
+impl Default for SequenceJob {
+    fn default() -> Self {
+        Self {
+            times: None,
+            iterations: default_sequence_iterations(),
+            turn_deg: 0.0,
+            shift_mm: [0.0; 3],
+            reports: false,
+        }
+    }
+}
+
+impl Default for ReportJob {
+    fn default() -> Self {
+        Self { pixels_per_degree: default_pixels_per_degree() }
     }
 }
 
@@ -294,8 +408,13 @@ impl Default for FactorizeJob {
             solver: default_solver(),
             iterations: default_iterations(),
             start: default_start(),
+            coarse_levels: None,
+            coarse_iterations: default_coarse_iterations(),
+            levels: true,
             warm_start: None,
             weights: None,
+            eye_floor: default_eye_floor(),
+            eyes: Vec::new(),
         }
     }
 }
@@ -319,6 +438,8 @@ impl Job {
             light: LightJob::default(),
             render: RenderJob::default(),
             factorize: FactorizeJob::default(),
+            sequence: None,
+            report: ReportJob::default(),
             outputs: default_outputs(),
         }
     }
@@ -424,8 +545,13 @@ impl Job {
         if self.render.max_bounces > 1024 {
             return fail("render.max_bounces", "0 to 1024", self.render.max_bounces.to_string());
         }
-        if self.render.held_out > 64 {
-            return fail("render.held_out", "0 to 64", self.render.held_out.to_string());
+        for (key, count) in [("render.held_out", self.render.held_out), ("render.outside", self.render.outside)] {
+            if count > 64 {
+                return fail(key, "0 to 64", count.to_string());
+            }
+        }
+        if !(1.0..=1000.0).contains(&self.report.pixels_per_degree) {
+            return fail("report.pixels_per_degree", "1 to 1000", self.report.pixels_per_degree.to_string());
         }
         if !(self.light.exposure_ev.is_finite() && self.light.exposure_ev.abs() <= 100.0) {
             return fail("light.exposure_ev", "-100 to 100", self.light.exposure_ev.to_string());
@@ -433,12 +559,41 @@ impl Job {
         if !(self.light.environment_strength.is_finite() && self.light.environment_strength >= 0.0) {
             return fail("light.environment_strength", "a number ≥ 0", self.light.environment_strength.to_string());
         }
-        Ok(())
+        self.sequence.as_ref().map_or(Ok(()), |sequence| sequence.check(self.scene.is_some()))
     }
 
     /// The job as a file, every default written out.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a job holds nothing that TOML cannot")
+    }
+}
+
+impl SequenceJob {
+    /// Most times of a sequence: their folders have four digits.
+    pub const MOST: usize = 9999;
+
+    fn check(&self, of_scene: bool) -> Result<(), PipelineError> {
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+        match self.times {
+            Some(times) if !(1..=Self::MOST).contains(&times) => {
+                return fail("sequence.times", "1 to 9999", times.to_string());
+            }
+            None if of_scene => {
+                return fail("sequence.times", "the number of times, as a scene does not say", "nothing".into());
+            }
+            _ => {}
+        }
+        let moves = self.turn_deg != 0.0 || self.shift_mm != [0.0; 3];
+        if moves && !of_scene {
+            return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "them with light fields".into());
+        }
+        if !self.turn_deg.is_finite() {
+            return fail("sequence.turn_deg", "a finite angle", self.turn_deg.to_string());
+        }
+        if !self.shift_mm.iter().all(|shift| shift.is_finite()) {
+            return fail("sequence.shift_mm", "finite lengths", format!("{:?}", self.shift_mm));
+        }
+        Ok(())
     }
 }
 
@@ -464,6 +619,8 @@ mod tests {
             keys::<LightJob>(),
             keys::<RenderJob>(),
             keys::<FactorizeJob>(),
+            keys::<SequenceJob>(),
+            keys::<ReportJob>(),
             keys::<OutputJob>(),
             keys::<GeometryFlags>(),
             keys::<lumistack_display::Layer>(),

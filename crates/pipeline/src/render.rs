@@ -24,6 +24,8 @@ pub struct Rendered {
     pub target: LightField,
     /// In-between views that the solver does not see.
     pub held_out: Option<LightField>,
+    /// Views beyond the outermost ones, which it does not see either.
+    pub outside: Option<LightField>,
     /// Factor from scene-linear to display-referred radiance.
     pub exposure: f64,
     /// Share of the window where the middle view sees a surface, 0..1.
@@ -67,28 +69,47 @@ pub fn render(
         },
         ..Settings::default()
     };
-    let held_out_geometry = held_out_grid(&geometry.grid, job.render.held_out).map(|grid| geometry.with_grid(grid));
+    // views for the report only average over directions as the target's do, however far apart they stand
+    let settings_of_others = Settings {
+        angular_filter: match settings.angular_filter {
+            lumistack_pathtracer::AngularFilter::Bin => {
+                lumistack_pathtracer::AngularFilter::Width(geometry.grid.bin_width())
+            }
+            other => other,
+        },
+        ..settings
+    };
+    let others = [
+        ("held-out", 1, held_out_grid(&geometry.grid, job.render.held_out)),
+        ("outside", 2, geometry.grid.outside(job.render.outside)),
+    ];
+    let others = others.map(|(name, stream, grid)| {
+        let geometry = geometry.with_grid(grid?);
+        Some(FieldJob { name, stream, geometry, settings: settings_of_others, folder: PathBuf::new() })
+    });
+    let target = FieldJob { name: "target", stream: 0, geometry: geometry.clone(), settings, folder: PathBuf::new() };
+    let mut fields: Vec<FieldJob> = std::iter::once(Some(target)).chain(others).flatten().collect();
     let mut key = KeyBuilder::new("render", RENDER_VERSION);
     ingested.add_to(&mut key);
     key.add_json("light", &job.light).add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
     key.add("settings", format!("{settings:?}").as_bytes()).add("window", format!("{window:?}").as_bytes());
     let mut todo = Vec::new();
-    let mut fields = Vec::new();
-    for (name, geometry) in
-        std::iter::once(("target", geometry)).chain(held_out_geometry.iter().map(|geometry| ("held-out", geometry)))
-    {
-        let key = key.clone().add("geometry", format!("{geometry:?}").as_bytes()).finish();
-        let folder = cache_dir.join(format!("{name}-{}", &key[..16]));
-        std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
-        for view in geometry.grid.iter() {
-            let path = view_path(&folder, view);
-            if read_view(&path, geometry).is_none() {
-                todo.push((fields.len(), view, path));
+    for (i, field) in fields.iter_mut().enumerate() {
+        let mut key = key.clone();
+        key.add("geometry", format!("{:?}", field.geometry).as_bytes());
+        if field.settings != settings {
+            key.add("filter", format!("{:?}", field.settings.angular_filter).as_bytes());
+        }
+        field.folder = cache_dir.join(format!("{}-{}", field.name, &key.finish()[..16]));
+        std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
+        for view in field.geometry.grid.iter() {
+            let path = view_path(&field.folder, view);
+            if read_view(&path, &field.geometry).is_none() {
+                todo.push((i, view, path));
             }
         }
-        fields.push((geometry.clone(), folder));
     }
-    let coverage_path = fields[0].1.join("coverage.json");
+    let coverage_path = fields[0].folder.join("coverage.json");
     let read_coverage = || serde_json::from_slice::<f64>(&std::fs::read(&coverage_path).ok()?).ok();
     let cached = todo.is_empty() && read_coverage().is_some();
     if !cached {
@@ -96,11 +117,11 @@ pub fn render(
         let middle = geometry.grid.views().map(|count| count / 2);
         let coverage = renderer.coverage(window, geometry, middle, task).map_err(render_error)?;
         crate::run::write(&coverage_path, &serde_json::to_vec(&coverage).expect("numbers serialize"))?;
-        trace(&renderer, &todo, &fields, window, &settings, task)?;
+        trace(&renderer, &todo, &fields, window, task)?;
     }
     let coverage = read_coverage().unwrap_or(f64::NAN);
     let mut radiance = Vec::new();
-    for (geometry, folder) in &fields {
+    for FieldJob { geometry, folder, .. } in &fields {
         let mut field = LightField::black(geometry.clone())?;
         for view in geometry.grid.iter() {
             let path = view_path(folder, view);
@@ -121,22 +142,34 @@ pub fn render(
         field
     });
     let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
-    Ok(Rendered { target, held_out: exposed.next(), exposure, coverage, cached })
+    let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
+    Ok(Rendered { target, held_out: other("held-out"), outside: other("outside"), exposure, coverage, cached })
+}
+
+/// One light field to render.
+struct FieldJob {
+    name: &'static str,
+    /// Of random numbers.
+    stream: u64,
+    geometry: FieldGeometry,
+    settings: Settings,
+    /// Where its finished views lie.
+    folder: PathBuf,
 }
 
 fn trace(
     renderer: &Renderer,
     todo: &[(usize, [usize; 2], PathBuf)],
-    fields: &[(FieldGeometry, PathBuf)],
+    fields: &[FieldJob],
     window: &Window,
-    settings: &Settings,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let steps: u64 = todo.iter().map(|(field, ..)| Renderer::steps_per_view(&fields[*field].0)).sum();
+    let steps: u64 = todo.iter().map(|(field, ..)| Renderer::steps_per_view(&fields[*field].geometry)).sum();
     task.progress.begin("render", steps, "tiles");
     let result = todo.iter().enumerate().try_for_each(|(number, (field, view, path))| {
-        let settings = Settings { seed: lumistack_core::seed::derive(settings.seed, &[*field as u64]), ..*settings };
-        let picture = renderer.render_view(window, &fields[*field].0, *view, &settings, task).map_err(render_error)?;
+        let FieldJob { stream, geometry, settings, .. } = &fields[*field];
+        let settings = Settings { seed: lumistack_core::seed::derive(settings.seed, &[*stream]), ..*settings };
+        let picture = renderer.render_view(window, geometry, *view, &settings, task).map_err(render_error)?;
         let [rows, cols, _] = picture.shape();
         picture::write_exr(path, [cols, rows], picture.data(), Precision::Float).map_err(field_error)?;
         task.progress.advance(0, &format!("tiles, view {} of {}", number + 1, todo.len()));

@@ -5,10 +5,10 @@ use std::time::Instant;
 
 use lumistack_core::config::nearest;
 use lumistack_core::{Collector, Task, Tensor, Warning, Warnings};
-use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
-use lumistack_factorizer::{Factorization, FactorizeError, Problem, StartKind};
+use lumistack_display::{Display, EyeBox, FieldGeometry, LayerStack, LightField, StackError, Weights};
+use lumistack_factorizer::{AUTO, Factorization, FactorizeError, Problem, StartKind};
 use lumistack_plugin_host::{HostError, OutputContext, OutputData, Registry, Time};
-use lumistack_report::{Iteration, Output, ReportInput, Stage};
+use lumistack_report::{Iteration, Output, Report, ReportInput, Solution, Stage};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -17,6 +17,7 @@ use crate::error::PipelineError;
 use crate::ingest::{self, Ingested};
 use crate::job::Job;
 use crate::render;
+use crate::sequence::{self, SequenceSummary};
 
 /// Changes whenever a solver gives other patterns.
 const FACTORIZE_VERSION: u32 = 1;
@@ -36,6 +37,11 @@ pub struct Summary {
     pub psnr_raw: f64,
     /// PSNR at in-between views, dB.
     pub psnr_held_out: Option<f64>,
+    /// PSNR at views beyond the zone, dB.
+    pub psnr_outside: Option<f64>,
+    /// What a sequence adds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sequence: Option<SequenceSummary>,
     /// Time of the whole run, seconds.
     pub seconds: f64,
 }
@@ -49,58 +55,58 @@ struct Step {
     seconds: f64,
 }
 
+/// How the solver came to the patterns, as it is kept between runs.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Solved {
+    solver: String,
+    start: String,
+    coarse_levels: u32,
+    unsettled: f64,
+    levels: Option<[f64; 3]>,
+    steps: Vec<Step>,
+}
+
+impl Solved {
+    fn of(factorization: &Factorization, steps: Vec<Step>, warm: bool) -> Self {
+        let settings = &factorization.settings;
+        let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
+        Self {
+            solver: settings.solver.clone(),
+            start: start.into(),
+            coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
+            unsettled: factorization.unsettled,
+            levels: factorization.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized]),
+            steps,
+        }
+    }
+
+    /// For the report.
+    fn told(self) -> (Vec<Iteration>, Solution) {
+        let Self { solver, start, coarse_levels, unsettled, levels, steps } = self;
+        (report_steps(steps), Solution { solver, start, coarse_levels, unsettled, levels })
+    }
+}
+
 /// Runs a whole job into `run_dir`.
 ///
 /// # Errors
 /// When any stage fails or is cancelled; finished stages are kept and taken up by the next run.
 pub fn run(job: &Job, run_dir: &Path, command: Option<&str>, task: Task<'_>) -> Result<Summary, PipelineError> {
+    if let Some(sequence) = &job.sequence {
+        return sequence::run(job, sequence, run_dir, command, task);
+    }
     let start = Instant::now();
     let warnings = Tee { list: Collector::default(), next: task.warnings };
     let task = Task { warnings: &warnings, ..task };
-    job.check()?;
-    let mut run = Run::open(job, run_dir)?;
-    let input = run.input(task)?;
-    let display = run.display.clone();
-    let weights = run.weights(&input.target)?;
-    let (stack, steps) = run.factorize(&display, &input.target, &weights, task)?;
-    // only now: a run that was stopped before has left the older settings, patterns and report together
-    run.write_settings(&display)?;
-    if run.stages.last().is_some_and(|stage| !stage.cached) {
-        run.remove_reports()?;
-    }
-    let outputs = run.outputs(&display, &stack, &input.target, task)?;
-
-    let stage = Instant::now();
-    let settings = serde_json::to_value(job).expect("jobs serialize");
-    let report = lumistack_report::build(
-        &ReportInput {
-            title: &job.name,
-            display: &display,
-            stack: &stack,
-            target: &input.target,
-            weights: &weights,
-            held_out: input.held_out.as_ref(),
-            convergence: &steps,
-            stages: &run.stages,
-            settings: &settings,
-            scene: input.about.as_ref(),
-            warnings: &warnings.list.take(),
-            outputs: &outputs,
-            command,
-            version: env!("CARGO_PKG_VERSION"),
-        },
-        task,
-    )
-    .map_err(PipelineError::Report)?;
-    let path = run_dir.join("report.html");
-    write(&run_dir.join("report.json"), &serde_json::to_vec_pretty(&report.json).expect("reports serialize"))?;
-    write(&path, report.html.as_bytes())?;
-    run.stages.push(Stage { name: "report".into(), seconds: stage.elapsed().as_secs_f64(), cached: false });
+    let (mut run, made) = Run::make(job, run_dir, &Moment::default(), task)?;
+    let report = run.report(&made, &warnings.list.take(), command, task)?;
     Ok(Summary {
-        report: path,
+        report: run_dir.join("report.html"),
         psnr_view: report.psnr_view,
         psnr_raw: report.psnr_raw,
         psnr_held_out: report.held_out_psnr_view,
+        psnr_outside: report.outside_psnr_view,
+        sequence: None,
         seconds: start.elapsed().as_secs_f64(),
     })
 }
@@ -119,24 +125,46 @@ pub fn render_only(job: &Job, target_dir: &Path, task: Task<'_>) -> Result<(), P
     let ingested = ingest::load_scene(scene, &job.light, task)?;
     let window = ingest::place_window(&ingested, &job.window, &geometry, &target_dir.join("cache"), task)?;
     let mut job = job.clone();
-    job.render.held_out = 0;
+    (job.render.held_out, job.render.outside) = (0, 0);
     let rendered = render::render(&job, &ingested, &window, &geometry, &target_dir.join("cache"), task)?;
     write_field(target_dir, &rendered.target, Some(rendered.exposure))
 }
 
+/// Where a run stands in a sequence; the default for a still.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Moment<'a> {
+    /// The scene, where it is loaded already.
+    pub(crate) ingested: Option<&'a Ingested>,
+    /// Geometry that the light field must have, and where it comes from.
+    pub(crate) geometry: Option<(&'a FieldGeometry, &'a str)>,
+}
+
 /// What the input stage gives.
-struct Input {
-    target: LightField,
+pub(crate) struct Input {
+    pub(crate) target: LightField,
     held_out: Option<LightField>,
+    outside: Option<LightField>,
+    /// Factor from scene-linear to display-referred radiance, where it was rendered.
+    pub(crate) exposure: Option<f64>,
     about: Option<serde_json::Value>,
 }
 
-struct Run<'a> {
+/// Everything up to the outputs.
+pub(crate) struct Made {
+    pub(crate) input: Input,
+    pub(crate) weights: Weights,
+    pub(crate) stack: LayerStack,
+    pub(crate) steps: Vec<Iteration>,
+    pub(crate) solution: Solution,
+    outputs: Vec<Output>,
+}
+
+pub(crate) struct Run<'a> {
     job: &'a Job,
     dir: PathBuf,
-    display: Display,
-    stamps: Stamps,
-    stages: Vec<Stage>,
+    pub(crate) display: Display,
+    pub(crate) stamps: Stamps,
+    pub(crate) stages: Vec<Stage>,
 }
 
 impl<'a> Run<'a> {
@@ -153,7 +181,71 @@ impl<'a> Run<'a> {
         Ok(Self { job, dir: dir.to_owned(), display, stamps: Stamps::new(dir), stages: Vec::new() })
     }
 
-    fn timed<T>(
+    /// Every stage but the report.
+    pub(crate) fn make(
+        job: &'a Job,
+        dir: &Path,
+        moment: &Moment<'_>,
+        task: Task<'_>,
+    ) -> Result<(Self, Made), PipelineError> {
+        job.check()?;
+        let mut run = Self::open(job, dir)?;
+        let input = run.input(moment, task)?;
+        let display = run.display.clone();
+        if let Some(message) = display.flicker_warning() {
+            task.warn("display", message);
+        }
+        let weights = run.weights(&input.target)?;
+        let (stack, (steps, solution)) = run.factorize(&display, &input.target, &weights, task)?;
+        // only now: a run that was stopped before has left the older settings, patterns and report together
+        run.write_settings(&display)?;
+        if run.stages.last().is_some_and(|stage| !stage.cached) {
+            remove_reports(dir)?;
+        }
+        let outputs = run.outputs(&display, &stack, &input.target, task)?;
+        Ok((run, Made { input, weights, stack, steps, solution, outputs }))
+    }
+
+    /// Measures what was made and writes the report.
+    pub(crate) fn report(
+        &mut self,
+        made: &Made,
+        warnings: &[Warning],
+        command: Option<&str>,
+        task: Task<'_>,
+    ) -> Result<Report, PipelineError> {
+        let stage = Instant::now();
+        let Made { input, weights, stack, steps, solution, outputs } = made;
+        let settings = serde_json::to_value(self.job).expect("jobs serialize");
+        let report = lumistack_report::build(
+            &ReportInput {
+                title: &self.job.name,
+                display: &self.display,
+                stack,
+                target: &input.target,
+                weights,
+                held_out: input.held_out.as_ref(),
+                outside: input.outside.as_ref(),
+                pixels_per_degree: self.job.report.pixels_per_degree,
+                convergence: steps,
+                solution: Some(solution),
+                stages: &self.stages,
+                settings: &settings,
+                scene: input.about.as_ref(),
+                warnings,
+                outputs,
+                command,
+                version: env!("CARGO_PKG_VERSION"),
+            },
+            task,
+        )
+        .map_err(PipelineError::Report)?;
+        write_report(&self.dir, &report.html, &report.json)?;
+        self.stages.push(Stage { name: "report".into(), seconds: stage.elapsed().as_secs_f64(), cached: false });
+        Ok(report)
+    }
+
+    pub(crate) fn timed<T>(
         &mut self,
         name: &str,
         work: impl FnOnce(&mut Self) -> Result<(T, bool), PipelineError>,
@@ -164,34 +256,44 @@ impl<'a> Run<'a> {
         Ok(result)
     }
 
-    fn input(&mut self, task: Task<'_>) -> Result<Input, PipelineError> {
+    fn input(&mut self, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
         match (&self.job.scene, &self.job.light_field) {
-            (Some(scene), _) => self.render_scene(scene, task),
-            (None, Some(path)) => self.read_field(path, task),
+            (Some(scene), _) => self.render_scene(scene, moment, task),
+            (None, Some(path)) => self.read_field(path, moment, task),
             (None, None) => Err(PipelineError::value("job", "scene", "either `scene` or `light_field`", "neither")),
         }
     }
 
-    fn render_scene(&mut self, path: &Path, task: Task<'_>) -> Result<Input, PipelineError> {
+    fn render_scene(&mut self, path: &Path, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
         let job = self.job;
-        let ingested = self.timed("ingest", |_| Ok((ingest::load_scene(path, &job.light, task)?, false)))?;
+        let loaded;
+        let ingested = match moment.ingested {
+            Some(ingested) => ingested,
+            None => {
+                loaded = self.timed("ingest", |_| Ok((ingest::load_scene(path, &job.light, task)?, false)))?;
+                &loaded
+            }
+        };
         let geometry = self.display.geometry().map_err(|source| display_error(source, "field"))?;
-        let window = ingest::place_window(&ingested, &job.window, &geometry, &self.dir.join("cache"), task)?;
+        let window = ingest::place_window(ingested, &job.window, &geometry, &self.dir.join("cache"), task)?;
         let rendered = self.timed("render", |run| {
             let cache = run.dir.join("cache/views");
-            let rendered = render::render(job, &ingested, &window, &geometry, &cache, task)?;
+            let rendered = render::render(job, ingested, &window, &geometry, &cache, task)?;
             let cached = rendered.cached;
             Ok((rendered, cached))
         })?;
         write_field_if_changed(&self.stamps, &self.dir, "target", &rendered.target, Some(rendered.exposure))?;
-        if let Some(field) = &rendered.held_out {
-            write_field_if_changed(&self.stamps, &self.dir, "held-out", field, Some(rendered.exposure))?;
+        for (name, field) in [("held-out", &rendered.held_out), ("outside", &rendered.outside)] {
+            if let Some(field) = field {
+                write_field_if_changed(&self.stamps, &self.dir, name, field, Some(rendered.exposure))?;
+            }
         }
-        let about = about_scene(path, &ingested, &window, &rendered);
-        Ok(Input { target: rendered.target, held_out: rendered.held_out, about: Some(about) })
+        let about = about_scene(path, ingested, &window, &rendered);
+        let render::Rendered { target, held_out, outside, exposure, .. } = rendered;
+        Ok(Input { target, held_out, outside, exposure: Some(exposure), about: Some(about) })
     }
 
-    fn read_field(&mut self, path: &Path, task: Task<'_>) -> Result<Input, PipelineError> {
+    fn read_field(&mut self, path: &Path, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
         let job = self.job;
         let defaults = lumistack_field_io::GeometryDefaults {
             width_mm: Some(self.display.field_pixels().size_mm()[0]),
@@ -202,41 +304,37 @@ impl<'a> Run<'a> {
             lumistack_field_io::round_to_half(&mut field);
             Ok((field, false))
         })?;
+        if let Some((geometry, place)) = moment.geometry {
+            sequence::check_geometry(path, target.geometry(), geometry, place)?;
+        }
         self.display = self.display.adapted_to(target.geometry());
         self.display.check().map_err(|source| display_error(source, "light field"))?;
         write_field_if_changed(&self.stamps, &self.dir, "target", &target, None)?;
         let about = json!({ "light field": path.display().to_string() });
-        Ok(Input { target, held_out: None, about: Some(about) })
+        Ok(Input { target, held_out: None, outside: None, exposure: None, about: Some(about) })
     }
 
     fn write_settings(&self, display: &Display) -> Result<(), PipelineError> {
-        let mut job = self.job.clone();
-        // so that the copy can be run from where it lies
-        for path in job.paths_mut() {
-            if let Ok(absolute) = std::path::absolute(&*path) {
-                *path = absolute;
-            }
-        }
-        write(&self.dir.join("job.toml"), job.to_toml().as_bytes())?;
+        write_job(self.job, &self.dir)?;
         write(&self.dir.join("display.toml"), display.to_toml().as_bytes())
     }
 
-    /// Removes the reports of older patterns.
-    fn remove_reports(&self) -> Result<(), PipelineError> {
-        for name in ["report.html", "report.json"] {
-            let path = self.dir.join(name);
-            match std::fs::remove_file(&path) {
-                Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(PipelineError::Write { path, source });
-                }
-                _ => {}
-            }
-        }
-        Ok(())
-    }
-
     fn weights(&self, target: &LightField) -> Result<Weights, PipelineError> {
-        let Some(path) = &self.job.factorize.weights else { return Ok(Weights::Uniform) };
+        let eyes = &self.job.factorize.eyes;
+        let Some(path) = &self.job.factorize.weights else {
+            if eyes.is_empty() {
+                return Ok(Weights::Uniform);
+            }
+            let boxes: Vec<EyeBox> = eyes
+                .iter()
+                .map(|eye| EyeBox { eye_mm: eye.eye_mm, sigma_mm: eye.sigma_mm, weight: eye.weight })
+                .collect();
+            return Weights::eye_boxes(target.geometry(), &boxes, self.job.factorize.eye_floor as f32)
+                .map_err(|error| PipelineError::value("job", "factorize.eyes", error.expected, error.found));
+        };
+        if !eyes.is_empty() {
+            return Err(PipelineError::value("job", "factorize.eyes", "either `weights` or `eyes`", "both"));
+        }
         let (shape, data) = lumistack_field_io::npy::read(path).map_err(field_error)?;
         let weights = match shape.as_slice() {
             &[y, x] => Tensor::from_vec(["view_y", "view_x"], [y, x], data).map(Weights::PerView),
@@ -259,7 +357,7 @@ impl<'a> Run<'a> {
         target: &LightField,
         weights: &Weights,
         task: Task<'_>,
-    ) -> Result<(LayerStack, Vec<Iteration>), PipelineError> {
+    ) -> Result<(LayerStack, (Vec<Iteration>, Solution)), PipelineError> {
         let job = &self.job.factorize;
         let warm = match &job.warm_start {
             Some(path) => {
@@ -296,21 +394,23 @@ impl<'a> Run<'a> {
             if run.stamps.is_current("factorize", &key)
                 && let Ok(stack) = lumistack_field_io::read_stack(&layers)
                 && check_stack(&stack, display, &layers).is_ok()
-                && let Some(steps) = std::fs::read(&curve).ok().and_then(|text| serde_json::from_slice(&text).ok())
+                && let Some(solved) =
+                    std::fs::read(&curve).ok().and_then(|text| serde_json::from_slice::<Solved>(&text).ok())
             {
-                return Ok(((stack, report_steps(steps)), true));
+                return Ok(((stack, solved.told()), true));
             }
             run.stamps.clear("factorize")?;
             let (factorization, steps) = run.solve(display, target, weights, warm.as_ref(), task)?;
+            let solved = Solved::of(&factorization, steps, warm.is_some());
             let stack = factorization.stack;
             lumistack_field_io::write_stack(&layers, display, &stack).map_err(field_error)?;
-            write(&curve, &serde_json::to_vec(&steps).expect("steps serialize"))?;
+            write(&curve, &serde_json::to_vec(&solved).expect("solutions serialize"))?;
             let index = lumistack_field_io::read_stack_index(&layers).map_err(field_error)?;
             let mut files: Vec<PathBuf> = vec!["layers/stack.json".into(), "cache/convergence.json".into()];
             files.extend(index.layers.iter().map(|layer| Path::new("layers").join(&layer.file)));
             files.extend(index.backlight.iter().map(|backlight| Path::new("layers").join(&backlight.file)));
             run.stamps.write("factorize", &key, &files)?;
-            Ok(((stack, report_steps(steps)), false))
+            Ok(((stack, solved.told()), false))
         })
     }
 
@@ -328,7 +428,10 @@ impl<'a> Run<'a> {
             iterations: job.iterations,
             seed: self.job.seed,
             start: start_kind(&job.start)?,
+            coarse_levels: job.coarse_levels,
+            coarse_iterations: job.coarse_iterations,
             report_every: (job.iterations / CURVE_POINTS).max(1),
+            levels: job.levels,
         };
         let problem = Problem { display, target, weights };
         let start = Instant::now();
@@ -409,9 +512,13 @@ impl<'a> Run<'a> {
     }
 }
 
-fn start_kind(name: &str) -> Result<StartKind, PipelineError> {
-    StartKind::from_name(name).ok_or_else(|| {
-        let names: Vec<&str> = StartKind::ALL.iter().map(|(name, _)| *name).collect();
+/// `None` for the choice that suits the solver.
+fn start_kind(name: &str) -> Result<Option<StartKind>, PipelineError> {
+    if name == AUTO {
+        return Ok(None);
+    }
+    StartKind::from_name(name).map(Some).ok_or_else(|| {
+        let names: Vec<&str> = [AUTO].into_iter().chain(StartKind::ALL.iter().map(|(name, _)| *name)).collect();
         let hint =
             nearest(name, names.iter().copied()).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
         let expected = format!("one of {}", names.join(", "));
@@ -459,15 +566,46 @@ fn about_scene(
     })
 }
 
+/// Writes `job.toml` so that it can be run from where it lies.
+pub(crate) fn write_job(job: &Job, dir: &Path) -> Result<(), PipelineError> {
+    let mut job = job.clone();
+    for path in job.paths_mut() {
+        if let Ok(absolute) = std::path::absolute(&*path) {
+            *path = absolute;
+        }
+    }
+    write(&dir.join("job.toml"), job.to_toml().as_bytes())
+}
+
+/// Removes the reports of older patterns.
+pub(crate) fn remove_reports(dir: &Path) -> Result<(), PipelineError> {
+    for name in ["report.html", "report.json"] {
+        let path = dir.join(name);
+        match std::fs::remove_file(&path) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                return Err(PipelineError::Write { path, source });
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Writes `report.json`, then `report.html`.
+pub(crate) fn write_report(dir: &Path, html: &str, json: &serde_json::Value) -> Result<(), PipelineError> {
+    write(&dir.join("report.json"), &serde_json::to_vec_pretty(json).expect("reports serialize"))?;
+    write(&dir.join("report.html"), html.as_bytes())
+}
+
 fn check_stack(stack: &LayerStack, display: &Display, path: &Path) -> Result<(), PipelineError> {
     stack.check(display).map_err(|source: StackError| PipelineError::Stack { path: path.to_owned(), source })
 }
 
-fn check_folder(path: &Path) -> Result<(), PipelineError> {
+pub(crate) fn check_folder(path: &Path) -> Result<(), PipelineError> {
     if path.is_file() { Err(PipelineError::NotAFolder { path: path.to_owned() }) } else { Ok(()) }
 }
 
-fn display_error(source: lumistack_display::DisplayError, place: &str) -> PipelineError {
+pub(crate) fn display_error(source: lumistack_display::DisplayError, place: &str) -> PipelineError {
     PipelineError::Display { path: place.into(), text: String::new(), source }
 }
 
@@ -513,9 +651,9 @@ fn write_field_if_changed(
 }
 
 /// Keeps warnings for the report and passes them on.
-struct Tee<'a> {
-    list: Collector,
-    next: &'a dyn Warnings,
+pub(crate) struct Tee<'a> {
+    pub(crate) list: Collector,
+    pub(crate) next: &'a dyn Warnings,
 }
 
 impl Warnings for Tee<'_> {

@@ -3,8 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::{Tensor, colour};
-use lumistack_display::forward::{view_from_eye, view_from_slope};
-use lumistack_display::{Display, LayerStack};
+use lumistack_display::{Display, LayerStack, Simulator};
 use lumistack_field_io::picture::{Precision, write_exr};
 
 use crate::error::PipelineError;
@@ -57,7 +56,7 @@ impl RunFolder {
                     let found = format!("{degrees:?}");
                     return Err(PipelineError::value("--view", "X,Y", "angles between -90 and 90 degrees", found));
                 }
-                view_from_slope(&self.display, &self.stack, degrees.map(|angle| angle.to_radians().tan())).radiance
+                self.simulator().from_slope(degrees.map(|angle| angle.to_radians().tan())).radiance
             }
             Viewpoint::Eye(eye_mm) => {
                 if eye_mm[2] <= 0.0 {
@@ -69,7 +68,7 @@ impl RunFolder {
                         found,
                     ));
                 }
-                view_from_eye(&self.display, &self.stack, eye_mm).radiance
+                self.simulator().from_eye(eye_mm).radiance
             }
             Viewpoint::Sweep(count) => self.strip(count)?,
         };
@@ -77,16 +76,21 @@ impl RunFolder {
         Ok(picture)
     }
 
+    fn simulator(&self) -> Simulator<'_> {
+        Simulator::new(&self.display, &self.stack)
+    }
+
     fn strip(&self, count: usize) -> Result<Tensor<3>, PipelineError> {
         if !(1..=64).contains(&count) {
             return Err(PipelineError::value("--sweep", "N", "1 to 64 views", count.to_string()));
         }
+        let simulator = self.simulator();
         let half_width = (0.5 * self.display.field.fov_deg[0].to_radians()).tan();
         let views: Vec<Tensor<3>> = (0..count)
             .map(|i| {
                 // the same bin centres as a view grid of `count` views
                 let slope = (2.0 * i as f64 + 1.0 - count as f64) / count as f64 * half_width;
-                view_from_slope(&self.display, &self.stack, [slope, 0.0]).radiance
+                simulator.from_slope([slope, 0.0]).radiance
             })
             .collect();
         let [rows, cols, _] = views[0].shape();

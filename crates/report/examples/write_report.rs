@@ -1,7 +1,7 @@
 //! Factorizes a square-gridded `.npy` light field and writes its report, for looking at the page while working on it:
 //!
 //! ```text
-//! cargo run --release -p lumistack-report --example write_report -- LIGHTFIELD.npy PITCH_MM FOV_DEG DISPLAY OUT_DIR
+//! cargo run --release -p lumistack-report --example write_report -- LIGHTFIELD.npy PITCH_MM FOV_DEG DISPLAY OUT_DIR [SOLVER]
 //! ```
 //!
 //! DISPLAY is `layers:N:M` (N layers 40 mm apart, M frames), `lenslets:M` (one layer and a directional backlight) or `held-out:N:M`, where every
@@ -11,6 +11,7 @@ use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
 
+use lumistack_core::metrics::Flip;
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{Display, FieldGeometry, LightField, Projection, ViewGrid, Weights};
 use lumistack_factorizer::{Problem, Settings, factorize};
@@ -18,9 +19,13 @@ use lumistack_report::{Iteration, Output, ReportInput, Stage, build};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let [path, pitch_mm, fov_deg, kind, out] = args.as_slice() else {
-        return Err("expected LIGHTFIELD.npy PITCH_MM FOV_DEG DISPLAY OUT_DIR".into());
+    let (mut settings, given) = (Settings::default(), args.split_at_checked(5));
+    let Some(([path, pitch_mm, fov_deg, kind, out], solver)) = given else {
+        return Err("expected LIGHTFIELD.npy PITCH_MM FOV_DEG DISPLAY OUT_DIR [SOLVER]".into());
     };
+    if let [solver] = solver {
+        settings.solver.clone_from(solver);
+    }
     let field = read_field(Path::new(path), pitch_mm.parse()?, fov_deg.parse()?)?;
     let (kind, counts) = kind.split_once(':').ok_or("expected DISPLAY as kind:counts")?;
     let counts = counts.split(':').map(str::parse).collect::<Result<Vec<usize>, _>>()?;
@@ -37,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
     let start = Instant::now();
     let mut convergence = Vec::new();
-    let made = factorize(&problem, &Settings::default(), None, task, &mut |it| {
+    let made = factorize(&problem, &settings, None, task, &mut |it| {
         let seconds = start.elapsed().as_secs_f64();
         convergence.push(Iteration {
             iteration: it.iteration,
@@ -50,8 +55,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         Stage { name: "read".into(), seconds: 0.02, cached: true },
         Stage { name: "factorize".into(), seconds: start.elapsed().as_secs_f64(), cached: false },
     ];
-    let settings =
-        serde_json::json!({ "light_field": path, "solver": { "name": "multiplicative", "iterations": 50, "seed": 1 } });
+    let settings = serde_json::json!({
+        "light_field": path,
+        "solver": { "name": settings.solver, "iterations": settings.iterations, "seed": settings.seed },
+    });
     let report_start = Instant::now();
     let report = build(
         &ReportInput {
@@ -65,7 +72,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             target: &target,
             weights: &Weights::Uniform,
             held_out: held_out.as_ref(),
+            outside: None,
+            pixels_per_degree: Flip::DEFAULT_PIXELS_PER_DEGREE,
             convergence: &convergence,
+            solution: None,
             stages: &stages,
             settings: &settings,
             scene: None,

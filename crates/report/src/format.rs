@@ -9,6 +9,29 @@ pub(crate) fn decibels(value: f64) -> String {
     }
 }
 
+/// Small differences in decibels: two decimals below 1 dB.
+pub(crate) fn decibels_fine(value: f64) -> String {
+    match value.abs() {
+        v if v < 0.005 => "0.00".into(),
+        v if v < 0.995 => minus(format!("{value:.2}")),
+        _ => decibels(value),
+    }
+}
+
+/// A share or a count in two or three digits.
+pub(crate) fn number_short(value: f64) -> String {
+    match value.abs() {
+        v if v >= 99.5 => format!("{value:.0}"),
+        v if v >= 9.95 => format!("{value:.1}"),
+        _ => format!("{value:.2}"),
+    }
+}
+
+/// SSIM or FLIP with three decimals; "–" where nothing was compared.
+pub(crate) fn similarity(value: f64) -> String {
+    if value.is_nan() { "–".into() } else { minus(format!("{value:.3}")) }
+}
+
 /// Seconds with a unit: "0.42 s", "12.3 s", "3 min 05 s".
 pub(crate) fn duration(seconds: f64) -> String {
     match seconds {
@@ -23,6 +46,20 @@ pub(crate) fn duration(seconds: f64) -> String {
             }
         }
     }
+}
+
+/// Round seconds without needless digits: "20 ms", "0.5 s", "50 s"; longer ones as [`duration`].
+pub(crate) fn duration_short(seconds: f64) -> String {
+    match seconds {
+        s if s < 0.0995 => format!("{} ms", number_short_round(1e3 * s)),
+        s if s < 99.95 => format!("{} s", number_short_round(s)),
+        s => duration(s),
+    }
+}
+
+/// Two digits after the point at most, none that are zero.
+fn number_short_round(value: f64) -> String {
+    format!("{value:.2}").trim_end_matches('0').trim_end_matches('.').into()
 }
 
 /// A slope (tangent) as a signed angle with its unit: "+8.0°".
@@ -81,6 +118,13 @@ mod tests {
         );
         assert_eq!([-0.141, 0.0, -1e-9].map(angle), ["−8.0°", "0.0°", "0.0°"]);
         assert_eq!([-40.0, 0.2827, 2.961, -0.00001].map(number), ["−40", "0.2827", "2.961", "0"]);
+        assert_eq!([0.03, 0.999, -2.0, -0.001].map(decibels_fine), ["0.03", "1.0", "−2.0", "0.00"]);
+        assert_eq!([0.719, 12.34, 250.4].map(number_short), ["0.72", "12.3", "250"]);
+        assert_eq!(
+            [0.02, 0.5, 0.737, 50.0, 200.0].map(duration_short),
+            ["20 ms", "0.5 s", "0.74 s", "50 s", "3 min 20 s"]
+        );
+        assert_eq!([0.9312, f64::NAN].map(similarity), ["0.931", "–"]);
         assert_eq!([1.0, 0.99999, 0.913].map(percent), ["100 %", "99.9 %", "91.3 %"]);
     }
 

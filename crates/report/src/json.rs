@@ -3,19 +3,23 @@
 use lumistack_display::Projection;
 use serde_json::{Value, json};
 
+use crate::convergence::reached;
 use crate::measure::{FieldScore, Measured};
-use crate::{ReportError, ReportInput};
+use crate::{Found, ReportError, ReportInput};
 
 /// Value of the key `schema`.
 const SCHEMA: &str = "lumistack/report";
 
-pub(crate) fn report(input: &ReportInput, measured: &Measured) -> Result<Value, ReportError> {
-    let held_out = measured.held_out.as_ref().map(|score| {
+pub(crate) fn report(input: &ReportInput, measured: &Measured, found: &Found) -> Result<Value, ReportError> {
+    let others = |score: &FieldScore| {
         let mut views = views(score);
         views["overall_psnr_view"] = figure(score.psnr_view());
         views["overall_psnr_raw"] = figure(score.psnr_raw());
+        views["overall_ssim"] = figure(score.mean(|view| view.ssim));
+        views["overall_flip"] = figure(score.mean(|view| view.flip));
         views
-    });
+    };
+    let light = &found.light;
     Ok(json!({
         "schema": SCHEMA,
         "version": 1,
@@ -24,14 +28,46 @@ pub(crate) fn report(input: &ReportInput, measured: &Measured) -> Result<Value, 
         "command": input.command,
         "psnr_view": figure(measured.target.psnr_view()),
         "psnr_raw": figure(measured.target.psnr_raw()),
+        "ssim": figure(measured.target.mean(|view| view.ssim)),
+        "flip": figure(measured.target.mean(|view| view.flip)),
+        "pixels_per_degree": figure(input.pixels_per_degree),
         "brightness": input.stack.brightness,
+        "light": {
+            "emitted": figure(light.emitted),
+            "wanted": figure(light.wanted),
+            "open": figure(light.open),
+            "text": light.sentence(input),
+        },
         "views": views(&measured.target),
-        "held_out": held_out,
+        "held_out": measured.held_out.as_ref().map(others),
+        "outside": measured.outside.as_ref().map(others),
+        "limits": found.limits.iter().map(|limit| json!({
+            "name": limit.name,
+            "decibels": limit.decibels.map(figure),
+            "text": limit.text,
+            "figures": limit.figures,
+        })).collect::<Vec<_>>(),
+        "solution": input.solution.map(|solution| json!({
+            "solver": solution.solver,
+            "start": solution.start,
+            "coarse_levels": solution.coarse_levels,
+            "unsettled": figure(solution.unsettled),
+            "levels": solution.levels.map(|[continuous, rounded, reoptimized]| json!({
+                "continuous": figure(continuous),
+                "rounded": figure(rounded),
+                "reoptimized": figure(reoptimized),
+            })),
+        })),
         "convergence": input.convergence.iter().map(|it| json!({
             "iteration": it.iteration,
             "objective": figure(it.objective),
             "psnr_view": figure(it.psnr_view),
             "seconds": figure(it.seconds),
+        })).collect::<Vec<_>>(),
+        "reached": reached(input.convergence).iter().map(|line| json!({
+            "seconds": figure(line.seconds),
+            "iteration": line.iteration,
+            "psnr_view": figure(line.psnr_view),
         })).collect::<Vec<_>>(),
         "stages": input.stages.iter().map(|stage| json!({
             "name": stage.name,
@@ -48,7 +84,7 @@ pub(crate) fn report(input: &ReportInput, measured: &Measured) -> Result<Value, 
 }
 
 /// A number, `"Infinity"`, `"-Infinity"` or null.
-fn figure(value: f64) -> Value {
+pub(crate) fn figure(value: f64) -> Value {
     match value {
         f64::INFINITY => "Infinity".into(),
         f64::NEG_INFINITY => "-Infinity".into(),
@@ -75,7 +111,9 @@ fn views(score: &FieldScore) -> Value {
         "rows": geometry.rows,
         "cols": geometry.cols,
         "pitch_mm": geometry.pitch_mm,
-        "psnr_view": table(&|view| score.view(view).psnr()),
+        "psnr_view": table(&|view| score.view(view).error.psnr()),
+        "ssim": table(&|view| score.view(view).ssim.value()),
+        "flip": table(&|view| score.view(view).flip.value()),
         "counted_share": table(&|view| score.counted_share(view)),
     })
 }

@@ -4,12 +4,16 @@
 //! makes no network request. `report.html` is one file: pictures are data URIs, style and script are inline.
 //!
 //! ```text
-//! Display + LayerStack + LightField ──▶ measure (PSNR, pictures) ──▶ json  ──▶ report.json
-//!                                                                └──▶ page  ──▶ report.html
+//! Display + LayerStack + LightField ──▶ measure  PSNR, SSIM, FLIP, pictures ──▶ json ──▶ report.json
+//!                                       light    absolute brightness       └──▶ page ──▶ report.html
+//!                                       limits   what limits the result
+//!                                       patterns pictures of the masks
 //! ```
 //!
 //! PSNR is the display crate's: peak 1, linear light, over all rays with w > 0 that meet the display, and all channels. `psnr_view` compares
-//! L̃/β with L, `psnr_raw` compares L̃ with βL and is higher by −20·log10 β.
+//! L̃/β with L, `psnr_raw` compares L̃ with βL and is higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
+//! [`lumistack_core::metrics`] defines them: rays that do not count are set to the target in both pictures, and the means run over the pixels that
+//! count.
 //!
 //! # report.json
 //!
@@ -18,10 +22,15 @@
 //! | `schema`, `version` | `"lumistack/report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_view`, `psnr_raw` | dB, all target views |
+//! | `ssim`, `flip` | means over all target views |
+//! | `pixels_per_degree` | of visual angle, for FLIP |
 //! | `brightness` | β |
-//! | `views` | of the target: `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`, and `[view_y][view_x]` arrays `psnr_view` (dB) and `counted_share` (share of rays that count, 0..1) |
-//! | `held_out` | null, or the same keys as `views` for views that were not optimized, with `overall_psnr_view` and `overall_psnr_raw` |
+//! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L), `open` (of a display whose every pixel is at its brightest, from straight ahead), and `text` |
+//! | `views` | of the target: `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`, and `[view_y][view_x]` arrays `psnr_view` (dB), `ssim`, `flip` and `counted_share` (share of rays that count, 0..1) |
+//! | `held_out`, `outside` | null, or the same keys as `views` for views that were not optimized, in between and beyond the zone, with `overall_psnr_view`, `overall_psnr_raw`, `overall_ssim` and `overall_flip` |
+//! | `limits` | list, the largest first, of `name`, `decibels` (how much better psnr_view would be without it; null where one run cannot tell), `text` and the `figures` behind it |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
+//! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by then |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
 //! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report) |
@@ -29,17 +38,23 @@
 //! JSON has no infinity: a PSNR of equal pictures is the text `"Infinity"`, which `float()` of Python, `Number()` of JavaScript and
 //! `str::parse::<f64>` of Rust all read; a figure without any counted ray is `null`.
 
+mod convergence;
 mod format;
 mod json;
+mod light;
+mod limits;
 mod measure;
 mod page;
 mod patterns;
 mod picture;
 mod plot;
+mod sequence;
 
 use lumistack_core::{Cancelled, Task, Warning};
 use lumistack_display::{Display, LayerStack, LightField, StackError, WeightError, Weights};
 use thiserror::Error;
+
+pub use sequence::{SequenceInput, SequenceReport, SequenceTime, Thumbnail, sequence};
 
 /// One iteration of the solver, as the pipeline recorded it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,6 +67,23 @@ pub struct Iteration {
     pub psnr_view: f64,
     /// Seconds since the solver started.
     pub seconds: f64,
+}
+
+/// How the solver came to the patterns.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Solution {
+    /// Name of the solver that was used.
+    pub solver: String,
+    /// How the patterns started.
+    pub start: String,
+    /// Levels of half the resolution at which it began.
+    pub coarse_levels: u32,
+    /// How far the patterns are from the first-order (KKT) conditions: root mean square change of the emission that one more exact coordinate step of
+    /// a value would make.
+    pub unsettled: f64,
+    /// `psnr_view` (dB) of the continuous patterns, of their values rounded to the panels' levels, and of the patterns re-optimized on the
+    /// levels, which are the result; where layers have few bits.
+    pub levels: Option<[f64; 3]>,
 }
 
 /// One stage of the run.
@@ -90,8 +122,14 @@ pub struct ReportInput<'a> {
     /// Views that the solver did not see, usually at [`lumistack_display::ViewGrid::in_between`]. Without them in-between views are shown as
     /// simulated only.
     pub held_out: Option<&'a LightField>,
+    /// Views beyond the target's, usually at [`lumistack_display::ViewGrid::outside`]. Without them such views are shown as simulated only.
+    pub outside: Option<&'a LightField>,
+    /// Pixels of a view per degree of visual angle, for FLIP; usually [`Flip::DEFAULT_PIXELS_PER_DEGREE`](lumistack_core::metrics::Flip).
+    pub pixels_per_degree: f64,
     /// The solver's history; may be empty.
     pub convergence: &'a [Iteration],
+    /// What the solver says of itself, where a solver ran.
+    pub solution: Option<&'a Solution>,
     /// Timings; may be empty.
     pub stages: &'a [Stage],
     /// The resolved job, every default written out.
@@ -121,6 +159,8 @@ pub struct Report {
     pub psnr_raw: f64,
     /// `psnr_view` of the held-out views, dB.
     pub held_out_psnr_view: Option<f64>,
+    /// `psnr_view` of the views beyond the zone, dB.
+    pub outside_psnr_view: Option<f64>,
 }
 
 /// A report that cannot be made.
@@ -153,9 +193,10 @@ pub enum ReportError {
 pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     input.stack.check(input.display)?;
     input.weights.check(input.target.geometry())?;
-    let views = |field: &LightField| field.geometry().grid.iter().count() as u64;
-    let steps = views(input.target) + input.held_out.map_or(0, views) + patterns::count(input.stack) as u64;
-    task.progress.begin("report", steps, "pictures");
+    let views = |field: &LightField| field.geometry().grid.iter().count();
+    let others = [input.held_out, input.outside].into_iter().flatten().map(views);
+    let steps = views(input.target) + others.sum::<usize>() + limits::count(input) + patterns::count(input.stack);
+    task.progress.begin("report", steps as u64, "pictures");
     let report = build_parts(input, task);
     task.progress.end();
     report
@@ -163,12 +204,25 @@ pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
 
 fn build_parts(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     let measured = measure::measure(input, task)?;
-    let patterns = patterns::encode(input, task)?;
-    let json = json::report(input, &measured)?;
-    let html = page::render(input, &measured, &patterns)?;
-    let held_out_psnr_view = measured.held_out.as_ref().map(measure::FieldScore::psnr_view);
     let target = &measured.target;
-    Ok(Report { html, json, psnr_view: target.psnr_view(), psnr_raw: target.psnr_raw(), held_out_psnr_view })
+    let found = Found { light: light::light(input, target), limits: limits::find(input, target, task)? };
+    let patterns = patterns::encode(input, task)?;
+    let json = json::report(input, &measured, &found)?;
+    let html = page::render(input, &measured, &found, &patterns)?;
+    Ok(Report {
+        html,
+        json,
+        psnr_view: target.psnr_view(),
+        psnr_raw: target.psnr_raw(),
+        held_out_psnr_view: measured.held_out.as_ref().map(measure::FieldScore::psnr_view),
+        outside_psnr_view: measured.outside.as_ref().map(measure::FieldScore::psnr_view),
+    })
+}
+
+/// What was found out beside the views' own figures.
+struct Found {
+    light: light::Light,
+    limits: Vec<limits::Limit>,
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! report.html: pictures first, then figures, then settings. maud escapes every text.
 
 mod figures;
+pub(crate) mod sequence;
 mod settings;
 mod views;
 
@@ -11,7 +12,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use crate::measure::Measured;
 use crate::patterns::Patterns;
 use crate::picture::Embedded;
-use crate::{ReportError, ReportInput};
+use crate::{Found, ReportError, ReportInput};
 
 const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = include_str!("page/script.js");
@@ -21,7 +22,42 @@ const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inlin
 /// Pictures with fewer columns than this are enlarged with sharp pixels.
 const SHARP_COLS: usize = 600;
 
-pub(crate) fn render(input: &ReportInput, measured: &Measured, patterns: &Patterns) -> Result<String, ReportError> {
+pub(crate) fn render(
+    input: &ReportInput,
+    measured: &Measured,
+    found: &Found,
+    patterns: &Patterns,
+) -> Result<String, ReportError> {
+    let header = html! {
+        h1 { (input.title) }
+        (figures::key_figures(input, measured))
+        (settings::warnings(input.warnings))
+        nav {
+            a href="#views" { "Views" }
+            a href="#limits" { "Limits" }
+            a href="#layers" { "Layers" }
+            a href="#quality" { "Quality per view" }
+            a href="#convergence" { "Convergence" }
+            a href="#time" { "Time" }
+            a href="#settings" { "Settings" }
+        }
+    };
+    let main = html! {
+        (views::headline(measured))
+        (views::look_around(measured))
+        (views::comparisons(input, measured))
+        (figures::limits(input, found))
+        (layers::patterns(input, patterns))
+        (figures::quality(input, measured))
+        (figures::convergence(input)?)
+        (figures::timings(input.stages))
+        (settings::section(input))
+    };
+    Ok(document(input.title, input.version, &header, &main))
+}
+
+/// A page of its own: style, script and the dialog for pictures at full size.
+pub(crate) fn document(title: &str, version: &str, header: &Markup, main: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -30,34 +66,13 @@ pub(crate) fn render(input: &ReportInput, measured: &Measured, patterns: &Patter
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta name="color-scheme" content="light dark";
                 meta http-equiv="Content-Security-Policy" content=(POLICY);
-                title { (input.title) " – Lumistack report" }
+                title { (title) " – Lumistack report" }
                 style { (PreEscaped(STYLE)) }
             }
             body {
-                header {
-                    h1 { (input.title) }
-                    (figures::key_figures(input, measured))
-                    (settings::warnings(input.warnings))
-                    nav {
-                        a href="#views" { "Views" }
-                        a href="#layers" { "Layers" }
-                        a href="#psnr" { "PSNR per view" }
-                        a href="#convergence" { "Convergence" }
-                        a href="#time" { "Time" }
-                        a href="#settings" { "Settings" }
-                    }
-                }
-                main {
-                    (views::headline(measured))
-                    (views::look_around(measured))
-                    (views::comparisons(input, measured))
-                    (layers::patterns(input, patterns))
-                    (figures::psnr_grids(measured))
-                    (figures::convergence(input)?)
-                    (figures::timings(input.stages))
-                    (settings::section(input))
-                }
-                footer { "Lumistack " (input.version) "; numbers of this page are in report.json" }
+                header { (header) }
+                main { (main) }
+                footer { "Lumistack " (version) "; numbers of this page are in report.json" }
                 dialog id="zoom" {
                     div class="bar" {
                         button type="button" data-step="-1" aria-label="previous picture" { "‹" }
@@ -71,7 +86,7 @@ pub(crate) fn render(input: &ReportInput, measured: &Measured, patterns: &Patter
             }
         }
     };
-    Ok(page.into_string())
+    page.into_string()
 }
 
 /// A picture that fills its place and opens at full size.

@@ -1,10 +1,14 @@
-//! Pictures of the patterns: every layer and frame, their mean over frames, and the backlight's emission.
+//! Pictures of the patterns: every layer's mean over frames and how much it changes, every frame, close-ups, and the backlight's emission.
 
+mod place;
+
+use lumistack_core::metrics::percentile;
 use lumistack_core::{Task, Tensor};
 use lumistack_display::LayerStack;
 
 use crate::picture::{self, Embedded, Encoding, Linear};
 use crate::{ReportError, ReportInput};
+pub(crate) use place::Window;
 
 /// All patterns, encoded.
 #[derive(Clone, Debug)]
@@ -13,20 +17,34 @@ pub(crate) struct Patterns {
     pub(crate) emission: Option<Emission>,
     /// Rearmost layer first.
     pub(crate) layers: Vec<Sheet>,
-    /// Factor by which all pictures are smaller than the patterns.
+    /// Factor by which pictures of single frames are smaller than the patterns.
     pub(crate) shrunk: usize,
-    /// Whether every pixel of the (shrunk) pictures is exact.
-    pub(crate) lossless: bool,
+    /// Factor by which the large pictures are.
+    pub(crate) large_shrunk: usize,
 }
 
 /// One layer.
 #[derive(Clone, Debug)]
 pub(crate) struct Sheet {
+    /// Mean over frames; of one frame that frame.
+    pub(crate) mean: Embedded,
+    /// Standard deviation over frames times [`CHANGE`], where there are several.
+    pub(crate) change: Option<Embedded>,
+    pub(crate) frames: Vec<Embedded>,
+    /// A part where patterns change finely from frame to frame, every pixel as it is, where the whole is larger.
+    pub(crate) closeup: Option<CloseUp>,
+}
+
+/// A part of a layer's green channel as grey, contrast stretched: channels are solved one by one, and the fine patterns of three of them at once look
+/// like noise.
+#[derive(Clone, Debug)]
+pub(crate) struct CloseUp {
+    pub(crate) window: Window,
+    /// Values that are shown as black and as white.
+    pub(crate) stretch: [f32; 2],
     /// Mean over frames, where there are several.
     pub(crate) mean: Option<Embedded>,
     pub(crate) frames: Vec<Embedded>,
-    /// The middle of the first frame, every pixel as it is, where the others are shrunk or not lossless.
-    pub(crate) closeup: Option<Embedded>,
 }
 
 /// The backlight, one picture per frame each.
@@ -40,10 +58,32 @@ pub(crate) struct Emission {
     pub(crate) bin: [usize; 2],
 }
 
-/// Pixels of all patterns together; as JPEG of noise-like patterns about 5 MB of text.
-const BUDGET: usize = 3_000_000;
-/// Largest close-up: columns, rows.
-const CLOSEUP: [usize; 2] = [160, 100];
+/// Factor on the standard deviation over frames, which is at most ½ for values in 0..1.
+pub(crate) const CHANGE: f32 = 2.0;
+
+/// Pixels of all single frames together; as JPEG of noise-like patterns about 4 MB of text.
+const BUDGET: usize = 2_400_000;
+/// Pixels of the large pictures together.
+const LARGE_BUDGET: usize = 1_400_000;
+
+/// How many pixels pictures lose, and how they are written.
+#[derive(Clone, Copy)]
+struct Size {
+    shrunk: usize,
+    encoding: Encoding,
+}
+
+impl Size {
+    fn within(budget: usize, sizes: &[(usize, usize)]) -> Self {
+        let shrunk = picture::shrink_factor(sizes, budget);
+        let pixels = sizes.iter().map(|(rows, cols)| rows.div_ceil(shrunk) * cols.div_ceil(shrunk)).sum();
+        Self { shrunk, encoding: Encoding::for_pixels(pixels) }
+    }
+
+    fn embed(self, picture: &Linear) -> Result<Embedded, ReportError> {
+        Ok(picture.shrunk(self.shrunk).encoded().embedded(self.encoding)?)
+    }
+}
 
 /// Number of progress steps of [`encode`].
 pub(crate) fn count(stack: &LayerStack) -> usize {
@@ -53,48 +93,92 @@ pub(crate) fn count(stack: &LayerStack) -> usize {
 pub(crate) fn encode(input: &ReportInput, task: Task) -> Result<Patterns, ReportError> {
     let stack = input.stack;
     let panel = stack.emission.as_ref().map(panel_tensor);
-    let sheets = stack.layers.iter().chain(&panel);
-    let sizes: Vec<_> = sheets.flat_map(|t| vec![(t.shape()[1], t.shape()[2]); t.shape()[0] + 1]).collect();
-    let shrunk = picture::shrink_factor(&sizes, BUDGET);
-    let pixels = sizes.iter().map(|(rows, cols)| rows.div_ceil(shrunk) * cols.div_ceil(shrunk)).sum();
-    let encoding = Encoding::for_pixels(pixels);
+    let sizes = |count: &dyn Fn(usize) -> usize| -> Vec<(usize, usize)> {
+        let sheets = stack.layers.iter().chain(&panel).map(Tensor::shape);
+        sheets.flat_map(|[frames, rows, cols, _]| vec![(rows, cols); count(frames)]).collect()
+    };
+    let (frame, large) = (Size::within(BUDGET, &sizes(&|m| m)), Size::within(LARGE_BUDGET, &sizes(&|m| m.min(2))));
     let emission = match (&stack.emission, &panel) {
-        (Some(emission), Some(panel)) => Some(encode_emission(emission, panel, shrunk, encoding, task)?),
+        (Some(emission), Some(panel)) => Some(encode_emission(emission, panel, frame, large, task)?),
         _ => None,
     };
-    let layers = stack.layers.iter().map(|layer| encode_sheet(layer, shrunk, encoding, task));
-    let lossless = encoding == Encoding::Png;
-    Ok(Patterns { emission, layers: layers.collect::<Result<_, _>>()?, shrunk, lossless })
+    let windows = place::on_layers(input.display, &stack.layers);
+    let layers = stack.layers.iter().enumerate().map(|(n, layer)| {
+        let window = windows.as_ref().map(|windows| windows[n]);
+        encode_sheet(layer, window, frame, large, task)
+    });
+    Ok(Patterns {
+        emission,
+        layers: layers.collect::<Result<_, _>>()?,
+        shrunk: frame.shrunk,
+        large_shrunk: large.shrunk,
+    })
 }
 
 /// `transmittance[frame][row][col][rgb]` as pictures.
-fn encode_sheet(layer: &Tensor<4>, shrunk: usize, encoding: Encoding, task: Task) -> Result<Sheet, ReportError> {
+fn encode_sheet(
+    layer: &Tensor<4>,
+    window: Option<Window>,
+    frame_size: Size,
+    large: Size,
+    task: Task,
+) -> Result<Sheet, ReportError> {
     let [frames, rows, cols, _] = layer.shape();
-    let mut mean = vec![0.0f32; rows * cols * 3];
+    let (mut sum, mut squares) = (vec![0.0f32; rows * cols * 3], vec![0.0f32; rows * cols * 3]);
     let mut pictures = Vec::with_capacity(frames);
     for frame in 0..frames {
         task.cancel.check()?;
         let values = layer.block([frame]);
-        mean.iter_mut().zip(values).for_each(|(mean, value)| *mean += value / frames as f32);
-        let picture = Linear::new(rows, cols, values, 1.0).shrunk(shrunk).encoded();
-        pictures.push(picture.embedded(encoding)?);
+        for ((sum, square), value) in sum.iter_mut().zip(&mut squares).zip(values) {
+            *sum += value / frames as f32;
+            *square += value * value / frames as f32;
+        }
+        pictures.push(frame_size.embed(&Linear::new(rows, cols, values, 1.0))?);
         task.progress.advance(1, "");
     }
-    let mean = (frames > 1).then(|| Linear { rows, cols, data: mean }.shrunk(shrunk).encoded().embedded(encoding));
-    let closeup = (shrunk > 1 || encoding == Encoding::Jpeg).then(|| {
-        let [width, height] = CLOSEUP;
-        let whole = Linear::new(rows, cols, layer.block([0]), 1.0);
-        let part = whole.cropped(rows.saturating_sub(height) / 2, cols.saturating_sub(width) / 2, height, width);
-        part.encoded().embedded(Encoding::Png)
+    let mean = Linear { rows, cols, data: sum };
+    let change = (frames > 1).then(|| {
+        let pairs = squares.iter().zip(&mean.data);
+        let data = pairs.map(|(square, mean)| CHANGE * (square - mean * mean).max(0.0).sqrt()).collect();
+        large.embed(&Linear { rows, cols, data })
     });
-    Ok(Sheet { mean: mean.transpose()?, frames: pictures, closeup: closeup.transpose()? })
+    Ok(Sheet {
+        change: change.transpose()?,
+        frames: pictures,
+        closeup: window.map(|window| close_up(layer, &mean, window)).transpose()?,
+        mean: large.embed(&mean)?,
+    })
+}
+
+/// The same part of every frame and of their mean, on one scale.
+fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp, ReportError> {
+    /// Shares of the values that may be clipped at either end.
+    const CLIPPED: f64 = 0.01;
+    /// A stretch by so little would not be seen.
+    const LITTLE: f32 = 0.02;
+    let [frames, rows, cols, _] = layer.shape();
+    let part = |whole: &Linear| whole.cropped(window.row, window.col, window.rows, window.cols).green();
+    let parts: Vec<Linear> =
+        (0..frames).map(|frame| part(&Linear::new(rows, cols, layer.block([frame]), 1.0))).collect();
+    let mut values: Vec<f32> = parts.iter().flat_map(|part| part.data.iter().copied()).collect();
+    let [low, high] = [CLIPPED, 1.0 - CLIPPED].map(|share| percentile(&mut values, share));
+    // a flat part, and one that fills the range anyhow, stay as they are
+    let worth_it = high - low > 1e-3 && (low > LITTLE || high < 1.0 - LITTLE);
+    let stretch = if worth_it { [low, high] } else { [0.0, 1.0] };
+    let embed = |part: &Linear| part.stretched(stretch).encoded().embedded(Encoding::Png);
+    Ok(CloseUp {
+        window,
+        stretch,
+        mean: (frames > 1).then(|| embed(&part(mean))).transpose()?,
+        frames: parts.iter().map(embed).collect::<Result<_, _>>()?,
+    })
 }
 
 fn encode_emission(
     emission: &Tensor<6>,
     panel: &Tensor<4>,
-    shrunk: usize,
-    encoding: Encoding,
+    frame_size: Size,
+    large: Size,
     task: Task,
 ) -> Result<Emission, ReportError> {
     let [frames, bins_y, bins_x, rows, cols, _] = emission.shape();
@@ -104,7 +188,8 @@ fn encode_emission(
         Ok(Linear::new(rows, cols, emission.block([frame, bin[0], bin[1]]), 1.0).encoded().embedded(Encoding::Png)?)
     });
     let central_bin = central.collect::<Result<_, ReportError>>()?;
-    Ok(Emission { panel: encode_sheet(panel, shrunk, encoding, task)?, central_bin, bin })
+    let panel = encode_sheet(panel, place::on_panel(panel), frame_size, large, task)?;
+    Ok(Emission { panel, central_bin, bin })
 }
 
 /// `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]` as `[frame][lenslet_row·bins_y + bin_y][lenslet_col·bins_x + bin_x][rgb]`.

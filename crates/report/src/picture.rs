@@ -91,6 +91,16 @@ impl Linear {
         Self { rows, cols, data: lines.copied().collect() }
     }
 
+    /// The green channel as grey.
+    pub(crate) fn green(&self) -> Self {
+        Self { data: self.data.chunks_exact(3).flat_map(|rgb| [rgb[1]; 3]).collect(), ..*self }
+    }
+
+    /// Values with `low` moved to 0 and `high` to 1; `low` < `high`.
+    pub(crate) fn stretched(&self, [low, high]: [f32; 2]) -> Self {
+        Self { data: self.data.iter().map(|value| (value - low) / (high - low)).collect(), ..*self }
+    }
+
     /// sRGB-encoded, clamped to 0..1.
     pub(crate) fn encoded(&self) -> Picture {
         Picture { rows: self.rows, cols: self.cols, rgb: self.data.iter().map(|value| srgb_code(*value)).collect() }

@@ -34,12 +34,20 @@ pub(crate) fn convergence(history: &[Iteration], axis: &Axis) -> Result<Option<S
     if points.is_empty() {
         return Ok(None);
     }
-    let svg = draw(&points, axis.label).map_err(|error| ReportError::Plot(error.to_string()))?;
-    let described = format!("role=\"img\" aria-label=\"PSNR in decibels over {}\" xmlns=", axis.label);
-    Ok(Some(svg.replace("\"#000000\"", "\"currentColor\"").replacen("xmlns=", &described, 1)))
+    Ok(Some(line(&points, axis.label, "psnr_view, dB")?))
 }
 
-fn draw(points: &[(f64, f64)], label: &str) -> Result<String, Box<dyn std::error::Error>> {
+/// Draws a line of decibels through at least one finite point.
+///
+/// # Errors
+/// If plotters fails.
+pub(crate) fn line(points: &[(f64, f64)], label: &str, value_label: &str) -> Result<String, ReportError> {
+    let svg = draw(points, label, value_label).map_err(|error| ReportError::Plot(error.to_string()))?;
+    let described = format!("role=\"img\" aria-label=\"{value_label} over {label}\" xmlns=");
+    Ok(svg.replace("\"#000000\"", "\"currentColor\"").replacen("xmlns=", &described, 1))
+}
+
+fn draw(points: &[(f64, f64)], label: &str, value_label: &str) -> Result<String, Box<dyn std::error::Error>> {
     let (x_range, y_range) = (range(points.iter().map(|p| p.0), 0.0), range(points.iter().map(|p| p.1), 0.06));
     let mut svg = String::new();
     {
@@ -58,7 +66,7 @@ fn draw(points: &[(f64, f64)], label: &str) -> Result<String, Box<dyn std::error
             .bold_line_style(BLACK.mix(0.15))
             .axis_style(BLACK.mix(0.6))
             .x_desc(label)
-            .y_desc("psnr_view, dB")
+            .y_desc(value_label)
             .x_labels(8)
             .y_labels(6)
             .x_label_formatter(&|x| format!("{x:.x_digits$}"))

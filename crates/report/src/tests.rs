@@ -2,9 +2,12 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use lumistack_core::metrics::Flip;
 use lumistack_core::{Cancel, Collector, Task, Tensor, Warning, seed};
 use lumistack_display::{Display, LayerStack, LightField, ViewGrid, Weights, score, view_error};
 use serde_json::{Value, json};
+
+mod figures;
 
 use crate::{Iteration, Output, Report, ReportError, ReportInput, Stage, build};
 
@@ -54,7 +57,10 @@ fn plain<'a>(display: &'a Display, stack: &'a LayerStack, target: &'a LightField
         target,
         weights: &Weights::Uniform,
         held_out: None,
+        outside: None,
+        pixels_per_degree: Flip::DEFAULT_PIXELS_PER_DEGREE,
         convergence: &[],
+        solution: None,
         stages: &[],
         settings: &Value::Null,
         scene: None,
@@ -208,9 +214,17 @@ fn texts_are_escaped_and_everything_given_is_shown() {
         psnr_view,
         seconds: f64::from(iteration),
     });
+    let solution = Solution {
+        solver: "extrapolated".into(),
+        start: "content".into(),
+        coarse_levels: 1,
+        unsettled: 2.5e-4,
+        levels: Some([40.0, 30.0, 36.5]),
+    };
     let input = ReportInput {
         title: evil,
         convergence: &history,
+        solution: Some(&solution),
         stages: &[
             Stage { name: evil.into(), seconds: 1.5, cached: true },
             Stage { name: "factorize".into(), seconds: 61.0, cached: false },
@@ -231,6 +245,9 @@ fn texts_are_escaped_and_everything_given_is_shown() {
     }
     assert_eq!(report.json["title"], evil);
     assert_eq!(report.json["convergence"][3]["psnr_view"], 23.5);
+    assert_eq!(report.json["solution"]["levels"]["reoptimized"], 36.5);
+    assert!(report.html.contains("Solver extrapolated, start content, at half the resolution first."));
+    assert!(report.html.contains("30.0 dB rounded to them, 36.5 dB re-optimized"), "{}", report.html);
     assert!(report.json["convergence"][2]["psnr_view"].is_null());
     assert_eq!(report.json["seconds_total"], 62.5);
     assert_eq!(report.json["warnings"][0]["place"], evil);
@@ -277,7 +294,7 @@ fn large_displays_stay_small_files() {
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let report = built(&plain(&display, &stack, &target)).unwrap();
     assert!(report.html.len() < LARGEST, "{} bytes", report.html.len());
-    assert!(report.html.contains("Shown at 1/3 size") && report.html.contains("frame 1, its middle"));
+    assert!(report.html.contains("Shown at 1/3 size") && report.html.contains("close-up: frame 12"));
 }
 
 #[test]

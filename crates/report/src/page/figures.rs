@@ -1,30 +1,41 @@
-//! Key figures, PSNR per view, convergence and timings.
+//! Key figures, quality per view, limits, convergence and timings.
 
+use lumistack_core::metrics::Mean;
 use maud::{Markup, PreEscaped, html};
 
 use super::legend;
-use crate::measure::{FieldScore, Measured, left_to_right, top_to_bottom};
+use crate::convergence::{Reached, reached};
+use crate::measure::{FieldScore, Measured, ViewFigures, left_to_right, top_to_bottom};
 use crate::picture::{SEQUENTIAL, map_colour};
-use crate::{ReportError, ReportInput, Stage, format, plot};
+use crate::{Found, ReportError, ReportInput, Solution, Stage, format, plot};
 
 /// The strip under the title.
 pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     let geometry = input.target.geometry();
     let [view_rows, view_cols] = geometry.grid.views();
+    let pixels = format!("across × up, {} × {} pixels each", geometry.cols, geometry.rows);
     let db = |value: f64| format!("{} dB", format::decibels(value));
     let mut figures = vec![
         ("PSNR of the views", db(measured.target.psnr_view()), "psnr_view: what an adapted eye sees, L̃/β against L"),
         ("PSNR of raw light", db(measured.target.psnr_raw()), "psnr_raw: emitted light, L̃ against βL"),
     ];
     if let Some(held_out) = &measured.held_out {
-        figures.push(("Held-out PSNR", db(held_out.psnr_view()), "psnr_view of views the solver did not see"));
+        figures.push((
+            "Held-out PSNR",
+            db(held_out.psnr_view()),
+            "psnr_view of in-between views, which the solver did not see",
+        ));
     }
+    let mean = |of: fn(&ViewFigures) -> Mean| format::similarity(measured.target.mean(of));
+    figures.extend([
+        ("SSIM", mean(|view| view.ssim), "structure that is kept; 1 is all"),
+        ("FLIP", mean(|view| view.flip), "difference that an eye sees; 0 is none"),
+    ]);
     let backlight = if input.stack.emission.is_some() { "and a directional backlight" } else { "uniform backlight" };
     figures.extend([
         ("Brightness β", format::number(input.stack.brightness), "emitted light as a share of the target's"),
         ("Layers × frames", format!("{} × {}", input.stack.layers.len(), input.stack.frames()), backlight),
-        ("Views", format!("{view_cols} × {view_rows}"), "across × up"),
-        ("Resolution", format!("{} × {}", geometry.cols, geometry.rows), "pixels of one view"),
+        ("Views", format!("{view_cols} × {view_rows}"), pixels.as_str()),
     ]);
     if !input.stages.is_empty() {
         let total = input.stages.iter().map(|stage| stage.seconds).sum();
@@ -37,65 +48,158 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     }
 }
 
-/// PSNR per view, laid out like the views; held-out views beside it on the same scale.
-pub(super) fn psnr_grids(measured: &Measured) -> Markup {
-    let fields = [Some(&measured.target), measured.held_out.as_ref()].into_iter().flatten();
-    let all = fields.flat_map(|score| score.geometry.grid.iter().map(|view| score.view(view).psnr()));
-    let finite = all.filter(|psnr| psnr.is_finite());
-    let (low, high) = finite.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
-    // a narrow range would paint differences that nobody can see
-    const NARROWEST_DB: f64 = 6.0;
-    let (low, high) = match (low <= high, 0.5 * (low + high)) {
-        (false, _) => (30.0, 30.0 + NARROWEST_DB),
-        (true, _) if high - low >= NARROWEST_DB => (low, high),
-        (true, middle) => (middle - 0.5 * NARROWEST_DB, middle + 0.5 * NARROWEST_DB),
-    };
-    html! {
-        section id="psnr" {
-            h2 { "PSNR per view, dB" }
-            p {
-                "Every cell is a view, laid out as an eye in front of the display moves: the topmost views in the top row. PSNR is 10·log₁₀(1/mean squared error) in linear light with peak 1; "
-                "6 dB more is half the error. It usually falls towards the corners; a single bad cell points at a view that needs a look."
-            }
-            div class="grids" {
-                (grid(&measured.target, "Target views", (low, high)))
-                @if let Some(held_out) = &measured.held_out { (grid(held_out, "Held-out views, not optimized", (low, high))) }
-            }
-            (legend(SEQUENTIAL, &[format!("{} dB", format::decibels(low)), format!("{} dB", format::decibels(high))]))
-            @if measured.held_out.is_none() { p class="quiet" { "No held-out views were rendered." } }
-        }
-    }
+/// A figure of every view, as a table of colours.
+struct Heat {
+    heading: &'static str,
+    explanation: &'static str,
+    value: fn(&ViewFigures) -> f64,
+    overall: fn(&FieldScore) -> f64,
+    text: fn(f64) -> String,
+    unit: &'static str,
+    /// A narrower range would paint differences that nobody can see.
+    narrowest: f64,
+    /// The range of views without a figure.
+    fallback: (f64, f64),
+    larger_is_better: bool,
 }
 
-fn grid(score: &FieldScore, name: &str, (low, high): (f64, f64)) -> Markup {
-    let grid = &score.geometry.grid;
-    let (rows, cols) = (top_to_bottom(grid), left_to_right(grid));
+const HEATS: [Heat; 3] = [
+    Heat {
+        heading: "PSNR per view, dB",
+        explanation: "Every cell is a view, laid out as an eye in front of the display moves: the topmost views in the top row. PSNR is 10·log₁₀(1/mean squared error) in linear light with peak 1; \
+                      6 dB more is half the error. It usually falls towards the corners; a single bad cell points at a view that needs a look.",
+        value: |view| view.error.psnr(),
+        overall: FieldScore::psnr_view,
+        text: format::decibels,
+        unit: " dB",
+        narrowest: 6.0,
+        fallback: (30.0, 36.0),
+        larger_is_better: true,
+    },
+    Heat {
+        heading: "SSIM per view",
+        explanation: "Structural similarity (Wang et al. 2004) of what is seen, sRGB-encoded: 1 where all structure is kept.",
+        value: |view| view.ssim.value(),
+        overall: |score| score.mean(|view| view.ssim),
+        text: format::similarity,
+        unit: "",
+        narrowest: 0.05,
+        fallback: (0.9, 1.0),
+        larger_is_better: true,
+    },
+    Heat {
+        heading: "FLIP per view",
+        explanation: "FLIP (Andersson et al. 2020): how much an eye sees that changes between target and display, 0 for nothing, 1 for most.",
+        value: |view| view.flip.value(),
+        overall: |score| score.mean(|view| view.flip),
+        text: format::similarity,
+        unit: "",
+        narrowest: 0.05,
+        fallback: (0.0, 0.1),
+        larger_is_better: false,
+    },
+];
+
+/// PSNR, SSIM and FLIP per view, laid out like the views; other views beside them on the same scale.
+pub(super) fn quality(input: &ReportInput, measured: &Measured) -> Markup {
     html! {
-        div class="scroll" {
-            p { (name) ": " strong { (format::decibels(score.psnr_view())) " dB" } }
-            table class="heat" {
-                thead { tr { th {} @for x in &cols { th scope="col" { (format::angle(grid.slope_x[*x])) } } } }
-                tbody {
-                    @for y in &rows {
-                        tr {
-                            th scope="row" { (format::angle(grid.slope_y[*y])) }
-                            @for x in &cols { (cell(score.view([*y, *x]).psnr(), (low, high))) }
-                        }
-                    }
+        section id="quality" {
+            h2 { "Quality per view" }
+            @for heat in &HEATS { (heat.tables(measured)) }
+            p class="quiet" {
+                "FLIP for " (format::number_short(input.pixels_per_degree)) " pixels of a view per degree of visual angle. SSIM and FLIP compare L̃/β with the target, clamped to 0..1; rays that do not "
+                "count are taken from the target in both."
+                @if measured.held_out.is_none() || measured.outside.is_none() {
+                    " Views that were not rendered ("
+                    @if measured.held_out.is_none() { "in-between" }
+                    @if measured.held_out.is_none() && measured.outside.is_none() { " and " }
+                    @if measured.outside.is_none() { "outside" }
+                    ") have no figures."
                 }
             }
         }
     }
 }
 
-fn cell(psnr: f64, (low, high): (f64, f64)) -> Markup {
-    if psnr.is_nan() {
-        return html! { td { "–" } };
+impl Heat {
+    fn tables(&self, measured: &Measured) -> Markup {
+        let target = Some((&measured.target, "Target views"));
+        let held_out = measured.held_out.as_ref().map(|score| (score, "In-between views, not optimized"));
+        let outside = measured.outside.as_ref().map(|score| (score, "Views beyond the zone"));
+        let fields: Vec<_> = [target, held_out, outside].into_iter().flatten().collect();
+        let all =
+            fields.iter().flat_map(|(score, _)| score.geometry.grid.iter().map(|view| (self.value)(score.view(view))));
+        let finite = all.filter(|value| value.is_finite());
+        let (low, high) = finite.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+        let (low, high) = match (low <= high, 0.5 * (low + high)) {
+            (false, _) => self.fallback,
+            (true, _) if high - low >= self.narrowest => (low, high),
+            (true, middle) => (middle - 0.5 * self.narrowest, middle + 0.5 * self.narrowest),
+        };
+        let ends = [low, high].map(|value| format!("{}{}", (self.text)(value), self.unit));
+        html! {
+            h3 { (self.heading) }
+            p { (self.explanation) }
+            div class="grids" { @for (score, name) in fields { (self.grid(score, name, (low, high))) } }
+            (legend(SEQUENTIAL, &if self.larger_is_better { ends } else { let [low, high] = ends; [high, low] }))
+        }
     }
-    let [r, g, b] = map_colour(SEQUENTIAL, ((psnr - low) / (high - low)) as f32);
-    let light = 299 * u32::from(r) + 587 * u32::from(g) + 114 * u32::from(b) > 128_000;
-    let style = format!("background:rgb({r} {g} {b});color:{}", if light { "#000" } else { "#fff" });
-    html! { td style=(style) { (format::decibels(psnr)) } }
+
+    fn grid(&self, score: &FieldScore, name: &str, range: (f64, f64)) -> Markup {
+        let grid = &score.geometry.grid;
+        let (rows, cols) = (top_to_bottom(grid), left_to_right(grid));
+        html! {
+            div class="scroll" {
+                p { (name) ": " strong { ((self.text)((self.overall)(score))) (self.unit) } }
+                table class="heat" {
+                    thead { tr { th {} @for x in &cols { th scope="col" { (format::angle(grid.slope_x[*x])) } } } }
+                    tbody {
+                        @for y in &rows {
+                            tr {
+                                th scope="row" { (format::angle(grid.slope_y[*y])) }
+                                @for x in &cols { (self.cell((self.value)(score.view([*y, *x])), range)) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn cell(&self, value: f64, (low, high): (f64, f64)) -> Markup {
+        if value.is_nan() {
+            return html! { td { "–" } };
+        }
+        let t = ((value - low) / (high - low)) as f32;
+        let [r, g, b] = map_colour(SEQUENTIAL, if self.larger_is_better { t } else { 1.0 - t });
+        let light = 299 * u32::from(r) + 587 * u32::from(g) + 114 * u32::from(b) > 128_000;
+        let style = format!("background:rgb({r} {g} {b});color:{}", if light { "#000" } else { "#fff" });
+        html! { td style=(style) { ((self.text)(value)) } }
+    }
+}
+
+/// What limits the result, and how bright it is.
+pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
+    html! {
+        section id="limits" {
+            h2 { "What limits the result" }
+            p {
+                "Measured on these patterns, without solving again: each line says how much better the PSNR would be without one effect, everything else as it is, the largest first. Effects overlap, so the "
+                "figures do not add up. The central view and the corners stand for all."
+            }
+            ol class="limits" {
+                @for limit in &found.limits {
+                    li {
+                        strong { (limit.name) }
+                        @if let Some(decibels) = limit.decibels { span class="gain" { (format::decibels_fine(decibels)) " dB" } }
+                        p { (limit.text) }
+                    }
+                }
+            }
+            h3 { "Absolute brightness" }
+            p { (found.light.sentence(input)) }
+        }
+    }
 }
 
 /// PSNR over iterations and over time.
@@ -114,10 +218,46 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
                     "A curve that still climbs at its right end asks for more iterations; a flat one has met the limit of its layers, frames and brightness."
                 },
             }
+            @if let Some(solution) = input.solution { p { (solved_by(solution)) } }
             @if plots.is_empty() && !input.convergence.is_empty() { p class="quiet" { "No finite PSNR to plot." } }
             div class="plots" { @for svg in &plots { (PreEscaped(svg)) } }
+            @if input.convergence.len() > 1 { (reached_by(&reached(input.convergence))) }
         }
     })
+}
+
+/// How the solver came to the patterns, in a sentence or two.
+fn solved_by(solution: &Solution) -> String {
+    let begun = match solution.coarse_levels {
+        0 => String::new(),
+        1 => ", at half the resolution first".into(),
+        levels => format!(", at {levels} coarser levels first"),
+    };
+    let mut text = format!(
+        "Solver {}, start {}{begun}. One more exact step of each value would change the emission by {:.1e} (root mean square): 0 where the \
+         first-order conditions hold.",
+        solution.solver, solution.start, solution.unsettled
+    );
+    if let Some([continuous, rounded, reoptimized]) = solution.levels {
+        let [continuous, rounded, reoptimized] = [continuous, rounded, reoptimized].map(format::decibels);
+        text += &format!(
+            " The panels' few levels: {continuous} dB before, {rounded} dB rounded to them, {reoptimized} dB re-optimized on them."
+        );
+    }
+    text
+}
+
+/// PSNR at round numbers of seconds.
+fn reached_by(lines: &[Reached]) -> Markup {
+    html! {
+        div class="scroll" {
+            table class="reached" {
+                tr { th scope="row" { "after" } @for line in lines { td { (format::duration_short(line.seconds)) } } }
+                tr { th scope="row" { "iterations" } @for line in lines { td { (line.iteration) } } }
+                tr { th scope="row" { "psnr_view, dB" } @for line in lines { td { (format::decibels(line.psnr_view)) } } }
+            }
+        }
+    }
 }
 
 /// Seconds per stage.

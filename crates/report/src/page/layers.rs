@@ -1,10 +1,10 @@
-//! The patterns as contact sheets, in the order in which light passes them.
+//! The patterns, in the order in which light passes them: large, close up, and every frame.
 
-use lumistack_display::{Backlight, Display};
+use lumistack_display::{Backlight, Display, Formation};
 use maud::{Markup, html};
 
-use super::{figure, picture, shrunk_note};
-use crate::patterns::{Emission, Patterns, Sheet};
+use super::{figure, picture};
+use crate::patterns::{CHANGE, Emission, Patterns, Sheet, Window};
 use crate::picture::Embedded;
 use crate::{ReportInput, format};
 
@@ -17,12 +17,14 @@ pub(super) fn patterns(input: &ReportInput, patterns: &Patterns) -> Markup {
             p {
                 (format::counted(display.layers.len(), "layer")) " × " (format::counted(frames, "frame"))
                 ", from the rear to the front. " (expectation(display, frames))
-                " Patterns are linear transmittance, shown sRGB-encoded: black blocks light, white lets it through." (shrunk_note(patterns.shrunk))
-                @if patterns.shrunk > 1 || !patterns.lossless {
-                    " The last picture of every layer is the middle of its first frame, pixel by pixel; the exact patterns are in the run's files."
-                }
             }
-            @if frames > 1 { (flipper(display, patterns)) }
+            p {
+                (scale(display))
+                @if frames > 1 {
+                    " The standard deviation over frames is shown × " (CHANGE) ": black is the same in every frame, white changes between the ends of the range."
+                }
+                @if patterns.large_shrunk > 1 { " Large pictures are at 1/" (patterns.large_shrunk) " size, averaged over areas; the exact patterns are in the run's files." }
+            }
             @if let (Some(emission), Backlight::Lenslets(backlight)) = (&patterns.emission, &display.backlight) {
                 @let [bins_x, bins_y] = backlight.views;
                 h3 {
@@ -32,8 +34,9 @@ pub(super) fn patterns(input: &ReportInput, patterns: &Patterns) -> Markup {
                     }
                 }
                 p { "Every lenslet is a tile of " (bins_x) " × " (bins_y) " pixels, one per direction, topmost and leftmost direction first." }
-                (contact_sheet(&emission.panel, "backlight"))
+                (large(&emission.panel, "backlight"))
                 (central_bin(emission))
+                (close_up(&emission.panel, "backlight"))
             }
             @for (n, (sheet, layer)) in patterns.layers.iter().zip(&display.layers).enumerate() {
                 h3 {
@@ -41,9 +44,30 @@ pub(super) fn patterns(input: &ReportInput, patterns: &Patterns) -> Markup {
                         "d = " (format::number(layer.d_mm)) " mm · " (layer.resolution[0]) " × " (layer.resolution[1]) " pixels of " (format::number(layer.pitch_mm)) " mm"
                     }
                 }
-                (contact_sheet(sheet, &name(n, display)))
+                (large(sheet, &name(n, display)))
+                (close_up(sheet, &name(n, display)))
+            }
+            @if frames > 1 {
+                h3 { "All frames" }
+                @if patterns.shrunk > 1 { p { "Shown at 1/" (patterns.shrunk) " size, averaged over areas, which blurs what the close-ups show." } }
+                (flipper(display, patterns))
+                @if let Some(emission) = &patterns.emission { (contact_sheet(&emission.panel, "backlight")) }
+                @for (n, sheet) in patterns.layers.iter().enumerate() { (contact_sheet(sheet, &name(n, display))) }
             }
             (files(input))
+        }
+    }
+}
+
+/// How values become grey.
+fn scale(display: &Display) -> &'static str {
+    match display.formation {
+        Formation::Attenuating => {
+            "Patterns are linear transmittance, shown sRGB-encoded: black blocks light, white lets it through."
+        }
+        Formation::Additive => "Patterns are linear emission, shown sRGB-encoded: black is dark, white emits most.",
+        Formation::Polarization => {
+            "Patterns are rotations of polarization in units of 90°, shown sRGB-encoded: black is none, white a quarter turn."
         }
     }
 }
@@ -95,15 +119,49 @@ fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     }
 }
 
-fn contact_sheet(sheet: &Sheet, name: &str) -> Markup {
-    let count = sheet.frames.len() + usize::from(sheet.mean.is_some()) + usize::from(sheet.closeup.is_some());
+/// What a layer holds, and where it changes.
+fn large(sheet: &Sheet, name: &str) -> Markup {
     html! {
-        div class="contact group" style=(across(count)) data-sheet=(name) {
-            @if let Some(mean) = &sheet.mean { (figure(mean, &format!("{name}: mean over frames"), "mean over frames")) }
-            @for (m, embedded) in sheet.frames.iter().enumerate() { (numbered(embedded, name, m)) }
-            @if let Some(closeup) = &sheet.closeup {
-                (figure(closeup, &format!("{name}, frame 1: its middle, pixel by pixel"), "frame 1, its middle"))
+        div class="large group" {
+            @match &sheet.change {
+                None => (figure(&sheet.mean, &format!("{name}: its only frame"), "the only frame")),
+                Some(change) => {
+                    (figure(&sheet.mean, &format!("{name}: mean over frames"), "mean over frames"))
+                    (figure(change, &format!("{name}: standard deviation over frames"), &format!("standard deviation over frames, × {CHANGE}")))
+                }
             }
+        }
+    }
+}
+
+/// The same small part of every frame, pixel by pixel.
+fn close_up(sheet: &Sheet, name: &str) -> Markup {
+    let Some(closeup) = &sheet.closeup else { return html! {} };
+    let Window { row, col, rows, cols } = closeup.window;
+    let stretched = closeup.stretch != [0.0, 1.0];
+    let [low, high] = closeup.stretch.map(|value| format::number_short(f64::from(value)));
+    let count = closeup.frames.len() + usize::from(closeup.mean.is_some());
+    html! {
+        p class="note" {
+            "Close-up, pixel by pixel: columns " (col) " to " (col + cols - 1) ", rows " (row) " to " (row + rows - 1)
+            @if closeup.mean.is_some() { ", where the frames differ most finely" }
+            ". The green channel alone, since every channel has patterns of its own. "
+            @if stretched { "Contrast stretched: " (low) " is black, " (high) " white." } @else { "Contrast as it is." }
+        }
+        div class="contact group" style=(format!("--across:{}", if count <= 8 { count.clamp(3, 4) } else { 5 })) {
+            @if let Some(mean) = &closeup.mean { (figure(mean, &format!("{name}, close-up: mean over frames"), "mean over frames")) }
+            @for (m, embedded) in closeup.frames.iter().enumerate() {
+                (figure(embedded, &format!("{name}, close-up: frame {}", m + 1), &format!("frame {}", m + 1)))
+            }
+        }
+    }
+}
+
+fn contact_sheet(sheet: &Sheet, name: &str) -> Markup {
+    html! {
+        p class="note" { (name) }
+        div class="contact group" style=(across(sheet.frames.len())) data-sheet=(name) {
+            @for (m, embedded) in sheet.frames.iter().enumerate() { (numbered(embedded, name, m)) }
         }
     }
 }

@@ -1,7 +1,10 @@
 //! The display, the job, the scene, warnings and versions.
 
 use lumistack_core::Warning;
-use lumistack_display::{Backlight, Display, Missing, OutsideBins, Projection, Sampling, Transfer};
+use lumistack_display::{
+    Backlight, ColourSequence, Display, Formation, Layer, LayerColour, Missing, OutsideBins, Projection, Sampling,
+    Transfer,
+};
 use maud::{Markup, html};
 use serde_json::Value;
 
@@ -42,7 +45,7 @@ fn display(input: &ReportInput) -> Markup {
         table class="facts" { @for (name, value) in display_facts(input) { tr { th scope="row" { (name) } td { (value) } } } }
         div class="scroll" {
             table class="layers" {
-                thead { tr { @for name in ["layer", "d, mm", "pixels", "pitch, mm", "size, mm", "offset, mm", "black level", "transfer"] { th scope="col" { (name) } } } }
+                thead { tr { @for name in ["layer", "d, mm", "pixels", "pitch, mm", "size, mm", "offset, mm", "range", "bits", "transfer", "blur, px", "colour"] { th scope="col" { (name) } } } }
                 tbody {
                     @for (n, layer) in display.layers.iter().enumerate() {
                         @let [cols, rows] = layer.resolution;
@@ -53,14 +56,27 @@ fn display(input: &ReportInput) -> Markup {
                             td { (format::number(layer.pitch_mm)) }
                             td { (format::number(cols as f64 * layer.pitch_mm)) " × " (format::number(rows as f64 * layer.pitch_mm)) }
                             td { (format::number(layer.offset_mm[0])) ", " (format::number(layer.offset_mm[1])) }
-                            td { (format::number(layer.black_level)) }
+                            td { @let [low, high] = layer.range(); (format::number(low.into())) " to " (format::number(high.into())) }
+                            td { @match layer.bits { Some(bits) => (bits), None => "–" } }
                             td { @match layer.transfer { Transfer::Srgb => "sRGB", Transfer::Linear => "linear", Transfer::Gamma(gamma) => { "gamma " (format::number(gamma)) } } }
+                            td { (format::number(layer.blur_px)) }
+                            td { (colour(layer)) }
                         }
                     }
                 }
             }
         }
     }
+}
+
+fn colour(layer: &Layer) -> String {
+    let mut parts = vec![match layer.colour {
+        LayerColour::Rgb => "RGB",
+        LayerColour::Mono => "mono",
+    }];
+    parts.extend((!layer.filters.is_empty()).then_some("colour filters"));
+    parts.extend(layer.crosstalk.map(|_| "crosstalk"));
+    parts.join(", ")
 }
 
 fn display_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
@@ -92,14 +108,15 @@ fn display_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
         ),
         ("projection", projection),
         (
-            "frames",
-            format!(
-                "{} at {} Hz: the eye sees {} periods a second",
-                display.frames,
-                format::number(display.refresh_hz),
-                format::number(display.period_hz())
-            ),
+            "image formation",
+            match display.formation {
+                Formation::Attenuating => "attenuating: the product of the layers' transmittances",
+                Formation::Additive => "additive: the sum of the layers' emissions",
+                Formation::Polarization => "polarization: sin² of the summed rotation",
+            }
+            .into(),
         ),
+        ("frames", frames(display)),
         ("brightness β", format::number(input.stack.brightness)),
         ("backlight", backlight(display)),
         (
@@ -119,6 +136,20 @@ fn display_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
             .into(),
         ),
     ]
+}
+
+fn frames(display: &Display) -> String {
+    let colours = match display.colour_sequence {
+        ColourSequence::Simultaneous => "",
+        ColourSequence::Field => " of 3 colours in turn",
+    };
+    format!(
+        "{}{colours} at {} Hz: {} periods a second{}",
+        display.frames,
+        format::number(display.refresh_hz),
+        format::number(display.period_hz()),
+        if display.flicker_warning().is_some() { ", which flickers" } else { "" }
+    )
 }
 
 fn backlight(display: &Display) -> String {
@@ -143,7 +174,7 @@ fn backlight(display: &Display) -> String {
 }
 
 /// Any JSON as a table of dotted keys.
-fn facts(name: &str, value: &Value) -> Markup {
+pub(super) fn facts(name: &str, value: &Value) -> Markup {
     let mut rows = Vec::new();
     flatten(String::new(), value, &mut rows);
     html! {

@@ -68,21 +68,29 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
     }
 }
 
-/// Corners, centre, worst and in-between views.
+/// Corners, centre, worst, in-between and outside views.
 pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
     let grid = &input.target.geometry().grid;
     let one_view = grid.views() == [1, 1];
     let with_target: Vec<&Comparison> = measured.rows.iter().filter(|row| row.target.is_some()).collect();
     let simulated_only = measured.rows.iter().filter(|row| row.target.is_none());
+    let missing = match (input.held_out, input.outside) {
+        (None, None) => {
+            " No target was rendered for in-between and outside views here, so they are shown as simulated only."
+        }
+        (None, Some(_)) => {
+            " No target was rendered for the in-between views here, so they are shown as simulated only."
+        }
+        (Some(_), None) => " No target was rendered for the outside views here, so they are shown as simulated only.",
+        (Some(_), Some(_)) => "",
+    };
     html! {
         section {
             h2 { "Views side by side" }
             p {
                 "Corner views are the hardest: their rays lean most, so things far from the display blur or double there first. In-between views were not targets of the optimization; ghosts and noise that "
-                "only they show mean that the target's views are too far apart."
-                @if input.held_out.is_none() && !one_view {
-                    " No target was rendered for the in-between views here, so they are shown as simulated only."
-                }
+                "only they show mean that the target's views are too far apart. Nothing constrains what an eye beyond the outermost views sees: there the picture may fall apart at once."
+                @if !one_view { (missing) }
                 (shrunk_note(measured.rows_shrunk))
             }
             @for (i, row) in with_target.iter().enumerate() {
@@ -94,9 +102,9 @@ pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
             }
             @if simulated_only.clone().next().is_some() {
                 div class="row" {
-                    h3 { "In-between views" span { "simulated only" } }
+                    h3 { "In-between and outside views" span { "simulated only" } }
                     div class="compare group" {
-                        @for view in simulated_only { (figure(&view.simulated, &format!("Simulated in-between view, from {}", view.direction), &facts(view))) }
+                        @for view in simulated_only { (figure(&view.simulated, &format!("Simulated: {}, from {}", view.title, view.direction), &format!("{}, {}", view.title, facts(view)))) }
                     }
                 }
             }
@@ -106,8 +114,13 @@ pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
 
 fn facts(view: &Comparison) -> String {
     let mut facts = format!("from {}", view.direction);
-    if let Some(psnr) = view.psnr {
-        facts += &format!(" · PSNR {} dB", format::decibels(psnr));
+    if let Some(figures) = &view.figures {
+        facts += &format!(
+            " · PSNR {} dB · SSIM {} · FLIP {}",
+            format::decibels(figures.error.psnr()),
+            format::similarity(figures.ssim.value()),
+            format::similarity(figures.flip.value())
+        );
     }
     if view.counted_share < 1.0 {
         facts += &format!(" · {} of rays count", format::percent(view.counted_share));

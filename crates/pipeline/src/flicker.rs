@@ -1,0 +1,195 @@
+//! Flicker over time: how much a display's error changes from one time of a sequence to the next.
+//!
+//! ```text
+//! e_t = L̃_t/β − L_t                                     error of a ray at time t
+//! flicker_t = rms over rays and channels of e_t − e_(t−1) = (L̃_t − L̃_(t−1))/β − (L_t − L_(t−1))
+//! ```
+//!
+//! It is what changes in front of the viewer and should not: an error that stands still has none, however large it is. In linear light, over the rays
+//! with w > 0 that meet the display, given in dB as −20·log10 of it: the PSNR (peak 1) of the change that is shown against the change that is wanted. Independent errors
+//! give 3 dB less than `psnr_view`. An eye sees it most where nothing else moves, so it is also taken over the still rays alone: those whose target keeps
+//! its 8-bit sRGB codes to within [`STILL_CODES`] in every channel.
+
+use lumistack_core::colour::srgb_code;
+use lumistack_core::metrics::SquaredError;
+use lumistack_core::{Cancelled, Task};
+use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator, Weights};
+use rayon::prelude::*;
+
+/// Most that a still ray's target changes, 8-bit sRGB codes.
+const STILL_CODES: u8 = 1;
+
+/// What a display shows at one time, and what it should show.
+#[derive(Clone, Copy)]
+pub(crate) struct Shown<'a> {
+    pub(crate) stack: &'a LayerStack,
+    pub(crate) target: &'a LightField,
+}
+
+/// Errors of one time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct TimeError {
+    /// Of L̃/β against L.
+    pub(crate) error: SquaredError,
+    /// Of the change shown against the change wanted, all rays.
+    pub(crate) change: SquaredError,
+    /// The same, still rays only.
+    pub(crate) still: SquaredError,
+}
+
+/// Simulates all views of a time, and of the time before. Without a time before, the last two errors stay empty.
+///
+/// # Errors
+/// When cancelled.
+pub(crate) fn measure(
+    display: &Display,
+    now: Shown<'_>,
+    before: Option<Shown<'_>>,
+    weights: &Weights,
+    task: Task<'_>,
+) -> Result<TimeError, Cancelled> {
+    let geometry = now.target.geometry();
+    let map = RayMap::new(display, geometry);
+    let (simulator, earlier) = (Simulator::new(display, now.stack), before.map(|b| Simulator::new(display, b.stack)));
+    let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
+    let of_view = |view: [usize; 2]| -> Result<TimeError, Cancelled> {
+        task.cancel.check()?;
+        let emitted = simulator.view(&map, geometry, view);
+        let emitted_before = earlier.as_ref().map(|earlier| earlier.view(&map, geometry, view));
+        let mut sums = TimeError::default();
+        for (pixel, wanted) in now.target.view(view).chunks_exact(3).enumerate() {
+            if !emitted.valid[pixel] || weights.at(view, pixel / geometry.cols, pixel % geometry.cols) <= 0.0 {
+                continue;
+            }
+            let shown = |radiance: &[f32], beta: f64| [0, 1, 2].map(|c| f64::from(radiance[3 * pixel + c]) / beta);
+            let now_shown = shown(emitted.radiance.data(), now.stack.brightness);
+            (0..3).for_each(|c| sums.error.add(now_shown[c], f64::from(wanted[c])));
+            let (Some(before), Some(emitted_before)) = (before, &emitted_before) else { continue };
+            let then_shown = shown(emitted_before.radiance.data(), before.stack.brightness);
+            let then_wanted = &before.target.view(view)[3 * pixel..][..3];
+            let still = (0..3).all(|c| srgb_code(wanted[c]).abs_diff(srgb_code(then_wanted[c])) <= STILL_CODES);
+            for c in 0..3 {
+                let (change, change_wanted) =
+                    (now_shown[c] - then_shown[c], f64::from(wanted[c]) - f64::from(then_wanted[c]));
+                sums.change.add(change, change_wanted);
+                if still {
+                    sums.still.add(change, change_wanted);
+                }
+            }
+        }
+        Ok(sums)
+    };
+    // joined in the order of the views: the same figures on any number of threads
+    let of_views: Vec<TimeError> = views.into_par_iter().map(of_view).collect::<Result<_, _>>()?;
+    Ok(of_views.into_iter().fold(TimeError::default(), |sum, view| TimeError {
+        error: sum.error.merged(view.error),
+        change: sum.change.merged(view.change),
+        still: sum.still.merged(view.still),
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_core::seed::Stream;
+    use lumistack_core::{Cancel, Collector};
+
+    use super::*;
+    use crate::presets;
+
+    /// Of a figure in dB against the naive one: both sum in f64 what the simulator gives.
+    const AGREEMENT_DB: f64 = 1e-6;
+
+    fn display() -> Display {
+        let mut display = presets::load("fig7-uniform").unwrap().with_resolution([24, 15]);
+        (display.frames, display.field.views) = (2, [3, 2]);
+        display
+    }
+
+    fn random_stack(display: &Display, seed: u64) -> LayerStack {
+        let (mut stack, mut random) = (LayerStack::filled(display, 0.5), Stream::new(seed));
+        stack.layers.iter_mut().flat_map(|layer| layer.data_mut()).for_each(|value| *value = random.next_f32());
+        stack
+    }
+
+    /// The right half keeps its values from one time to the next.
+    fn random_target(display: &Display, seed: u64) -> LightField {
+        let mut target = LightField::black(display.geometry().unwrap()).unwrap();
+        let (cols, mut still, mut moving) = (target.geometry().cols, Stream::new(77), Stream::new(seed));
+        for (pixel, rgb) in target.radiance_mut().data_mut().chunks_exact_mut(3).enumerate() {
+            let (a, b) = (still.next_f32(), moving.next_f32());
+            rgb.fill(if pixel % cols >= cols / 2 { a } else { b });
+        }
+        target
+    }
+
+    fn measured(display: &Display, now: Shown<'_>, before: Shown<'_>, weights: &Weights) -> TimeError {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        measure(display, now, Some(before), weights, Task::quiet(&warnings, &cancel)).unwrap()
+    }
+
+    #[test]
+    fn a_naive_computation_gives_the_same() {
+        let display = display();
+        let stacks = [1, 2].map(|seed| random_stack(&display, seed));
+        let targets = [3, 4].map(|seed| random_target(&display, seed));
+        let [before, now] = [0, 1].map(|t| Shown { stack: &stacks[t], target: &targets[t] });
+        let found = measured(&display, now, before, &Weights::Uniform);
+        // e_t of every ray first, as lists; then their difference
+        let geometry = now.target.geometry();
+        let map = RayMap::new(&display, geometry);
+        let errors = |shown: Shown<'_>| -> Vec<f64> {
+            let simulator = Simulator::new(&display, shown.stack);
+            let view = |view| {
+                let emitted = simulator.view(&map, geometry, view);
+                let values = emitted.radiance.data().iter().zip(shown.target.view(view)).enumerate();
+                let error = |(i, (l, t)): (usize, (&f32, &f32))| {
+                    if emitted.valid[i / 3] { f64::from(*l) / display.brightness - f64::from(*t) } else { f64::NAN }
+                };
+                values.map(error).collect::<Vec<_>>()
+            };
+            geometry.grid.iter().flat_map(view).collect()
+        };
+        let (now_errors, then_errors) = (errors(now), errors(before));
+        let decibels = |of: &dyn Fn(usize) -> bool| {
+            let squares = (0..now_errors.len()).filter(|i| of(*i) && !now_errors[*i].is_nan());
+            let squares: Vec<f64> = squares.map(|i| (now_errors[i] - then_errors[i]).powi(2)).collect();
+            -10.0 * (squares.iter().sum::<f64>() / squares.len() as f64).log10()
+        };
+        assert!((found.change.psnr() - decibels(&|_| true)).abs() < AGREEMENT_DB);
+        let right_half = |i: usize| (i / 3) % geometry.cols >= geometry.cols / 2;
+        // by chance a moving ray may keep its code
+        let same = |i: usize| {
+            let code = |target: &LightField| srgb_code(target.radiance().data()[i]);
+            code(now.target).abs_diff(code(before.target)) <= STILL_CODES
+        };
+        assert!((found.still.psnr() - decibels(&|i| right_half(i) || same(i))).abs() < AGREEMENT_DB);
+        assert!(found.still.count > found.change.count / 3 && found.still.count < found.change.count);
+        let score = lumistack_display::score(&display, now.stack, now.target, &Weights::Uniform);
+        assert!((found.error.psnr() - score.psnr_view()).abs() < AGREEMENT_DB);
+    }
+
+    #[test]
+    fn an_error_that_stands_still_does_not_flicker() {
+        let display = display();
+        let (stack, target) = (random_stack(&display, 1), random_target(&display, 3));
+        let shown = Shown { stack: &stack, target: &target };
+        let found = measured(&display, shown, shown, &Weights::Uniform);
+        assert!(found.error.psnr() < 20.0, "the error itself is large");
+        assert_eq!((found.change.sum, found.change.psnr()), (0.0, f64::INFINITY));
+        assert_eq!(found.still.count, found.change.count);
+    }
+
+    #[test]
+    fn rays_without_weight_do_not_count() {
+        let display = display();
+        let stacks = [1, 2].map(|seed| random_stack(&display, seed));
+        let target = random_target(&display, 3);
+        let [before, now] = [0, 1].map(|t| Shown { stack: &stacks[t], target: &target });
+        let mut one = lumistack_core::Tensor::zeros(["view_y", "view_x"], [2, 3]);
+        *one.at_mut([1, 2]) = 0.5;
+        let all = measured(&display, now, before, &Weights::Uniform);
+        let found = measured(&display, now, before, &Weights::PerView(one));
+        assert!(found.error.count * 5 < all.error.count && found.error.count > 0);
+        assert_eq!(found.change.count, found.error.count);
+    }
+}

@@ -1,0 +1,244 @@
+//! What a time of a sequence is: the plain job that makes it.
+//!
+//! Light fields differ in the file that is read, a moving window in where the display stands; a scene with animation will differ in the scene.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DQuat, DVec3};
+use lumistack_core::Task;
+use lumistack_scene::{Similarity, Window};
+
+use super::{Last, name};
+use crate::error::PipelineError;
+use crate::ingest::{self, Ingested};
+use crate::job::{Job, SequenceJob, WindowFrom, WindowJob};
+use crate::run::display_error;
+
+/// The times of a job.
+pub(super) struct Times<'a> {
+    job: &'a Job,
+    pub(super) sequence: &'a SequenceJob,
+    source: Source,
+}
+
+enum Source {
+    /// One light field per time.
+    Fields(Vec<PathBuf>),
+    /// The window of the first time, and how many times there are.
+    MovingWindow { ingested: Ingested, window: Window, count: usize },
+}
+
+impl<'a> Times<'a> {
+    /// Lists the light fields, or loads the scene and places the window of the first time.
+    ///
+    /// # Errors
+    /// When there are no light fields, or fewer than the job asks for, or the scene cannot be loaded.
+    pub(super) fn find(
+        job: &'a Job,
+        sequence: &'a SequenceJob,
+        cache_dir: &Path,
+        task: Task<'_>,
+    ) -> Result<Self, PipelineError> {
+        let source = match (&job.scene, &job.light_field) {
+            (Some(scene), _) => {
+                let geometry = job.resolve_display()?.geometry().map_err(|source| display_error(source, "field"))?;
+                let ingested = ingest::load_scene(scene, &job.light, task)?;
+                let window = ingest::place_window(&ingested, &job.window, &geometry, cache_dir, task)?;
+                Source::MovingWindow { ingested, window, count: sequence.times.unwrap_or(1) }
+            }
+            (None, Some(folder)) => Source::Fields(light_fields(folder, sequence.times)?),
+            (None, None) => {
+                return Err(PipelineError::value("job", "scene", "either `scene` or `light_field`", "neither"));
+            }
+        };
+        Ok(Self { job, sequence, source })
+    }
+
+    pub(super) fn count(&self) -> usize {
+        match &self.source {
+            Source::Fields(paths) => paths.len(),
+            Source::MovingWindow { count, .. } => *count,
+        }
+    }
+
+    /// The scene, where all times share it.
+    pub(super) fn ingested(&self) -> Option<&Ingested> {
+        match &self.source {
+            Source::Fields(_) => None,
+            Source::MovingWindow { ingested, .. } => Some(ingested),
+        }
+    }
+
+    /// The job of a time. After the first one it starts from the patterns, and takes the exposure, of the times before.
+    pub(super) fn job(&self, time: usize, last: Option<&Last>) -> Job {
+        let mut job = Job { sequence: None, name: format!("{} {}", self.job.name, name(time)), ..self.job.clone() };
+        match &self.source {
+            Source::Fields(paths) => job.light_field = Some(paths[time].clone()),
+            Source::MovingWindow { window, .. } => {
+                job.window = given(&moved(window, self.sequence, self.share(time)));
+                if !self.sequence.reports {
+                    // only reports show them
+                    (job.render.held_out, job.render.outside) = (0, 0);
+                }
+            }
+        }
+        if let Some(last) = last {
+            job.factorize.warm_start = Some(last.layers.clone());
+            job.factorize.iterations = self.sequence.iterations;
+            job.factorize.coarse_levels = None;
+            if let Some(exposure) = last.exposure.filter(|exposure| *exposure > 0.0) {
+                (job.light.automatic_exposure, job.light.exposure_ev) = (false, exposure.log2());
+            }
+        }
+        job
+    }
+
+    /// Where the light field of a time comes from, for people.
+    pub(super) fn source(&self, time: usize) -> String {
+        match &self.source {
+            Source::Fields(paths) => paths[time].display().to_string(),
+            Source::MovingWindow { .. } => {
+                let (share, [x, y, z]) = (self.share(time), self.sequence.shift_mm);
+                let turn = share * self.sequence.turn_deg;
+                let shift = [x, y, z].map(|shift| format!("{:.1}", share * shift)).join(", ");
+                format!("window turned by {turn:.1}°, moved by ({shift}) mm")
+            }
+        }
+    }
+
+    /// How much of the movement is done, 0 at the first time and 1 at the last.
+    fn share(&self, time: usize) -> f64 {
+        time as f64 / (self.count() - 1).max(1) as f64
+    }
+}
+
+/// The window after a share of its movement: turned about its own vertical axis, and moved along the axes of its first time.
+fn moved(window: &Window, sequence: &SequenceJob, share: f64) -> Window {
+    let map = window.scene_from_display;
+    let turn = DQuat::from_rotation_y((share * sequence.turn_deg).to_radians());
+    let scene_from_display = Similarity {
+        rotation: map.rotation * turn,
+        translation: map.point(share * DVec3::from_array(sequence.shift_mm)),
+        ..map
+    };
+    Window { scene_from_display, ..*window }
+}
+
+/// A window as a job gives it.
+fn given(window: &Window) -> WindowJob {
+    let map = window.scene_from_display;
+    WindowJob {
+        from: WindowFrom::Given,
+        camera: None,
+        focus_distance: None,
+        centre: Some(map.translation.to_array()),
+        forward: Some((map.rotation * DVec3::NEG_Z).to_array()),
+        up: Some((map.rotation * DVec3::Y).to_array()),
+        width: Some(map.scale * window.size_mm[0]),
+    }
+}
+
+/// One light field per time: the folders in `folder`, without any the `.npy` files, without any the pictures; in the order of their names.
+fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, PipelineError> {
+    let error = |source| PipelineError::Read { path: folder.to_owned(), source };
+    let mut entries = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(error)? {
+        entries.push(entry.map_err(error)?.path());
+    }
+    let hidden = |path: &PathBuf| path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
+    entries.retain(|path| !hidden(path));
+    let has_extension = |path: &Path, wanted: &[&str]| {
+        path.extension().is_some_and(|found| wanted.iter().any(|wanted| found.eq_ignore_ascii_case(wanted)))
+    };
+    let kinds: [&dyn Fn(&Path) -> bool; 3] = [&|path| path.is_dir(), &|path| has_extension(path, &["npy"]), &|path| {
+        has_extension(path, &["png", "jpg", "jpeg", "exr", "hdr"])
+    }];
+    let found = kinds.iter().map(|kind| entries.iter().filter(|path| kind(path)).cloned().collect::<Vec<_>>());
+    let mut paths = found.into_iter().find(|paths| !paths.is_empty()).unwrap_or_default();
+    paths.sort_by_cached_key(|path| natural(&path.file_name().unwrap_or_default().to_string_lossy()));
+    let wanted = times.unwrap_or(paths.len());
+    let expected = match times {
+        Some(times) => format!("at least {times} light fields, one per time"),
+        None => format!("1 to {} light fields, one per time", SequenceJob::MOST),
+    };
+    if paths.len() < wanted || !(1..=SequenceJob::MOST).contains(&wanted) {
+        let found = format!("{} folders, .npy files or pictures", paths.len());
+        return Err(PipelineError::value(folder, "content of the folder", expected, found));
+    }
+    paths.truncate(wanted);
+    Ok(paths)
+}
+
+/// Sorts numbers in names by their value: "t2" before "t10".
+fn natural(name: &str) -> Vec<(String, u128, String)> {
+    let mut parts = Vec::new();
+    let mut rest = name;
+    while !rest.is_empty() {
+        let digits = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
+        let (text, after) = rest.split_at(digits);
+        let end = after.find(|c: char| !c.is_ascii_digit()).unwrap_or(after.len());
+        let (number, after) = after.split_at(end);
+        // longer numbers than fit sort last, among themselves as texts
+        parts.push((
+            text.into(),
+            number.parse().unwrap_or(if number.is_empty() { 0 } else { u128::MAX }),
+            number.into(),
+        ));
+        rest = after;
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_names_sort_by_value() {
+        let mut names = ["t10", "t2", "t0001", "a9b12.npy", "a9b2.npy", "t", "a10b1.npy"];
+        names.sort_by_cached_key(|name| natural(name));
+        assert_eq!(names, ["a9b2.npy", "a9b12.npy", "a10b1.npy", "t", "t0001", "t2", "t10"]);
+    }
+
+    #[test]
+    fn folders_go_before_arrays_and_arrays_before_pictures() {
+        let folder = tempfile::tempdir().unwrap();
+        let list = |times| {
+            light_fields(folder.path(), times).map(|paths| {
+                paths.iter().map(|p| p.file_name().unwrap().to_string_lossy().into_owned()).collect::<Vec<_>>()
+            })
+        };
+        assert!(list(None).unwrap_err().to_string().contains("found 0 folders"));
+        std::fs::write(folder.path().join("notes.txt"), "").unwrap();
+        std::fs::write(folder.path().join("a_qs3x3.png"), "").unwrap();
+        assert_eq!(list(None).unwrap(), ["a_qs3x3.png"]);
+        for name in ["f10.npy", "f9.npy", ".f1.npy", "f9.json"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        assert_eq!(list(None).unwrap(), ["f9.npy", "f10.npy"]);
+        assert_eq!(list(Some(1)).unwrap(), ["f9.npy"]);
+        assert!(list(Some(3)).unwrap_err().to_string().contains("at least 3 light fields"));
+        std::fs::create_dir(folder.path().join("t1")).unwrap();
+        assert_eq!(list(None).unwrap(), ["t1"]);
+    }
+
+    #[test]
+    fn a_window_that_turns_lets_the_viewer_walk_to_the_right() {
+        let first = Window::given(DVec3::new(1.0, 2.0, 3.0), DVec3::NEG_Z, DVec3::Y, 4.0, [400.0, 250.0]).unwrap();
+        let sequence = SequenceJob { turn_deg: 60.0, shift_mm: [100.0, 0.0, -50.0], ..SequenceJob::default() };
+        assert_eq!(moved(&first, &sequence, 0.0), first);
+        let half = moved(&first, &sequence, 0.5);
+        // 1 mm is 0.01 scene units: half of (100, 0, −50) mm from (1, 2, 3)
+        assert!((half.scene_from_display.translation - DVec3::new(1.5, 2.0, 2.75)).length() < 1e-12);
+        let to_viewer = half.scene_from_display.rotation * DVec3::Z;
+        assert!((to_viewer - DVec3::new(0.5, 0.0, 0.75f64.sqrt())).length() < 1e-12, "{to_viewer}");
+        let job = given(&half);
+        let [centre, forward, up] = [job.centre, job.forward, job.up].map(|v| DVec3::from_array(v.unwrap()));
+        let again = Window::given(centre, forward, up, job.width.unwrap(), first.size_mm).unwrap();
+        let corner = DVec3::new(200.0, 125.0, 10.0);
+        assert!(
+            (again.scene_from_display.point(corner) - half.scene_from_display.point(corner)).length() < 1e-12,
+            "a job says the same window"
+        );
+    }
+}

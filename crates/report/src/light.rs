@@ -1,0 +1,89 @@
+//! Absolute brightness: how much of its backlight a display lets out.
+//!
+//! The mean of L̃ over all rays that count, as luminance, relative to a backlight (or, of layers that emit, an emission) of 1; and what fully
+//! open layers would let out, mean over the central view.
+
+use lumistack_core::colour::luminance;
+use lumistack_core::metrics::Mean;
+use lumistack_display::{Display, FieldGeometry, Formation, LayerStack, Projection, RayMap, Simulator, ViewGrid};
+
+use crate::measure::FieldScore;
+use crate::{ReportInput, format};
+
+/// Luminances relative to the backlight's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Light {
+    /// Mean of L̃.
+    pub(crate) emitted: f64,
+    /// Mean of L, before β.
+    pub(crate) wanted: f64,
+    /// Of a display whose every pixel is at its brightest; NaN where no ray meets it.
+    pub(crate) open: f64,
+}
+
+pub(crate) fn light(input: &ReportInput, target: &FieldScore) -> Light {
+    Light {
+        emitted: target.mean(|view| view.emitted),
+        wanted: target.mean(|view| view.wanted),
+        open: open(input.display, input.target.geometry()),
+    }
+}
+
+/// Mean luminance, seen from straight ahead, of a display at its brightest.
+fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
+    let mut display = Display { frames: 1, ..display.clone() };
+    // the brightest rotation is 90° in all; more would darken again
+    let rotation: f64 = display.layers.iter().map(|layer| layer.peak).sum();
+    let share = if display.formation == Formation::Polarization { (1.0 / rotation).min(1.0) } else { 1.0 };
+    display.layers.iter_mut().for_each(|layer| layer.peak *= share);
+    let mut stack = LayerStack::filled(&display, 1.0);
+    for (values, layer) in stack.layers.iter_mut().zip(&display.layers) {
+        values.data_mut().fill(layer.range()[1]);
+    }
+    let geometry = geometry.with_grid(ViewGrid::single(Projection::Oblique, [0.0; 2]));
+    let view = Simulator::new(&display, &stack).view(&RayMap::new(&display, &geometry), &geometry, [0, 0]);
+    let lit = view.radiance.data().chunks_exact(3).zip(&view.valid).filter(|(_, valid)| **valid);
+    let one = |rgb: &[f32]| Mean { sum: f64::from(luminance([rgb[0], rgb[1], rgb[2]])), count: 1 };
+    lit.fold(Mean::default(), |mean, (rgb, _)| mean.merged(one(rgb))).value()
+}
+
+impl Light {
+    /// One or two plain sentences.
+    pub(crate) fn sentence(&self, input: &ReportInput) -> String {
+        let display = input.display;
+        if self.emitted.is_nan() {
+            return "No ray that counts meets the display.".into();
+        }
+        let mut text = format!(
+            "On average the display emits {} of {}: the target's mean luminance is {}, and β is {}.",
+            format::percent(self.emitted),
+            match display.formation {
+                Formation::Additive => "what one fully driven layer emits",
+                _ => "its backlight's luminance",
+            },
+            format::number(self.wanted),
+            format::number(input.stack.brightness),
+        );
+        let peaks: Vec<f64> = display.layers.iter().map(|layer| layer.peak).collect();
+        if display.formation == Formation::Attenuating && self.open.is_finite() {
+            text += &if self.open > 1.0 - 1e-6 {
+                " Fully open layers would let all of it through.".into()
+            } else {
+                let listed = peaks.iter().map(|peak| format::number(*peak)).collect::<Vec<_>>().join(" · ");
+                format!(
+                    " Fully open layers let {} through (peak transmittances {listed}); the other {} is lost whatever is shown.",
+                    format::percent(self.open),
+                    format::percent(1.0 - self.open)
+                )
+            };
+        }
+        if self.open < input.stack.brightness - 1e-6 {
+            text += &format!(
+                " A white as bright as β asks for, {}, is out of reach: the brightest that this display can show is {}.",
+                format::percent(input.stack.brightness),
+                format::percent(self.open)
+            );
+        }
+        text
+    }
+}

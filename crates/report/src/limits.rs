@@ -1,0 +1,77 @@
+//! What limits the result, measured on the finished patterns: variants of the forward model and shares of the squared error, no new solution.
+//!
+//! Every figure in dB says how much better psnr_view would be without one effect, everything else as it is. Effects overlap, so figures do
+//! not add up. Variants are simulated for the central view and the corners.
+
+mod depth;
+mod hardware;
+mod solver;
+mod variants;
+mod views;
+
+use lumistack_core::Task;
+use serde_json::Value;
+
+use crate::measure::{FieldScore, outstanding_views};
+use crate::{ReportError, ReportInput};
+use variants::{Tone, Variant, simulated_error, variants};
+
+/// One thing that keeps the result from being better.
+#[derive(Clone, Debug)]
+pub(crate) struct Limit {
+    /// "Depth".
+    pub(crate) name: &'static str,
+    /// How much better psnr_view would be without it; `None` where one run cannot tell.
+    pub(crate) decibels: Option<f64>,
+    /// What was measured, in plain words.
+    pub(crate) text: String,
+    /// The numbers behind it.
+    pub(crate) figures: Value,
+}
+
+/// Number of progress steps of [`find`].
+pub(crate) fn count(input: &ReportInput) -> usize {
+    outstanding_views(&input.target.geometry().grid).len() * variants(input).len()
+}
+
+/// The limits of a result, the largest first.
+pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Result<Vec<Limit>, ReportError> {
+    let mut errors = Vec::new();
+    let mut tone = Tone::default();
+    for (i, variant) in variants(input).into_iter().enumerate() {
+        let (display, stack) = variant.apply(input);
+        let (error, found) = simulated_error(input, &display, &stack, task)?;
+        if i == 0 {
+            tone = found;
+        }
+        errors.push((variant, error));
+    }
+    let base = errors[0].1;
+    if base.count == 0 {
+        return Ok(Vec::new());
+    }
+    if base.sum == 0.0 {
+        // nothing limits a perfect result
+        return Ok(vec![solver::frames(input, target, None)]);
+    }
+    let error = |variant| errors.iter().find(|(other, _)| *other == variant).map(|(_, error)| *error);
+    let gain = |variant| error(variant).map(|error| 10.0 * (base.mse() / error.mse()).log10());
+    let ends = hardware::Ends::of(input);
+    let mut limits = Vec::new();
+    limits.extend(hardware::brightness(input, &ends, base, error(Variant::Brighter)));
+    limits.extend(hardware::contrast(&ends, tone, gain(Variant::Black)));
+    limits.push(hardware::bits(input, gain(Variant::Quantized)));
+    limits.extend(gain(Variant::SharpAndPure).map(hardware::blur_and_crosstalk));
+    limits.extend(views::depth_limits(input, task)?);
+    limits.extend(views::outer_views(target));
+    limits.extend(solver::iterations(input.convergence));
+    limits.retain(|limit| limit.decibels.is_none_or(|gain| !gain.is_nan()));
+    limits.sort_by(|a, b| b.decibels.unwrap_or(0.0).total_cmp(&a.decibels.unwrap_or(0.0)));
+    limits.push(solver::frames(input, target, gain(Variant::Still)));
+    Ok(limits)
+}
+
+/// dB that taking a share of the squared error away gives.
+fn without(share: f64) -> f64 {
+    -10.0 * (1.0 - share).log10()
+}

@@ -1,0 +1,65 @@
+//! What the solver was given: iterations, and unknowns against rays.
+
+use serde_json::json;
+
+use super::Limit;
+use crate::measure::FieldScore;
+use crate::{Iteration, ReportInput, format};
+
+/// Gains below this cannot be seen, dB.
+const NEGLIGIBLE_DB: f64 = 0.05;
+
+pub(super) fn iterations(history: &[Iteration]) -> Option<Limit> {
+    let last = history.last().filter(|last| last.iteration > 1)?;
+    let half = history.iter().rev().find(|it| 2 * it.iteration <= last.iteration)?;
+    let gain = last.psnr_view - half.psnr_view;
+    if !gain.is_finite() {
+        return None;
+    }
+    let text = if gain < NEGLIGIBLE_DB {
+        format!(
+            "The second half of the {} iterations brought {} dB: more of them would change nothing that can be seen.",
+            last.iteration,
+            format::decibels_fine(gain)
+        )
+    } else {
+        format!(
+            "The second half of the {} iterations brought {} dB; as many again would bring about as much or less.",
+            last.iteration,
+            format::decibels_fine(gain)
+        )
+    };
+    let figures = json!({ "iterations": last.iteration, "gain_of_second_half_db": gain });
+    Some(Limit { name: "Iterations", decibels: Some(gain.max(0.0)), text, figures })
+}
+
+pub(super) fn frames(input: &ReportInput, target: &FieldScore, still: Option<f64>) -> Limit {
+    let stack = input.stack;
+    let parts = stack.layers.iter().map(|layer| layer.data().len());
+    let unknowns: usize = parts.chain(stack.emission.as_ref().map(|emission| emission.data().len())).sum();
+    let rays: u64 = target.geometry.grid.iter().map(|view| target.view(view).error.count).sum();
+    let ratio = unknowns as f64 / rays as f64;
+    let views: usize = target.geometry.grid.views().iter().product();
+    let (layers, frames) = (stack.layers.len(), stack.frames());
+    let emitter = if stack.emission.is_some() { " and the backlight's values" } else { "" };
+    let mut text = format!(
+        "{} × {}{emitter} stand against {}: {} unknowns for every ray that counts. ",
+        format::counted(layers, "layer"),
+        format::counted(frames, "frame"),
+        format::counted(views, "view"),
+        format::number_short(ratio)
+    );
+    text += if ratio < 1.0 {
+        "The patterns cannot show just any light field: more layers or frames would help, or views that resemble one another more."
+    } else {
+        "There are more unknowns than rays, so the patterns could fit nearly anything: figures above about 60 dB say nothing about a display."
+    };
+    if let Some(still) = still.filter(|still| still.is_finite()) {
+        text += &format!(
+            " With the mean of its frames in every frame, the display would be {} dB worse.",
+            format::decibels_fine((-still).max(0.0))
+        );
+    }
+    let figures = json!({ "unknowns": unknowns, "values_of_rays": rays, "ratio": ratio, "still_loss_db": still.map(|still| -still) });
+    Limit { name: "Frames", decibels: None, text, figures }
+}

@@ -1,0 +1,157 @@
+//! Where in the views the error sits: beyond the layers in depth, at jumps of depth, in the outer views.
+
+use lumistack_core::Task;
+use lumistack_core::metrics::SquaredError;
+use lumistack_display::{Backlight, Display, RayMap, Simulator, view_error};
+use rayon::prelude::*;
+use serde_json::json;
+
+use super::Limit;
+use super::depth::DepthMap;
+use crate::measure::{FieldScore, counting, left_to_right, top_to_bottom};
+use crate::{ReportError, ReportInput, format};
+
+/// Views in which more than this share of the rays is near jumps of depth have not been matched well.
+const BELIEVABLE_JUMPS: f64 = 0.6;
+
+/// Squared error of a class of pixels beside that of all.
+#[derive(Clone, Copy, Debug, Default)]
+struct Part {
+    all: SquaredError,
+    inside: SquaredError,
+}
+
+impl Part {
+    fn merged(self, other: Self) -> Self {
+        Self { all: self.all.merged(other.all), inside: self.inside.merged(other.inside) }
+    }
+
+    fn share_of_rays(self) -> f64 {
+        self.inside.count as f64 / self.all.count as f64
+    }
+
+    fn share_of_error(self) -> f64 {
+        if self.all.sum > 0.0 { self.inside.sum / self.all.sum } else { 0.0 }
+    }
+
+    /// dB if the class had the mean error of the rest.
+    fn gain(self) -> f64 {
+        let rest = (self.all.sum - self.inside.sum) / (self.all.count - self.inside.count) as f64;
+        if self.inside.count == 0 || self.all.sum == 0.0 {
+            0.0
+        } else {
+            (10.0 * (self.all.mse() / rest).log10()).max(0.0)
+        }
+    }
+}
+
+/// Error of content beyond the layers, and at jumps of depth, in the leftmost, middle and rightmost view of the middle row.
+pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>, ReportError> {
+    let geometry = input.target.geometry();
+    let (order, down) = (left_to_right(&geometry.grid), top_to_bottom(&geometry.grid));
+    let (middle, last, y) = (order.len() / 2, order.len() - 1, down[down.len() / 2]);
+    if last == 0 {
+        return Ok(Vec::new());
+    }
+    task.cancel.check()?;
+    let mut places = vec![(0, 1), (middle, if middle < last { middle + 1 } else { middle - 1 }), (last, last - 1)];
+    places.dedup_by_key(|(place, _)| *place);
+    let (low, high) = depth_range(input.display);
+    let (simulator, map) = (Simulator::new(input.display, input.stack), RayMap::new(input.display, geometry));
+    let found: Vec<_> = places
+        .par_iter()
+        .filter_map(|&(place, neighbour)| {
+            let view = [y, order[place]];
+            let depths = DepthMap::new(input.target, view, [y, order[neighbour]])?;
+            let emitted = simulator.view(&map, geometry, view);
+            let counts = counting(&emitted, geometry, input.weights, view);
+            let part = |inside: &dyn Fn(usize, usize) -> bool| {
+                let error = |rays: &dyn Fn(usize) -> bool| {
+                    view_error(&emitted, input.target.view(view), input.stack.brightness, |i| {
+                        if rays(i) { 1.0 } else { 0.0 }
+                    })
+                };
+                let chosen = |i: usize| counts[i] && inside(i / geometry.cols, i % geometry.cols);
+                Part { all: error(&|i| counts[i]), inside: error(&chosen) }
+            };
+            let (low, high) = (low - depths.resolution_mm, high + depths.resolution_mm);
+            let far = part(&|row, col| !(low..=high).contains(&depths.z_mm(row, col)));
+            Some((place == middle, far, part(&|row, col| depths.is_edge(row, col))))
+        })
+        .collect();
+    let jumps = found.iter().fold(Part::default(), |sum, (_, _, edges)| sum.merged(*edges));
+    // of noise, and of pictures without texture, matching makes jumps everywhere
+    if found.is_empty() || jumps.share_of_rays() > BELIEVABLE_JUMPS {
+        return Ok(Vec::new());
+    }
+    let limit = |name, what: &str, pick: &dyn Fn(&(bool, Part, Part)) -> Part| {
+        let sum = |outer: Option<bool>| {
+            let views = found.iter().filter(|(is_middle, ..)| outer.is_none_or(|outer| *is_middle != outer));
+            views.fold(Part::default(), |sum, view| sum.merged(pick(view)))
+        };
+        let (all, centre, outer) = (sum(None), sum(Some(false)), sum(Some(true)));
+        let mut text = format!(
+            "{what}: {} of the middle view's rays with {} of its squared error; {} with {} in the leftmost and rightmost views. ",
+            format::percent(centre.share_of_rays()),
+            format::percent(centre.share_of_error()),
+            format::percent(outer.share_of_rays()),
+            format::percent(outer.share_of_error()),
+        );
+        text += &if all.gain() > 0.0 {
+            let gain = format::decibels_fine(all.gain());
+            format!("Were they as good as the rest, these views would be {gain} dB better.")
+        } else {
+            "They are no worse than the rest.".into()
+        };
+        let figures = json!({
+            "share_of_rays_middle": centre.share_of_rays(),
+            "share_of_error_middle": centre.share_of_error(),
+            "share_of_rays_outer": outer.share_of_rays(),
+            "share_of_error_outer": outer.share_of_error(),
+        });
+        Limit { name, decibels: Some(all.gain()), text, figures }
+    };
+    let range = format!("{} to {} mm", format::number(low), format::number(high));
+    let far = limit(
+        "Depth",
+        &format!("Things in front of or behind the layers (outside {range}, found by matching neighbouring views)"),
+        &|v| v.1,
+    );
+    let edges = limit("Depth edges", "Places where the depth jumps, since one thing covers another", &|v| v.2);
+    Ok(vec![far, edges])
+}
+
+/// Distances between which the display has layers, the backlight's lenslets and z = 0 included.
+fn depth_range(display: &Display) -> (f64, f64) {
+    let lenslets = match &display.backlight {
+        Backlight::Lenslets(backlight) => Some(backlight.d_mm),
+        Backlight::Uniform => None,
+    };
+    let distances = display.layers.iter().map(|layer| layer.d_mm).chain(lenslets);
+    distances.fold((0.0, 0.0), |(low, high), d| (low.min(d), high.max(d)))
+}
+
+pub(super) fn outer_views(target: &FieldScore) -> Option<Limit> {
+    let grid = &target.geometry.grid;
+    let (down, across) = (top_to_bottom(grid), left_to_right(grid));
+    let centre = target.view([down[down.len() / 2], across[across.len() / 2]]).error;
+    let outermost = |view: &[usize; 2]| {
+        let ends =
+            |order: &[usize], index: usize| order.len() > 1 && (index == order[0] || index == order[order.len() - 1]);
+        ends(&down, view[0]) || ends(&across, view[1])
+    };
+    let rim =
+        grid.iter().filter(outermost).fold(SquaredError::default(), |sum, view| sum.merged(target.view(view).error));
+    if grid.views() == [1, 1] || centre.count == 0 || rim.count == 0 || target.psnr_view().is_infinite() {
+        return None;
+    }
+    let gain = (centre.psnr() - target.psnr_view()).max(0.0);
+    let (middle, rim_text) = (format::decibels(centre.psnr()), format::decibels(rim.psnr()));
+    let mut text = format!("The central view has {middle} dB, the outermost views together {rim_text} dB.");
+    if gain > 0.0 {
+        let gain = format::decibels_fine(gain);
+        text += &format!(" If all views were as good as the central one, the result would be {gain} dB better.");
+    }
+    let figures = json!({ "psnr_centre": centre.psnr(), "psnr_outermost": rim.psnr() });
+    Some(Limit { name: "Outer views", decibels: Some(gain), text, figures })
+}

@@ -1,0 +1,155 @@
+//! Figures of every view of a light field.
+
+use lumistack_core::Task;
+use lumistack_core::colour::luminance;
+use lumistack_core::metrics::{Flip, Mean, SquaredError, ssim};
+use lumistack_display::{EmittedView, FieldGeometry, LightField, RayMap, Simulator, Weights, view_error};
+use rayon::prelude::*;
+
+use crate::{ReportError, ReportInput};
+
+/// What is known about one view; only rays that count.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct ViewFigures {
+    /// L̃/β against L, linear light.
+    pub(crate) error: SquaredError,
+    /// Structural similarity of L̃/β and L as the eye sees them.
+    pub(crate) ssim: Mean,
+    /// FLIP error of the same.
+    pub(crate) flip: Mean,
+    /// Luminance of L̃.
+    pub(crate) emitted: Mean,
+    /// Luminance of L.
+    pub(crate) wanted: Mean,
+}
+
+/// Figures of a light field's views.
+#[derive(Clone, Debug)]
+pub(crate) struct FieldScore {
+    pub(crate) geometry: FieldGeometry,
+    /// Row by row.
+    views: Vec<ViewFigures>,
+    brightness: f64,
+}
+
+/// What simulates views and compares them with their targets.
+pub(crate) struct Judge<'a> {
+    pub(crate) input: &'a ReportInput<'a>,
+    pub(crate) simulator: Simulator<'a>,
+    flip: Flip,
+}
+
+impl<'a> Judge<'a> {
+    pub(crate) fn new(input: &'a ReportInput<'a>) -> Self {
+        let simulator = Simulator::new(input.display, input.stack);
+        Self { input, simulator, flip: Flip::new(input.pixels_per_degree) }
+    }
+
+    /// Simulates all views of a field, several at a time, and hands them to `each` in row order.
+    pub(crate) fn field(
+        &self,
+        field: &LightField,
+        weights: &Weights,
+        task: Task,
+        mut each: impl FnMut([usize; 2], &ViewFigures, EmittedView),
+    ) -> Result<FieldScore, ReportError> {
+        let geometry = field.geometry();
+        let map = RayMap::new(self.input.display, geometry);
+        let order: Vec<[usize; 2]> = geometry.grid.iter().collect();
+        let mut views = Vec::with_capacity(order.len());
+        for together in order.chunks(rayon::current_num_threads()) {
+            task.cancel.check()?;
+            let done: Vec<_> = together
+                .par_iter()
+                .map(|&view| {
+                    let emitted = self.simulator.view(&map, geometry, view);
+                    let counts = counting(&emitted, geometry, weights, view);
+                    (self.figures(field, view, &emitted, &counts), emitted)
+                })
+                .collect();
+            for (view, (figures, emitted)) in together.iter().zip(done) {
+                each(*view, &figures, emitted);
+                views.push(figures);
+                task.progress.advance(1, "");
+            }
+        }
+        Ok(FieldScore { geometry: geometry.clone(), views, brightness: self.input.stack.brightness })
+    }
+
+    fn figures(&self, field: &LightField, view: [usize; 2], emitted: &EmittedView, counts: &[bool]) -> ViewFigures {
+        let target = field.view(view);
+        let shape = [field.geometry().rows, field.geometry().cols];
+        let weight = |i: usize| if counts[i] { 1.0 } else { 0.0 };
+        let shown = seen(emitted, target, self.input.stack.brightness, counts);
+        let mean = |rgb: &[f32]| {
+            let pixels = rgb.chunks_exact(3).zip(counts).filter(|(_, counts)| **counts);
+            pixels.fold(Mean::default(), |mean, (rgb, _)| {
+                mean.merged(Mean { sum: f64::from(luminance([rgb[0], rgb[1], rgb[2]])), count: 1 })
+            })
+        };
+        ViewFigures {
+            error: view_error(emitted, target, self.input.stack.brightness, weight),
+            ssim: ssim(target, &shown, shape).mean_where(|i| counts[i]),
+            flip: self.flip.compare(target, &shown, shape).mean_where(|i| counts[i]),
+            emitted: mean(emitted.radiance.data()),
+            wanted: mean(target),
+        }
+    }
+}
+
+/// Which rays of a view count: those that meet the display and have a weight.
+pub(crate) fn counting(
+    emitted: &EmittedView,
+    geometry: &FieldGeometry,
+    weights: &Weights,
+    view: [usize; 2],
+) -> Vec<bool> {
+    let weight = |i: usize| weights.at(view, i / geometry.cols, i % geometry.cols);
+    emitted.valid.iter().enumerate().map(|(i, valid)| *valid && weight(i) > 0.0).collect()
+}
+
+/// L̃/β; where rays do not count the target, so that they are no error and no edge.
+fn seen(emitted: &EmittedView, target: &[f32], brightness: f64, counts: &[bool]) -> Vec<f32> {
+    let scale = (1.0 / brightness) as f32;
+    let pixels = emitted.radiance.data().chunks_exact(3).zip(target.chunks_exact(3)).zip(counts);
+    pixels
+        .flat_map(|((l, t), counts)| if *counts { [0, 1, 2].map(|c| l[c] * scale) } else { [t[0], t[1], t[2]] })
+        .collect()
+}
+
+impl FieldScore {
+    /// PSNR of all rays, L̃/β against L, dB.
+    pub(crate) fn psnr_view(&self) -> f64 {
+        self.total(|view| view.error, SquaredError::merged).psnr()
+    }
+
+    /// PSNR of all rays, L̃ against βL, dB.
+    pub(crate) fn psnr_raw(&self) -> f64 {
+        self.psnr_view() - 20.0 * self.brightness.log10()
+    }
+
+    /// Mean of a figure over all rays.
+    pub(crate) fn mean(&self, figure: impl Fn(&ViewFigures) -> Mean) -> f64 {
+        self.total(figure, Mean::merged).value()
+    }
+
+    /// Figures of one view; `view` = [view_y, view_x].
+    pub(crate) fn view(&self, view: [usize; 2]) -> &ViewFigures {
+        &self.views[view[0] * self.geometry.grid.views()[1] + view[1]]
+    }
+
+    /// Share of a view's rays that count, 0..1.
+    pub(crate) fn counted_share(&self, view: [usize; 2]) -> f64 {
+        self.view(view).error.count as f64 / (3 * self.geometry.rows * self.geometry.cols) as f64
+    }
+
+    /// The view with the lowest PSNR, where PSNR tells views apart.
+    pub(crate) fn worst_view(&self) -> Option<[usize; 2]> {
+        let figures = self.geometry.grid.iter().map(|view| (view, self.view(view).error.psnr()));
+        figures.filter(|(_, psnr)| psnr.is_finite()).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(view, _)| view)
+    }
+
+    fn total<T: Default>(&self, part: impl Fn(&ViewFigures) -> T, merge: impl Fn(T, T) -> T) -> T {
+        self.views.iter().fold(T::default(), |sum, view| merge(sum, part(view)))
+    }
+}

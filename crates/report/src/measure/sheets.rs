@@ -1,0 +1,75 @@
+//! All views in one picture, for looking around.
+
+use lumistack_display::{EmittedView, FieldGeometry, ViewGrid};
+
+use super::names::{left_to_right, top_to_bottom};
+use crate::picture::{self, Embedded, Encoding, Linear, Picture};
+use crate::{ReportError, ReportInput, format};
+
+/// All target views in one picture, topmost row and leftmost column first, and the same of the simulated ones.
+#[derive(Clone, Debug)]
+pub(crate) struct Sheets {
+    pub(crate) target: Embedded,
+    pub(crate) simulated: Embedded,
+    /// Directions of its columns, left to right.
+    pub(crate) across: Vec<String>,
+    /// Directions of its rows, top to bottom.
+    pub(crate) up: Vec<String>,
+}
+
+/// Pixels of one sheet of all views.
+const SHEET_BUDGET: usize = 2_800_000;
+/// Largest width of a view in it, about what the page shows.
+const VIEW_COLS: usize = 640;
+
+/// The sheets while they are filled.
+pub(super) struct SheetPair {
+    factor: usize,
+    down: Vec<usize>,
+    across: Vec<usize>,
+    target: Picture,
+    simulated: Picture,
+}
+
+impl SheetPair {
+    pub(super) fn new(geometry: &FieldGeometry) -> Self {
+        let [view_rows, view_cols] = geometry.grid.views();
+        let sizes = vec![(geometry.rows, geometry.cols); view_rows * view_cols];
+        let factor = picture::shrink_factor(&sizes, SHEET_BUDGET).max(geometry.cols.div_ceil(VIEW_COLS));
+        let (rows, cols) = (view_rows * geometry.rows.div_ceil(factor), view_cols * geometry.cols.div_ceil(factor));
+        let blank = Picture { rows, cols, rgb: vec![0; rows * cols * 3] };
+        Self {
+            factor,
+            down: top_to_bottom(&geometry.grid),
+            across: left_to_right(&geometry.grid),
+            target: blank.clone(),
+            simulated: blank,
+        }
+    }
+
+    pub(super) fn place(&mut self, view: [usize; 2], input: &ReportInput, emitted: &EmittedView) {
+        let geometry = input.target.geometry();
+        let scale = (1.0 / input.stack.brightness) as f32;
+        let rank = |order: &[usize], index: usize| order.iter().position(|i| *i == index).unwrap_or(0);
+        let (y, x) = (rank(&self.down, view[0]), rank(&self.across, view[1]));
+        for (sheet, values, scale) in
+            [(&mut self.target, input.target.view(view), 1.0), (&mut self.simulated, emitted.radiance.data(), scale)]
+        {
+            let tile = Linear::new(geometry.rows, geometry.cols, values, scale).shrunk(self.factor).encoded();
+            for (row, line) in tile.rgb.chunks_exact(tile.cols * 3).enumerate() {
+                let start = ((y * tile.rows + row) * sheet.cols + x * tile.cols) * 3;
+                sheet.rgb[start..start + line.len()].copy_from_slice(line);
+            }
+        }
+    }
+
+    pub(super) fn embedded(&self, grid: &ViewGrid) -> Result<Sheets, ReportError> {
+        let encoding = Encoding::for_pixels(2 * self.target.rows * self.target.cols);
+        Ok(Sheets {
+            target: self.target.embedded(encoding)?,
+            simulated: self.simulated.embedded(encoding)?,
+            across: self.across.iter().map(|x| format::angle(grid.slope_x[*x])).collect(),
+            up: self.down.iter().map(|y| format::angle(grid.slope_y[*y])).collect(),
+        })
+    }
+}

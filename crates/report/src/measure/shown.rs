@@ -1,0 +1,108 @@
+//! Views that the page shows.
+
+use lumistack_display::{EmittedView, FieldGeometry, LightField, Weights};
+
+use super::names::title;
+use super::score::{ViewFigures, counting};
+use crate::picture::{self, Embedded, Encoding, Linear};
+use crate::{ReportError, ReportInput, format};
+
+/// Target, simulated and difference of one view.
+#[derive(Clone, Debug)]
+pub(crate) struct Comparison {
+    /// "Top left view".
+    pub(crate) title: String,
+    /// "seen from −8.0° across, +8.0° up".
+    pub(crate) direction: String,
+    /// Absent where no target exists.
+    pub(crate) figures: Option<ViewFigures>,
+    pub(crate) counted_share: f64,
+    pub(crate) target: Option<Embedded>,
+    pub(crate) simulated: Embedded,
+    pub(crate) difference: Option<Embedded>,
+    /// Of the difference.
+    pub(crate) amplification: u32,
+}
+
+/// A view at full precision, before it is encoded.
+pub(super) struct Shown {
+    pub(super) title: String,
+    pub(super) direction: String,
+    /// Absent where no target exists.
+    pub(super) figures: Option<ViewFigures>,
+    pub(super) counted_share: f64,
+    pub(super) target: Option<Linear>,
+    /// L̃/β.
+    pub(super) simulated: Linear,
+    /// See [`picture::signed_error`].
+    pub(super) errors: Option<Vec<Option<f32>>>,
+}
+
+impl Shown {
+    pub(super) fn new(
+        input: &ReportInput,
+        field: &LightField,
+        weights: &Weights,
+        view: [usize; 2],
+        figures: &ViewFigures,
+        emitted: EmittedView,
+    ) -> Self {
+        let geometry = field.geometry();
+        let target = field.view(view);
+        let counts = counting(&emitted, geometry, weights, view);
+        let shown = Self::without_target(input, geometry, view, emitted);
+        Self {
+            figures: Some(*figures),
+            counted_share: figures.error.count as f64 / target.len() as f64,
+            errors: Some(picture::signed_error(&shown.simulated.data, target, |i| counts[i])),
+            target: Some(Linear::new(geometry.rows, geometry.cols, target, 1.0)),
+            ..shown
+        }
+    }
+
+    pub(super) fn without_target(
+        input: &ReportInput,
+        geometry: &FieldGeometry,
+        view: [usize; 2],
+        emitted: EmittedView,
+    ) -> Self {
+        let scale = (1.0 / input.stack.brightness) as f32;
+        let grid = &geometry.grid;
+        let valid = emitted.valid.iter().filter(|valid| **valid).count();
+        Self {
+            title: title(grid, &input.target.geometry().grid, view),
+            direction: format!(
+                "{} across, {} up",
+                format::angle(grid.slope_x[view[1]]),
+                format::angle(grid.slope_y[view[0]])
+            ),
+            figures: None,
+            counted_share: valid as f64 / emitted.valid.len() as f64,
+            target: None,
+            simulated: Linear::new(geometry.rows, geometry.cols, emitted.radiance.data(), scale),
+            errors: None,
+        }
+    }
+
+    /// Encodes the pictures, `factor` times smaller, as one of `count` comparisons.
+    pub(super) fn compare(&self, amplification: u32, factor: usize, count: usize) -> Result<Comparison, ReportError> {
+        let simulated = self.simulated.shrunk(factor).encoded();
+        let (rows, cols) = (self.simulated.rows, self.simulated.cols);
+        let encoding = Encoding::for_pixels(3 * count * simulated.rows * simulated.cols);
+        let target = self.target.as_ref().map(|target| target.shrunk(factor).encoded().embedded(encoding));
+        let difference = self
+            .errors
+            .as_ref()
+            .map(|errors| picture::difference(rows, cols, errors, amplification).shrunk(factor).embedded(encoding));
+        Ok(Comparison {
+            title: self.title.clone(),
+            direction: self.direction.clone(),
+            figures: self.figures,
+            counted_share: self.counted_share,
+            target: target.transpose()?,
+            simulated: simulated.embedded(encoding)?,
+            difference: difference.transpose()?,
+            amplification,
+        })
+    }
+}

@@ -1,0 +1,157 @@
+//! The page of a sequence.
+
+use maud::{Markup, PreEscaped, html};
+
+use super::{document, picture, settings};
+use crate::sequence::{SequenceInput, SequenceReport, SequenceTime};
+use crate::{ReportError, format, plot};
+
+/// Most times whose pictures are shown.
+const PICTURES: usize = 24;
+
+pub(crate) fn render(input: &SequenceInput, report: &SequenceReport) -> Result<String, ReportError> {
+    let header = html! {
+        h1 { (input.title) }
+        (key_figures(input, report))
+        (settings::warnings(input.warnings))
+    };
+    let main = html! {
+        (pictures(input.times)?)
+        (plots(input.times)?)
+        (table(input.times))
+        section id="settings" {
+            h2 { "Settings" }
+            @if let Some(command) = input.command { p { "Made by " code { (command) } " with Lumistack " (input.version) "." } }
+            (settings::facts("Job, every default written out", input.settings))
+        }
+    };
+    Ok(document(input.title, input.version, &header, &main))
+}
+
+fn key_figures(input: &SequenceInput, report: &SequenceReport) -> Markup {
+    let db = |value: Option<f64>| value.map_or("–".into(), |value| format!("{} dB", format::decibels(value)));
+    let seconds: f64 = input.times.iter().map(|time| time.seconds).filter(|seconds| seconds.is_finite()).sum();
+    let iterations: u32 = input.times.iter().map(|time| time.iterations).sum();
+    let iterations = format!("{iterations} iterations");
+    let figures = [
+        ("Times", input.times.len().to_string(), "each starts from the patterns of the one before"),
+        ("PSNR of the views", db(Some(report.psnr_view)), "psnr_view of all times together"),
+        ("PSNR of raw light", db(Some(report.psnr_raw)), "psnr_raw: emitted light, L̃ against βL"),
+        (
+            "Flicker over time",
+            db(report.psnr_change),
+            "psnr_change: changes shown against changes wanted; higher is steadier",
+        ),
+        ("Flicker where still", db(report.psnr_still), "psnr_still: the same where the target stands still"),
+        ("Brightness β", format::number(input.brightness), "emitted light as a share of the target's"),
+        ("Solver", format::duration(seconds), iterations.as_str()),
+    ];
+    html! {
+        dl class="key" {
+            @for (name, value, note) in figures { div { dt { (name) } dd { strong { (value) } small { (note) } } } }
+        }
+    }
+}
+
+/// Central views, above as they should be, below as they are shown.
+fn pictures(times: &[SequenceTime]) -> Result<Markup, ReportError> {
+    // evenly spread, first and last among them
+    let count = times.len().min(PICTURES);
+    let chosen = (0..count).map(|i| &times[i * (times.len() - 1) / (count - 1).max(1)]);
+    let mut cells = Vec::new();
+    for time in chosen {
+        cells.push((time, time.wanted.embedded()?, time.shown.embedded()?));
+    }
+    Ok(html! {
+        section id="views" class="headline" {
+            h2 { "Central view over time" }
+            p {
+                "Above what the display should show, below what it shows (divided by β, clamped to 0..1 and sRGB-encoded)."
+                @if times.len() > count { " " (count) " of " (times.len()) " times, evenly spread." }
+                " Click a picture and hold an arrow key to play them."
+            }
+            div class="times" style=(format!("--across:{count}")) {
+                div class="group" { @for (time, wanted, _) in &cells { (picture(wanted, &format!("{}: target", time.name))) } }
+                div class="group" { @for (time, _, shown) in &cells { (picture(shown, &format!("{}: display", time.name))) } }
+                div class="group" { @for (time, ..) in &cells { span { (time.name) } } }
+            }
+        }
+    })
+}
+
+fn plots(times: &[SequenceTime]) -> Result<Markup, ReportError> {
+    let plotted = |value: fn(&SequenceTime) -> f64, label: &str| {
+        let points = times.iter().enumerate().map(|(i, time)| ((i + 1) as f64, value(time)));
+        let points: Vec<(f64, f64)> = points.filter(|(_, y)| y.is_finite()).collect();
+        if points.is_empty() { Ok(None) } else { plot::line(&points, "time", label).map(Some) }
+    };
+    let error = plotted(|time| time.error.psnr(), "psnr_view, dB")?;
+    let flicker = plotted(SequenceTime::psnr_change, "psnr_change, dB")?;
+    let still = plotted(SequenceTime::psnr_still, "psnr_still, dB")?;
+    let same = times.iter().all(|time| time.still_share() == 1.0 || time.change.is_none());
+    Ok(html! {
+        section id="error" {
+            h2 { "Error and flicker over time" }
+            p {
+                "Left, how close every time comes to its target. The first time starts from nothing; where the curve falls after it, more iterations at the later times help."
+                @if flicker.is_some() {
+                    " Then flicker, which is what changes and should not: the rms over all rays and channels of how much the error L̃/β − L differs from the time before, in dB below full "
+                    "brightness, so that higher is steadier. An error that stands still has none; errors that are new at every time give 3 dB less than the PSNR."
+                }
+                @if still.is_some() && !same {
+                    " Last, the same over the rays alone whose target keeps its colour (8-bit sRGB codes to within 1), where an eye sees flicker most."
+                }
+            }
+            div class="plots" {
+                @for svg in [error, flicker, still.filter(|_| !same)].into_iter().flatten() { (PreEscaped(svg)) }
+            }
+        }
+    })
+}
+
+fn table(times: &[SequenceTime]) -> Markup {
+    let names = [
+        "time",
+        "start, dB",
+        "psnr_view, dB",
+        "psnr_change, dB",
+        "psnr_still, dB",
+        "still rays",
+        "iterations",
+        "solver",
+        "light field",
+    ];
+    let share = |time: &SequenceTime| {
+        let share = time.still_share();
+        if share.is_nan() { "–".into() } else { format::percent(share) }
+    };
+    html! {
+        section id="times" {
+            h2 { "Every time" }
+            p { "\"start\" is the PSNR before the first iteration: from the second time on, that of the patterns of the time before." }
+            details open[times.len() <= 60] {
+                summary { (format::counted(times.len(), "time")) }
+                div class="scroll" {
+                    table class="layers" {
+                        thead { tr { @for name in names { th scope="col" { (name) } } } }
+                        tbody {
+                            @for time in times {
+                                tr {
+                                    td { @match &time.report { Some(path) => a href=(format::relative_href(path)) { (time.name) }, None => (time.name) } }
+                                    td { (format::decibels(time.psnr_start)) }
+                                    td { (format::decibels(time.error.psnr())) }
+                                    td { (format::decibels(time.psnr_change())) }
+                                    td { (format::decibels(time.psnr_still())) }
+                                    td { (share(time)) }
+                                    td { (time.iterations) }
+                                    td { (format::duration(time.seconds)) @if time.cached { " (earlier run)" } }
+                                    td { (time.source) }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! The report of a sequence: error, flicker and cost of every time, on one page.
+//!
+//! Flicker over time is what changes in front of the viewer and should not: with e_t = L̃_t/β − L_t the error of a ray at time t, the rms of
+//! e_t − e_(t−1) over rays and channels. It is given in dB as `psnr_change`, −20·log10 of that rms: the PSNR of the change that is shown against the change that
+//! is wanted. `psnr_still` runs over the rays alone whose target stands still.
+//!
+//! # report.json
+//!
+//! | key | value |
+//! |---|---|
+//! | `schema`, `version` | `"lumistack/sequence-report"`, 1 |
+//! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
+//! | `psnr_view`, `psnr_raw`, `psnr_change`, `psnr_still` | dB over all times together; null where nothing was compared |
+//! | `brightness` | β |
+//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `psnr_start` (before the first iteration: from the second time on, with the patterns of the time before), `psnr_change`, `psnr_still`, `still_share` (share of rays that stand still; these three null at the first time), `iterations`, `seconds` of the solver, `cached` |
+//! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
+
+use lumistack_core::Warning;
+use lumistack_core::metrics::SquaredError;
+use serde_json::{Value, json};
+
+use crate::json::figure;
+use crate::picture::{Embedded, Encoding, Linear};
+use crate::{ReportError, page};
+
+/// Longer side of a thumbnail, pixels.
+const THUMBNAIL: usize = 200;
+
+/// A small picture of what is seen: linear light, 0..1 after scaling.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Thumbnail(Linear);
+
+impl Thumbnail {
+    /// Shrinks `[row][col][rgb]` values of `size` = [rows, cols], times `scale`.
+    ///
+    /// # Panics
+    /// If the values do not fill the size.
+    pub fn new([rows, cols]: [usize; 2], values: &[f32], scale: f32) -> Self {
+        assert_eq!(values.len(), rows * cols * 3, "values that fill the size");
+        Self(Linear::new(rows, cols, values, scale).shrunk(rows.max(cols).div_ceil(THUMBNAIL)))
+    }
+
+    pub(crate) fn embedded(&self) -> Result<Embedded, ReportError> {
+        Ok(self.0.encoded().embedded(Encoding::Jpeg)?)
+    }
+}
+
+/// One time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SequenceTime {
+    /// Its folder: "t0001".
+    pub name: String,
+    /// Where its light field comes from.
+    pub source: String,
+    /// Path of its own report relative to the sequence's, where it has one.
+    pub report: Option<String>,
+    /// Of L̃/β against L.
+    pub error: SquaredError,
+    /// Of the change shown since the time before against the change wanted.
+    pub change: Option<SquaredError>,
+    /// The same over the rays whose target stands still, where there are any.
+    pub still: Option<SquaredError>,
+    /// PSNR before the first iteration, dB; NaN where unknown.
+    pub psnr_start: f64,
+    /// Iterations of the solver.
+    pub iterations: u32,
+    /// Time of the solver; NaN where unknown.
+    pub seconds: f64,
+    /// Whether its patterns came from an earlier run.
+    pub cached: bool,
+    /// Central view of the target.
+    pub wanted: Thumbnail,
+    /// Central view of the display, L̃/β.
+    pub shown: Thumbnail,
+}
+
+impl SequenceTime {
+    pub(crate) fn psnr_change(&self) -> f64 {
+        self.change.map_or(f64::NAN, SquaredError::psnr)
+    }
+
+    pub(crate) fn psnr_still(&self) -> f64 {
+        self.still.map_or(f64::NAN, SquaredError::psnr)
+    }
+
+    /// Share of rays that stand still, 0..1; NaN at the first time.
+    pub(crate) fn still_share(&self) -> f64 {
+        self.change.map_or(f64::NAN, |all| self.still.map_or(0, |still| still.count) as f64 / all.count as f64)
+    }
+}
+
+/// Everything that the report of a sequence shows.
+#[derive(Clone, Copy, Debug)]
+pub struct SequenceInput<'a> {
+    /// Headline.
+    pub title: &'a str,
+    /// All times, in order.
+    pub times: &'a [SequenceTime],
+    /// β.
+    pub brightness: f64,
+    /// The resolved job.
+    pub settings: &'a Value,
+    /// Warnings of all times.
+    pub warnings: &'a [Warning],
+    /// The command line that made the run.
+    pub command: Option<&'a str>,
+    /// Lumistack's version.
+    pub version: &'a str,
+}
+
+/// The two files of a sequence's report, and its figures over all times together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SequenceReport {
+    /// Text of `report.html`.
+    pub html: String,
+    /// Content of `report.json`.
+    pub json: Value,
+    /// PSNR of L̃/β against L, dB.
+    pub psnr_view: f64,
+    /// PSNR of L̃ against βL, dB.
+    pub psnr_raw: f64,
+    /// PSNR of changes, dB; `None` of a single time.
+    pub psnr_change: Option<f64>,
+    /// The same over rays that stand still; `None` where there are none.
+    pub psnr_still: Option<f64>,
+}
+
+/// Makes the report of a sequence; writes no files.
+///
+/// # Errors
+/// If a picture or a plot cannot be made.
+pub fn sequence(input: &SequenceInput) -> Result<SequenceReport, ReportError> {
+    let together = |errors: &mut dyn Iterator<Item = SquaredError>| errors.reduce(SquaredError::merged);
+    let error = together(&mut input.times.iter().map(|time| time.error)).unwrap_or_default();
+    let psnr_of = |error: Option<SquaredError>| error.map(SquaredError::psnr);
+    let mut report = SequenceReport {
+        html: String::new(),
+        json: Value::Null,
+        psnr_view: error.psnr(),
+        psnr_raw: error.psnr() - 20.0 * input.brightness.log10(),
+        psnr_change: psnr_of(together(&mut input.times.iter().filter_map(|time| time.change))),
+        psnr_still: psnr_of(together(&mut input.times.iter().filter_map(|time| time.still))),
+    };
+    report.json = to_json(input, &report);
+    report.html = page::sequence::render(input, &report)?;
+    Ok(report)
+}
+
+fn to_json(input: &SequenceInput, report: &SequenceReport) -> Value {
+    json!({
+        "schema": "lumistack/sequence-report",
+        "version": 1,
+        "title": input.title,
+        "lumistack_version": input.version,
+        "command": input.command,
+        "psnr_view": figure(report.psnr_view),
+        "psnr_raw": figure(report.psnr_raw),
+        "psnr_change": report.psnr_change.map(figure),
+        "psnr_still": report.psnr_still.map(figure),
+        "brightness": input.brightness,
+        "times": input.times.iter().map(|time| json!({
+            "name": time.name,
+            "source": time.source,
+            "psnr_view": figure(time.error.psnr()),
+            "psnr_start": figure(time.psnr_start),
+            "psnr_change": figure(time.psnr_change()),
+            "psnr_still": figure(time.psnr_still()),
+            "still_share": figure(time.still_share()),
+            "iterations": time.iterations,
+            "seconds": figure(time.seconds),
+            "cached": time.cached,
+        })).collect::<Vec<_>>(),
+        "settings": input.settings,
+        "warnings": input.warnings.iter().map(|w| json!({ "place": w.place, "message": w.message })).collect::<Vec<_>>(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn time(name: &str, error: f64, change: Option<f64>) -> SequenceTime {
+        let of = |mse: f64, count: u64| SquaredError { sum: mse * count as f64, count };
+        SequenceTime {
+            name: name.into(),
+            source: "views <1>.npy".into(),
+            report: None,
+            error: of(error, 100),
+            change: change.map(|change| of(change, 100)),
+            still: change.map(|change| of(change / 10.0, 25)),
+            psnr_start: 12.0,
+            iterations: 5,
+            seconds: 0.25,
+            cached: false,
+            wanted: Thumbnail::new([3, 4], &[0.5; 36], 1.0),
+            shown: Thumbnail::new([3, 4], &[0.1; 36], 5.0),
+        }
+    }
+
+    fn report(times: &[SequenceTime]) -> SequenceReport {
+        let settings = json!({ "seed": 1 });
+        let input = SequenceInput {
+            title: "walk",
+            times,
+            brightness: 0.1,
+            settings: &settings,
+            warnings: &[],
+            command: Some("lumistack run walk.toml"),
+            version: "0",
+        };
+        sequence(&input).unwrap()
+    }
+
+    #[test]
+    fn figures_of_all_times_are_of_all_rays_together() {
+        let report = report(&[time("t0001", 0.01, None), time("t0002", 0.03, Some(0.001))]);
+        assert!((report.psnr_view - -10.0 * 0.02f64.log10()).abs() < 1e-9);
+        assert!((report.psnr_raw - report.psnr_view - 20.0).abs() < 1e-9);
+        assert!((report.psnr_change.unwrap() - 30.0).abs() < 1e-9 && (report.psnr_still.unwrap() - 40.0).abs() < 1e-9);
+        let times = &report.json["times"];
+        assert_eq!((&times[0]["psnr_change"], &times[1]["still_share"]), (&Value::Null, &json!(0.25)));
+        assert!(report.html.contains("t0002") && report.html.contains("views &lt;1&gt;.npy"));
+        assert_eq!(report.html.matches("<svg").count(), 2, "error and flicker are plotted");
+        assert!(!report.html.contains("http://") || report.html.contains("xmlns"), "nothing is fetched");
+    }
+
+    #[test]
+    fn one_time_alone_has_no_flicker() {
+        let report = report(&[time("t0001", 0.0, None)]);
+        assert_eq!((report.psnr_change, report.psnr_still), (None, None));
+        assert_eq!(report.json["psnr_view"], "Infinity");
+        assert!(!report.html.contains("<svg"), "no finite figure to plot");
+    }
+
+    #[test]
+    fn thumbnails_are_small_and_scaled() {
+        let thumbnail = Thumbnail::new([300, 1000], &vec![0.1; 900_000], 5.0);
+        assert_eq!((thumbnail.0.rows, thumbnail.0.cols), (60, 200));
+        assert!(thumbnail.0.data.iter().all(|value| (value - 0.5).abs() < 1e-6));
+    }
+}
