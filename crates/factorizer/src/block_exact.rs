@@ -8,13 +8,14 @@
 //!
 //! a least-squares problem of M unknowns whose Gram matrix and right-hand side are gathered from the rays; a few rounds of clamped coordinate steps
 //! (Gauss-Seidel) solve it. Under nearest sampling all pixels of a layer are independent, so a layer's update is exact in the limit of many rounds; under
-//! bilinear sampling it is exact for a separable quadratic that bounds the objective from above. Neither ever worsens.
+//! bilinear sampling it is exact for a separable quadratic that bounds the objective from above. Neither ever worsens. Where layers rotate
+//! polarization, L̃ is not linear: the step takes the curvature at the present point, is checked, and falls back to a bound that holds everywhere.
 //!
 //! Between iterations the patterns are extrapolated along the way they came, with restart when the objective rises (Ang and Gillis, "Accelerating
 //! nonnegative matrix factorization algorithms using extrapolation", Neural Computation 31, 2019).
 
 use lumistack_core::{Cancel, Cancelled};
-use lumistack_display::LayerStack;
+use lumistack_display::{Formation, LayerStack};
 
 use crate::engine::Engine;
 use crate::line::Outcome;
@@ -109,7 +110,11 @@ impl BlockExactRun {
         start: LayerStack,
         extrapolation: Option<Extrapolation>,
     ) -> Result<Self, FactorizeError> {
-        Ok(Self { engine: Engine::new(problem, start, 0.0)?, rule: Rule::Block { sweeps: SWEEPS }, extrapolation })
+        let mut engine = Engine::new(problem, start, 0.0)?;
+        // sin² bends too much for extrapolation, and enough for the local curvature to be worth its check
+        engine.bold = problem.display.formation == Formation::Polarization;
+        let extrapolation = extrapolation.filter(|_| !engine.bold);
+        Ok(Self { engine, rule: Rule::Block { sweeps: SWEEPS }, extrapolation })
     }
 
     /// Updates factor `n` from the present state of all.

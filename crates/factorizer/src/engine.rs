@@ -33,6 +33,8 @@ pub(crate) struct Engine {
     shapes: LayerStack,
     set: InstructionSet,
     fast: bool,
+    /// Where L̃ is not linear in a factor: whether updates try the curvature at the present point before the bound that holds everywhere.
+    pub(crate) bold: bool,
     rays: u64,
 }
 
@@ -78,6 +80,7 @@ impl Engine {
             shapes,
             set: InstructionSet::detect(),
             fast: true,
+            bold: false,
             rays,
         })
     }
@@ -114,7 +117,7 @@ impl Engine {
         let (stored, levels) = (factors.iter().map(|_| None).collect(), vec![None; factors.len()]);
         let (latest, spare, rays) = (Vec::new(), Aligned::default(), plan.rays());
         let set = InstructionSet::detect();
-        Self { plan, factors, stored, levels, latest, spare, ranges, shapes, set, fast: true, rays }
+        Self { plan, factors, stored, levels, latest, spare, ranges, shapes, set, fast: true, bold: false, rays }
     }
 
     /// One row of a pattern.
@@ -158,14 +161,35 @@ impl Engine {
 
     /// Updates factor `n` from the present state of all. With `beyond`, rays then read the point that lies so much further along the way from
     /// the step before.
+    ///
+    /// The local curvature is a guess that pays: where the objective rises all the same, the update is taken back and done by the bound.
     pub(crate) fn update(&mut self, n: usize, rule: Rule, beyond: Option<f32>) -> Outcome {
+        if !self.bold || self.plan.is_bounded(n) || rule == Rule::Probe {
+            return self.update_by(n, rule, beyond, false);
+        }
+        let weighted = |engine: &Self| engine.objective().value / engine.plan.target.weight_scale;
+        let (met, stored) = (self.factors[n].values.clone(), self.stored[n].as_ref().map(|(_, f)| f.values.clone()));
+        let before = weighted(self);
+        let outcome = self.update_by(n, rule, None, true);
+        let after = weighted(self);
+        if after > before {
+            self.factors[n].values = met;
+            if let (Some((_, factor)), Some(values)) = (&mut self.stored[n], stored) {
+                factor.values = values;
+            }
+            return self.update_by(n, rule, None, false);
+        }
+        Outcome { error: outcome.error, gain: before - after }
+    }
+
+    fn update_by(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) -> Outcome {
         if beyond.is_some() && self.latest.is_empty() {
             let own = self.factors.iter().zip(&self.stored);
             let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
             self.latest = own.map(|factor| factor.values.clone()).collect();
         }
         if self.stored[n].is_some() {
-            return self.update_stored(n, rule, beyond);
+            return self.update_stored(n, rule, beyond, local);
         }
         let in_place = self.is_fast(n);
         let mut values = std::mem::take(&mut self.factors[n].values);
@@ -178,7 +202,7 @@ impl Engine {
             next.copy_from_slice(&values);
             self.factors[n].values = std::mem::replace(&mut values, next);
         }
-        let outcome = self.update_lines(n, rule, beyond, &mut values, None);
+        let outcome = self.update_lines(n, rule, beyond, local, &mut values, None);
         let before = std::mem::replace(&mut self.factors[n].values, values);
         if !in_place {
             self.spare = before;
@@ -187,12 +211,12 @@ impl Engine {
     }
 
     /// Updates a factor that stores other values than rays read.
-    fn update_stored(&mut self, n: usize, rule: Rule, beyond: Option<f32>) -> Outcome {
+    fn update_stored(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) -> Outcome {
         let layout = self.plan.maps[n].layout.clone();
         let line_sums = quantities_of(rule, layout.frames) * layout.stride;
         let mut sums = vec![0.0; self.plan.target.channels * layout.stored_lines() * line_sums];
         let mut met = self.factors[n].values.clone();
-        let seen = self.update_lines(n, rule, None, &mut met, Some(&mut sums));
+        let seen = self.update_lines(n, rule, None, local, &mut met, Some(&mut sums));
         let Some((response, stored)) = &mut self.stored[n] else { return seen };
         let pulled = Pulled::back(response, &layout, rule, &sums);
         let steps = Steps::new(&layout, rule, self.ranges[n], self.levels[n].as_ref());
@@ -223,6 +247,7 @@ impl Engine {
         n: usize,
         rule: Rule,
         beyond: Option<f32>,
+        local: bool,
         values: &mut [f32],
         sums: Option<&mut [f32]>,
     ) -> Outcome {
@@ -260,7 +285,7 @@ impl Engine {
                     let at = line_of(index);
                     if is_line(&at) {
                         let outcome =
-                            dispatch(set, SumLine { plan, factors, at, step: steps.of(&mut line[0]), scratch });
+                            dispatch(set, SumLine { plan, factors, at, local, step: steps.of(&mut line[0]), scratch });
                         line[0].outcome = outcome;
                     }
                 },

@@ -6,6 +6,7 @@
 //! Under bilinear sampling a ray's value is a mean Σ_t s_t f_t of pixels, so (e − a·Σ s_t δ_t)² ≤ Σ_t s_t (e − a·δ_t)²: sums by shares describe a
 //! quadratic that bounds the objective from above and touches it, separable over pixels. Its minimum is a step that never worsens.
 
+use std::f32::consts::{FRAC_PI_2, PI};
 use std::ops::{AddAssign, Mul};
 
 use crate::expand::{Rays, coefficients, pieces_within};
@@ -66,6 +67,8 @@ pub(crate) struct SumLine<'a, 'b> {
     /// The line's own factor is read where layers are mixed with their neighbours.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
+    /// Where L̃ is not linear in the values: whether to take the curvature at this point instead of a bound that holds everywhere.
+    pub(crate) local: bool,
     pub(crate) step: LineStep<'b>,
     pub(crate) scratch: &'a mut Scratch,
 }
@@ -75,12 +78,14 @@ impl Kernel for SumLine<'_, '_> {
 
     #[inline(always)]
     unsafe fn run<V: Lanes>(self) -> Outcome {
-        let Self { plan, factors, at, mut step, scratch } = self;
+        let Self { plan, factors, at, local, mut step, scratch } = self;
         let short = plan.maps[at.factor].short_sums;
         scratch.sums.fill(0.0);
         scratch.long_sums.fill(0.0);
-        let mut outcome =
-            Outcome { error: add_line(plan, factors, at, step.rule.needs_gram(), scratch), ..Outcome::default() };
+        let mut outcome = Outcome {
+            error: add_line(plan, factors, at, step.rule.needs_gram(), local, scratch),
+            ..Outcome::default()
+        };
         let (columns, stride) = (step.columns.clone(), step.stride);
         for x in columns.step_by(V::COUNT) {
             step.fetch_block::<V>(&mut scratch.block, x, |quantity, to| {
@@ -100,7 +105,7 @@ impl Kernel for SumLine<'_, '_> {
 
 /// Adds all rays of a line to its accumulators; returns Σ w e² by shares.
 #[inline(always)]
-fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, gram: bool, scratch: &mut Scratch) -> f64 {
+fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, gram: bool, local: bool, scratch: &mut Scratch) -> f64 {
     let map = &plan.maps[at.factor];
     let (frames, stride) = (plan.frames, map.layout.stride);
     let mut error = 0.0;
@@ -137,7 +142,8 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, gram: bool, scratch: &m
                     }
                     (0..frames).for_each(|m| add(m, row_of(m), weighted));
                     let mut quantity = frames;
-                    if plan.is_bounded(at.factor) {
+                    let bounded = plan.is_bounded(at.factor);
+                    if bounded || local {
                         for m in 0..frames {
                             weigh(row_of(m), line_weight, weights, weighted);
                             for k in m..frames {
@@ -145,10 +151,16 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, gram: bool, scratch: &m
                                 quantity += 1;
                             }
                         }
-                    } else {
-                        // the diagonal alone
+                    }
+                    if !bounded {
+                        if local {
+                            // |∂²L̃/∂u²| = (π²/2) M |cos|, times |e|
+                            let most = FRAC_PI_2 * PI * frames as f32;
+                            curvature.iter_mut().zip(&*errors).for_each(|(value, e)| *value = most * e.abs());
+                        }
                         weigh(&curvature[..len], line_weight, weights, weighted);
                         let ones = &plan.ones[..len];
+                        let mut quantity = frames;
                         for m in 0..frames {
                             add(quantity, ones, weighted);
                             quantity += frames - m;

@@ -1,9 +1,10 @@
 //! What hardware does to a solution that ignores it, and what is left of that when the solver knows.
 
 use lumistack_core::{Cancel, Collector, Task};
-use lumistack_display::{Display, LayerColour, LayerStack, LightField, Sampling, Weights, score};
+use lumistack_display::{Display, EyeBox, Formation, LayerColour, LayerStack, LightField, Sampling, Weights, score};
 
 use super::fields::{display, light_field};
+use crate::engine::Engine;
 use crate::{Factorization, Problem, Settings, factorize};
 
 /// Iterations of every solve; enough for the differences to settle to about 0.2 dB.
@@ -110,5 +111,48 @@ fn few_bits_cost_less_when_the_patterns_know_them() {
         assert!(result.stack.layers.iter().all(|layer| layer.data().iter().all(on_a_level)), "{bits} bits");
         let psnr = score(&real, &result.stack, &target, &Weights::Uniform).psnr_view();
         assert!((psnr - loss.reoptimized).abs() < 1e-2, "{psnr} {loss:?}");
+    }
+}
+
+#[test]
+fn weights_around_two_eyes_make_what_these_eyes_see_better() {
+    // far eyes: each sees the whole display within the zone of the target's views
+    let display = display(5, 3, 3, 0.6);
+    let Some(target) = light_field("main_5x5_160x100_fov20", &display) else { return };
+    let eye = |x: f64| EyeBox { eye_mm: [x, 0.0, 3000.0], sigma_mm: 60.0, weight: 1.0 };
+    let weights = Weights::eye_boxes(target.geometry(), &[eye(-200.0), eye(200.0)], 0.01).unwrap();
+    let solve = |weights: &Weights| {
+        let problem = Problem { display: &display, target: &target, weights };
+        let settings = Settings { iterations: ITERATIONS, report_every: ITERATIONS, ..Settings::default() };
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| ()).unwrap().stack
+    };
+    let problem = Problem { display: &display, target: &target, weights: &weights };
+    let seen = |stack: LayerStack| Engine::new(&problem, stack, 0.0).unwrap().objective().value;
+    let (blind, tracked) = (seen(solve(&Weights::Uniform)), seen(solve(&weights)));
+    println!(
+        "weighted error {blind:.4} without, {tracked:.4} with weights: {:.1} dB",
+        10.0 * (blind / tracked).log10()
+    );
+    assert!(tracked < blind / 2.0, "{blind} {tracked}");
+}
+
+#[test]
+fn every_image_formation_comes_closer_to_the_target() {
+    for (formation, frames, brightness, least) in [
+        (Formation::Additive, 1, 0.5, 20.0),
+        (Formation::Polarization, 1, 1.0, 20.0),
+        (Formation::Polarization, 3, 1.0, 22.0),
+    ] {
+        let display = Display { formation, ..display(5, 3, frames, brightness) };
+        let Some(target) = light_field("main_5x5_160x100_fov20", &display) else { return };
+        let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
+        let settings = Settings { iterations: ITERATIONS, report_every: 5, ..Settings::default() };
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let history = factorize(&problem, &settings, None, task, &mut |_| ()).unwrap().history;
+        let curve: Vec<f64> = history.iter().map(|entry| entry.psnr_view).collect();
+        println!("{formation:?}, M = {frames}: {curve:.2?}");
+        assert!(curve[curve.len() - 1] >= least, "{formation:?}: {curve:.2?}");
     }
 }

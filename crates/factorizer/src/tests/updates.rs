@@ -181,3 +181,22 @@ fn the_objective_and_the_psnr_are_those_of_the_oracle_and_of_the_forward_model()
         }
     }
 }
+
+#[test]
+fn steps_by_the_local_curvature_never_worsen_either() {
+    for seed in SEEDS {
+        let owned = random(Kind::Polarization, seed);
+        let problem = owned.problem();
+        let mut run =
+            crate::solver("block-exact").unwrap().start(&problem, random_start(&owned.display, seed)).unwrap();
+        let first = run.objective().value;
+        let mut before = first;
+        for step in 0..30 {
+            run.step(&Cancel::default()).unwrap();
+            let after = run.objective().value;
+            assert!(after <= before * (1.0 + RISE_RELATIVE), "{seed}, step {step}: {before} to {after}");
+            before = after;
+        }
+        assert!(before < first || run.rays() == 0, "{seed}: nothing gained");
+    }
+}
