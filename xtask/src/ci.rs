@@ -49,14 +49,6 @@ pub fn run_ci(full: bool) -> Outcome {
     Ok(())
 }
 
-/// Times the two kernels in a release build: factorizer updates of the paper's main case, and the path tracer on our main scene.
-pub fn bench() -> Outcome {
-    cargo(&["run", "--release", "--package", "lumistack-factorizer", "--example", "main_case"])?;
-    let scene = "scenes/still-life/still-life.gltf";
-    let renderer = ["run", "--release", "--package", "lumistack-pathtracer", "--example", "render_gltf", "--"];
-    cargo(&[renderer.as_slice(), &[scene, "--size", "210x131", "--samples", "32", "--views", "3"]].concat())
-}
-
 fn step(name: &str, work: impl FnOnce() -> Outcome) -> Outcome {
     println!("\n=== {name}");
     let start = Instant::now();

@@ -1,5 +1,6 @@
 //! Development tasks: `cargo xtask ci` is what CI runs and what a developer runs before a push.
 
+mod bench;
 mod ci;
 mod layers;
 mod tools;
@@ -13,7 +14,7 @@ cargo xtask <task>
                 --full adds the slow ones
   layers        the layer and forbidden-edge check alone
   scenes        write the sample scenes anew
-  bench         time the factorizer and the path tracer (release build)
+  bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists what else there is
 ";
 
 fn main() -> ExitCode {
@@ -24,7 +25,13 @@ fn main() -> ExitCode {
         ["ci", "--full"] => ci::run_ci(true),
         ["layers"] => layers::check(),
         ["scenes"] => tools::cargo(&["run", "--package", "lumistack-scene-generator"]),
-        ["bench"] => ci::bench(),
+        ["bench", rest @ ..] => match bench::run(rest) {
+            Some(result) => result,
+            None => {
+                eprint!("{}", bench::USAGE);
+                return ExitCode::from(2);
+            }
+        },
         _ => {
             eprint!("{USAGE}");
             return ExitCode::from(2);

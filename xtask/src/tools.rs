@@ -45,24 +45,49 @@ fn describe(command: &Command) -> String {
     words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
 }
 
-/// A Python with NumPy, in `target/python`. Some tests check our files with other people's software.
+/// Reference tools of image metrics, as pip takes them; tests that use them skip where they cannot be had.
+const METRICS: [&str; 3] = ["--only-binary=:all:", "scikit-image", "flip-evaluator==1.*"];
+
+/// A Python with NumPy, in `target/python`, and with scikit-image and flip-evaluator where their wheels exist. Some tests check our files and
+/// figures with other people's software.
 pub fn python() -> Outcome<PathBuf> {
     let folder = root().join("target/python");
     let python = folder.join("bin/python");
-    let works = |python: &Path| output_of(command(python).args(["-c", "import numpy"])).is_some();
-    if works(&python) {
-        return Ok(python);
+    let imports = |modules: &str| output_of(command(&python).args(["-c", &format!("import {modules}")])).is_some();
+    if !imports("numpy") {
+        make_python(&folder, "to check files that we write")?;
+        install(&python, &["numpy==2.*"])?;
     }
-    println!("\nfetching: a Python environment with numpy, in target/python (used only to check files that we write)");
-    let make = |with: &str| run(command(with).args(["-m", "venv", "--clear"]).arg(&folder));
+    if !imports("numpy") {
+        return Err("numpy was installed into target/python and does not import".into());
+    }
+    if !imports("skimage, flip_evaluator") {
+        println!("fetching: scikit-image and flip-evaluator, in target/python (used only to check our SSIM and FLIP)");
+        if let Err(error) = install(&python, &METRICS) {
+            println!("metrics: the reference tools are not checked anew, their recorded figures are: {error}");
+        }
+    }
+    Ok(python)
+}
+
+/// Installs packages; `packages` may hold options of pip.
+pub fn install(python: &Path, packages: &[&str]) -> Outcome {
+    let mut pip = command(python);
+    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
+    run(pip.args(packages))
+}
+
+/// Makes an empty Python environment.
+pub fn make_python(folder: &Path, purpose: &str) -> Outcome {
+    println!("\nfetching: a Python environment with numpy, in {} (used only {purpose})", folder.display());
+    let make = |with: &str| run(command(with).args(["-m", "venv", "--clear"]).arg(folder));
     if make("python3").is_err() {
         println!("fetching: the Debian package python3-venv, which this machine's Python needs to make an environment");
         run(command("apt-get").args(["install", "-y", "--no-install-recommends", "python3-venv"]))
             .and_then(|()| make("python3"))
             .map_err(|error| format!("no Python environment: {error}; install Python 3 with its venv module"))?;
     }
-    run(command(&python).args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "numpy==2.*"]))?;
-    if works(&python) { Ok(python) } else { Err("numpy was installed into target/python and does not import".into()) }
+    Ok(())
 }
 
 /// Whether rustc can compile to wasm32; asks rustup for the target where it cannot.

@@ -6,9 +6,9 @@
 //! ```
 //!
 //! Everything is timed in turn, round after round: other programs that come and go slow all down alike, and ratios of medians survive that. A peer
-//! is the same multiplicative update in somebody else's library, run on the same data in turn with ours; its masks must be the same. `cargo xtask
-//! bench factorize` passes NumPy and PyTorch. Files for them go below `--folder` (the system's temporary files if not given); `--quick` is a quarter of the
-//! resolution.
+//! is the same multiplicative update in somebody else's library, run on the same data in turn with ours; its masks must be the same.
+//! `cargo xtask bench factorize` passes NumPy and PyTorch. Files for them go below `--folder` (the system's temporary files if not given);
+//! `--quick` is a quarter of the resolution.
 
 mod cases;
 mod machine;

@@ -140,7 +140,7 @@ impl Report {
         }
         if self.resolution == PAPER_RESOLUTION {
             let note = "its 50 updates: about 30 minutes";
-            let _ = writeln!(text, "{:<48}{PAPER_MATLAB_SECONDS:>9.0} s {:>15}{note}", "paper, Matlab, Core i5", "");
+            let _ = writeln!(text, "{:<48}{PAPER_MATLAB_SECONDS:>9.0} s {:>16}{note}", "paper, Matlab, Core i5", "");
         }
         self.describe_quality(&mut text);
         self.describe_machine(&mut text, machine);
@@ -204,7 +204,7 @@ impl Report {
         if share < QUIET {
             let _ = writeln!(
                 text,
-                "The median of these measurements was {:.0} % of the best: other programs ran. Trust the fastest times, and ratios.",
+                "The median of these measurements was {:.0} % of the best: other programs ran. Trust ratios and shares.",
                 100.0 * share
             );
         }

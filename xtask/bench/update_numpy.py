@@ -1,0 +1,42 @@
+"""The paper's multiplicative update in NumPy, with shifted slices. Asked as `worker.py` says."""
+from functools import reduce
+from operator import mul
+
+import numpy as np
+import worker
+from worker import FLOOR, others
+
+
+def whole_arrays(target, layers, views):
+    """All frames in one array operation: the shortest way to write it."""
+    for n in range(len(layers)):
+        above, below = np.zeros_like(layers[n]), np.zeros_like(layers[n])
+        for field, at in views:
+            product = reduce(mul, others(layers, at, n))
+            emitted = (product * layers[n][at[n]]).mean(axis=0)
+            above[at[n]] += product * target[field]
+            below[at[n]] += product * emitted
+        layers[n] = np.clip(layers[n] * above / below, FLOOR, 1)
+
+
+def frame_by_frame(target, layers, views):
+    """A loop over frames, whose temporary arrays are small enough for a cache."""
+    frames = len(layers[0])
+    for n in range(len(layers)):
+        above, below = np.zeros_like(layers[n]), np.zeros_like(layers[n])
+        for field, at in views:
+            wanted = target[field]
+            emitted, products = np.zeros_like(wanted), []
+            for m in range(frames):
+                product = reduce(mul, others([layer[m] for layer in layers], at, n))
+                emitted += product * layers[n][m][at[n]]
+                products.append(product)
+            emitted *= 1 / frames
+            for m, product in enumerate(products):
+                above[m][at[n]] += product * wanted
+                below[m][at[n]] += product * emitted
+        layers[n] = np.clip(layers[n] * above / below, FLOOR, 1)
+
+
+variants = {"whole arrays": whole_arrays, "frame by frame": frame_by_frame}
+worker.serve(f"NumPy {np.__version__}", 1, variants, array=lambda a: a, numpy=lambda a: a)

@@ -1,0 +1,86 @@
+"""What the peers of `cargo xtask bench factorize` share: the problem, its geometry, and how they are asked.
+
+A peer is a script that runs the paper's multiplicative update (eq. 16) on arrays of its library. It is started with a folder as its argument, which holds
+
+    problem.json    pixels, pitch, views, angles, distances of the layers, frames, brightness
+    target.npy      L, [view_y][view_x][row][col][rgb]
+    layer_N.npy     where layer N starts, [frame][row][col][rgb]; layer 0 is the rearmost
+
+and then answers requests, one line of text each, with one line of JSON each:
+
+    save VARIANT FOLDER     one update from the start; its masks go to FOLDER/layer_N.npy as float32
+    update VARIANT          one more update; {"seconds": time that it took}
+
+Geometry is derived here once more from the display's numbers: oblique views, nearest sampling, and rays that leave a layer do not count, so that
+every view meets every layer in one rectangle of pixels, a slice of the arrays.
+"""
+import json
+import math
+import sys
+import time
+
+import numpy as np
+
+FLOOR = 1e-4  # an exact 0 could never grow again
+
+
+class Problem:
+    """Arrays with colour and frame outside rows and columns, as whole-array operations like them."""
+
+    def __init__(self, folder):
+        with open(f"{folder}/problem.json") as file:
+            about = json.load(file)
+        target = np.load(f"{folder}/target.npy") * np.float32(about["brightness"])
+        # βL, [view_y][view_x][rgb][row][col]
+        self.target = np.ascontiguousarray(target.transpose(0, 1, 4, 2, 3))
+        # [frame][rgb][row][col]
+        layers = [np.load(f"{folder}/layer_{n}.npy") for n in range(len(about["d_mm"]))]
+        self.layers = [np.ascontiguousarray(layer.transpose(0, 3, 1, 2)) for layer in layers]
+        self.views = list(views(about))
+
+
+def views(about):
+    """Of every view: its index in the target, its slice of a layer's rays there, and its slice of every layer."""
+    (cols, rows), (view_cols, view_rows) = about["resolution"], about["views"]
+
+    def shifts(a, count, fov_deg):
+        slope = (a - (count - 1) / 2) * (2 / count) * math.tan(math.radians(fov_deg) / 2)
+        return [math.floor(d_mm * slope / about["pitch_mm"] + 0.5) for d_mm in about["d_mm"]]
+
+    for a_y in range(view_rows):
+        down = shifts(a_y, view_rows, about["fov_deg"][1])
+        top, bottom = max(0, -min(down)), rows - max(0, max(down))
+        for a_x in range(view_cols):
+            right = shifts(a_x, view_cols, about["fov_deg"][0])
+            start, end = max(0, -min(right)), cols - max(0, max(right))
+            field = (a_y, a_x, ..., slice(top, bottom), slice(start, end))
+            yield field, [(..., slice(top + y, bottom + y), slice(start + x, end + x)) for x, y in zip(right, down)]
+
+
+def others(layers, at, n):
+    """The slices of all layers but layer n."""
+    return [layer[part] for k, (layer, part) in enumerate(zip(layers, at)) if k != n]
+
+
+def serve(name, threads, variants, array, numpy):
+    """Answers requests until there are no more. `variants`: updates by name, each taking target, layers (changed in place) and views;
+    `array` and `numpy` turn NumPy arrays into the library's and back."""
+    problem = Problem(sys.argv[1])
+    target = array(problem.target)
+    state = {}
+    answer({"name": name, "threads": threads, "variants": list(variants)})
+    for line in sys.stdin:
+        request, variant, *folder = line.rstrip("\n").split("\t")
+        if request == "save":
+            state[variant] = [array(layer.copy()) for layer in problem.layers]
+        start = time.perf_counter()
+        variants[variant](target, state[variant], problem.views)
+        seconds = time.perf_counter() - start
+        if request == "save":
+            for n, layer in enumerate(state[variant]):
+                np.save(f"{folder[0]}/layer_{n}.npy", np.ascontiguousarray(numpy(layer).transpose(0, 2, 3, 1)))
+        answer({"seconds": seconds})
+
+
+def answer(message):
+    print(json.dumps(message), flush=True)

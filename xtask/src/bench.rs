@@ -1,0 +1,129 @@
+//! Timings of release builds: the factorizer beside other libraries, how fast solvers converge, displays beyond memory, and the path tracer.
+
+use std::path::{Path, PathBuf};
+
+use crate::tools::{self, Outcome, cargo, command, output_of};
+
+/// What `cargo xtask bench --help` prints.
+pub const USAGE: &str = "\
+cargo xtask bench [what]
+
+  (nothing)     `factorize --no-peers`, then `render`
+  factorize     the paper's main case, 840×525 pixels, 5×5 views, 3 layers, 6 frames: time per update of every
+                solver, time to the quality of 50 updates of the paper's rule, and shares of what the machine can
+                do, beside the same update in NumPy and PyTorch, run in turn on the same data (some minutes)
+      --quick        a quarter of the resolution
+      --no-peers     without NumPy and PyTorch
+      --rounds N     how often everything is timed, at least 3; default 9
+      --json FILE    also every single time, as JSON
+  convergence   PSNR after 1 to 500 iterations of every solver, start and number of coarser levels, beside
+                reference figures
+      --quick        50 iterations at most
+      --json FILE    also as JSON
+  stream        a display whose target does not fit into memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames
+  render        the path tracer on our main scene
+
+NumPy and PyTorch are fetched into target/python-bench at the first `factorize` (on x86-64 Linux 3 GB to fetch and
+6 GB on disk, since PyTorch's package brings its GPU libraries along); where they cannot be had, the bench says so
+and goes on without. LUMISTACK_BENCH_PYTHON names a Python that has them already.
+";
+
+/// Runs what the words after `bench` ask for; `None` if they make no sense.
+pub fn run(arguments: &[&str]) -> Option<Outcome> {
+    Some(match arguments {
+        [] => factorize(&["--no-peers"])?.and_then(|()| render()),
+        ["factorize", options @ ..] => factorize(options)?,
+        ["convergence", options @ ..] => convergence(options)?,
+        ["stream"] => example("lumistack-factorizer", "stream", &[]),
+        ["render"] => render(),
+        ["--help" | "-h"] => {
+            print!("{USAGE}");
+            Ok(())
+        }
+        _ => return None,
+    })
+}
+
+fn factorize(options: &[&str]) -> Option<Outcome> {
+    let mut words = options.iter();
+    let (mut passed, mut with_peers) = (Vec::new(), true);
+    while let Some(&word) = words.next() {
+        match word {
+            "--quick" => passed.push(word.to_owned()),
+            "--no-peers" => with_peers = false,
+            "--rounds" => passed.extend([word.to_owned(), (*words.next()?).to_owned()]),
+            "--json" => passed.extend([word.to_owned(), absolute(words.next()?)]),
+            _ => return None,
+        }
+    }
+    let peers = if with_peers { peers() } else { Vec::new() };
+    for [python, script] in &peers {
+        passed.extend(["--peer".to_owned(), text(python), text(script)]);
+    }
+    if !peers.is_empty() {
+        passed.extend(["--folder".to_owned(), text(&tools::root().join("target"))]);
+    }
+    Some(example("lumistack-factorizer", "bench_factorize", &passed))
+}
+
+fn convergence(options: &[&str]) -> Option<Outcome> {
+    let mut words = options.iter();
+    let mut passed = Vec::new();
+    while let Some(&word) = words.next() {
+        match word {
+            "--quick" => passed.push(word.to_owned()),
+            "--json" => passed.extend([word.to_owned(), absolute(words.next()?)]),
+            _ => return None,
+        }
+    }
+    Some(example("lumistack-factorizer", "bench_convergence", &passed))
+}
+
+fn render() -> Outcome {
+    let words = ["scenes/still-life/still-life.gltf", "--size", "210x131", "--samples", "32", "--views", "3"];
+    example("lumistack-pathtracer", "render_gltf", &words.map(str::to_owned))
+}
+
+fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
+    let mut words = vec!["run", "--release", "--package", package, "--example", name, "--"];
+    words.extend(arguments.iter().map(String::as_str));
+    cargo(&words)
+}
+
+/// Python and script of every library that can be had.
+fn peers() -> Vec<[PathBuf; 2]> {
+    let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
+    let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));
+    let mut peers = Vec::new();
+    for (name, module, script) in [("NumPy", "numpy", "update_numpy.py"), ("PyTorch", "torch", "update_torch.py")] {
+        let there = || output_of(command(&python).args(["-c", &format!("import {module}")])).is_some();
+        let fetched = if there() || given.is_some() { Ok(()) } else { fetch(module, &python) };
+        match fetched {
+            Ok(()) if there() => peers.push([python.clone(), tools::root().join("xtask/bench").join(script)]),
+            Ok(()) => println!("bench: without {name}: {} does not import it", python.display()),
+            Err(error) => println!("bench: without {name}: {error}"),
+        }
+    }
+    peers
+}
+
+/// Puts a library into an environment of the bench's own: PyTorch is large, and no test needs it.
+fn fetch(module: &str, python: &Path) -> Outcome {
+    if module == "numpy" {
+        tools::make_python(&tools::root().join("target/python-bench"), "to compare our speed with")?;
+        return tools::install(python, &["numpy==2.*"]);
+    }
+    println!(
+        "\nfetching: {module}, in target/python-bench (3 GB on x86-64 Linux; used only to compare our speed with)"
+    );
+    tools::install(python, &["--no-cache-dir", "--only-binary=:all:", module])
+}
+
+/// A path that the user gave, seen from where they stand.
+fn absolute(path: &str) -> String {
+    std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| text(&path))
+}
+
+fn text(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}
