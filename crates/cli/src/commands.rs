@@ -6,8 +6,8 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, Job, PipelineError, RunFolder, SequenceJob, Viewpoint, presets, render_only, run as run_job, set_threads,
-    simulate_to_file,
+    DisplayJob, Job, PipelineError, RunFolder, SequenceJob, Viewpoint, presets, render_only, run as run_job,
+    set_threads, simulate_to_file,
 };
 use serde_json::json;
 

@@ -96,17 +96,23 @@ impl Factor {
 
     /// Into a tensor's values.
     pub(crate) fn download(&self, tensor: &mut [f32]) {
-        let layout = &self.layout;
-        for channel in 0..3 {
-            for line in 0..layout.lines() {
-                for frame in 0..layout.frames {
-                    let row = self.row(channel, line, frame);
-                    for col in 0..layout.cols() {
-                        tensor[layout.tensor_offset(frame, line, col) + channel] = row[layout.pad + col];
-                    }
+        let ([bins_y, bins_x], [rows, cols]) = (self.layout.bins, self.layout.size);
+        bands::for_each_chunk(
+            tensor,
+            cols * 3,
+            || (),
+            |(), index, pixels| {
+                // `[frame][bin_y][bin_x][row]`
+                let (row, bin_x) = (index % rows, index / rows % bins_x);
+                let (bin_y, frame) = (index / rows / bins_x % bins_y, index / rows / bins_x / bins_y);
+                let from = self.layout.pad + bin_x * cols;
+                let channels =
+                    [0, 1, 2].map(|channel| &self.row(channel, bin_y * rows + row, frame)[from..from + cols]);
+                for (col, pixel) in pixels.chunks_exact_mut(3).enumerate() {
+                    pixel.iter_mut().zip(channels).for_each(|(value, channel)| *value = channel[col]);
                 }
-            }
-        }
+            },
+        );
     }
 
     /// One padded row.

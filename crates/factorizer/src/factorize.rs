@@ -41,7 +41,7 @@ impl Default for Settings {
             seed: 1,
             start: None,
             coarse_levels: None,
-            coarse_iterations: 5,
+            coarse_iterations: 3,
             report_every: 1,
             levels: true,
         }

@@ -4,6 +4,8 @@ use lumistack_core::Cancelled;
 use lumistack_display::{Display, DisplayError, LayerStack, LightField, StackError, WeightError, Weights};
 use thiserror::Error;
 
+use crate::bands;
+
 /// A display, the light field that it shall show, and how much each ray counts.
 ///
 /// Brightness β, sampling, frames M and what rays read beside a layer come from the display; where rays are comes from the target, whose
@@ -32,7 +34,10 @@ impl Problem<'_> {
 
     fn check_target(&self) -> Result<(), FactorizeError> {
         let radiance = self.target.radiance();
-        let Some(at) = radiance.data().iter().position(|value| !value.is_finite()) else { return Ok(()) };
+        if bands::all(radiance.data(), |part| part.iter().all(|value| value.is_finite())) {
+            return Ok(());
+        }
+        let at = radiance.data().iter().position(|value| !value.is_finite()).unwrap_or(0);
         let [_, view_cols, rows, cols, channels] = radiance.shape();
         let (pixel, channel) = (at / channels, at % channels);
         let view = pixel / (rows * cols);

@@ -75,11 +75,12 @@ pub fn start_patterns(problem: &Problem, kind: StartKind, seed: u64) -> LayerSta
         let plan = Plan::new(problem);
         let factors = plan.maps.len() as f32;
         for (n, values) in parts(&mut stack).enumerate() {
-            let mean = mean_target(&plan, n);
-            for frame in values.chunks_exact_mut(mean.len()) {
-                for (value, &mean) in frame.iter_mut().zip(&mean) {
-                    let level = level(problem.display.formation, mean.max(0.0), factors);
-                    let [low, high] = CONTENT_NOISE;
+            let means = mean_target(&plan, n);
+            let formation = problem.display.formation;
+            let levels: Vec<f32> = means.iter().map(|mean| level(formation, mean.max(0.0), factors)).collect();
+            let [low, high] = CONTENT_NOISE;
+            for frame in values.chunks_exact_mut(levels.len()) {
+                for (value, &level) in frame.iter_mut().zip(&levels) {
                     *value = (level * (low + (high - low) * *value)).clamp(FLOOR, 1.0);
                 }
             }

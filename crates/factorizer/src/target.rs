@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use lumistack_display::{FieldGeometry, Weights};
 
@@ -78,11 +79,10 @@ impl Target {
         let views = view_rows * view_cols;
         let stride = PAD + cols + PAD;
         let radiance = problem.target.radiance().data();
-        let exact = |value: &f32| half_from_float(*value).is_some();
-        let values = if bands::all(radiance, |part| part.iter().all(exact)) {
-            Radiance::Half(rows_of(radiance, cols, stride, |value| half_from_float(value).unwrap_or_default()))
-        } else {
-            Radiance::Float(rows_of(radiance, cols, stride, |value| value))
+        let halves = rows_of(radiance, cols, stride, half_from_float);
+        let values = match halves {
+            Some(halves) => Radiance::Half(halves),
+            None => Radiance::Float(rows_of(radiance, cols, stride, Some).unwrap_or_default()),
         };
         let (weights, weight_scale) = ray_weights(problem.weights, [views, rows, cols], stride);
         let brightness = problem.display.brightness as f32;
@@ -169,28 +169,43 @@ impl Target {
     }
 }
 
-/// `[view][row][col][rgb]` into padded rows `[channel][view][row][x]`.
+/// `[view][row][col][rgb]` into padded rows `[channel][view][row][x]`; `None` where any value has no counterpart.
 fn rows_of<T: Copy + Default + Send>(
     radiance: &[f32],
     cols: usize,
     stride: usize,
-    convert: impl Fn(f32) -> T + Sync + Send,
-) -> Vec<T> {
+    convert: impl Fn(f32) -> Option<T> + Sync + Send,
+) -> Option<Vec<T>> {
     let lines = radiance.len() / (3 * cols);
     let mut values = vec![T::default(); 3 * lines * stride];
+    let (red, rest) = values.split_at_mut(lines * stride);
+    let (green, blue) = rest.split_at_mut(lines * stride);
+    let channels = red.chunks_exact_mut(stride).zip(green.chunks_exact_mut(stride)).zip(blue.chunks_exact_mut(stride));
+    let mut rows: Vec<_> = channels.map(|((red, green), blue)| [red, green, blue]).collect();
+    let complete = AtomicBool::new(true);
     bands::for_each_chunk(
-        &mut values,
-        stride,
+        &mut rows,
+        1,
         || (),
-        |(), index, row| {
-            let (channel, line) = (index / lines, index % lines);
+        |(), line, rows| {
+            if !complete.load(Ordering::Relaxed) {
+                return;
+            }
             let pixels = radiance[line * cols * 3..][..cols * 3].chunks_exact(3);
-            for (value, pixel) in row[PAD..PAD + cols].iter_mut().zip(pixels) {
-                *value = convert(pixel[channel]);
+            let mut all = true;
+            for (col, pixel) in pixels.enumerate() {
+                for (row, &value) in rows[0].iter_mut().zip(pixel) {
+                    let converted = convert(value);
+                    all &= converted.is_some();
+                    row[PAD + col] = converted.unwrap_or_default();
+                }
+            }
+            if !all {
+                complete.store(false, Ordering::Relaxed);
             }
         },
     );
-    values
+    complete.into_inner().then_some(values)
 }
 
 /// The half float that is exactly `value`, if there is one and it is finite.

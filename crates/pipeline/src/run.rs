@@ -20,7 +20,7 @@ use crate::render;
 use crate::sequence::{self, SequenceSummary};
 
 /// Changes whenever a solver gives other patterns.
-const FACTORIZE_VERSION: u32 = 1;
+const FACTORIZE_VERSION: u32 = 2;
 /// Points of the convergence curve: enough for a plot; each costs a part of an update.
 const CURVE_POINTS: u32 = 40;
 /// Name of the one node of a plain job.
@@ -168,7 +168,8 @@ pub(crate) struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn open(job: &'a Job, dir: &Path) -> Result<Self, PipelineError> {
+    /// Checks what can be checked without any work.
+    pub(crate) fn open(job: &'a Job, dir: &Path) -> Result<Self, PipelineError> {
         let display = job.resolve_display()?;
         start_kind(&job.factorize.start)?;
         lumistack_factorizer::solver(&job.factorize.solver).map_err(PipelineError::Factorize)?;
@@ -371,7 +372,8 @@ impl<'a> Run<'a> {
         key.add("display", display.to_toml().as_bytes())
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())
             .add_f32("target", target.radiance().data())
-            .add_json("settings", &(&job.solver, job.iterations, &job.start, self.job.seed));
+            .add_json("settings", &(&job.solver, job.iterations, &job.start, self.job.seed))
+            .add_json("coarse and levels", &(job.coarse_levels, job.coarse_iterations, job.levels));
         match weights {
             Weights::Uniform => {}
             Weights::PerView(t) => {
@@ -601,7 +603,7 @@ fn check_stack(stack: &LayerStack, display: &Display, path: &Path) -> Result<(),
     stack.check(display).map_err(|source: StackError| PipelineError::Stack { path: path.to_owned(), source })
 }
 
-pub(crate) fn check_folder(path: &Path) -> Result<(), PipelineError> {
+fn check_folder(path: &Path) -> Result<(), PipelineError> {
     if path.is_file() { Err(PipelineError::NotAFolder { path: path.to_owned() }) } else { Ok(()) }
 }
 

@@ -22,7 +22,7 @@ use crate::cache::KeyBuilder;
 use crate::error::PipelineError;
 use crate::flicker::{self, Shown, TimeError};
 use crate::job::{Job, SequenceJob};
-use crate::run::{Made, Moment, Run, Summary, Tee, check_folder, remove_reports, write, write_job, write_report};
+use crate::run::{Made, Moment, Run, Summary, Tee, remove_reports, write, write_job, write_report};
 use times::Times;
 
 /// Changes whenever the figures of a time are measured differently.
@@ -54,7 +54,8 @@ pub(crate) fn run(
     let warnings = Tee { list: Collector::default(), next: task.warnings };
     let task = Task { warnings: &warnings, ..task };
     job.check()?;
-    check_folder(dir)?;
+    // found out before an hour of rendering, not after
+    Run::open(job, dir)?;
     let times = Times::find(job, sequence, &dir.join(name(0)).join("cache"), task)?;
     let (mut list, mut last): (Vec<SequenceTime>, Option<Last>) = (Vec::new(), None);
     for time in 0..times.count() {

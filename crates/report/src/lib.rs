@@ -10,6 +10,8 @@
 //!                                       patterns pictures of the masks
 //! ```
 //!
+//! A sequence of times has a report of its own, [`sequence()`].
+//!
 //! PSNR is the display crate's: peak 1, linear light, over all rays with w > 0 that meet the display, and all channels. `psnr_view` compares
 //! L̃/β with L, `psnr_raw` compares L̃ with βL and is higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
 //! [`lumistack_core::metrics`] defines them: rays that do not count are set to the target in both pictures, and the means run over the pixels that

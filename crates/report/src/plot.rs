@@ -59,7 +59,11 @@ fn draw(points: &[(f64, f64)], label: &str, value_label: &str) -> Result<String,
             .y_label_area_size(58)
             .build_cartesian_2d(x_range.clone(), y_range.clone())?;
         let text = |size: i32| ("sans-serif", size).into_font().color(&BLACK);
-        let (x_digits, y_digits) = (digits(&x_range), digits(&y_range));
+        // numbers of times and iterations have no halves between them
+        let whole = points.iter().all(|(x, _)| x.fract() == 0.0);
+        let x_digits = if whole && points.len() > 1 { 0 } else { digits(&x_range) };
+        let x_labels = if whole { ((x_range.end - x_range.start) as usize + 1).min(8) } else { 8 };
+        let y_digits = digits(&y_range);
         chart
             .configure_mesh()
             .light_line_style(TRANSPARENT)
@@ -67,7 +71,7 @@ fn draw(points: &[(f64, f64)], label: &str, value_label: &str) -> Result<String,
             .axis_style(BLACK.mix(0.6))
             .x_desc(label)
             .y_desc(value_label)
-            .x_labels(8)
+            .x_labels(x_labels)
             .y_labels(6)
             .x_label_formatter(&|x| format!("{x:.x_digits$}"))
             .y_label_formatter(&|y| format!("{y:.y_digits$}"))

@@ -220,8 +220,8 @@ mod tests {
         let times = &report.json["times"];
         assert_eq!((&times[0]["psnr_change"], &times[1]["still_share"]), (&Value::Null, &json!(0.25)));
         assert!(report.html.contains("t0002") && report.html.contains("views &lt;1&gt;.npy"));
-        assert_eq!(report.html.matches("<svg").count(), 2, "error and flicker are plotted");
-        assert!(!report.html.contains("http://") || report.html.contains("xmlns"), "nothing is fetched");
+        assert_eq!(report.html.matches("<svg").count(), 3, "error, flicker and flicker where still are plotted");
+        assert!(!report.html.contains("src=\"http") && !report.html.contains("href=\"http"), "nothing is fetched");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 mod figures;
 
-use crate::{Iteration, Output, Report, ReportError, ReportInput, Stage, build};
+use crate::{Iteration, Output, Report, ReportError, ReportInput, Solution, Stage, build};
 
 /// PSNR in report.json against the display crate's, dB; both sum in f64 in the same order.
 const SAME_DB: f64 = 1e-9;

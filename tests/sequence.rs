@@ -1,0 +1,238 @@
+//! Sequences: warm start from time to time, flicker, resuming, and one error for light fields that do not belong together.
+
+mod common;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::{fail, files, lumistack, number, report, root, succeed};
+use serde_json::Value;
+
+/// How much 5 iterations from the patterns of the time before may be worse than 30 from nothing, dB, with the paper's rule.
+const WARM_LOSS_DB: f64 = 1.0;
+/// How much better they are at least than 5 from nothing, dB, with any solver.
+const WARM_GAIN_DB: f64 = 1.0;
+/// Exposures of one sequence, relative.
+const SAME_EXPOSURE: f64 = 1e-9;
+
+const FLAGS: [&str; 6] = ["--fov", "20x20", "--pitch-mm", "3", "--frames", "4"];
+const VIEWS: [usize; 2] = [3, 5];
+const SIZE: [usize; 2] = [40, 64];
+
+/// A light field as `.npy`: a textured plane 30 mm behind the display, `shift` pixels to the right.
+fn write_moving_field(path: &Path, shift: f64, [rows, cols]: [usize; 2]) {
+    use npyz::WriterBuilder;
+    let [views_y, views_x] = VIEWS;
+    let slope = |view: usize, count: usize| {
+        (view as f64 - (count as f64 - 1.0) / 2.0) * 2.0 / count as f64 * 10f64.to_radians().tan()
+    };
+    let mut values: Vec<f32> = Vec::new();
+    for (view_y, view_x) in (0..views_y).flat_map(|y| (0..views_x).map(move |x| (y, x))) {
+        for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+            let x = col as f64 - shift - 10.0 * slope(view_x, views_x);
+            let y = row as f64 - 10.0 * slope(view_y, views_y);
+            let wave = |k: f64, phase: f64| {
+                (0.16 * k * x + phase).sin() * (0.14 * k * y - phase).cos()
+                    + 0.5 * (0.35 * x - 0.23 * k * y + phase).sin()
+            };
+            values.extend([1.0, 1.3, 1.7].map(|k| (0.45 + 0.25 * wave(k, 2.0 * k)) as f32));
+        }
+    }
+    let shape = [views_y, views_x, rows, cols, 3].map(|n| n as u64);
+    let file = std::fs::File::create(path).unwrap();
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd().unwrap();
+    writer.extend(values).unwrap();
+    writer.finish().unwrap();
+}
+
+/// `count` times in which the plane moves by `step` pixels each.
+fn moving(folder: &Path, count: usize, step: f64) -> PathBuf {
+    let times = folder.join("times");
+    std::fs::create_dir(&times).unwrap();
+    // names whose order as texts is not that of their numbers
+    (0..count).for_each(|time| write_moving_field(&times.join(format!("f{}.npy", time + 8)), step * time as f64, SIZE));
+    times
+}
+
+fn factorize(input: &Path, run: &Path) -> Command {
+    let mut command = lumistack();
+    command.arg("factorize").arg(input).arg("-o").arg(run).args(FLAGS);
+    command
+}
+
+fn times(run: &Path) -> Vec<Value> {
+    report(run)["times"].as_array().unwrap().clone()
+}
+
+#[test]
+fn a_warm_start_saves_iterations() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = moving(folder.path(), 4, 2.0);
+    let run = folder.path().join("run");
+    for solver in ["multiplicative", "auto"] {
+        let sequence = ["--sequence", "--solver", solver, "--iterations", "30"];
+        let text = succeed(factorize(&input, &run).args(sequence));
+        assert!(text.contains("over 4 times, flicker"), "{text}");
+        let times = times(&run);
+        assert_eq!(times.iter().map(|t| t["iterations"].as_u64().unwrap()).collect::<Vec<_>>(), [30, 5, 5, 5]);
+        let warm = number(&times[3], "psnr_view");
+        let [few, many] = ["5", "30"].map(|iterations| {
+            let still = folder.path().join("still");
+            let flags = ["--solver", solver, "--iterations", iterations];
+            succeed(factorize(&input.join("f11.npy"), &still).args(flags));
+            number(&report(&still), "psnr_view")
+        });
+        println!("{solver}: 5 warm {warm:.2} dB, 5 from nothing {few:.2} dB, 30 from nothing {many:.2} dB");
+        assert!(warm > few + WARM_GAIN_DB, "{solver}: {warm} dB, from nothing {few} dB");
+        if solver == "multiplicative" {
+            assert!(warm > many - WARM_LOSS_DB, "{warm} dB, 30 from nothing {many} dB");
+        }
+        // every time started where the one before ended: better than nothing at all, and worse than where it ended
+        assert!(times[1..].iter().all(|time| number(time, "psnr_start") < number(time, "psnr_view")));
+    }
+}
+
+#[test]
+fn what_stands_still_does_not_flicker() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = moving(folder.path(), 3, 0.0);
+    let run = folder.path().join("run");
+    let flags = ["--sequence", "--iterations", "30", "--sequence-iterations"];
+    succeed(factorize(&input, &run).args(flags).arg("0"));
+    let frozen = times(&run);
+    assert_eq!((&frozen[0]["psnr_change"], &frozen[1]["psnr_change"]), (&Value::Null, &"Infinity".into()));
+    assert_eq!((number(&frozen[2], "still_share"), number(&frozen[2], "psnr_still")), (1.0, f64::INFINITY));
+    assert!(files(&run.join("t0001/layers")) == files(&run.join("t0003/layers")));
+    // a solver that goes on changes little, and less and less
+    succeed(factorize(&input, &run).args(flags).arg("5"));
+    let settling = times(&run);
+    let change = [1, 2].map(|time| number(&settling[time], "psnr_change"));
+    assert!(
+        change[0] > number(&settling[0], "psnr_view") && change[1] > change[0] && change[1].is_finite(),
+        "{change:?}"
+    );
+    // what moves flickers more
+    let other = folder.path().join("other");
+    std::fs::create_dir(&other).unwrap();
+    succeed(factorize(&moving(&other, 3, 2.0), &run).args(flags).arg("5"));
+    let moving = times(&run);
+    assert!(number(&moving[2], "psnr_change") < change[1] && number(&moving[2], "still_share") < 0.5);
+}
+
+#[test]
+fn a_light_field_that_does_not_belong_stops_a_sequence_and_nothing_is_done_twice() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = moving(folder.path(), 4, 2.0);
+    let run = folder.path().join("run");
+    let odd = input.join("f10.npy");
+    write_moving_field(&odd, 4.0, [SIZE[0], SIZE[1] - 1]);
+    let error = fail(factorize(&input, &run).arg("--sequence"));
+    for part in
+        ["f10.npy: geometry: expected that of", "f9.npy", "5 × 3 views of 64 × 40", "found 5 × 3 views of 63 × 40"]
+    {
+        assert!(error.contains(part), "`{part}` is not in: {error}");
+    }
+    assert!(!run.join("report.html").exists() && !run.join("t0003/layers").exists());
+    let before = ["t0001", "t0002"].map(|time| written(&run.join(time)));
+    write_moving_field(&odd, 4.0, SIZE);
+    succeed(factorize(&input, &run).arg("--sequence"));
+    let cached = |run: &Path| times(run).iter().map(|time| time["cached"].as_bool().unwrap()).collect::<Vec<_>>();
+    assert_eq!(cached(&run), [true, true, false, false]);
+    let parts = |list: &[(PathBuf, std::time::SystemTime)]| {
+        // settings are written by every run
+        list.iter().filter(|(path, _)| path.extension().is_none_or(|e| e != "toml")).cloned().collect::<Vec<_>>()
+    };
+    for (time, before) in ["t0001", "t0002"].iter().zip(&before) {
+        assert!(parts(before) == parts(&written(&run.join(time))), "{time} was done again");
+    }
+}
+
+/// Every file below a folder and when it was written.
+fn written(folder: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
+    let mut list = Vec::new();
+    for (path, _) in files(folder) {
+        let modified = std::fs::metadata(folder.join(&path)).unwrap().modified().unwrap();
+        list.push((path, modified));
+    }
+    list
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_sequence_goes_on_from_the_times_that_are_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = moving(folder.path(), 6, 2.0);
+    let (stopped, whole) = (folder.path().join("stopped"), folder.path().join("whole"));
+    let flags = ["--sequence", "--iterations", "60", "--sequence-iterations", "60"];
+    let mut child =
+        factorize(&input, &stopped).args(flags).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let start = Instant::now();
+    while !stopped.join("t0002/cache/measure.json").exists() && child.try_wait().unwrap().is_none() {
+        assert!(start.elapsed() < Duration::from_secs(120), "two times were not finished in two minutes");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    succeed(Command::new("kill").arg("-INT").arg(child.id().to_string()));
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(!stopped.join("report.html").exists());
+    succeed(factorize(&input, &stopped).args(flags));
+    succeed(factorize(&input, &whole).args(flags));
+    let cached: Vec<bool> = times(&stopped).iter().map(|time| time["cached"].as_bool().unwrap()).collect();
+    assert!(cached.starts_with(&[true, true]) && cached.ends_with(&[false]), "{cached:?}");
+    for time in 1..=6 {
+        for part in ["target", "layers", "outputs"] {
+            let part = Path::new(&format!("t{time:04}")).join(part);
+            assert!(files(&stopped.join(&part)) == files(&whole.join(&part)), "{} differs", part.display());
+        }
+    }
+}
+
+#[test]
+fn a_window_moves_through_a_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let scene = root().join("scenes/still-life/still-life.gltf");
+    let small = ["--resolution", "42x26", "--frames", "2", "--samples", "1", "--iterations", "5", "--max-bounces", "2"];
+    let motion = ["--times", "3", "--turn-deg", "30", "--shift-mm", "20,0,0"];
+    succeed(lumistack().arg("run").arg(&scene).arg("-o").arg(&run).args(small).args(motion));
+    let exposure = |time: &str| {
+        let text = std::fs::read(run.join(time).join("target/lightfield.json")).unwrap();
+        let index: Value = serde_json::from_slice(&text).unwrap();
+        index["exposure"].as_f64().or_else(|| index["info"]["exposure"].as_f64()).expect("the exposure is noted")
+    };
+    assert!((exposure("t0003") / exposure("t0001") - 1.0).abs() < SAME_EXPOSURE);
+    assert!(files(&run.join("t0001/target")) != files(&run.join("t0002/target")));
+    assert!(times(&run)[1]["source"].as_str().unwrap().contains("turned by 15.0°, moved by (10.0, 0.0, 0.0) mm"));
+    assert!(!run.join("t0002/report.html").exists());
+    // every time is a job of its own
+    let patterns = files(&run.join("t0002/layers"));
+    succeed(lumistack().arg("run").arg(run.join("t0002/job.toml")).arg("-o").arg(run.join("t0002")));
+    let stages = report(&run.join("t0002"))["stages"].clone();
+    let factorize = stages.as_array().unwrap().iter().find(|stage| stage["name"] == "factorize").unwrap();
+    assert_eq!(factorize["cached"], true);
+    assert!(patterns == files(&run.join("t0002/layers")));
+}
+
+#[test]
+fn jobs() {
+    let folder = tempfile::tempdir().unwrap();
+    let (job, run) = (folder.path().join("job.toml"), folder.path().join("run"));
+    let input = moving(folder.path(), 2, 1.0);
+    let scene = root().join("scenes/glass/glass.gltf");
+    let check = |input: &Path, keys: &str, parts: &[&str]| {
+        let kind = if input == scene.as_path() { "scene" } else { "light_field" };
+        let text = format!("{kind} = {input:?}\n[display]\npreset = \"fig7-uniform\"\n[sequence]\n{keys}\n");
+        std::fs::write(&job, text).unwrap();
+        let error = fail(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
+        for part in parts {
+            assert!(error.contains(part), "`{part}` is not in: {error}");
+        }
+        assert!(!run.exists(), "nothing is written");
+    };
+    check(&scene, "iterations = 3", &["sequence.times", "nothing"]);
+    check(&scene, "times = 0", &["sequence.times", "1 to 9999", "0"]);
+    check(&scene, "times = 2\nturn = 3", &["line 6", "turn", "turn_deg"]);
+    check(&input, "turn_deg = 3.0", &["sequence", "light fields"]);
+    check(&input, "times = 3", &["times", "at least 3 light fields", "found 2"]);
+    check(&input.join("f8.npy"), "", &["f8.npy", "readable"]);
+}
