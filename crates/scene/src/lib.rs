@@ -11,7 +11,9 @@ mod validate;
 mod window;
 
 pub use bounds::Bounds;
-pub use material::{AlphaMode, Filter, Image, Material, Pixels, Texture, TextureUse, Wrap};
+pub use material::{
+    AlphaMode, Anisotropy, Clearcoat, Filter, Image, Iridescence, Material, Pixels, Sheen, Texture, TextureUse, Wrap,
+};
 pub use parts::{Camera, Environment, Instance, Light, LightKind, Mesh, Projection, SceneParts};
 pub use validate::{Scene, SceneError};
 pub use window::{Similarity, Window, WindowError};

@@ -32,8 +32,17 @@ pub struct Material {
     pub double_sided: bool,
     /// Shown with its base colour whatever the light (`KHR_materials_unlit`).
     pub unlit: bool,
-    /// Index of refraction (`KHR_materials_ior`), ≥ 1.
+    /// Index of refraction (`KHR_materials_ior`), ≥ 1; or 0, which says that dielectric reflection has no angular dependence and
+    /// [`specular_color`](Self::specular_color) alone sets its colour (the specular-glossiness workflow).
     pub ior: f32,
+    /// Factor on the dielectric reflection (`KHR_materials_specular`), 0..1.
+    pub specular: f32,
+    /// Alpha channel, linear.
+    pub specular_texture: Option<TextureUse>,
+    /// Linear RGB factor on the dielectric reflection at normal incidence (`KHR_materials_specular`), ≥ 0; the product is at most 1.
+    pub specular_color: Vec3,
+    /// RGB sRGB-encoded.
+    pub specular_color_texture: Option<TextureUse>,
     /// Share of light that enters a dielectric and passes through (`KHR_materials_transmission`), 0..1.
     pub transmission: f32,
     /// Red channel, linear.
@@ -44,6 +53,78 @@ pub struct Material {
     pub attenuation_color: Vec3,
     /// Scene units; infinite when the solid does not absorb.
     pub attenuation_distance: f32,
+    /// 20 / Abbe number of a solid (`KHR_materials_dispersion`), ≥ 0; 0 does not disperse.
+    pub dispersion: f32,
+    /// A clear layer on top.
+    pub clearcoat: Option<Clearcoat>,
+    /// Fibres on top, as of velvet.
+    pub sheen: Option<Sheen>,
+    /// A thin film on the base.
+    pub iridescence: Option<Iridescence>,
+    /// Stretch of the reflection of the base.
+    pub anisotropy: Option<Anisotropy>,
+}
+
+/// `KHR_materials_clearcoat`: a dielectric layer with index 1.5.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Clearcoat {
+    /// Share of the surface that is coated, 0..1.
+    pub factor: f32,
+    /// Red channel, linear.
+    pub texture: Option<TextureUse>,
+    /// Perceptual roughness 0..1.
+    pub roughness: f32,
+    /// Green channel, linear.
+    pub roughness_texture: Option<TextureUse>,
+    /// Normals of the coat, as [`Material::normal_texture`]; without it the coat has the geometry's.
+    pub normal_texture: Option<TextureUse>,
+    /// Factor on the x and y of the coat's normal map.
+    pub normal_scale: f32,
+}
+
+/// `KHR_materials_sheen`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sheen {
+    /// Linear RGB, 0..1.
+    pub color: Vec3,
+    /// RGB sRGB-encoded.
+    pub color_texture: Option<TextureUse>,
+    /// Perceptual roughness 0..1.
+    pub roughness: f32,
+    /// Alpha channel, linear.
+    pub roughness_texture: Option<TextureUse>,
+}
+
+/// `KHR_materials_iridescence`: interference in a thin film.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Iridescence {
+    /// 0..1.
+    pub factor: f32,
+    /// Red channel, linear.
+    pub texture: Option<TextureUse>,
+    /// Index of refraction of the film, ≥ 1.
+    pub ior: f32,
+    /// Thickness where the texture reads 0 and 1, nanometres; without a texture the film is as thick as at 1.
+    pub thickness_nm: [f32; 2],
+    /// Green channel, linear.
+    pub thickness_texture: Option<TextureUse>,
+}
+
+impl Default for Iridescence {
+    fn default() -> Self {
+        Self { factor: 0.0, texture: None, ior: 1.3, thickness_nm: [100.0, 400.0], thickness_texture: None }
+    }
+}
+
+/// `KHR_materials_anisotropy`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Anisotropy {
+    /// 0..1: GGX α along the direction is mix(α, 1, strength²), across it α.
+    pub strength: f32,
+    /// Angle of the direction of stretch from the tangent, counter-clockwise in tangent space.
+    pub rotation_rad: f32,
+    /// RG: direction in tangent space, 2·rg − 1, turned by the rotation; B: factor on the strength. Linear.
+    pub texture: Option<TextureUse>,
 }
 
 impl Default for Material {
@@ -64,11 +145,20 @@ impl Default for Material {
             double_sided: false,
             unlit: false,
             ior: 1.5,
+            specular: 1.0,
+            specular_texture: None,
+            specular_color: Vec3::ONE,
+            specular_color_texture: None,
             transmission: 0.0,
             transmission_texture: None,
             solid: false,
             attenuation_color: Vec3::ONE,
             attenuation_distance: f32::INFINITY,
+            dispersion: 0.0,
+            clearcoat: None,
+            sheen: None,
+            iridescence: None,
+            anisotropy: None,
         }
     }
 }
@@ -76,15 +166,37 @@ impl Default for Material {
 impl Material {
     /// Every texture use with the glTF name of its slot.
     pub fn textures(&self) -> impl Iterator<Item = (&'static str, &TextureUse)> {
+        let clearcoat = self.clearcoat.as_ref();
+        let sheen = self.sheen.as_ref();
+        let iridescence = self.iridescence.as_ref();
         [
-            ("baseColorTexture", &self.base_color_texture),
-            ("metallicRoughnessTexture", &self.metallic_roughness_texture),
-            ("normalTexture", &self.normal_texture),
-            ("emissiveTexture", &self.emission_texture),
-            ("transmissionTexture", &self.transmission_texture),
+            ("baseColorTexture", self.base_color_texture.as_ref()),
+            ("metallicRoughnessTexture", self.metallic_roughness_texture.as_ref()),
+            ("normalTexture", self.normal_texture.as_ref()),
+            ("emissiveTexture", self.emission_texture.as_ref()),
+            ("specularTexture", self.specular_texture.as_ref()),
+            ("specularColorTexture", self.specular_color_texture.as_ref()),
+            ("transmissionTexture", self.transmission_texture.as_ref()),
+            ("clearcoatTexture", clearcoat.and_then(|coat| coat.texture.as_ref())),
+            ("clearcoatRoughnessTexture", clearcoat.and_then(|coat| coat.roughness_texture.as_ref())),
+            ("clearcoatNormalTexture", clearcoat.and_then(|coat| coat.normal_texture.as_ref())),
+            ("sheenColorTexture", sheen.and_then(|sheen| sheen.color_texture.as_ref())),
+            ("sheenRoughnessTexture", sheen.and_then(|sheen| sheen.roughness_texture.as_ref())),
+            ("iridescenceTexture", iridescence.and_then(|film| film.texture.as_ref())),
+            ("iridescenceThicknessTexture", iridescence.and_then(|film| film.thickness_texture.as_ref())),
+            ("anisotropyTexture", self.anisotropy.as_ref().and_then(|stretch| stretch.texture.as_ref())),
         ]
         .into_iter()
-        .filter_map(|(slot, texture)| texture.as_ref().map(|texture| (slot, texture)))
+        .filter_map(|(slot, texture)| texture.map(|texture| (slot, texture)))
+    }
+
+    /// The coordinate set that tangents must follow: that of the first of normal map, coat's normal map and anisotropy; `None` where
+    /// the material needs no tangents.
+    pub fn tangent_uv_set(&self) -> Option<usize> {
+        let coat = self.clearcoat.as_ref().and_then(|coat| coat.normal_texture.as_ref());
+        let mapped = self.normal_texture.as_ref().or(coat).map(|texture| texture.uv_set);
+        let stretched = self.anisotropy.as_ref().map(|stretch| stretch.texture.map_or(0, |texture| texture.uv_set));
+        mapped.or(stretched)
     }
 
     /// Whether the surface can emit light.

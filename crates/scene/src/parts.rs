@@ -37,7 +37,7 @@ pub struct Mesh {
     /// Unit normals, one per vertex. The validator generates flat ones when empty.
     pub normals: Vec<Vec3>,
     /// Unit tangents, w = ±1 the handedness of the bitangent `w · normal × tangent`; may be empty. The validator generates them
-    /// when the material has a normal map and the mesh has none.
+    /// when the material has a normal map or anisotropy and the mesh has none.
     pub tangents: Vec<Vec4>,
     /// Texture coordinates of set 0 and 1; each may be empty, which reads (0, 0).
     pub uvs: [Vec<Vec2>; 2],

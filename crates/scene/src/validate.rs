@@ -77,7 +77,7 @@ impl SceneParts {
     pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
         self.check_images()?;
         self.check_materials(task)?;
-        let uses_normal_map: Vec<bool> = self.materials.iter().map(|m| m.normal_texture.is_some()).collect();
+        let tangent_uv_sets: Vec<_> = self.materials.iter().map(crate::Material::tangent_uv_set).collect();
         let material_count = self.materials.len();
         let mut flat: Vec<(String, usize, usize)> = Vec::new();
         for mesh in &mut self.meshes {
@@ -89,8 +89,9 @@ impl SceneParts {
             if mesh.normals.is_empty() {
                 generate_flat_normals(mesh);
             }
-            if mesh.tangents.is_empty() && uses_normal_map[mesh.material] {
-                let uv_set = self.materials[mesh.material].normal_texture.map_or(0, |texture| texture.uv_set);
+            if mesh.tangents.is_empty()
+                && let Some(uv_set) = tangent_uv_sets[mesh.material]
+            {
                 generate_tangents(mesh, uv_set);
             }
         }
@@ -197,7 +198,35 @@ impl SceneParts {
             clamp("roughnessFactor", &mut material.roughness, 0.0, 1.0)?;
             clamp("normalTexture.scale", &mut material.normal_scale, -1e6, 1e6)?;
             clamp("transmissionFactor", &mut material.transmission, 0.0, 1.0)?;
-            clamp("ior", &mut material.ior, 1.0, 100.0)?;
+            if material.ior != 0.0 {
+                clamp("ior", &mut material.ior, 1.0, 100.0)?;
+            }
+            clamp("specularFactor", &mut material.specular, 0.0, 1.0)?;
+            for c in 0..3 {
+                clamp("specularColorFactor", &mut material.specular_color[c], 0.0, f32::MAX)?;
+            }
+            clamp("dispersion", &mut material.dispersion, 0.0, 20.0)?;
+            if let Some(coat) = &mut material.clearcoat {
+                clamp("clearcoatFactor", &mut coat.factor, 0.0, 1.0)?;
+                clamp("clearcoatRoughnessFactor", &mut coat.roughness, 0.0, 1.0)?;
+                clamp("clearcoatNormalTexture.scale", &mut coat.normal_scale, -1e6, 1e6)?;
+            }
+            if let Some(sheen) = &mut material.sheen {
+                for c in 0..3 {
+                    clamp("sheenColorFactor", &mut sheen.color[c], 0.0, 1.0)?;
+                }
+                clamp("sheenRoughnessFactor", &mut sheen.roughness, 0.0, 1.0)?;
+            }
+            if let Some(film) = &mut material.iridescence {
+                clamp("iridescenceFactor", &mut film.factor, 0.0, 1.0)?;
+                clamp("iridescenceIor", &mut film.ior, 1.0, 100.0)?;
+                clamp("iridescenceThicknessMinimum", &mut film.thickness_nm[0], 0.0, 1e6)?;
+                clamp("iridescenceThicknessMaximum", &mut film.thickness_nm[1], 0.0, 1e6)?;
+            }
+            if let Some(stretch) = &mut material.anisotropy {
+                clamp("anisotropyStrength", &mut stretch.strength, 0.0, 1.0)?;
+                clamp("anisotropyRotation", &mut stretch.rotation_rad, -1e6, 1e6)?;
+            }
             clamp("attenuationDistance", &mut material.attenuation_distance, f32::MIN_POSITIVE, f32::INFINITY)?;
             if let AlphaMode::Mask { cutoff } = &mut material.alpha_mode {
                 clamp("alphaCutoff", cutoff, 0.0, f32::MAX)?;
