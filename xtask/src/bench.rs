@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::bench_render;
+use crate::fuzz;
 use crate::tools::{self, Outcome, cargo, command, output_of};
 
 /// What `cargo xtask bench --help` prints.
@@ -21,21 +23,41 @@ cargo xtask bench [what]
       --quick        50 iterations at most
       --json FILE    also as JSON
   stream        a display whose target does not fit into memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames
-  render        the path tracer on our main scene
+  render [scene.gltf]   the path tracer on two cores: rays per second of the tree beside Embree, and one view of diffuse
+                scenes beside Mitsuba 3 and Blender's Cycles at equal scene, camera, light and bounces: time, samples per
+                second, mean squared error × time; memory. Scenes: the one named, or FlightHelmet where LUMISTACK_ASSETS
+                has it, and still-life (about 25 minutes each with peers, 2 with --quick)
+      --quick        half of the resolution, fewer samples in the references
+      --no-peers     our own figures alone
+  big [scene.gltf]      a scene of 1,100 copies, 100 million triangles with FlightHelmet, in the memory of one
+  agreement     the path tracer against Mitsuba 3 on scenes that both express exactly: a test per pixel over
+                converged renders, a table, and an error where they differ (some minutes)
+      --quick        a quarter of the samples
+  fuzz          random changes to glTF files, whole and packed, from the corpora of others; anything but a scene or
+                a message is a failure. Needs a nightly compiler and a C++ compiler; fetches cargo-fuzz
+      --minutes N    default 10
 
 NumPy and PyTorch are fetched into target/python-bench at the first `factorize` (on x86-64 Linux 3 GB to fetch and
 6 GB on disk, since PyTorch's package brings its GPU libraries along); where they cannot be had, the bench says so
-and goes on without. LUMISTACK_BENCH_PYTHON names a Python that has them already.
+and goes on without. LUMISTACK_BENCH_PYTHON names a Python that has them already. `render` fetches Mitsuba, bpy 5.0.1 (which needs
+Python 3.11) and Embree's wheel into target/python-render-bench in the same way (1 GB on disk), `agreement` Mitsuba (60 MB) into
+target/python-bench; Mitsuba also needs an LLVM
+library of the system (Debian: libllvm19).
 ";
 
 /// Runs what the words after `bench` ask for; `None` if they make no sense.
 pub fn run(arguments: &[&str]) -> Option<Outcome> {
     Some(match arguments {
-        [] => factorize(&["--no-peers"])?.and_then(|()| render()),
+        [] => factorize(&["--no-peers"])?.and_then(|()| bench_render::render(&["--no-peers"]).unwrap_or(Ok(()))),
         ["factorize", options @ ..] => factorize(options)?,
         ["convergence", options @ ..] => convergence(options)?,
         ["stream"] => example("lumistack-factorizer", "stream", &[]),
-        ["render"] => render(),
+        ["agreement"] => agreement("64"),
+        ["agreement", "--quick"] => agreement("16"),
+        ["render", options @ ..] => bench_render::render(options)?,
+        ["big", options @ ..] => bench_render::big(options)?,
+        ["fuzz"] => fuzz::run(10),
+        ["fuzz", "--minutes", minutes] => fuzz::run(minutes.parse().ok()?),
         ["--help" | "-h"] => {
             print!("{USAGE}");
             Ok(())
@@ -79,12 +101,21 @@ fn convergence(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-factorizer", "bench_convergence", &passed))
 }
 
-fn render() -> Outcome {
-    let words = ["scenes/still-life/still-life.gltf", "--size", "210x131", "--samples", "32", "--views", "3"];
-    example("lumistack-pathtracer", "render_gltf", &words.map(str::to_owned))
+fn agreement(samples: &str) -> Outcome {
+    let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
+    let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));
+    let there = || output_of(command(&python).args(["-c", "import mitsuba, numpy"])).is_some();
+    if !there() && given.is_none() {
+        tools::make_python(&tools::root().join("target/python-bench"), "to compare our renders with")?;
+        tools::install(&python, &["numpy==2.*", "mitsuba==3.*"])?;
+    }
+    let folder = tools::root().join("target/agreement");
+    let words = [text(&folder), "--samples".into(), samples.into()];
+    example("lumistack-pathtracer", "agreement", &words)?;
+    tools::run(command(&python).arg(tools::root().join("xtask/bench/agreement.py")).arg(&folder))
 }
 
-fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
+pub fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
     let mut words = vec!["run", "--release", "--package", package, "--example", name, "--"];
     words.extend(arguments.iter().map(String::as_str));
     cargo(&words)
@@ -120,10 +151,10 @@ fn fetch(module: &str, python: &Path) -> Outcome {
 }
 
 /// A path that the user gave, seen from where they stand.
-fn absolute(path: &str) -> String {
+pub fn absolute(path: &str) -> String {
     std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| text(&path))
 }
 
-fn text(path: &Path) -> String {
+pub fn text(path: &Path) -> String {
     path.to_string_lossy().into_owned()
 }

@@ -1,18 +1,26 @@
-//! The scene's triangles in render space, and what a ray finds where it meets one.
+//! The scene's triangles, and what a ray finds where it meets one.
+//!
+//! Triangles of meshes that are placed once are kept in render space, as if the scene were one mesh. A mesh that is placed often is
+//! kept once, in a space of its own around its centre, with a transform per instance, so that memory follows what is unique.
 //!
 //! Render space is the scene moved to the centre of its bounds and scaled by a power of two to a half diagonal of 1 to 2, so that
 //! 32-bit rounding is the same for a scene of a micrometre and of a kilometre, wherever it stands.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3, Mat3, Vec2, Vec3, Vec4};
-use lumistack_scene::{Material, Mesh, Scene};
+use lumistack_scene::{Bounds, Instance, Material, Mesh, Scene};
 
-use crate::bvh::Hit;
+use crate::bvh::{Hit, NO_INSTANCE, Placement, in_large_pages};
 
 /// Rays leave a surface at this share of the largest coordinate of its triangle: about 16 times the rounding error of a point
 /// interpolated from three vertices.
 const OFFSET_SHARE: f32 = 4e-6;
+/// Scenes of up to this many triangles with instances counted share nothing (see [`Sharing::Auto`]): some 150 MB.
+const FLATTENED: usize = 1 << 20;
+/// Smaller meshes are not worth a tree of their own.
+const LEAST_SHARED: usize = 16;
 /// Least cosine between the reflected direction and the geometric normal; see [`bend_normal`].
 const LEAST_REFLECTED_COSINE: f32 = 0.01;
 
@@ -27,13 +35,28 @@ pub(crate) struct RenderSpace {
     pub(crate) half_size: Vec3,
 }
 
-/// All placed triangles.
+/// When meshes that are placed more than once share their triangles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sharing {
+    /// In scenes of more than [`FLATTENED`] triangles with instances counted: rays are faster through one tree.
+    Auto,
+    /// Whenever it can be.
+    #[cfg(test)]
+    Always,
+}
+
+/// All triangles, each once.
 pub(crate) struct Geometry {
     scene: Arc<Scene>,
     pub(crate) space: RenderSpace,
-    /// Corners in render space, wound counter-clockwise seen from the front.
+    /// Corners: first of the `loose` triangles, in render space, wound counter-clockwise seen from the front; then those of shared
+    /// meshes in the spaces of their trees, wound as the mesh is.
     pub(crate) triangles: Vec<[Vec3; 3]>,
-    /// Instance and triangle of its mesh.
+    pub(crate) loose: Range<usize>,
+    /// Triangles of each shared mesh.
+    pub(crate) shared: Vec<Range<usize>>,
+    pub(crate) placements: Vec<Placement>,
+    /// Instance and triangle of its mesh; for shared triangles any instance.
     sources: Vec<(u32, u32)>,
     instances: Vec<PlacedInstance>,
 }
@@ -43,6 +66,8 @@ struct PlacedInstance {
     normal_matrix: Mat3,
     tangent_matrix: Mat3,
     mirrored: bool,
+    /// Index of the placement of a shared mesh, or [`NO_INSTANCE`].
+    placement: u32,
 }
 
 /// A point of a surface.
@@ -62,7 +87,10 @@ pub(crate) struct SurfacePoint<'a> {
 
 impl RenderSpace {
     fn new(scene: &Scene) -> Self {
-        let bounds = scene.bounds();
+        Self::around(scene.bounds())
+    }
+
+    fn around(bounds: Bounds) -> Self {
         let (min, max) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
         let half_size = 0.5 * (max - min);
         // a scene of one point cannot be: the validator keeps only triangles with area
@@ -82,34 +110,84 @@ impl RenderSpace {
 }
 
 impl Geometry {
-    pub(crate) fn new(scene: Arc<Scene>) -> Self {
+    pub(crate) fn new(scene: Arc<Scene>, sharing: Sharing) -> Self {
         let space = RenderSpace::new(&scene);
-        let mut triangles = Vec::with_capacity(scene.triangle_count());
-        let mut sources = Vec::with_capacity(scene.triangle_count());
-        let mut instances = Vec::with_capacity(scene.instances.len());
+        let shares = shared_meshes(&scene, sharing);
+        let mut geometry = Self {
+            space,
+            triangles: Vec::with_capacity(unique_triangles(&scene, sharing)),
+            loose: 0..0,
+            shared: Vec::new(),
+            placements: Vec::new(),
+            sources: Vec::with_capacity(unique_triangles(&scene, sharing)),
+            instances: Vec::with_capacity(scene.instances.len()),
+            scene: scene.clone(),
+        };
         for (index, instance) in scene.instances.iter().enumerate() {
-            let m = instance.scene_from_mesh.matrix3;
-            let linear = DMat3::from_cols(m.x_axis.as_dvec3(), m.y_axis.as_dvec3(), m.z_axis.as_dvec3());
+            let linear = linear(instance);
             let mirrored = linear.determinant() < 0.0;
-            let render_from_mesh = DAffine3::from_mat3_translation(
-                space.scale * linear,
-                space.point(instance.scene_from_mesh.translation.as_dvec3()),
-            );
-            let mesh = &scene.meshes[instance.mesh];
-            for (triangle, corners) in mesh.triangles.iter().enumerate() {
-                let [a, b, c] =
-                    corners.map(|i| render_from_mesh.transform_point3(mesh.positions[i as usize].as_dvec3()).as_vec3());
-                triangles.push(if mirrored { [a, c, b] } else { [a, b, c] });
-                sources.push((index as u32, triangle as u32));
-            }
             let tangent_matrix = space.scale * linear;
-            instances.push(PlacedInstance {
+            let mesh = &scene.meshes[instance.mesh];
+            if !shares[instance.mesh] {
+                let origin = space.point(instance.scene_from_mesh.translation.as_dvec3());
+                let render_from_mesh = DAffine3::from_mat3_translation(tangent_matrix, origin);
+                geometry.add(mesh, index, mirrored, |p| render_from_mesh.transform_point3(p));
+            }
+            geometry.instances.push(PlacedInstance {
                 normal_matrix: tangent_matrix.inverse().transpose().as_mat3(),
                 tangent_matrix: tangent_matrix.as_mat3(),
                 mirrored,
+                placement: NO_INSTANCE,
             });
         }
-        Self { scene, space, triangles, sources, instances }
+        geometry.loose = 0..geometry.triangles.len();
+        // per mesh: its tree and the map from the tree's space to the mesh
+        let mut trees: Vec<Option<(usize, f64, DVec3)>> = vec![None; scene.meshes.len()];
+        for (index, instance) in scene.instances.iter().enumerate() {
+            if !shares[instance.mesh] {
+                continue;
+            }
+            let (shared, scale, centre) = *trees[instance.mesh].get_or_insert_with(|| {
+                let mesh = &scene.meshes[instance.mesh];
+                let mut bounds = Bounds::EMPTY;
+                mesh.triangles.iter().flatten().for_each(|&i| bounds.include(mesh.positions[i as usize]));
+                let own = RenderSpace::around(bounds);
+                let first = geometry.triangles.len();
+                geometry.add(mesh, index, false, |p| own.point(p));
+                geometry.shared.push(first..geometry.triangles.len());
+                (geometry.shared.len() - 1, own.scale, own.centre)
+            });
+            let linear = linear(instance);
+            let render_from_tree = (space.scale / scale) * linear;
+            let origin = instance.scene_from_mesh.translation.as_dvec3() + linear * centre;
+            geometry.instances[index].placement = geometry.placements.len() as u32;
+            geometry.placements.push(Placement {
+                shared,
+                id: index as u32,
+                render_from_tree: render_from_tree.as_mat3(),
+                tree_from_render: render_from_tree.inverse().as_mat3(),
+                translation: space.point(origin).as_vec3(),
+            });
+        }
+        geometry.triangles = in_large_pages(geometry.triangles);
+        geometry.sources = in_large_pages(geometry.sources);
+        geometry
+    }
+
+    fn add(&mut self, mesh: &Mesh, instance: usize, mirrored: bool, place: impl Fn(DVec3) -> DVec3) {
+        for (triangle, corners) in mesh.triangles.iter().enumerate() {
+            let [a, b, c] = corners.map(|i| place(mesh.positions[i as usize].as_dvec3()).as_vec3());
+            self.triangles.push(if mirrored { [a, c, b] } else { [a, b, c] });
+            self.sources.push((instance as u32, triangle as u32));
+        }
+    }
+
+    /// Bytes of what is kept per triangle and instance.
+    pub(crate) fn bytes(&self) -> usize {
+        size_of_val(self.triangles.as_slice())
+            + size_of_val(self.sources.as_slice())
+            + size_of_val(self.instances.as_slice())
+            + size_of_val(self.placements.as_slice())
     }
 
     /// Index of the material of a triangle.
@@ -123,25 +201,54 @@ impl Geometry {
         &self.scene.materials[self.material_index(triangle)]
     }
 
-    /// The point of a triangle with these vertex weights (in render-space winding).
+    /// The point of a triangle of no shared mesh with these vertex weights (in render-space winding).
     pub(crate) fn point(&self, triangle: u32, barycentric: [f32; 3]) -> SurfacePoint<'_> {
-        let (instance_index, in_mesh) = self.sources[triangle as usize];
+        let (instance, in_mesh) = self.sources[triangle as usize];
+        let corners = self.triangles[triangle as usize];
+        let largest = largest_coordinate(corners);
+        self.point_of(instance, in_mesh, corners, barycentric, largest)
+    }
+
+    /// The point of a hit.
+    #[inline]
+    pub(crate) fn hit_point(&self, hit: &Hit) -> SurfacePoint<'_> {
+        if hit.instance == NO_INSTANCE {
+            return self.point(hit.triangle, hit.barycentric);
+        }
+        let (_, in_mesh) = self.sources[hit.triangle as usize];
+        let instance = &self.instances[hit.instance as usize];
+        let placement = &self.placements[instance.placement as usize];
+        // positions are rounded as sums of this and of the instance's place
+        let turned = self.triangles[hit.triangle as usize].map(|corner| placement.render_from_tree * corner);
+        let [a, b, c] = turned.map(|corner| corner + placement.translation);
+        let [wa, wb, wc] = hit.barycentric;
+        let (corners, weights) = if instance.mirrored { ([a, c, b], [wa, wc, wb]) } else { ([a, b, c], [wa, wb, wc]) };
+        let largest = largest_coordinate(corners) + largest_coordinate(turned);
+        self.point_of(hit.instance, in_mesh, corners, weights, largest)
+    }
+
+    #[inline]
+    fn point_of(
+        &self,
+        instance_index: u32,
+        in_mesh: u32,
+        [a, b, c]: [Vec3; 3],
+        weights: [f32; 3],
+        largest: f32,
+    ) -> SurfacePoint<'_> {
         let instance = &self.instances[instance_index as usize];
         let mesh = &self.scene.meshes[self.scene.instances[instance_index as usize].mesh];
         let mut indices = mesh.triangles[in_mesh as usize].map(|i| i as usize);
         if instance.mirrored {
             indices.swap(1, 2);
         }
-        let [a, b, c] = self.triangles[triangle as usize];
-        let [wa, wb, wc] = barycentric;
-        let (ab, ac) = (b - a, c - a);
-        let cross = ab.cross(ac);
+        let [wa, wb, wc] = weights;
+        let cross = (b - a).cross(c - a);
         let doubled_area = cross.length();
-        let largest = a.abs().max(b.abs()).max(c.abs()).max_element();
         SurfacePoint {
             mesh,
             indices,
-            weights: barycentric,
+            weights,
             position: wa * a + wb * b + wc * c,
             geometric_normal: if doubled_area > 0.0 { cross / doubled_area } else { Vec3::Z },
             doubled_area,
@@ -149,11 +256,39 @@ impl Geometry {
             instance,
         }
     }
+}
 
-    /// The point of a hit.
-    pub(crate) fn hit_point(&self, hit: &Hit) -> SurfacePoint<'_> {
-        self.point(hit.triangle, hit.barycentric)
+fn largest_coordinate([a, b, c]: [Vec3; 3]) -> f32 {
+    a.abs().max(b.abs()).max(c.abs()).max_element()
+}
+
+fn linear(instance: &Instance) -> DMat3 {
+    let m = instance.scene_from_mesh.matrix3;
+    DMat3::from_cols(m.x_axis.as_dvec3(), m.y_axis.as_dvec3(), m.z_axis.as_dvec3())
+}
+
+/// Which meshes are kept once however often they are placed. Emitting ones are not: each triangle that emits is a light of its own.
+fn shared_meshes(scene: &Scene, sharing: Sharing) -> Vec<bool> {
+    if sharing == Sharing::Auto && scene.triangle_count() <= FLATTENED {
+        return vec![false; scene.meshes.len()];
     }
+    let mut uses = vec![0usize; scene.meshes.len()];
+    scene.instances.iter().for_each(|instance| uses[instance.mesh] += 1);
+    let is_shared = |(mesh, &uses): (&Mesh, &usize)| {
+        uses > 1 && mesh.triangles.len() >= LEAST_SHARED && !scene.materials[mesh.material].is_emissive()
+    };
+    scene.meshes.iter().zip(&uses).map(is_shared).collect()
+}
+
+/// Number of triangles that [`Geometry`] keeps.
+pub(crate) fn unique_triangles(scene: &Scene, sharing: Sharing) -> usize {
+    let shared = shared_meshes(scene, sharing);
+    let mut seen = vec![false; shared.len()];
+    let count = |instance: &Instance| {
+        let counted = std::mem::replace(&mut seen[instance.mesh], true) && shared[instance.mesh];
+        if counted { 0 } else { scene.meshes[instance.mesh].triangles.len() }
+    };
+    scene.instances.iter().map(count).sum()
 }
 
 impl SurfacePoint<'_> {

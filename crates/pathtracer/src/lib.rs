@@ -18,11 +18,14 @@
 
 mod bsdf;
 mod bvh;
+mod clamp;
 mod distribution;
 mod geometry;
 mod light;
 mod math;
+mod matt;
 mod primary;
+pub mod rays;
 mod renderer;
 mod sampler;
 mod settings;
@@ -30,5 +33,5 @@ mod shading;
 mod texture;
 mod tracer;
 
-pub use renderer::{RenderError, Renderer};
+pub use renderer::{Memory, RenderError, Renderer};
 pub use settings::{AngularFilter, Settings, SettingsError};

@@ -18,6 +18,22 @@ pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
     }
 }
 
+/// The unit disc from the unit square, area for area (concentric map of Shirley, Chiu 1997). Both halves of the map are evaluated alike
+/// and exchanged at the end: which one it is, is a coin toss that no branch predictor wins.
+#[inline]
+pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
+    let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
+    let across = a.abs() > b.abs();
+    let (radius, other) = if across { (a, b) } else { (b, a) };
+    let x = std::f32::consts::FRAC_PI_4 * if radius == 0.0 { 0.0 } else { other / radius };
+    let x2 = x * x;
+    // Taylor series as below, |x| ≤ π/4
+    let sin = x * (1.0 + x2 * (-1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0))));
+    let cos = 1.0 + x2 * (-0.5 + x2 * (1.0 / 24.0 + x2 * (-1.0 / 720.0 + x2 * (1.0 / 40_320.0))));
+    let (along, aside) = (radius * cos, radius * sin);
+    if across { (along, aside) } else { (aside, along) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -32,6 +48,31 @@ mod tests {
                 (f64::from(sin) - angle.sin()).abs() < 1e-6 && (f64::from(cos) - angle.cos()).abs() < 1e-6,
                 "{turns}"
             );
+        }
+    }
+
+    #[test]
+    fn the_square_becomes_a_disc() {
+        for i in 0..=100 {
+            for j in 0..=100 {
+                let u = [i as f32 / 100.0, j as f32 / 100.0];
+                let (x, y) = concentric_disc(u);
+                let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
+                // squares around the centre become circles
+                assert!((x.hypot(y) - a.abs().max(b.abs())).abs() < 1e-5, "{u:?}");
+                // and an eighth of the square an eighth of the disc
+                let turn = |x: f32, y: f32| f64::from(y).atan2(f64::from(x));
+                let expected = if a.abs() > b.abs() {
+                    std::f64::consts::FRAC_PI_4 * f64::from(b / a) + if a < 0.0 { std::f64::consts::PI } else { 0.0 }
+                } else if b != 0.0 {
+                    std::f64::consts::FRAC_PI_2 - std::f64::consts::FRAC_PI_4 * f64::from(a / b)
+                        + if b < 0.0 { std::f64::consts::PI } else { 0.0 }
+                } else {
+                    continue;
+                };
+                let difference = (turn(x, y) - expected).rem_euclid(std::f64::consts::TAU);
+                assert!(difference.min(std::f64::consts::TAU - difference) < 1e-5, "{u:?}");
+            }
         }
     }
 }

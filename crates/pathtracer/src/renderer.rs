@@ -6,19 +6,23 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::Vec3;
 use lumistack_core::{Cancelled, Task, Tensor, seed};
 use lumistack_display::{FieldGeometry, GridError};
-use lumistack_scene::{Scene, Window};
+use lumistack_scene::{Image, Mesh, Pixels, Scene, Window};
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::bvh::{self, Bvh, Stack};
-use crate::geometry::Geometry;
+use crate::clamp::Clamped;
+use crate::geometry::{self, Geometry, Sharing};
 use crate::light::Lights;
+use crate::matt::is_matt;
 use crate::primary::{PrimaryRay, PrimaryRays};
 use crate::sampler::SampleBank;
 use crate::settings::{AngularFilter, Settings, SettingsError};
 use crate::shading::Materials;
 use crate::tracer::Tracer;
+
+mod depth;
 
 /// Edge of a tile in pixels: the unit of work, of progress and of cancellation.
 const TILE: usize = 16;
@@ -53,10 +57,27 @@ const TILE: usize = 16;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Renderer {
-    geometry: Geometry,
+    pub(crate) geometry: Geometry,
     bvh: Bvh,
     materials: Materials,
     lights: Lights,
+    matt: Vec<bool>,
+    memory: Memory,
+}
+
+/// What a prepared scene occupies. Coarser levels of textures come on top: up to a third of the images.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Memory {
+    /// Triangles with instances counted.
+    pub triangles: usize,
+    /// Triangles that are kept; those of a mesh that is placed often count once in large scenes.
+    pub unique_triangles: usize,
+    /// Bytes of the tree's nodes, leaves and instances.
+    pub tree_bytes: usize,
+    /// Bytes of corners, transforms and references to the scene.
+    pub geometry_bytes: usize,
+    /// Bytes of the scene's meshes and images.
+    pub scene_bytes: usize,
 }
 
 /// A view that cannot be rendered.
@@ -77,9 +98,18 @@ pub enum RenderError {
         view: [usize; 2],
     },
     /// The tree cannot hold so many triangles.
-    #[error("scene: expected at most {} triangles with instances counted, found {found}", bvh::MAX_TRIANGLES)]
+    #[error(
+        "scene: expected at most {} triangles, those of a mesh that is placed often counted once, found {found}",
+        bvh::MAX_TRIANGLES
+    )]
     TooManyTriangles {
         /// Number of triangles.
+        found: usize,
+    },
+    /// The tree cannot hold so many instances.
+    #[error("scene: expected at most {} instances, found {found}", bvh::MAX_INSTANCES)]
+    TooManyInstances {
+        /// Number of instances.
         found: usize,
     },
     /// Stopped from outside.
@@ -88,27 +118,62 @@ pub enum RenderError {
 }
 
 impl Renderer {
-    /// Prepares a scene: image pyramids, tree, lights. Takes time and memory in proportion to the scene, not to the views.
+    /// Prepares a scene: image pyramids, tree, lights. Takes time and memory in proportion to the scene, not to the views; in scenes of
+    /// more than a million triangles, a mesh that is placed often counts once.
     ///
     /// # Errors
-    /// If the scene has more than 2²⁹ − 1 triangles with instances counted, or when cancelled.
+    /// If the scene has more than 2²⁹ − 1 triangles or 2³⁰ − 1 instances, or when cancelled.
     pub fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, RenderError> {
-        let found = scene.triangle_count();
+        Self::with_sharing(scene, Sharing::Auto, task)
+    }
+
+    fn with_sharing(scene: Arc<Scene>, sharing: Sharing, task: Task<'_>) -> Result<Self, RenderError> {
+        let found = geometry::unique_triangles(&scene, sharing);
         if found > bvh::MAX_TRIANGLES {
             return Err(RenderError::TooManyTriangles { found });
         }
-        let geometry = Geometry::new(scene.clone());
+        if scene.instances.len() > bvh::MAX_INSTANCES {
+            return Err(RenderError::TooManyInstances { found: scene.instances.len() });
+        }
+        let geometry = Geometry::new(scene.clone(), sharing);
         task.cancel.check()?;
         let materials = Materials::new(scene.clone());
         task.cancel.check()?;
         let flags: Vec<u32> = (0..found as u32).map(|t| materials.flags(geometry.material_index(t))).collect();
-        let bvh = Bvh::build(&geometry.triangles, &flags);
+        let bvh = Bvh::new(&bvh::Input {
+            triangles: &geometry.triangles,
+            flags: &flags,
+            loose: geometry.loose.clone(),
+            shared: &geometry.shared,
+            placements: &geometry.placements,
+        });
         task.cancel.check()?;
         let lights = Lights::new(&scene, &geometry, &materials);
         if lights.is_dark() {
             task.warn(&scene.name, "nothing in the scene emits light, so every view is black");
         }
-        Ok(Self { geometry, bvh, materials, lights })
+        let memory = Memory {
+            triangles: scene.triangle_count(),
+            unique_triangles: found,
+            tree_bytes: bvh.bytes(),
+            geometry_bytes: geometry.bytes(),
+            scene_bytes: scene_bytes(&scene),
+        };
+        let matt = scene.materials.iter().map(is_matt).collect();
+        Ok(Self { geometry, bvh, materials, lights, matt, memory })
+    }
+
+    /// What the prepared scene occupies.
+    pub fn memory(&self) -> Memory {
+        self.memory
+    }
+
+    /// Leaves out the light that microfacets scatter more than once, for comparisons with renderers that have none of it: rough metals
+    /// and rough glass are then darker than they should be.
+    #[must_use]
+    pub fn single_scattering(mut self) -> Self {
+        self.materials.without_compensation();
+        self
     }
 
     /// Steps by which one call of [`render_view`](Self::render_view) advances the progress: its tiles.
@@ -120,7 +185,7 @@ impl Renderer {
     ///
     /// The pixel filter is a box as wide as the pixel. The caller begins and ends the progress stage, which may span many views;
     /// this call advances it by [`steps_per_view`](Self::steps_per_view). Samples that are not finite numbers are left out of the mean
-    /// and reported as a warning.
+    /// and reported as a warning, as is what [`Settings::clamp`] removes.
     ///
     /// # Errors
     /// If a setting, the geometry or the view is out of range, or when cancelled.
@@ -136,10 +201,10 @@ impl Renderer {
         let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
         let bank = SampleBank::new(settings.samples);
         let view_seed = seed::derive(settings.seed, &[view[0] as u64, view[1] as u64]);
-        let lost = AtomicU64::new(0);
+        let (lost, clamped) = (AtomicU64::new(0), Clamped::default());
         let radiance = self.by_tiles(geometry, task, ["row", "col", "rgb"], |row, col, stack| {
             let pixel_seed = seed::derive(view_seed, &[row as u64, col as u64]);
-            let (mean, not_finite) = self.pixel(&rays, row, col, &bank, pixel_seed, settings, stack);
+            let (mean, not_finite) = self.pixel(&rays, row, col, &bank, pixel_seed, settings, &clamped, stack);
             if not_finite > 0 {
                 lost.fetch_add(u64::from(not_finite), Ordering::Relaxed);
             }
@@ -152,6 +217,9 @@ impl Renderer {
                 format!("view {},{}", view[0], view[1]),
                 format!("{lost} of {all} samples are not finite numbers and are left out"),
             );
+        }
+        if let Some(message) = clamped.message(settings, &radiance) {
+            task.warn(format!("view {},{}", view[0], view[1]), message);
         }
         Ok(radiance)
     }
@@ -197,7 +265,7 @@ impl Renderer {
 
     fn primary_rays<'a>(
         &self,
-        window: &'a Window,
+        window: &Window,
         geometry: &'a FieldGeometry,
         view: [usize; 2],
         angular_filter: AngularFilter,
@@ -211,12 +279,20 @@ impl Renderer {
             AngularFilter::Point => [0.0; 2],
             AngularFilter::Bin => geometry.grid.bin_width(),
             AngularFilter::Width(width) => width,
+            AngularFilter::Lens(diameter) => [diameter; 2],
         };
-        Ok(PrimaryRays { window, geometry, view, space: self.geometry.space, slope_width })
+        let round = matches!(angular_filter, AngularFilter::Lens(_));
+        Ok(PrimaryRays::new(window, geometry, view, self.geometry.space, slope_width, round))
     }
 
     fn tracer(&self) -> Tracer<'_> {
-        Tracer { geometry: &self.geometry, bvh: &self.bvh, materials: &self.materials, lights: &self.lights }
+        Tracer {
+            geometry: &self.geometry,
+            bvh: &self.bvh,
+            materials: &self.materials,
+            lights: &self.lights,
+            matt: &self.matt,
+        }
     }
 
     /// Mean radiance of a pixel, and how many samples were not finite.
@@ -228,6 +304,7 @@ impl Renderer {
         bank: &SampleBank,
         pixel_seed: u64,
         settings: &Settings,
+        clamped: &Clamped,
         stack: &mut Stack,
     ) -> (Vec3, u32) {
         let tracer = self.tracer();
@@ -238,7 +315,10 @@ impl Renderer {
             let centred = |pair: [f32; 2]| pair.map(|u| f64::from(u) - 0.5);
             let (in_pixel, in_bin) = (centred(sampler.pair()), centred(sampler.pair()));
             let PrimaryRay { ray, cone, in_bounds } = rays.ray(row, col, in_pixel, in_bin);
-            let radiance = tracer.radiance(ray, cone, in_bounds, settings, &mut sampler, stack);
+            let mut radiance = tracer.radiance(ray, cone, in_bounds, settings, &mut sampler, stack);
+            if let Some(limit) = settings.clamp {
+                radiance = clamped.dim(radiance, limit);
+            }
             if radiance.is_finite() {
                 (0..3).for_each(|c| sum[c] += f64::from(radiance[c]));
             } else {
@@ -279,6 +359,30 @@ impl Renderer {
     }
 }
 
+fn scene_bytes(scene: &Scene) -> usize {
+    let mesh = |mesh: &Mesh| {
+        size_of_val(mesh.positions.as_slice())
+            + size_of_val(mesh.normals.as_slice())
+            + size_of_val(mesh.tangents.as_slice())
+            + mesh.uvs.iter().map(|uvs| size_of_val(uvs.as_slice())).sum::<usize>()
+            + size_of_val(mesh.colors.as_slice())
+            + size_of_val(mesh.triangles.as_slice())
+    };
+    let image = |image: &Image| match &image.pixels {
+        Pixels::Rgba8(texels) => size_of_val(texels.as_slice()),
+        Pixels::Rgba16(texels) => size_of_val(texels.as_slice()),
+        Pixels::RgbF32(texels) => size_of_val(texels.as_slice()),
+    };
+    scene.meshes.iter().map(mesh).sum::<usize>() + scene.images.iter().map(image).sum::<usize>()
+}
+
+impl Memory {
+    /// All bytes that are counted.
+    pub fn bytes(&self) -> usize {
+        self.tree_bytes + self.geometry_bytes + self.scene_bytes
+    }
+}
+
 /// Division of an image into tiles, row by row.
 #[derive(Clone, Copy)]
 struct Tiles {
@@ -299,5 +403,110 @@ impl Tiles {
         let across = self.cols.div_ceil(TILE);
         let (row, col) = (tile / across * TILE, tile % across * TILE);
         (row..(row + TILE).min(self.rows)).flat_map(move |r| (col..(col + TILE).min(self.cols)).map(move |c| (r, c)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{Affine3A, Quat, Vec2, Vec4};
+    use lumistack_core::{Cancel, Collector};
+    use lumistack_display::{Projection, ViewGrid};
+    use lumistack_scene::{AlphaMode, Environment, Filter, Instance, Material, SceneParts, Texture, TextureUse, Wrap};
+
+    use super::*;
+
+    /// A bowl with texture coordinates, placed often: turned, stretched, mirrored; transparent in one material.
+    fn bowls(alpha_mode: AlphaMode) -> Arc<Scene> {
+        let size = 7;
+        let mut mesh = Mesh::default();
+        for row in 0..=size {
+            for col in 0..=size {
+                let at = Vec2::new(col as f32, row as f32) / size as f32;
+                let from_centre = at - 0.5;
+                mesh.positions.push(Vec3::new(from_centre.x, 3.0 + from_centre.length_squared(), from_centre.y));
+                mesh.normals.push(Vec3::new(-2.0 * from_centre.x, 1.0, -2.0 * from_centre.y).normalize());
+                mesh.uvs[0].push(at);
+                if row < size && col < size {
+                    let corner = (row * (size + 1) + col) as u32;
+                    let below = corner + size as u32 + 1;
+                    mesh.triangles.extend([[corner, below, below + 1], [corner, below + 1, corner + 1]]);
+                }
+            }
+        }
+        let instances = (0..30).map(|i| {
+            let i = i as f32;
+            let turn = Quat::from_euler(glam::EulerRot::XYZ, 0.9 * i, 0.4 * i, 1.7 * i);
+            let stretch = Vec3::new(if (i as usize).is_multiple_of(2) { 0.5 } else { -0.6 }, 0.4, 0.7);
+            let place = Vec3::new((2.4 * i).sin(), (1.3 * i).cos(), (0.8 * i).sin());
+            let scene_from_mesh =
+                Affine3A::from_scale_rotation_translation(stretch, turn, place - turn * (stretch * 3.0 * Vec3::Y));
+            Instance { mesh: 0, scene_from_mesh }
+        });
+        let texels = (0..64).map(|i| [90 + 2 * i as u8, 200, 160, if i % 3 == 0 { 80 } else { 250 }]).collect();
+        let relief = (0..64).map(|i| [100 + i as u8, 150, 230, 255]).collect();
+        let image =
+            |name: &str, pixels| Image { name: name.into(), width: 8, height: 8, pixels: Pixels::Rgba8(pixels) };
+        let texture = |image| Texture { image, wrap_u: Wrap::Repeat, wrap_v: Wrap::Repeat, filter: Filter::Linear };
+        let slot = |texture| Some(TextureUse { texture, uv_set: 0, texture_from_mesh: glam::Affine2::IDENTITY });
+        let sky = Image { name: "sky".into(), width: 1, height: 2, pixels: Pixels::RgbF32(vec![[1.0; 3], [0.1; 3]]) };
+        let parts = SceneParts {
+            meshes: vec![mesh],
+            instances: instances.collect(),
+            materials: vec![Material {
+                base_color: Vec4::ONE,
+                base_color_texture: slot(0),
+                normal_texture: slot(1),
+                metallic: 0.0,
+                roughness: 0.4,
+                alpha_mode,
+                double_sided: alpha_mode == AlphaMode::Blend,
+                ..Material::default()
+            }],
+            textures: vec![texture(0), texture(1)],
+            images: vec![image("color", texels), image("relief", relief), sky],
+            environment: Some(Environment { image: 2, strength: Vec3::ONE, scene_from_environment: Quat::IDENTITY }),
+            ..SceneParts::default()
+        };
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
+    }
+
+    /// Instances that share a tree and copies in one tree are the same scene. The same random numbers make the same paths except where
+    /// rounding decides, so the pictures agree far below their noise; transparency draws other numbers and agrees within it.
+    #[test]
+    fn shared_and_copied_meshes_look_the_same() {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let grid = ViewGrid::single(Projection::Oblique, [0.1, 0.05]);
+        let geometry = FieldGeometry { rows: 40, cols: 60, pitch_mm: 5.0, grid };
+        let settings = Settings { samples: 16, ..Settings::default() };
+        for alpha_mode in [AlphaMode::Opaque, AlphaMode::Blend] {
+            let scene = bowls(alpha_mode);
+            let window = Window::framing(scene.bounds(), geometry.size_mm()).unwrap();
+            let render = |sharing, seed| {
+                let renderer = Renderer::with_sharing(scene.clone(), sharing, task).unwrap();
+                let settings = Settings { seed, ..settings };
+                (renderer.memory(), renderer.render_view(&window, &geometry, [0, 0], &settings, task).unwrap())
+            };
+            let (copied_memory, copied) = render(Sharing::Auto, 0);
+            let (shared_memory, shared) = render(Sharing::Always, 0);
+            let (_, other_noise) = render(Sharing::Auto, 1);
+            assert_eq!(shared_memory.unique_triangles * 30, shared_memory.triangles);
+            assert_eq!(copied_memory.unique_triangles, copied_memory.triangles);
+            assert!(shared_memory.tree_bytes * 10 < copied_memory.tree_bytes, "{shared_memory:?} {copied_memory:?}");
+            let mean =
+                |image: &Tensor<3>| image.data().iter().map(|&v| f64::from(v)).sum::<f64>() / image.data().len() as f64;
+            let square = |a: &Tensor<3>, b: &Tensor<3>| {
+                let sum = a.data().iter().zip(b.data()).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+                sum / a.data().len() as f64
+            };
+            let noise = square(&copied, &other_noise);
+            let share = if alpha_mode == AlphaMode::Opaque { 0.05 } else { 1.3 };
+            assert!(square(&copied, &shared) < share * noise, "{} against noise {noise}", square(&copied, &shared));
+            // the noise of the difference of two means, five standard errors (one pixel in three channels is one sample)
+            let bound = 5.0 * (noise / (copied.data().len() / 3) as f64).sqrt();
+            assert!((mean(&copied) - mean(&shared)).abs() < bound, "{} and {}", mean(&copied), mean(&shared));
+            assert!(mean(&copied) > 0.1);
+        }
     }
 }

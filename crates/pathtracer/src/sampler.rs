@@ -78,12 +78,6 @@ impl Sampler<'_> {
         let [x, y] = self.bank.points[pattern * length as usize + (self.index ^ flip) as usize];
         [unit(x ^ (hash >> 32) as u32), unit(y ^ hash as u32)]
     }
-
-    /// Skips ahead to a fixed pair, so that what a path draws later does not depend on how much it drew before.
-    #[inline]
-    pub(crate) fn jump_to(&mut self, pair: u64) {
-        self.pair = pair;
-    }
 }
 
 /// 24 high bits as a number in [0, 1).
@@ -152,9 +146,7 @@ mod tests {
         let mut sums = [0.0f64; 4];
         for pixel in 0..pixels {
             let draw = |pixel: u64, index: u32, pair: u64| {
-                let mut sampler = bank.sampler(seed::derive(1, &[pixel]), index);
-                sampler.jump_to(pair);
-                sampler.pair().map(|v| f64::from(v) - 0.5)
+                bank.sampler(seed::derive(1, &[pixel]), index).pair_at(pair).map(|v| f64::from(v) - 0.5)
             };
             let a = draw(pixel, 3, 2);
             sums[0] += a[0] * a[1];

@@ -16,6 +16,9 @@ pub struct Settings {
     pub seed: u64,
     /// What a view averages over directions. Default [`AngularFilter::Point`].
     pub angular_filter: AngularFilter,
+    /// Largest value, > 0, of any channel of a single path; brighter ones are dimmed to it, which loses light and is reported as a warning.
+    /// Default `None`: the estimate stays unbiased.
+    pub clamp: Option<f32>,
 }
 
 /// Directions that a view averages.
@@ -29,6 +32,9 @@ pub enum AngularFilter {
     Bin,
     /// A box of so wide slopes (x, y), each ≥ 0, centred on the view: for views that stand between or beyond those of a grid.
     Width([f64; 2]),
+    /// A thin lens focused on z = 0: a disc of slopes of this diameter, ≥ 0, centred on the view. Before an eye at distance D it is a lens of diameter
+    /// D times that; a point at depth z blurs to a disc of z times the diameter, in millimetres of z = 0 (of parallel projections).
+    Lens(f64),
 }
 
 /// A setting outside its range.
@@ -40,12 +46,19 @@ pub struct SettingsError {
     /// Its range.
     pub expected: &'static str,
     /// What it was.
-    pub found: u32,
+    pub found: String,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { samples: 32, max_bounces: 8, roulette_start: 3, seed: 0, angular_filter: AngularFilter::Point }
+        Self {
+            samples: 32,
+            max_bounces: 8,
+            roulette_start: 3,
+            seed: 0,
+            angular_filter: AngularFilter::Point,
+            clamp: None,
+        }
     }
 }
 
@@ -56,11 +69,21 @@ impl Settings {
     /// On the first value outside its range.
     pub fn check(&self) -> Result<(), SettingsError> {
         let check = |name, value: u32, range: std::ops::RangeInclusive<u32>, expected| {
-            if range.contains(&value) { Ok(()) } else { Err(SettingsError { name, expected, found: value }) }
+            if range.contains(&value) {
+                Ok(())
+            } else {
+                Err(SettingsError { name, expected, found: value.to_string() })
+            }
         };
         check("samples", self.samples, 1..=65536, "1 to 65536")?;
         check("max_bounces", self.max_bounces, 0..=1024, "0 to 1024")?;
-        check("roulette_start", self.roulette_start, 0..=1024, "0 to 1024")
+        check("roulette_start", self.roulette_start, 0..=1024, "0 to 1024")?;
+        match self.clamp {
+            Some(limit) if !(limit > 0.0 && limit.is_finite()) => {
+                Err(SettingsError { name: "clamp", expected: "a number above 0", found: limit.to_string() })
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -73,6 +96,7 @@ mod tests {
         assert!(Settings::default().check().is_ok());
         let error = Settings { samples: 0, ..Settings::default() }.check().unwrap_err();
         assert_eq!(error.to_string(), "samples: expected 1 to 65536, found 0");
+        assert!(Settings { clamp: Some(0.0), ..Settings::default() }.check().is_err());
         assert!(Settings { max_bounces: 2000, ..Settings::default() }.check().is_err());
     }
 }

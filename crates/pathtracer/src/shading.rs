@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use glam::{Vec3, Vec4};
-use lumistack_scene::{AlphaMode, Material, Scene};
+use glam::{Vec2, Vec3, Vec4};
+use lumistack_scene::{AlphaMode, Material, Scene, TextureUse};
 
-use crate::bsdf::MIRROR_ALPHA;
+use crate::bsdf::{self, Film, MIRROR_ALPHA, Wave};
 use crate::bvh;
-use crate::geometry::SurfacePoint;
+use crate::geometry::{SurfacePoint, bend_normal};
 use crate::texture::{Encoding, Slot, Textures};
 
 /// Footprint of lookups that must not be filtered: alpha, whose average is not the alpha of an average once it is thresholded.
@@ -18,6 +18,7 @@ pub(crate) struct Materials {
     scene: Arc<Scene>,
     textures: Textures,
     slots: Vec<Slots>,
+    compensated: bool,
 }
 
 struct Slots {
@@ -26,6 +27,21 @@ struct Slots {
     normal: Option<Slot>,
     emission: Option<Slot>,
     transmission: Option<Slot>,
+    /// `None` where the material has none of the [`Extras`].
+    extras: Option<Box<ExtraSlots>>,
+}
+
+struct ExtraSlots {
+    specular: Option<Slot>,
+    specular_color: Option<Slot>,
+    coat: Option<Slot>,
+    coat_roughness: Option<Slot>,
+    coat_normal: Option<Slot>,
+    sheen_color: Option<Slot>,
+    sheen_roughness: Option<Slot>,
+    film: Option<Slot>,
+    film_thickness: Option<Slot>,
+    anisotropy: Option<Slot>,
 }
 
 /// What the scattering function needs to know about a point.
@@ -40,6 +56,93 @@ pub(crate) struct Appearance {
     pub(crate) transmission: f32,
     /// Whether transmitted light refracts into a solid.
     pub(crate) solid: bool,
+    /// Whether microfacets return what single scattering loses.
+    pub(crate) compensated: bool,
+    pub(crate) extras: Option<Extras>,
+}
+
+/// What most materials lack.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Extras {
+    pub(crate) specular: f32,
+    pub(crate) specular_color: Vec3,
+    /// Strength 0..1.
+    pub(crate) anisotropy: f32,
+    pub(crate) film: Option<Film>,
+    pub(crate) sheen: Option<Fabric>,
+    pub(crate) coating: Option<Coating>,
+    /// 20 / Abbe number.
+    pub(crate) dispersion: f32,
+    /// Weight of the channels at the wavelength that a path takes on when it enters.
+    pub(crate) wave_weight: Vec3,
+}
+
+/// A clear coat.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Coating {
+    pub(crate) factor: f32,
+    /// Perceptual.
+    pub(crate) roughness: f32,
+}
+
+/// Fibres that stand up from the surface.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fabric {
+    pub(crate) color: Vec3,
+    /// Perceptual.
+    pub(crate) roughness: f32,
+}
+
+/// Directions at a point; normals are unit vectors on the viewer's side.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Frame {
+    pub(crate) geometric: Vec3,
+    pub(crate) shading: Vec3,
+    /// Normal of the clear coat.
+    pub(crate) coat: Vec3,
+    /// Direction in which reflections are stretched.
+    pub(crate) tangent: Option<Vec3>,
+}
+
+impl Frame {
+    /// The same normal for everything.
+    pub(crate) fn flat(geometric: Vec3, shading: Vec3) -> Self {
+        Self { geometric, shading, coat: shading, tangent: None }
+    }
+}
+
+impl Appearance {
+    /// The appearance of dispersing glass at a wavelength, drawn from `u` for a path that has none yet; returns the wavelength.
+    pub(crate) fn disperse(&mut self, path_nm: Option<f32>, u: impl FnOnce() -> f32) -> Option<f32> {
+        let extras = self.extras.as_mut().filter(|extras| extras.dispersion > 0.0)?;
+        let wave = match path_nm {
+            Some(nanometres) => Wave { nanometres, weight: Vec3::ONE },
+            None => Wave::sample(u()),
+        };
+        extras.wave_weight = wave.weight;
+        self.ior = bsdf::index_at(self.ior, extras.dispersion, wave.nanometres);
+        Some(wave.nanometres)
+    }
+}
+
+impl ExtraSlots {
+    fn new(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self {
+        let coat = material.clearcoat.unwrap_or_default();
+        let sheen = material.sheen.unwrap_or_default();
+        let film = material.iridescence.unwrap_or_default();
+        Self {
+            specular: slot(&material.specular_texture, Encoding::Linear),
+            specular_color: slot(&material.specular_color_texture, Encoding::Srgb),
+            coat: slot(&coat.texture, Encoding::Linear),
+            coat_roughness: slot(&coat.roughness_texture, Encoding::Linear),
+            coat_normal: slot(&coat.normal_texture, Encoding::Linear),
+            sheen_color: slot(&sheen.color_texture, Encoding::Srgb),
+            sheen_roughness: slot(&sheen.roughness_texture, Encoding::Linear),
+            film: slot(&film.texture, Encoding::Linear),
+            film_thickness: slot(&film.thickness_texture, Encoding::Linear),
+            anisotropy: slot(&material.anisotropy.unwrap_or_default().texture, Encoding::Linear),
+        }
+    }
 }
 
 impl Materials {
@@ -56,10 +159,16 @@ impl Materials {
                     normal: slot(&material.normal_texture, Encoding::Linear),
                     emission: slot(&material.emission_texture, Encoding::Srgb),
                     transmission: slot(&material.transmission_texture, Encoding::Linear),
+                    extras: has_extras(material).then(|| Box::new(ExtraSlots::new(material, &mut slot))),
                 }
             })
             .collect();
-        Self { scene, textures, slots }
+        Self { scene, textures, slots, compensated: true }
+    }
+
+    /// Leaves out what microfacets return of the light that single scattering loses.
+    pub(crate) fn without_compensation(&mut self) {
+        self.compensated = false;
     }
 
     /// Flags of a material's triangles for the tree.
@@ -87,8 +196,15 @@ impl Materials {
         }
     }
 
-    /// Radiance that the surface emits towards a viewer on its front or back side.
-    pub(crate) fn emission(&self, index: usize, point: &SurfacePoint<'_>, width: f32, front: bool) -> Vec3 {
+    /// Radiance that the surface emits towards a viewer on its front or back side, at a direction with this cosine to the normal.
+    pub(crate) fn emission(
+        &self,
+        index: usize,
+        point: &SurfacePoint<'_>,
+        width: f32,
+        front: bool,
+        cosine: f32,
+    ) -> Vec3 {
         let material = &self.scene.materials[index];
         if !material.is_emissive() || !(front || material.double_sided) {
             return Vec3::ZERO;
@@ -100,7 +216,12 @@ impl Materials {
             emission *= self.lookup(slot, point, width).truncate();
         }
         if material.unlit {
-            emission += self.base(index, point, width).truncate().max(Vec3::ZERO);
+            return emission + self.base(index, point, width).truncate().max(Vec3::ZERO);
+        }
+        if let (Some(_), Some(slots)) = (&material.clearcoat, &self.slots[index].extras)
+            && let Some(coating) = self.coating(material, slots, point, width)
+        {
+            emission *= bsdf::coat_transmittance(&coating, cosine.abs());
         }
         emission
     }
@@ -122,16 +243,93 @@ impl Materials {
         {
             transmission *= self.lookup(slot, point, width).x.clamp(0.0, 1.0);
         }
-        Appearance { base, metallic, roughness, ior: material.ior, transmission, solid: material.solid }
+        Appearance {
+            base,
+            metallic,
+            roughness,
+            ior: material.ior,
+            transmission,
+            solid: material.solid,
+            compensated: self.compensated,
+            extras: slots.extras.as_ref().map(|slots| self.extras(material, slots, point, width)),
+        }
     }
 
-    /// Shading normal on the front side.
-    pub(crate) fn normal(&self, index: usize, point: &SurfacePoint<'_>, width: f32) -> Vec3 {
-        let normal = point.shading_normal();
-        let Some(slot) = &self.slots[index].normal else { return normal };
-        let texel = 2.0 * self.lookup(slot, point, width).truncate() - 1.0;
-        let scale = self.scene.materials[index].normal_scale;
-        point.mapped_normal(normal, Vec3::new(scale * texel.x, scale * texel.y, texel.z)).unwrap_or(normal)
+    fn extras(&self, material: &Material, slots: &ExtraSlots, point: &SurfacePoint<'_>, width: f32) -> Extras {
+        let texel = |slot: &Option<Slot>| slot.as_ref().map_or(Vec4::ONE, |slot| self.lookup(slot, point, width));
+        let sheen = material.sheen.map(|sheen| Fabric {
+            color: (sheen.color * texel(&slots.sheen_color).truncate()).clamp(Vec3::ZERO, Vec3::ONE),
+            roughness: sheen.roughness * texel(&slots.sheen_roughness).w,
+        });
+        let film = material.iridescence.map(|film| Film {
+            factor: (film.factor * texel(&slots.film).x).clamp(0.0, 1.0),
+            ior: film.ior,
+            thickness_nm: film.thickness_nm[0]
+                + (film.thickness_nm[1] - film.thickness_nm[0]) * texel(&slots.film_thickness).y,
+        });
+        // the blue channel of a texture that is not there is 1 too
+        let anisotropy = material.anisotropy.map_or(0.0, |stretch| stretch.strength * texel(&slots.anisotropy).z);
+        Extras {
+            specular: material.specular * texel(&slots.specular).w,
+            specular_color: material.specular_color * texel(&slots.specular_color).truncate().max(Vec3::ZERO),
+            anisotropy: anisotropy.clamp(0.0, 1.0),
+            film: film.filter(|film| film.factor > 0.0 && film.thickness_nm > 0.0),
+            sheen: sheen.filter(|sheen| sheen.color != Vec3::ZERO),
+            coating: self.coating(material, slots, point, width),
+            dispersion: if is_solid(material) { material.dispersion } else { 0.0 },
+            wave_weight: Vec3::ONE,
+        }
+    }
+
+    fn coating(
+        &self,
+        material: &Material,
+        slots: &ExtraSlots,
+        point: &SurfacePoint<'_>,
+        width: f32,
+    ) -> Option<Coating> {
+        let texel = |slot: &Option<Slot>| slot.as_ref().map_or(Vec4::ONE, |slot| self.lookup(slot, point, width));
+        let coat = material.clearcoat?;
+        let factor = (coat.factor * texel(&slots.coat).x).clamp(0.0, 1.0);
+        let roughness = (coat.roughness * texel(&slots.coat_roughness).y).clamp(0.0, 1.0);
+        (factor > 0.0).then_some(Coating { factor, roughness })
+    }
+
+    /// Normals and tangent on the viewer's side, which is that of `geometric`; bent so that the viewer sees no surface from behind.
+    pub(crate) fn frame(
+        &self,
+        index: usize,
+        point: &SurfacePoint<'_>,
+        width: f32,
+        geometric: Vec3,
+        front: bool,
+        to_viewer: Vec3,
+    ) -> Frame {
+        let material = &self.scene.materials[index];
+        let slots = &self.slots[index];
+        let smooth = point.shading_normal();
+        let turned = |slot: &Option<Slot>, scale: f32| {
+            let Some(slot) = slot else { return smooth };
+            let texel = 2.0 * self.lookup(slot, point, width).truncate() - 1.0;
+            point.mapped_normal(smooth, Vec3::new(scale * texel.x, scale * texel.y, texel.z)).unwrap_or(smooth)
+        };
+        let seen = |normal: Vec3| bend_normal(if front { normal } else { -normal }, geometric, to_viewer);
+        let mapped = turned(&slots.normal, material.normal_scale);
+        let mut frame = Frame::flat(geometric, seen(mapped));
+        if let Some(extra) = &slots.extras {
+            if let Some(coat) = &material.clearcoat {
+                frame.coat = seen(turned(&extra.coat_normal, coat.normal_scale));
+            }
+            if let Some(stretch) = &material.anisotropy {
+                let direction = match &extra.anisotropy {
+                    Some(slot) => 2.0 * self.lookup(slot, point, width).truncate().truncate() - 1.0,
+                    None => Vec2::X,
+                };
+                let direction = Vec2::from_angle(stretch.rotation_rad).rotate(direction).normalize_or(Vec2::X);
+                frame.tangent = point.mapped_normal(mapped, direction.extend(0.0));
+            }
+        }
+        frame
     }
 
     /// Whether the surface shows its base colour and scatters nothing.
@@ -160,6 +358,19 @@ impl Materials {
         let texels_wide = if width > 0.0 { width * point.uv_per_length(set, determinant) } else { 0.0 };
         self.textures.lookup(slot, point.uv(set), texels_wide)
     }
+}
+
+/// Whether a material has any of the [`Extras`].
+fn has_extras(material: &Material) -> bool {
+    material.specular != 1.0
+        || material.specular_color != Vec3::ONE
+        || material.specular_texture.is_some()
+        || material.specular_color_texture.is_some()
+        || material.clearcoat.is_some_and(|coat| coat.factor > 0.0)
+        || material.sheen.is_some_and(|sheen| sheen.color != Vec3::ZERO)
+        || material.iridescence.is_some_and(|film| film.factor > 0.0)
+        || material.anisotropy.is_some_and(|stretch| stretch.strength > 0.0)
+        || (is_solid(material) && material.dispersion > 0.0)
 }
 
 /// Whether light can enter a solid behind this surface.

@@ -11,13 +11,14 @@
 
 use glam::Vec3;
 
-use crate::bsdf::Bsdf;
+use crate::bsdf::{Bsdf, Scatter};
 use crate::bvh::{ALPHA, Bvh, Hit, Ray, Stack, TINT};
-use crate::geometry::{Geometry, SurfacePoint, bend_normal};
-use crate::light::Lights;
+use crate::geometry::{Geometry, SurfacePoint};
+use crate::light::{Lights, Receiver};
+use crate::matt::Matt;
 use crate::sampler::Sampler;
 use crate::settings::Settings;
-use crate::shading::Materials;
+use crate::shading::{Appearance, Materials};
 
 /// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
@@ -26,6 +27,10 @@ const VERTEX_PAIRS: u64 = 3;
 /// First of the pairs that decide about surfaces with alpha: one for each bounce and triangle, so that surfaces behind one another
 /// decide independently.
 const ALPHA_PAIRS: u64 = 1 << 62;
+/// Odd step that spreads instances over these pairs.
+const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
+/// The pair that chooses a wavelength.
+const WAVE_PAIR: u64 = ALPHA_PAIRS - 1;
 /// Paths survive roulette with no more than this chance, so that lossless scenes end too.
 const MOST_SURVIVAL: f32 = 0.95;
 /// Footprints widen by this share of the distance after a scattering lobe of α = 1.
@@ -45,6 +50,15 @@ pub(crate) struct Tracer<'a> {
     pub(crate) bvh: &'a Bvh,
     pub(crate) materials: &'a Materials,
     pub(crate) lights: &'a Lights,
+    /// Whether a material is nothing but Lambert's law, as [`is_matt`] says.
+    pub(crate) matt: &'a [bool],
+}
+
+/// How a point scatters.
+#[expect(clippy::large_enum_variant, reason = "on the stack and never moved; a box would allocate at every hit")]
+enum Surface {
+    Matt(Matt),
+    General(Bsdf),
 }
 
 /// A hit with what shading needs.
@@ -72,14 +86,13 @@ impl Tracer<'_> {
         let mut radiance = Vec3::ZERO;
         let mut throughput = Vec3::ONE;
         // the last vertex that scattered other than straight through: its place and density, for the heuristic
-        let mut scattered_at = ray.origin;
+        let mut scattered_at = Receiver { position: ray.origin, normal: None };
         let mut scattered_pdf = f32::INFINITY;
         let mut inside: Option<usize> = None;
+        // wavelength of a path that has entered dispersing glass
+        let mut wave_nm: Option<f32> = None;
         for bounce in 0..=settings.max_bounces {
-            sampler.jump_to(PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce));
-            let u_scatter = sampler.pair();
-            let u_light = sampler.pair();
-            let [u_roulette, u_fresnel] = sampler.pair();
+            let pairs = PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce);
             let hit =
                 if in_bounds { self.bvh.nearest(&ray, stack, |hit| self.is_there(hit, bounce, sampler)) } else { None };
             let Some(hit) = hit else {
@@ -92,21 +105,30 @@ impl Tracer<'_> {
             if let Some(material) = inside {
                 throughput *= self.absorption(material, hit.t);
             }
-            let emission = self.materials.emission(vertex.material, &vertex.point, vertex.width, vertex.front);
+            let cosine = vertex.normal.dot(ray.direction);
+            let emission = self.materials.emission(vertex.material, &vertex.point, vertex.width, vertex.front, cosine);
             if emission != Vec3::ZERO {
-                let distance = vertex.point.position.distance(scattered_at);
-                let light_pdf = self.lights.triangle_pdf(hit.triangle, distance, vertex.normal.dot(ray.direction));
+                // a mirror's light is found no other way
+                let light_pdf = if scattered_pdf.is_infinite() {
+                    0.0
+                } else {
+                    let distance = vertex.point.position.distance(scattered_at.position);
+                    self.lights.triangle_pdf(hit.triangle, &scattered_at, distance, cosine)
+                };
                 radiance += throughput * emission * heuristic(scattered_pdf, light_pdf);
             }
             if bounce == settings.max_bounces || self.materials.is_unlit(vertex.material) {
                 break;
             }
-            let bsdf = self.bsdf(&vertex, -ray.direction);
-            if bsdf.is_smooth() {
+            let mut appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
+            let vertex_nm = appearance.disperse(wave_nm, || sampler.pair_at(WAVE_PAIR)[0]);
+            let surface = self.surface(&vertex, &appearance, -ray.direction);
+            let [u_roulette, u_fresnel] = sampler.pair_at(pairs + 2);
+            if surface.is_smooth() && self.lights.can_be_sampled() {
                 // the roulette's number may serve twice: this term and the rest of the path only add up
-                radiance += throughput * self.direct(&vertex, &bsdf, u_light, u_roulette, stack);
+                radiance += throughput * self.direct(&vertex, &surface, sampler.pair_at(pairs + 1), u_roulette, stack);
             }
-            let Some(scatter) = bsdf.sample(u_scatter, u_fresnel) else { break };
+            let Some(scatter) = surface.sample(sampler.pair_at(pairs), u_fresnel) else { break };
             throughput *= scatter.weight;
             if bounce >= settings.roulette_start {
                 let survival = throughput.max_element().min(MOST_SURVIVAL);
@@ -118,12 +140,13 @@ impl Tracer<'_> {
             }
             if scatter.refracted {
                 inside = if vertex.front { Some(vertex.material) } else { None };
+                wave_nm = wave_nm.or(vertex_nm);
             }
             ray = vertex.leave(scatter.direction);
             cone = Cone { width: vertex.width, spread: cone.spread.max(SCATTER_SPREAD * scatter.alpha) };
             let straight = scatter.crossed && scatter.pdf.is_infinite() && hit.flags & TINT != 0;
             if !straight {
-                scattered_at = vertex.point.position;
+                scattered_at = vertex.receiver(&surface);
                 scattered_pdf = scatter.pdf;
             }
         }
@@ -132,7 +155,13 @@ impl Tracer<'_> {
 
     /// Whether a ray meets a surface at all.
     pub(crate) fn meets_surface(&self, ray: Ray, stack: &mut Stack) -> bool {
-        self.bvh.nearest(&ray, stack, |hit| hit.flags & ALPHA == 0 || self.coverage(hit) > 0.0).is_some()
+        self.first_surface(ray, stack).is_some()
+    }
+
+    /// Distance along a ray, in render space, to the first surface that is there at all.
+    pub(crate) fn first_surface(&self, ray: Ray, stack: &mut Stack) -> Option<f32> {
+        let hit = self.bvh.nearest(&ray, stack, |hit| hit.flags & ALPHA == 0 || self.coverage(hit) > 0.0);
+        hit.map(|hit| hit.t)
     }
 
     fn vertex(&self, ray: &Ray, cone: Cone, hit: &Hit) -> Vertex<'_> {
@@ -148,21 +177,23 @@ impl Tracer<'_> {
         }
     }
 
-    fn bsdf(&self, vertex: &Vertex<'_>, to_viewer: Vec3) -> Bsdf {
-        let appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
-        let shading = self.materials.normal(vertex.material, &vertex.point, vertex.width);
-        let shading = if vertex.front { shading } else { -shading };
-        let shading = bend_normal(shading, vertex.normal, to_viewer);
-        Bsdf::new(&appearance, to_viewer, vertex.normal, shading, vertex.front)
+    fn surface(&self, vertex: &Vertex<'_>, appearance: &Appearance, to_viewer: Vec3) -> Surface {
+        let Vertex { material, point, front, normal, width } = vertex;
+        let frame = self.materials.frame(*material, point, *width, *normal, *front, to_viewer);
+        if self.matt[*material] {
+            Surface::Matt(Matt::new(appearance.base, frame.geometric, frame.shading))
+        } else {
+            Surface::General(Bsdf::new(appearance, to_viewer, &frame, *front))
+        }
     }
 
     /// Light from one sampled light.
-    fn direct(&self, vertex: &Vertex<'_>, bsdf: &Bsdf, u: [f32; 2], u_fine: f32, stack: &mut Stack) -> Vec3 {
-        let from = vertex.point.position;
-        let Some(light) = self.lights.sample(self.geometry, self.materials, from, u, u_fine) else {
+    fn direct(&self, vertex: &Vertex<'_>, surface: &Surface, u: [f32; 2], u_fine: f32, stack: &mut Stack) -> Vec3 {
+        let receiver = vertex.receiver(surface);
+        let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine) else {
             return Vec3::ZERO;
         };
-        let (value, scatter_pdf) = bsdf.evaluate(light.direction);
+        let (value, scatter_pdf) = surface.evaluate(light.direction);
         let light_weight = if light.pdf.is_infinite() { 1.0 } else { heuristic(light.pdf, scatter_pdf) };
         let contribution = value * light.weight * light_weight;
         if contribution == Vec3::ZERO {
@@ -184,7 +215,10 @@ impl Tracer<'_> {
         if coverage <= 0.0 || coverage >= 1.0 {
             return coverage > 0.0;
         }
-        sampler.pair_at(ALPHA_PAIRS + (u64::from(bounce) << 32) + u64::from(hit.triangle))[0] < coverage
+        // no instance adds nothing
+        let instance = u64::from(hit.instance.wrapping_add(1)).wrapping_mul(INSTANCE_STEP);
+        let pair = (u64::from(bounce) << 32) + u64::from(hit.triangle);
+        sampler.pair_at((ALPHA_PAIRS + pair) ^ instance)[0] < coverage
     }
 
     fn coverage(&self, hit: &Hit) -> f32 {
@@ -200,7 +234,8 @@ impl Tracer<'_> {
         }
         let ray = Ray { origin: Vec3::ZERO, direction, t_max: hit.t };
         let vertex = self.vertex(&ray, Cone { width: 0.0, spread: 0.0 }, hit);
-        open + coverage * self.bsdf(&vertex, -direction).straight()
+        let appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
+        open + coverage * self.surface(&vertex, &appearance, -direction).straight()
     }
 
     /// What a solid leaves of light after `distance`: attenuation_color^(distance / attenuation_distance).
@@ -211,7 +246,52 @@ impl Tracer<'_> {
     }
 }
 
+impl Surface {
+    #[inline]
+    fn is_smooth(&self) -> bool {
+        match self {
+            Self::Matt(_) => true,
+            Self::General(bsdf) => bsdf.is_smooth(),
+        }
+    }
+
+    #[inline]
+    fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
+        match self {
+            Self::Matt(matt) => matt.evaluate(direction),
+            Self::General(bsdf) => bsdf.evaluate(direction),
+        }
+    }
+
+    #[inline]
+    fn sample(&self, u: [f32; 2], u_fresnel: f32) -> Option<Scatter> {
+        match self {
+            Self::Matt(matt) => matt.sample(u),
+            Self::General(bsdf) => bsdf.sample(u, u_fresnel),
+        }
+    }
+
+    fn transmits(&self) -> bool {
+        match self {
+            Self::Matt(_) => false,
+            Self::General(bsdf) => bsdf.transmits(),
+        }
+    }
+
+    fn straight(&self) -> Vec3 {
+        match self {
+            Self::Matt(_) => Vec3::ZERO,
+            Self::General(bsdf) => bsdf.straight(),
+        }
+    }
+}
+
 impl Vertex<'_> {
+    /// What the choice of a light needs to know.
+    fn receiver(&self, surface: &Surface) -> Receiver {
+        Receiver { position: self.point.position, normal: (!surface.transmits()).then_some(self.normal) }
+    }
+
     /// A ray from this point, started off the surface on the side it goes to.
     fn leave(&self, direction: Vec3) -> Ray {
         let side = self.normal.dot(direction).signum();

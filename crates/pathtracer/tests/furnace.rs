@@ -5,7 +5,7 @@ mod common;
 use common::{Builder, cube, glowing, long_paths, matt, mean_of, one_view, render, sphere, window, window_at};
 use glam::{DVec3, Vec3, Vec4};
 use lumistack_pathtracer::Settings;
-use lumistack_scene::Material;
+use lumistack_scene::{Anisotropy, Clearcoat, Material};
 use lumistack_testkit::statistics::FALSE_ALARM_RATE;
 
 /// Rounding of f32 sums over long paths.
@@ -108,4 +108,47 @@ fn an_absorbing_sphere_is_visible() {
     let black = mean_of(&render(&scene.renderer(), &window(), &one_view(32, [0.0, 0.0]), &long_paths(16)), 1);
     // the disc of radius 0.9 covers π 0.9²/4 of the window
     black.assert_is(0.7 * (1.0 - std::f64::consts::PI * 0.81 / 4.0), 5e-3, 0.5);
+}
+
+/// Layers that absorb nothing are as invisible as what they cover: coats with and without roughness, stretched metal, rough glass, and
+/// glass that disperses.
+#[test]
+fn lossless_layers_are_invisible_in_a_uniform_environment() {
+    let white = Material { base_color: Vec4::ONE, ..matt(1.0) };
+    let coat = |roughness| Some(Clearcoat { factor: 1.0, roughness, ..Clearcoat::default() });
+    let glass = Material { transmission: 1.0, ior: 1.5, roughness: 0.0, solid: true, ..white.clone() };
+    let stretched = Some(Anisotropy { strength: 0.7, ..Anisotropy::default() });
+    let cases = [
+        ("coat", Material { clearcoat: coat(0.0), ..white.clone() }, TRIANGLES),
+        ("rough coat", Material { clearcoat: coat(0.5), ..white.clone() }, TRIANGLES),
+        (
+            "stretched",
+            Material { metallic: 1.0, roughness: 0.3, anisotropy: stretched, ..white.clone() },
+            2.0 * TRIANGLES,
+        ),
+        ("rough glass", Material { roughness: 0.4, ..glass.clone() }, 2.0 * TRIANGLES),
+        ("dispersion", Material { dispersion: 1.0, ..glass }, TRIANGLES),
+    ];
+    for (name, material, tolerance) in cases {
+        let mut scene = Builder::default();
+        scene.add(sphere(Vec3::ZERO, 0.9, 64), material).sky(&[0.7]);
+        let radiance = render(&scene.renderer(), &window(), &one_view(48, [0.0, 0.1]), &long_paths(32));
+        for channel in 0..3 {
+            let mean = mean_of(&radiance, channel);
+            println!("{name}: {mean:?}");
+            mean.assert_is(0.7, 0.7 * tolerance, FALSE_ALARM_RATE);
+        }
+    }
+}
+
+/// A coat covers what a surface emits: the clear coat of index 1.5 passes 1 − 0.04 straight up.
+#[test]
+fn a_coat_dims_emission() {
+    let mut scene = Builder::default();
+    let coat = Some(Clearcoat { factor: 1.0, ..Clearcoat::default() });
+    let lamp = Material { clearcoat: coat, ..glowing(Vec3::ONE) };
+    scene.add(common::rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), lamp);
+    let settings = Settings { samples: 4, max_bounces: 4, ..Settings::default() };
+    let radiance = render(&scene.renderer(), &window(), &one_view(8, [0.0, 0.0]), &settings);
+    mean_of(&radiance, 0).assert_is(0.96, 2e-3, FALSE_ALARM_RATE);
 }

@@ -205,3 +205,67 @@ fn the_mean_does_not_depend_on_the_number_of_samples() {
         Mean::of(differences).assert_is(0.0, 0.0, FALSE_ALARM_RATE);
     }
 }
+
+/// Hundreds of points, spots and panels above a plane: every pixel against the sum over all of them.
+#[test]
+fn hundreds_of_lights_add_up() {
+    let mut scene = plane();
+    let mut stream = lumistack_core::seed::Stream::new(6);
+    let mut unit = || stream.next_f32();
+    let (mut places, mut panels) = (Vec::new(), Vec::new());
+    for k in 0..300 {
+        let position = Vec3::new(3.0 * unit() - 1.5, 3.0 * unit() - 1.5, 0.1 + 0.4 * unit());
+        let strength = 0.01 * (0.2 + unit());
+        if k % 3 == 0 {
+            // a panel so small that it is a point with a cosine: half of them face away
+            let half = 0.002;
+            let up = if unit() < 0.5 { -half } else { half };
+            let radiance = strength / (4.0 * half * half);
+            let panel = rectangle(position, half * Vec3::X, up * Vec3::Y);
+            panels.push(position);
+            scene.add(panel, Material { double_sided: false, ..glowing(Vec3::splat(radiance)) });
+            if up < 0.0 {
+                places.push((position.as_dvec3(), f64::from(strength), true));
+            }
+        } else {
+            let light =
+                Light { position, direction: Vec3::NEG_Z, intensity: Vec3::splat(strength), kind: LightKind::Point };
+            scene.parts.lights.push(light);
+            places.push((position.as_dvec3(), f64::from(strength), false));
+        }
+    }
+    let size = 24;
+    let radiance = render(
+        &scene.renderer(),
+        &window(),
+        &one_view(size, [0.0, 0.0]),
+        &Settings { samples: 256, max_bounces: 1, ..Settings::default() },
+    );
+    let expected = over_window(size, |x, y| {
+        let at = DVec3::new(x, y, 0.0);
+        let arrives = |&(place, strength, panel): &(DVec3, f64, bool)| {
+            let cosine = if panel { place.z / (place - at).length() } else { 1.0 };
+            strength * cosine * inverse_square(place, at)
+        };
+        f64::from(ALBEDO) / PI * places.iter().map(arrives).sum::<f64>()
+    });
+    // panels hide a speck of the plane from the view, so pixels with one are left out
+    let hidden = |pixel: usize| {
+        let (col, row) = (pixel % size, pixel / size);
+        panels.iter().any(|place| {
+            let at = |x: f32| ((0.5 * x + 0.5) * size as f32).floor();
+            (at(place.x) - col as f32).abs() <= 1.0 && (at(-place.y) - row as f32).abs() <= 1.0
+        })
+    };
+    let pixels = radiance.data().chunks(3).zip(&expected).enumerate();
+    let relative: Vec<f64> = pixels
+        .filter(|(pixel, _)| !hidden(*pixel))
+        .map(|(_, (rgb, expected))| f64::from(rgb[0]) / expected - 1.0)
+        .collect();
+    let mean = Mean::of(relative.iter().copied());
+    println!("{} pixels: {mean:?}", relative.len());
+    assert!(relative.len() > 30);
+    // the function varies within a pixel
+    mean.assert_is(0.0, 2e-3, FALSE_ALARM_RATE);
+    assert!(relative.iter().all(|error| error.abs() < 0.25), "one light of 300 per path: {relative:?}");
+}

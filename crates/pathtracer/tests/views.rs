@@ -10,8 +10,14 @@ use lumistack_pathtracer::{AngularFilter, RenderError, Renderer, Settings};
 use lumistack_scene::{AlphaMode, Filter, Image, Material, Pixels, Texture, TextureUse, Window, Wrap};
 
 /// Enough samples that every pixel of a card's interior is hit.
-const SAMPLES: Settings =
-    Settings { samples: 4, max_bounces: 2, roulette_start: 3, seed: 0, angular_filter: AngularFilter::Point };
+const SAMPLES: Settings = Settings {
+    samples: 4,
+    max_bounces: 2,
+    roulette_start: 3,
+    seed: 0,
+    angular_filter: AngularFilter::Point,
+    clamp: None,
+};
 /// Pixels per edge of the test views: the pitch is 1/50 of the window.
 const SIZE: usize = 50;
 const PITCH: f64 = WINDOW_MM / SIZE as f64;
@@ -78,6 +84,37 @@ fn perspective_views_meet_at_the_eye() {
             card + (card - distance * slope) * z / (distance - z)
         };
         assert_centroid(&image, 0, (crossing(x, grid.slope_x[view[1]]), crossing(y, grid.slope_y[view[0]])));
+    }
+}
+
+/// Views at scaled slopes: everything moves that much less from view to view, as if it lay at the scaled depth, and the view from straight ahead has the same bytes.
+#[test]
+fn scaled_slopes_scale_parallax_and_leave_the_middle_alone() {
+    let factor = 0.4;
+    for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 3.0 }] {
+        for z in [0.6f32, -0.8] {
+            let renderer = card(Vec3::new(0.1, 0.0, z), 0.1, Vec3::ONE).renderer();
+            let grid = ViewGrid { projection, slope_x: vec![-0.2, 0.0, 0.3], slope_y: vec![0.0] };
+            let geometry = one_view(SIZE, [0.0, 0.0]).with_grid(grid.clone());
+            let scaled = geometry.with_grid(grid.scaled(factor));
+            let images = |geometry: &FieldGeometry| {
+                [0, 1, 2].map(|x| render_view(&renderer, &window(), geometry, [0, x], &SAMPLES).0)
+            };
+            let (all, less) = (images(&geometry), images(&scaled));
+            assert_eq!(all[1].data(), less[1].data(), "{projection:?}: the middle view");
+            let moved = |images: &[Tensor<3>; 3], x: usize| centroid(&images[x], 0).0 - centroid(&images[1], 0).0;
+            for x in [0, 2] {
+                let (whole, part) = (moved(&all, x), moved(&less, x));
+                assert!(whole.abs() > 3.0 * PITCH, "the test needs a shift");
+                assert!(
+                    (part - factor * whole).abs() < 2.0 * CENTROID_TOLERANCE * PITCH,
+                    "{projection:?} {whole} {part}"
+                );
+                // what a card at the depth shown does
+                let shown = geometry.disparity_px(projection.scaled_depth(z.into(), factor), grid.slope_x[x]);
+                assert!((part / PITCH + shown).abs() < 2.0 * CENTROID_TOLERANCE, "{projection:?} {part} {shown}");
+            }
+        }
     }
 }
 
@@ -306,6 +343,35 @@ fn the_angular_filter_blurs_what_is_off_the_plane() {
     }
 }
 
+/// A lens focused on the display plane blurs the edge of a card at depth z over a disc of diameter z times the lens: its profile is the share of a disc on
+/// one side of a chord, 1/2 + (u√(1 − u²) + asin u)/π at u radii from the middle.
+#[test]
+fn a_lens_blurs_with_a_disc() {
+    let geometry = one_view(SIZE, [0.0, 0.0]);
+    let settings = Settings { samples: 256, angular_filter: AngularFilter::Lens(0.8), ..SAMPLES };
+    for z in [0.0f32, 0.5, -0.5] {
+        let half = 0.5f32;
+        let renderer = card(Vec3::new(0.0, 0.0, z), half, Vec3::ONE).renderer();
+        let (image, _) = render_view(&renderer, &window(), &geometry, [0, 0], &settings);
+        let radius = (0.5 * 0.8 * z.abs()) as f64;
+        for col in 0..SIZE {
+            // from the left rim of the card; the mean over a pixel is that of its ends and middle
+            let profile = |x: f64| {
+                let u = if radius > 0.0 { (x / radius).clamp(-1.0, 1.0) } else { x.signum() };
+                0.5 + (u * (1.0 - u * u).sqrt() + u.asin()) / std::f64::consts::PI
+            };
+            let x = geometry.x_mm(col) + f64::from(half);
+            if x > f64::from(half) || x.abs() < 0.51 * PITCH && radius == 0.0 {
+                continue;
+            }
+            let expected = (profile(x - 0.5 * PITCH) + 4.0 * profile(x) + profile(x + 0.5 * PITCH)) / 6.0;
+            let found = f64::from(image.get([SIZE / 2, col, 0]));
+            // 256 stratified samples of a share: far below one standard deviation of independent ones, 0.03
+            assert!((found - expected).abs() < 0.03, "z {z}, {x} from the rim: {found} instead of {expected}");
+        }
+    }
+}
+
 fn busy_scene() -> Renderer {
     let mut scene = Builder::default();
     let picture = quadrants(&mut scene);
@@ -443,4 +509,23 @@ fn extreme_scenes_stay_finite() {
         let mean = image.data().iter().map(|&v| f64::from(v)).sum::<f64>() / image.data().len() as f64;
         assert!((mean - 1.0).abs() < 0.02, "scale {scale} at {at}: {mean}");
     }
+}
+
+/// A limit dims what is brighter and says how much light that costs; without one nothing is dimmed.
+#[test]
+fn a_clamp_is_reported() {
+    let mut scene = Builder::default();
+    scene.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), glowing(Vec3::new(4.0, 2.0, 1.0)));
+    let renderer = scene.renderer();
+    let settings = Settings { samples: 4, max_bounces: 0, ..Settings::default() };
+    let (plain, warnings) = render_view(&renderer, &window(), &one_view(8, [0.0, 0.0]), [0, 0], &settings);
+    assert!(warnings.is_empty() && (plain.data()[0] - 4.0).abs() < 1e-5);
+    let clamped = Settings { clamp: Some(1.0), ..settings };
+    let (dimmed, warnings) = render_view(&renderer, &window(), &one_view(8, [0.0, 0.0]), [0, 0], &clamped);
+    assert!((dimmed.data()[0] - 1.0).abs() < 1e-5 && (dimmed.data()[2] - 0.25).abs() < 1e-5, "the colour stays");
+    let [warning] = warnings.as_slice() else { panic!("{warnings:?}") };
+    assert!(
+        warning.to_string().contains("256 of 256 samples are dimmed to the limit 1, which removes 75.000 %"),
+        "{warning}"
+    );
 }

@@ -6,7 +6,7 @@
 
 use std::sync::OnceLock;
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 use super::ggx;
 
@@ -17,6 +17,10 @@ const ROUGHNESSES: usize = 32;
 const SAMPLES: u32 = 987;
 /// Step of the Fibonacci lattice of [`SAMPLES`] points.
 const LATTICE_STEP: u32 = 610;
+/// Nodes of the table for stretched lobes, and its samples: root of the cosine, azimuth, √α along and across.
+const STRETCHED: [usize; 4] = [16, 6, 13, 13];
+const STRETCHED_SAMPLES: u32 = 377;
+const STRETCHED_STEP: u32 = 233;
 /// The smallest cosine and α of the table: there the lobe is a mirror.
 const SMALLEST: f32 = 1e-3;
 
@@ -32,14 +36,14 @@ pub(crate) struct Albedo {
 impl Albedo {
     /// Albedo of the lobe with Schlick's Fresnel, before compensation.
     #[inline]
-    pub(crate) fn schlick(&self, f0: f32, f90: f32) -> f32 {
+    pub(crate) fn schlick(&self, f0: Vec3, f90: f32) -> Vec3 {
         f0 * (self.full - self.grazing) + f90 * self.grazing
     }
 
     /// Turquin's factor.
     #[inline]
-    pub(crate) fn compensation(&self, f0: f32) -> f32 {
-        1.0 + f0 * (1.0 / self.full - 1.0)
+    pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
+        Vec3::ONE + f0 * (1.0 / self.full - 1.0)
     }
 }
 
@@ -61,32 +65,83 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     mix(mix(lower[0], lower[1], fx), mix(upper[0], upper[1], fx), fy)
 }
 
+/// Albedo of a stretched lobe: linear in the root of the cosine, in cos² of the azimuth from the stretch, and in √α along and across.
+pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
+    static TABLE: OnceLock<Vec<Albedo>> = OnceLock::new();
+    let table = TABLE.get_or_init(tabulate_stretched);
+    let across = o.x * o.x + o.y * o.y;
+    let azimuth = if across > 0.0 { o.x * o.x / across } else { 0.5 };
+    let at = [o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()];
+    let mut index = [0; 4];
+    let mut share = [0.0; 4];
+    for axis in 0..4 {
+        let x = at[axis].clamp(0.0, 1.0) * (STRETCHED[axis] - 1) as f32;
+        index[axis] = (x as usize).min(STRETCHED[axis] - 2);
+        share[axis] = x - index[axis] as f32;
+    }
+    let mut sum = Albedo { full: 0.0, grazing: 0.0 };
+    for corner in 0..16 {
+        let bit = |axis: usize| (corner >> axis) & 1;
+        let weight: f32 = (0..4).map(|axis| if bit(axis) == 1 { share[axis] } else { 1.0 - share[axis] }).product();
+        let node = (0..4).rev().fold(0, |node, axis| node * STRETCHED[axis] + index[axis] + bit(axis));
+        sum.full += weight * table[node].full;
+        sum.grazing += weight * table[node].grazing;
+    }
+    sum
+}
+
+fn tabulate_stretched() -> Vec<Albedo> {
+    let node = |index: usize| {
+        let mut rest = index;
+        let [root, azimuth, along, across] = STRETCHED.map(|nodes| {
+            let fraction = (rest % nodes) as f32 / (nodes - 1) as f32;
+            rest /= nodes;
+            fraction
+        });
+        let cosine = (root * root).max(SMALLEST);
+        let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+        let o = Vec3::new(sine * azimuth.sqrt(), sine * (1.0 - azimuth).sqrt(), cosine);
+        let alpha = Vec2::new(along * along, across * across).max(Vec2::splat(SMALLEST));
+        integrate(o, alpha, STRETCHED_SAMPLES, STRETCHED_STEP)
+    };
+    (0..STRETCHED.iter().product()).map(node).collect()
+}
+
 fn tabulate() -> Vec<Albedo> {
     let mut table = Vec::with_capacity(COSINES * ROUGHNESSES);
     for j in 0..ROUGHNESSES {
         let roughness = j as f32 / (ROUGHNESSES - 1) as f32;
-        let alpha = (roughness * roughness).max(SMALLEST);
+        let alpha = Vec2::splat((roughness * roughness).max(SMALLEST));
         for i in 0..COSINES {
-            table.push(integrate((i as f32 / (COSINES - 1) as f32).max(SMALLEST), alpha));
+            table.push(integrate(
+                towards((i as f32 / (COSINES - 1) as f32).max(SMALLEST)),
+                alpha,
+                SAMPLES,
+                LATTICE_STEP,
+            ));
         }
     }
     table
 }
 
-fn integrate(cosine: f32, alpha: f32) -> Albedo {
-    let o = Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine);
+/// A view with this cosine.
+fn towards(cosine: f32) -> Vec3 {
+    Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine)
+}
+
+fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> Albedo {
     let (mut full, mut grazing) = (0.0, 0.0);
-    for k in 0..SAMPLES {
-        let u = [(k as f32 + 0.5) / SAMPLES as f32, ((k * LATTICE_STEP) % SAMPLES) as f32 / SAMPLES as f32];
+    for k in 0..samples {
+        let u = [(k as f32 + 0.5) / samples as f32, ((k * lattice_step) % samples) as f32 / samples as f32];
         let h = ggx::sample_normal(o, alpha, u);
         let i = ggx::reflect(o, h);
         if i.z > 0.0 {
-            let weight = f64::from(ggx::masking_ratio(o.z, i.z, alpha));
+            let weight = f64::from(ggx::masking_ratio(o, i, alpha));
             full += weight;
             grazing += weight * f64::from(1.0 - o.dot(h)).max(0.0).powi(5);
         }
     }
-    let n = f64::from(SAMPLES);
+    let n = f64::from(samples);
     Albedo { full: (full / n) as f32, grazing: (grazing / n) as f32 }
 }
 
@@ -96,12 +151,16 @@ mod tests {
 
     /// Largest difference between the interpolated table and a direct integration.
     const TABLE_TOLERANCE: f32 = 4e-3;
+    const STRETCHED_TOLERANCE: f32 = 0.02;
 
     #[test]
     fn the_table_interpolates_the_integral() {
         for cosine in [0.05, 0.3, 0.77, 1.0] {
             for alpha in [0.003f32, 0.02, 0.1, 0.4, 1.0] {
-                let (table, direct) = (albedo(cosine, alpha.sqrt()), integrate(cosine, alpha));
+                let (table, direct) = (
+                    albedo(cosine, alpha.sqrt()),
+                    integrate(towards(cosine), Vec2::splat(alpha), SAMPLES, LATTICE_STEP),
+                );
                 assert!((table.full - direct.full).abs() < TABLE_TOLERANCE, "{cosine} {alpha}: {table:?} {direct:?}");
                 assert!(
                     (table.grazing - direct.grazing).abs() < TABLE_TOLERANCE,
@@ -112,5 +171,21 @@ mod tests {
         // a mirror loses nothing and reflects (1 − μ)⁵
         let mirror = albedo(0.5, 0.0);
         assert!((mirror.full - 1.0).abs() < TABLE_TOLERANCE && (mirror.grazing - 1.0 / 32.0).abs() < TABLE_TOLERANCE);
+    }
+
+    #[test]
+    fn the_stretched_table_interpolates_the_integral() {
+        for cosine in [0.05f32, 0.3, 0.77, 1.0] {
+            for azimuth in [0.0f32, 0.4, 1.0, 1.57] {
+                for alpha in [[0.1, 0.02], [0.4, 0.05], [1.0, 0.1], [0.7, 0.6]] {
+                    let sine = (1.0 - cosine * cosine).sqrt();
+                    let o = Vec3::new(sine * azimuth.cos(), sine * azimuth.sin(), cosine);
+                    let alpha = Vec2::from_array(alpha);
+                    let (table, direct) = (stretched(o, alpha), integrate(o, alpha, SAMPLES, LATTICE_STEP));
+                    let error = (table.full - direct.full).abs().max((table.grazing - direct.grazing).abs());
+                    assert!(error < STRETCHED_TOLERANCE, "{o} {alpha}: {table:?} {direct:?}");
+                }
+            }
+        }
     }
 }

@@ -1,36 +1,48 @@
-//! Scattering at a surface: glTF's metallic-roughness model with transmission, conserving energy.
+//! Scattering at a surface: glTF's metallic-roughness model with its extensions, conserving energy.
 //!
 //! With base colour c, metallic m, transmission t, F Schlick's Fresnel term and K the compensation of [`albedo`]:
 //!
 //! ```text
-//! f = m K F(c) D V + (1 − m) [K F(f0) D V + (1 − E_d(o)) ((1 − t) c/π + t c T)]          opaque or thin-walled
-//! f = m K F(c) D V + (1 − m) [(1 − t) (K F(f0) D V + (1 − E_d(o)) c/π) + t glass]        solid
+//! f     = κ f_coat + (1 − κ E_coat(o)) [σ f_fibres + (1 − max(σ) E_fibres(o)) f_base]
+//! f_base = m K F(c) D V + (1 − m) [K F(f0) D V + (1 − E_d(o)) ((1 − t) c/π + t c T)]          opaque or thin-walled
+//! f_base = m K F(c) D V + (1 − m) [(1 − t) (K F(f0) D V + (1 − E_d(o)) c/π) + t glass]        solid
 //! ```
 //!
-//! E_d is the albedo of the dielectric's reflection lobe, so that what is not reflected is scattered and a white dielectric neither
-//! gains nor loses (albedo scaling). T is the reflection lobe mirrored to the far side (`KHR_materials_transmission`: thin wall).
-//! `glass` is the rough dielectric interface of Walter et al. 2007 with exact Fresnel terms. It carries radiance/η² ("basic
-//! radiance"), which leaves out the factor η² that every solid multiplies once and divides once; it is single-scattering.
+//! E_d is the albedo of the dielectric's reflection lobe (its largest channel), so that what is not reflected is scattered and a white
+//! dielectric neither gains nor loses (albedo scaling). The clear coat (factor κ, index 1.5, own normal) and the fibres (colour σ, [`sheen`])
+//! scale what lies below them in the same way (`KHR_materials_clearcoat`, `KHR_materials_sheen`). T is the reflection lobe mirrored
+//! to the far side (`KHR_materials_transmission`: thin wall). `glass` is in [`glass`], thin films (`KHR_materials_iridescence`) in
+//! [`fresnel`]. f0 = min(((n − 1)/(n + 1))² colour, 1) specular and f90 = specular (`KHR_materials_specular`); an index of 0 gives
+//! f0 = colour. Anisotropy stretches α of the base's reflection (`KHR_materials_anisotropy`).
 //!
 //! Lobes with α < [`MIRROR_ALPHA`] are perfect mirrors: they can only be sampled, not evaluated.
 
 mod albedo;
+mod fresnel;
 mod ggx;
+mod glass;
+mod sheen;
+mod spectrum;
 
 use std::f32::consts::FRAC_1_PI;
 
-use glam::{Mat3, Vec3};
+use glam::{Mat3, Vec2, Vec3};
 
 use self::albedo::{Albedo, albedo};
-use crate::math::sin_cos_turns;
-use crate::shading::Appearance;
+pub(crate) use self::fresnel::Film;
+use self::fresnel::{Schlick, normal_reflectance};
+use self::glass::{Glass, GlassOptions};
+use self::sheen::Fibres;
+pub(crate) use self::spectrum::{Wave, index_at};
+use crate::math::concentric_disc;
+use crate::shading::{Appearance, Coating, Extras, Frame};
 
 /// Below this α a lobe is a perfect mirror (perceptual roughness 0.032): light sampling could not find it.
 pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
-/// Indices of refraction closer to 1 than this do not bend light.
-const NO_REFRACTION: f32 = 1e-3;
 /// F₉₀ falls to 0 with F₀ below 2 %, where no real material is: an index of 1 then reflects nothing at any angle.
 const F90_PER_F0: f32 = 50.0;
+/// Reflectance of the clear coat at normal incidence: index 1.5.
+const COAT_F0: f32 = 0.04;
 
 /// The scattering function at one point for one outgoing direction.
 pub(crate) struct Bsdf {
@@ -39,37 +51,38 @@ pub(crate) struct Bsdf {
     geometric_normal: Vec3,
     /// Outgoing direction in the local frame, z > 0.
     o: Vec3,
-    alpha: f32,
+    alpha: Vec2,
     mirror: bool,
-    metal: Lobe,
-    dielectric: Lobe,
+    metal: Schlick,
+    dielectric: Schlick,
     diffuse: Vec3,
     thin: Vec3,
     thin_scale: f32,
     glass: Option<Glass>,
-    /// Chances of the lobes [`REFLECTION`], [`DIFFUSE`], [`THIN`] and [`GLASS`]; their sum is 1, or all are 0.
-    chances: [f32; 4],
+    film: Option<Film>,
+    coat: Option<Coat>,
+    fibres: Option<(Vec3, Fibres)>,
+    /// Chances of the lobes [`REFLECTION`] to [`COAT`]; their sum is 1, or all are 0.
+    chances: [f32; LOBES],
 }
 
 const REFLECTION: usize = 0;
 const DIFFUSE: usize = 1;
 const THIN: usize = 2;
 const GLASS: usize = 3;
+const FIBRES: usize = 4;
+const COAT: usize = 5;
+const LOBES: usize = 6;
 
-/// Schlick's Fresnel term with its weight: `weight · (f0 + (f90 − f0)(1 − o·h)⁵)`, per channel.
-struct Lobe {
-    f0: Vec3,
-    f90: f32,
-    weight: Vec3,
-}
-
-struct Glass {
-    /// Index on the far side over that on the viewer's side.
-    eta: f32,
+/// The clear coat, in a frame of its own.
+struct Coat {
+    scene_from_local: Mat3,
+    o: Vec3,
+    alpha: Vec2,
+    mirror: bool,
+    /// Factor times compensation.
     weight: f32,
-    /// Tint of what is transmitted.
-    tint: Vec3,
-    straight: bool,
+    albedo: f32,
 }
 
 /// A direction that [`Bsdf::sample`] chose.
@@ -89,70 +102,124 @@ pub(crate) struct Scatter {
 }
 
 impl Bsdf {
-    /// `to_viewer` is a unit vector; `normals` are the geometric and the shading normal on the viewer's side. `front` tells whether the
-    /// viewer sees the front face.
-    pub(crate) fn new(
-        appearance: &Appearance,
-        to_viewer: Vec3,
-        geometric_normal: Vec3,
-        shading_normal: Vec3,
-        front: bool,
-    ) -> Self {
-        let (tangent, bitangent) = shading_normal.any_orthonormal_pair();
-        let scene_from_local = Mat3::from_cols(tangent, bitangent, shading_normal);
-        let mut o = scene_from_local.transpose() * to_viewer;
-        o.z = o.z.max(1e-6);
-        let Appearance { base, metallic, roughness, ior, transmission, solid, .. } = *appearance;
-        let mirror = roughness * roughness < MIRROR_ALPHA;
-        let alpha = (roughness * roughness).max(MIRROR_ALPHA);
-        let table: Albedo = albedo(o.z, if mirror { 0.0 } else { roughness });
-        let f0 = ((ior - 1.0) / (ior + 1.0)).powi(2);
-        let f90 = (F90_PER_F0 * f0).min(1.0);
-        let glass_share = if solid { transmission } else { 0.0 };
-        let layered = (1.0 - metallic) * (1.0 - glass_share);
-        let dielectric_compensation = table.compensation(f0);
-        let reflected = (table.schlick(f0, f90) * dielectric_compensation).min(1.0);
-        let thin_share = if solid { 0.0 } else { transmission };
-        let diffuse = layered * (1.0 - reflected) * (1.0 - thin_share) * base;
-        let thin = layered * (1.0 - reflected) * thin_share * base;
-        let metal_weight = metallic * Vec3::from_array(base.to_array().map(|f0| table.compensation(f0)));
-        let glass = (glass_share > 0.0 && metallic < 1.0).then(|| Glass {
-            eta: if front { ior } else { 1.0 / ior },
-            weight: (1.0 - metallic) * glass_share,
-            tint: base.max(Vec3::ZERO).powf(0.5),
-            straight: (ior - 1.0).abs() < NO_REFRACTION,
+    /// `to_viewer` is a unit vector; the normals of `frame` are on the viewer's side. `front` tells whether the viewer sees the front face.
+    pub(crate) fn new(appearance: &Appearance, to_viewer: Vec3, frame: &Frame, front: bool) -> Self {
+        let Appearance { base, metallic, roughness, ior, transmission, solid, compensated, .. } = *appearance;
+        let extras = appearance.extras.as_ref();
+        let scene_from_local = local_frame(frame.shading, frame.tangent);
+        let o = local_viewer(&scene_from_local, to_viewer);
+        let stretch = extras.map_or(0.0, |extras| extras.anisotropy);
+        let mirror = roughness * roughness < MIRROR_ALPHA && stretch == 0.0;
+        let across = (roughness * roughness).max(MIRROR_ALPHA);
+        let alpha = Vec2::new(across + (1.0 - across) * stretch * stretch, across);
+        let table_roughness = if mirror { 0.0 } else { roughness };
+        let table: Albedo = if stretch == 0.0 { albedo(o.z, table_roughness) } else { albedo::stretched(o, alpha) };
+        let compensate = |f0: Vec3| if compensated { table.compensation(f0) } else { Vec3::ONE };
+
+        // layers above the base
+        let seen_from_inside = solid && transmission > 0.0 && !front;
+        let above = extras.filter(|_| !seen_from_inside);
+        let coat =
+            above.and_then(|above| above.coating).map(|coat| Coat::new(&coat, frame.coat, to_viewer, compensated));
+        let mut below = 1.0 - coat.as_ref().map_or(0.0, |coat| coat.albedo);
+        let mut fibres_albedo = 0.0;
+        let fibres = above.and_then(|above| above.sheen).map(|sheen| {
+            let (albedo, scale) = sheen::albedo(o.z, sheen.roughness);
+            let color = below * scale * sheen.color;
+            fibres_albedo = below * albedo * sheen.color.element_sum() * (1.0 / 3.0);
+            below *= 1.0 - sheen.color.max_element() * albedo;
+            (color, Fibres::new(sheen.roughness))
         });
-        let metal_albedo: Vec3 = Vec3::from_array(base.to_array().map(|f0| table.schlick(f0, 1.0))) * metal_weight;
+
+        let film = extras.and_then(|extras| extras.film);
+        let (f0, f90) = dielectric_reflectance(ior, extras);
+        // what the lobe reflects at its mean, for the albedo of what lies below
+        let seen = |lobe: &Schlick| match &film {
+            Some(film) => {
+                let fresnel = film.over(lobe.reflectance((1.0 - o.z).powi(5)), lobe.f0, o.z);
+                (fresnel * table.full, fresnel)
+            }
+            None => (table.schlick(lobe.f0, lobe.f90), lobe.f0),
+        };
+        let glass_share = if solid && ior > 0.0 { transmission } else { 0.0 };
+        let layered = below * (1.0 - metallic) * (1.0 - glass_share);
+        let mut dielectric = Schlick { f0, f90, weight: Vec3::ONE };
+        let (reflected, for_compensation) = seen(&dielectric);
+        let compensation = compensate(for_compensation);
+        let reflected = (reflected * compensation).min(Vec3::ONE);
+        dielectric.weight = layered * compensation;
+        let passed = layered * (1.0 - reflected.max_element());
+        let thin_share = if solid { 0.0 } else { transmission };
+        let diffuse = passed * (1.0 - thin_share) * base;
+        let thin = passed * thin_share * base;
+        let mut metal = Schlick { f0: base, f90: 1.0, weight: Vec3::ZERO };
+        let mut metal_albedo = Vec3::ZERO;
+        if metallic > 0.0 {
+            let (reflected, for_compensation) = seen(&metal);
+            metal.weight = below * metallic * compensate(for_compensation);
+            metal_albedo = reflected * metal.weight;
+        }
+        let glass = (glass_share > 0.0 && metallic < 1.0).then(|| {
+            let options = GlassOptions {
+                ior,
+                front,
+                weight: below * (1.0 - metallic) * glass_share,
+                tint: base.map(f32::sqrt) * extras.map_or(Vec3::ONE, |extras| extras.wave_weight),
+                specular: extras.map_or(1.0, |extras| extras.specular),
+                f0: if extras.is_some() { f0 } else { Vec3::splat(normal_reflectance(ior)) },
+                film,
+                roughness: table_roughness,
+                compensated: compensated && stretch == 0.0,
+            };
+            Glass::new(o, &options)
+        });
         let mean = |v: Vec3| v.element_sum() * (1.0 / 3.0);
         let mut chances = [
-            mean(metal_albedo) + layered * reflected,
+            mean(metal_albedo + layered * reflected),
             mean(diffuse),
             mean(thin),
             glass.as_ref().map_or(0.0, |glass| glass.weight * (0.5 + 0.5 * mean(glass.tint))),
+            fibres_albedo,
+            coat.as_ref().map_or(0.0, |coat| coat.albedo),
         ];
         let sum: f32 = chances.iter().sum();
         if sum > 0.0 {
             chances = chances.map(|chance| chance / sum);
         }
+        let thin_scale = if compensated { 1.0 / table.full } else { 1.0 };
+        let geometric_normal = frame.geometric;
         Self {
             scene_from_local,
             geometric_normal,
             o,
             alpha,
             mirror,
-            metal: Lobe { f0: base, f90: 1.0, weight: metal_weight },
-            dielectric: Lobe { f0: Vec3::splat(f0), f90, weight: Vec3::splat(layered * dielectric_compensation) },
+            metal,
+            dielectric,
             diffuse,
             thin,
-            thin_scale: 1.0 / table.full,
+            thin_scale,
             glass,
+            film,
+            coat,
+            fibres,
             chances,
         }
     }
 
     /// Whether any lobe can be evaluated, so that light sampling makes sense.
     pub(crate) fn is_smooth(&self) -> bool {
-        self.chances[DIFFUSE] > 0.0 || (!self.mirror && self.chances.iter().any(|&chance| chance > 0.0))
+        let rough = |lobe: usize| match lobe {
+            DIFFUSE | FIBRES => true,
+            COAT => self.coat.as_ref().is_some_and(|coat| !coat.mirror),
+            _ => !self.mirror,
+        };
+        (0..LOBES).any(|lobe| self.chances[lobe] > 0.0 && rough(lobe))
+    }
+
+    /// Whether light from behind can be evaluated.
+    pub(crate) fn transmits(&self) -> bool {
+        !self.mirror && self.chances[THIN] + self.chances[GLASS] > 0.0
     }
 
     /// Share of light that a thin wall as smooth as a mirror lets through on its straight way.
@@ -162,11 +229,18 @@ impl Bsdf {
 
     /// f |cos| for light from `direction`, and the density with which [`sample`](Self::sample) finds it. Mirrors count as zero.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
+        let side = direction.dot(self.geometric_normal);
         let i = self.scene_from_local.transpose() * direction;
-        if !self.same_side(direction, i) {
-            return (Vec3::ZERO, 0.0);
+        // geometric and shading normal must agree on which side the light comes from; otherwise it would leak through the surface
+        let (mut value, mut pdf) = if side * i.z > 0.0 { self.evaluate_base(i) } else { (Vec3::ZERO, 0.0) };
+        if let Some(coat) = &self.coat
+            && side > 0.0
+        {
+            let (coat_value, coat_pdf) = coat.evaluate(direction);
+            value += Vec3::splat(coat_value);
+            pdf += self.chances[COAT] * coat_pdf;
         }
-        self.evaluate_local(i)
+        (value, pdf)
     }
 
     /// Chooses a direction for `u` in [0, 1)². The first number also chooses the lobe and is stretched over the lobe's share, which
@@ -177,88 +251,88 @@ impl Bsdf {
         let lobe = choose(&self.chances, &mut first)?;
         let chance = self.chances[lobe];
         let u = [first, u[1]];
-        let i = match lobe {
-            DIFFUSE => cosine_direction(u),
+        let (i, alpha) = match lobe {
+            DIFFUSE => (cosine_direction(u), 1.0),
             REFLECTION if self.mirror => {
                 let i = Vec3::new(-self.o.x, -self.o.y, self.o.z);
-                return self.finish_mirror(i, self.reflectance(self.o.z) / chance, false, false);
+                return self.finish_mirror(i, self.reflectance(self.o.z) / chance, false);
             }
-            THIN if self.mirror => return self.finish_mirror(-self.o, self.thin / chance, true, false),
+            THIN if self.mirror => return self.finish_mirror(-self.o, self.thin / chance, false),
             REFLECTION | THIN => {
                 let i = ggx::reflect(self.o, ggx::sample_normal(self.o, self.alpha, u));
                 if i.z <= 0.0 {
                     return None;
                 }
-                if lobe == THIN { Vec3::new(i.x, i.y, -i.z) } else { i }
+                (if lobe == THIN { Vec3::new(i.x, i.y, -i.z) } else { i }, self.alpha.max_element())
             }
-            _ => return self.sample_glass(self.glass.as_ref()?, chance, u, u_fresnel),
+            FIBRES => (self.fibres.as_ref()?.1.sample(self.o, u)?, 1.0),
+            COAT => return self.sample_coat(self.coat.as_ref()?, chance, u),
+            _ => {
+                let glass = self.glass.as_ref()?;
+                let scale = glass.weight / chance;
+                if glass.straight {
+                    return self.finish_mirror(-self.o, scale * glass.tint, true);
+                }
+                let h = if self.mirror { Vec3::Z } else { ggx::sample_normal(self.o, self.alpha, u) };
+                let (i, weight, reflected) = glass.scatter(self.o, h, u_fresnel);
+                if (i.z > 0.0) != reflected {
+                    return None;
+                }
+                if self.mirror {
+                    return self.finish_mirror(i, scale * weight, !reflected);
+                }
+                (i, self.alpha.max_element())
+            }
         };
-        self.finish(i, if lobe == DIFFUSE { 1.0 } else { self.alpha })
-    }
-
-    fn sample_glass(&self, glass: &Glass, chance: f32, u: [f32; 2], u_fresnel: f32) -> Option<Scatter> {
-        let scale = glass.weight / chance;
-        if glass.straight {
-            return self.finish_mirror(-self.o, scale * glass.tint, true, true);
-        }
-        let h = if self.mirror { Vec3::Z } else { ggx::sample_normal(self.o, self.alpha, u) };
-        let cosine = self.o.dot(h);
-        let (fresnel, cosine_far) = fresnel_dielectric(cosine, glass.eta);
-        let reflected = u_fresnel < fresnel;
-        let i = if reflected {
-            ggx::reflect(self.o, h)
-        } else {
-            (cosine / glass.eta - cosine_far) * h - self.o / glass.eta
-        };
-        if self.mirror {
-            let weight = if reflected { Vec3::ONE } else { glass.tint };
-            return self.finish_mirror(i, scale * weight, !reflected, !reflected);
-        }
-        if (i.z > 0.0) != reflected {
-            return None;
-        }
-        self.finish(i, self.alpha)
-    }
-
-    fn finish(&self, i: Vec3, alpha: f32) -> Option<Scatter> {
         let direction = (self.scene_from_local * i).try_normalize()?;
-        if !self.same_side(direction, i) {
+        let side = direction.dot(self.geometric_normal);
+        (side * i.z > 0.0).then(|| self.finish(direction, alpha)).flatten()
+    }
+
+    fn sample_coat(&self, coat: &Coat, chance: f32, u: [f32; 2]) -> Option<Scatter> {
+        let h = if coat.mirror { Vec3::Z } else { ggx::sample_normal(coat.o, coat.alpha, u) };
+        let i = ggx::reflect(coat.o, h);
+        let direction = (coat.scene_from_local * i).try_normalize()?;
+        if i.z <= 0.0 || direction.dot(self.geometric_normal) <= 0.0 {
             return None;
         }
-        let (value, pdf) = self.evaluate_local(i);
-        let crossed = i.z < 0.0;
+        if !coat.mirror {
+            return self.finish(direction, coat.alpha.x);
+        }
+        let weight = Vec3::splat(coat.reflectance(coat.o.z) / chance);
+        Some(Scatter { direction, weight, pdf: f32::INFINITY, crossed: false, refracted: false, alpha: 0.0 })
+    }
+
+    fn finish(&self, direction: Vec3, alpha: f32) -> Option<Scatter> {
+        let (value, pdf) = self.evaluate(direction);
+        let crossed = direction.dot(self.geometric_normal) < 0.0;
         let refracted = crossed && self.glass.is_some();
         (pdf > 0.0).then(|| Scatter { direction, weight: value / pdf, pdf, crossed, refracted, alpha })
     }
 
-    fn finish_mirror(&self, i: Vec3, weight: Vec3, crossed: bool, refracted: bool) -> Option<Scatter> {
+    fn finish_mirror(&self, i: Vec3, weight: Vec3, refracted: bool) -> Option<Scatter> {
         let direction = (self.scene_from_local * i).try_normalize()?;
-        self.same_side(direction, i).then_some(Scatter {
-            direction,
-            weight,
-            pdf: f32::INFINITY,
-            crossed,
-            refracted,
-            alpha: 0.0,
-        })
-    }
-
-    /// Geometric and shading normal must agree on which side the light comes from; otherwise light would leak through the surface.
-    fn same_side(&self, direction: Vec3, i: Vec3) -> bool {
-        direction.dot(self.geometric_normal) * i.z > 0.0
+        let side = direction.dot(self.geometric_normal);
+        let crossed = i.z < 0.0;
+        (side * i.z > 0.0).then_some(Scatter { direction, weight, pdf: f32::INFINITY, crossed, refracted, alpha: 0.0 })
     }
 
     /// Σ weight · F of the reflection lobes at the cosine between direction and microfacet normal.
     #[inline]
     fn reflectance(&self, cosine: f32) -> Vec3 {
         let grazing = (1.0 - cosine.clamp(0.0, 1.0)).powi(5);
-        [&self.metal, &self.dielectric]
-            .into_iter()
-            .map(|lobe| lobe.weight * (lobe.f0 + (Vec3::splat(lobe.f90) - lobe.f0) * grazing))
-            .sum()
+        let (metal, dielectric) = (self.metal.reflectance(grazing), self.dielectric.reflectance(grazing));
+        let Some(film) = &self.film else { return self.metal.weight * metal + self.dielectric.weight * dielectric };
+        let mut sum = Vec3::ZERO;
+        for (lobe, bare) in [(&self.metal, metal), (&self.dielectric, dielectric)] {
+            if lobe.weight != Vec3::ZERO {
+                sum += lobe.weight * film.over(bare, lobe.f0, cosine);
+            }
+        }
+        sum
     }
 
-    fn evaluate_local(&self, i: Vec3) -> (Vec3, f32) {
+    fn evaluate_base(&self, i: Vec3) -> (Vec3, f32) {
         let (o, alpha) = (self.o, self.alpha);
         let mut value = Vec3::ZERO;
         let mut pdf = 0.0;
@@ -268,63 +342,107 @@ impl Bsdf {
             if !self.mirror
                 && let Some(h) = (o + i).try_normalize()
             {
-                let specular = ggx::density(h, alpha) * ggx::visibility(o.z, i.z, alpha) * i.z;
+                let specular = ggx::density(h, alpha) * ggx::visibility(o, i, alpha) * i.z;
                 let reflection_pdf = ggx::reflection_pdf(o, h, alpha);
                 value += self.reflectance(o.dot(h)) * specular;
                 pdf += self.chances[REFLECTION] * reflection_pdf;
                 if let Some(glass) = &self.glass
                     && !glass.straight
                 {
-                    let (fresnel, _) = fresnel_dielectric(o.dot(h), glass.eta);
-                    value += Vec3::splat(glass.weight * fresnel * specular);
-                    pdf += self.chances[GLASS] * fresnel * reflection_pdf;
+                    let (glass_value, glass_pdf) = glass.reflected(o.dot(h), specular, reflection_pdf);
+                    value += glass_value;
+                    pdf += self.chances[GLASS] * glass_pdf;
                 }
+            }
+            if let Some((color, fibres)) = &self.fibres {
+                value += *color * fibres.evaluate(o, i);
+                pdf += self.chances[FIBRES] * fibres.pdf(o, i);
             }
         } else if !self.mirror {
             if self.chances[THIN] > 0.0
                 && let Some(h) = (o + Vec3::new(i.x, i.y, -i.z)).try_normalize()
             {
-                let specular = ggx::density(h, alpha) * ggx::visibility(o.z, i.z, alpha) * -i.z;
+                let specular = ggx::density(h, alpha) * ggx::visibility(o, i, alpha) * -i.z;
                 value += self.thin * (self.thin_scale * specular);
                 pdf += self.chances[THIN] * ggx::reflection_pdf(o, h, alpha);
             }
             if let Some(glass) = &self.glass
                 && !glass.straight
-                && let Some(h) = (o + glass.eta * i).try_normalize()
             {
-                let h = if h.z < 0.0 { -h } else { h };
-                let (o_h, i_h) = (o.dot(h), i.dot(h));
-                if o_h > 0.0 && i_h < 0.0 {
-                    let (fresnel, _) = fresnel_dielectric(o_h, glass.eta);
-                    let denominator = o_h + glass.eta * i_h;
-                    let jacobian = glass.eta * glass.eta * -i_h / (denominator * denominator);
-                    // D G₂ |o·h| / |o_z| times the jacobian; V holds G₂ / (4 |o_z| |i_z|)
-                    let specular =
-                        4.0 * ggx::density(h, alpha) * ggx::visibility(o.z, i.z, alpha) * -i.z * o_h * jacobian;
-                    value += glass.tint * (glass.weight * (1.0 - fresnel) * specular);
-                    pdf += self.chances[GLASS] * (1.0 - fresnel) * ggx::normal_pdf(o, h, alpha) * jacobian;
-                }
+                let (glass_value, glass_pdf) = glass.transmitted(o, i, alpha);
+                value += glass_value;
+                pdf += self.chances[GLASS] * glass_pdf;
             }
         }
         (value, pdf)
     }
 }
 
-/// Reflectance of a dielectric interface for unpolarized light, and the cosine on the far side; `eta` is the index there over the index here.
-fn fresnel_dielectric(cosine: f32, eta: f32) -> (f32, f32) {
-    let cosine = cosine.clamp(0.0, 1.0);
-    let sin2_far = (1.0 - cosine * cosine) / (eta * eta);
-    if sin2_far >= 1.0 {
-        return (1.0, 0.0);
+impl Coat {
+    fn new(coating: &Coating, normal: Vec3, to_viewer: Vec3, compensated: bool) -> Self {
+        let scene_from_local = local_frame(normal, None);
+        let o = local_viewer(&scene_from_local, to_viewer);
+        let alpha = coating.roughness * coating.roughness;
+        let mirror = alpha < MIRROR_ALPHA;
+        let table = albedo(o.z, if mirror { 0.0 } else { coating.roughness });
+        let compensation = if compensated { table.compensation(Vec3::splat(COAT_F0)).x } else { 1.0 };
+        let weight = coating.factor * compensation;
+        let albedo = weight * table.schlick(Vec3::splat(COAT_F0), 1.0).x;
+        Self { scene_from_local, o, alpha: Vec2::splat(alpha.max(MIRROR_ALPHA)), mirror, weight, albedo }
     }
-    let far = (1.0 - sin2_far).sqrt();
-    let parallel = (eta * cosine - far) / (eta * cosine + far);
-    let perpendicular = (cosine - eta * far) / (cosine + eta * far);
-    (0.5 * (parallel * parallel + perpendicular * perpendicular), far)
+
+    fn reflectance(&self, cosine: f32) -> f32 {
+        self.weight * (COAT_F0 + (1.0 - COAT_F0) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5))
+    }
+
+    /// f |cos| and density.
+    fn evaluate(&self, direction: Vec3) -> (f32, f32) {
+        let i = self.scene_from_local.transpose() * direction;
+        if self.mirror || i.z <= 0.0 {
+            return (0.0, 0.0);
+        }
+        let Some(h) = (self.o + i).try_normalize() else { return (0.0, 0.0) };
+        let specular = ggx::density(h, self.alpha) * ggx::visibility(self.o, i, self.alpha) * i.z;
+        (self.reflectance(self.o.dot(h)) * specular, ggx::reflection_pdf(self.o, h, self.alpha))
+    }
+}
+
+/// Share of light that a clear coat lets through to and from a base, for what the base emits.
+pub(crate) fn coat_transmittance(coating: &Coating, cosine: f32) -> f32 {
+    let table = albedo(cosine, coating.roughness);
+    let f0 = Vec3::splat(COAT_F0);
+    1.0 - coating.factor * table.schlick(f0, 1.0).x * table.compensation(f0).x
+}
+
+/// F₀ and F₉₀ of the dielectric base.
+fn dielectric_reflectance(ior: f32, extras: Option<&Extras>) -> (Vec3, f32) {
+    let f0 = normal_reflectance(ior);
+    let f90 = (F90_PER_F0 * f0).min(1.0);
+    match extras {
+        None => (Vec3::splat(f0), f90),
+        Some(extras) => ((f0 * extras.specular_color).min(Vec3::ONE) * extras.specular, f90 * extras.specular),
+    }
+}
+
+/// Columns: tangent, bitangent, normal.
+fn local_frame(normal: Vec3, tangent: Option<Vec3>) -> Mat3 {
+    match tangent.and_then(|tangent| (tangent - normal * normal.dot(tangent)).try_normalize()) {
+        Some(tangent) => Mat3::from_cols(tangent, normal.cross(tangent), normal),
+        None => {
+            let (tangent, bitangent) = normal.any_orthonormal_pair();
+            Mat3::from_cols(tangent, bitangent, normal)
+        }
+    }
+}
+
+fn local_viewer(scene_from_local: &Mat3, to_viewer: Vec3) -> Vec3 {
+    let mut o = scene_from_local.transpose() * to_viewer;
+    o.z = o.z.max(1e-6);
+    o
 }
 
 /// Chooses an entry by its chance and stretches `u` over the entry's share. `None` when all chances are 0.
-fn choose(chances: &[f32; 4], u: &mut f32) -> Option<usize> {
+fn choose(chances: &[f32; LOBES], u: &mut f32) -> Option<usize> {
     let last = chances.iter().rposition(|&chance| chance > 0.0)?;
     let mut below = 0.0;
     for (index, &chance) in chances.iter().enumerate() {
@@ -337,18 +455,11 @@ fn choose(chances: &[f32; 4], u: &mut f32) -> Option<usize> {
     None
 }
 
-/// A direction of the upper hemisphere with density cos/π (concentric map of Shirley, Chiu 1997).
-fn cosine_direction(u: [f32; 2]) -> Vec3 {
-    let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
-    let (radius, turns) = if a == 0.0 && b == 0.0 {
-        (0.0, 0.0)
-    } else if a.abs() > b.abs() {
-        (a, 0.125 * (b / a))
-    } else {
-        (b, 0.25 - 0.125 * (a / b))
-    };
-    let (sin, cos) = sin_cos_turns(turns);
-    Vec3::new(radius * cos, radius * sin, (1.0 - radius * radius).max(1e-12).sqrt())
+/// A direction of the upper hemisphere with density cos/π.
+#[inline]
+pub(crate) fn cosine_direction(u: [f32; 2]) -> Vec3 {
+    let (x, y) = concentric_disc(u);
+    Vec3::new(x, y, (1.0 - x * x - y * y).max(1e-12).sqrt())
 }
 
 #[cfg(test)]

@@ -1,50 +1,59 @@
 //! Traversal: nearest hit and transmittance along a segment.
 //!
+//! ```text
+//! while something is postponed, nearest first:
+//!     node       test the ray against 8 boxes; go on with the nearest, postpone the others
+//!     block      test the ray against 8 triangles
+//!     instance   move the ray into the instance's space and go on with its tree
+//! ```
+//!
+//! Departures from the simple version: near and far planes are picked by the ray's signs, not by min and max; distances are one fused
+//! multiply-add, b/d − o/d; what is postponed is kept sorted with its distance and dropped when a nearer hit is known; the whole loop
+//! is one function compiled for the instruction set. An unsorted loop serves where any hit will do.
+//!
 //! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle intersection", JCGT 2(1)): shear
 //! the triangle into a space where the ray is the z axis and compare edge functions with zero. Shared edges give exactly opposite
-//! values, so a ray cannot pass between two triangles. The slab test is widened by the rounding bound of Ize 2013.
+//! values, so a ray cannot pass between two triangles. The edge functions therefore must not be fused: a·b − c·d with one product
+//! rounded and the other not is not the opposite of c·d − a·b. Boxes are widened by the rounding of the slab test, see
+//! [`SLAB_ROUNDING`].
 
-use glam::{Vec3, Vec4};
+use glam::Vec3;
 
-use super::{Bvh, CULL_BACK, EMPTY, INDEX_MASK, LEAF, WIDTH};
+use super::lanes::{InstructionSet, Lanes, Portable, WIDTH};
+use super::{Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, INSTANCE, LEAF, NO_INSTANCE, Node, Ray};
 
-/// Twice the rounding bound γ₃ of the slab test, as a factor (Ize 2013).
-const SLAB_WIDENING: f32 = 1.0 + 2.0 * 3.0 * 0.5 * f32::EPSILON;
 /// Direction components below this are replaced by it in the slab test, so that 0 · ∞ cannot occur.
 const SMALLEST_SLOPE: f32 = 1e-18;
-
-/// A ray or segment origin + t·direction, 0 < t < `t_max`.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Ray {
-    pub(crate) origin: Vec3,
-    pub(crate) direction: Vec3,
-    pub(crate) t_max: f32,
-}
-
-/// Where a ray meets a triangle.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Hit {
-    pub(crate) t: f32,
-    pub(crate) triangle: u32,
-    /// Weights of the three vertices; their sum is 1.
-    pub(crate) barycentric: [f32; 3],
-    /// Whether the triangle winds counter-clockwise as seen from the origin.
-    pub(crate) front: bool,
-    /// The flags of the triangle.
-    pub(crate) flags: u32,
-}
+/// Rounding of b/d − o/d as a share of (|o| + |b|)/|d|: half an epsilon each for 1/d, o/d and the result, and as much again for boxes
+/// of cut triangles, whose corners are rounded.
+const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 
 /// Reusable memory for postponed children.
 pub(crate) struct Stack(Vec<(u32, f32)>);
 
 /// A ray prepared for the slab and triangle tests.
-struct Prepared {
-    origin: [Vec4; 3],
-    inverse: [Vec4; 3],
-    /// Index of the near plane per axis in [`super::Node::bounds`]; the far plane is 3 further, modulo 6.
+#[derive(Clone, Copy)]
+struct Prepared<V> {
+    inverse: [V; 3],
+    /// −o/d, less and plus the rounding.
+    near_shift: [V; 3],
+    far_shift: [V; 3],
+    /// Index of the near and the far plane per axis in [`Node::bounds`].
     near: [usize; 3],
+    far: [usize; 3],
+    /// Axes of the triangle test: the last is the one along which the ray is longest.
     axes: [usize; 3],
-    shear: [Vec4; 3],
+    /// Origin along these axes.
+    origin: [V; 3],
+    shear: [V; 3],
+}
+
+/// Result of the triangle test, one lane per triangle.
+struct Test<V> {
+    t: V,
+    u: V,
+    v: V,
+    determinant: V,
 }
 
 impl Bvh {
@@ -54,126 +63,296 @@ impl Bvh {
     }
 
     /// The nearest hit that `accept` agrees to. It is asked only for triangles with flags other than [`CULL_BACK`], in any order and
-    /// at most once per triangle.
-    pub(crate) fn nearest(&self, ray: &Ray, stack: &mut Stack, mut accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
-        let prepared = Prepared::new(ray);
-        let mut nearest = None;
-        let mut t_max = ray.t_max;
-        let mut depth = 0;
-        let mut current = self.root;
-        loop {
-            if current & LEAF == 0 {
-                let node = &self.nodes[current as usize];
-                let (t_near, mut hits) = prepared.enters(&node.bounds, t_max);
-                if hits != 0 {
-                    let t_near = t_near.to_array();
-                    let first = hits.trailing_zeros() as usize;
-                    hits &= hits - 1;
-                    current = node.children[first];
-                    if hits != 0 {
-                        // insertion into the stack with the farthest lowest
-                        let base = depth;
-                        let mut t_current = t_near[first];
-                        while hits != 0 {
-                            let lane = hits.trailing_zeros() as usize;
-                            hits &= hits - 1;
-                            let mut entry = (node.children[lane], t_near[lane]);
-                            if entry.1 < t_current {
-                                std::mem::swap(&mut entry.0, &mut current);
-                                std::mem::swap(&mut entry.1, &mut t_current);
-                            }
-                            let mut slot = depth;
-                            while slot > base && stack.0[slot - 1].1 < entry.1 {
-                                stack.0[slot] = stack.0[slot - 1];
-                                slot -= 1;
-                            }
-                            stack.0[slot] = entry;
-                            depth += 1;
-                        }
-                    }
-                    continue;
-                }
-            } else if current != EMPTY {
-                let block = &self.blocks[(current & !LEAF) as usize];
-                let (mut hits, test) = prepared.meets(&block.vertices, t_max);
-                while hits != 0 {
-                    let lane = hits.trailing_zeros() as usize;
-                    hits &= hits - 1;
-                    let hit = test.hit(lane, block.references[lane]);
-                    if hit.t < t_max && hit.is_visible() && (hit.flags & !CULL_BACK == 0 || accept(&hit)) {
-                        t_max = hit.t;
-                        nearest = Some(hit);
-                    }
-                }
-            }
-            loop {
-                if depth == 0 {
-                    return nearest;
-                }
-                depth -= 1;
-                let (node, t) = stack.0[depth];
-                if t < t_max {
-                    current = node;
-                    break;
-                }
+    /// at most once per triangle and instance.
+    #[inline]
+    pub(crate) fn nearest(&self, ray: &Ray, stack: &mut Stack, accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
+        // SAFETY: an `InstructionSet` is only made where the machine has it
+        unsafe {
+            match self.set {
+                InstructionSet::Portable => self.nearest_in::<Portable>(ray, stack, accept),
+                #[cfg(target_arch = "x86_64")]
+                InstructionSet::Avx2 => self.nearest_avx2(ray, stack, accept),
+                #[cfg(target_arch = "aarch64")]
+                InstructionSet::Neon => self.nearest_in::<super::lanes::neon::Neon>(ray, stack, accept),
+                #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+                InstructionSet::Simd128 => self.nearest_in::<super::lanes::wasm::Simd128>(ray, stack, accept),
             }
         }
     }
 
     /// Product of `transmittance` over all triangles that the segment crosses; it is asked only for triangles with flags other than
-    /// [`CULL_BACK`], the others are opaque. Stops at zero.
-    pub(crate) fn transmittance(
+    /// [`CULL_BACK`], at most once each; the others are opaque. Stops at zero.
+    #[inline]
+    pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
+        // SAFETY: an `InstructionSet` is only made where the machine has it
+        unsafe {
+            match self.set {
+                InstructionSet::Portable => self.transmittance_in::<Portable>(ray, stack, transmittance),
+                #[cfg(target_arch = "x86_64")]
+                InstructionSet::Avx2 => self.transmittance_avx2(ray, stack, transmittance),
+                #[cfg(target_arch = "aarch64")]
+                InstructionSet::Neon => self.transmittance_in::<super::lanes::neon::Neon>(ray, stack, transmittance),
+                #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+                InstructionSet::Simd128 => {
+                    self.transmittance_in::<super::lanes::wasm::Simd128>(ray, stack, transmittance)
+                }
+            }
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    unsafe fn nearest_avx2(&self, ray: &Ray, stack: &mut Stack, accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
+        // SAFETY: passed on from the caller
+        unsafe { self.nearest_in::<super::lanes::x86::Avx2>(ray, stack, accept) }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    unsafe fn transmittance_avx2(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
+        // SAFETY: passed on from the caller
+        unsafe { self.transmittance_in::<super::lanes::x86::Avx2>(ray, stack, transmittance) }
+    }
+
+    /// Asks for a child's memory, which a ray waits for more than for anything else; sorting its siblings hides a part of that.
+    #[inline(always)]
+    fn prefetch(&self, child: u32) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+            let base = if child & LEAF == 0 {
+                self.nodes.as_ptr().wrapping_add(child as usize).cast::<i8>()
+            } else {
+                self.blocks.as_ptr().wrapping_add((child & !(LEAF | INSTANCE)) as usize).cast::<i8>()
+            };
+            // SAFETY: a prefetch may name any address, and every x86-64 has the instruction
+            unsafe {
+                _mm_prefetch::<_MM_HINT_T0>(base);
+                _mm_prefetch::<_MM_HINT_T0>(base.wrapping_add(64));
+                _mm_prefetch::<_MM_HINT_T0>(base.wrapping_add(128));
+                _mm_prefetch::<_MM_HINT_T0>(base.wrapping_add(192));
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        let _ = child;
+    }
+
+    /// # Safety
+    /// The machine has `V`'s instruction set.
+    #[inline(always)]
+    pub(super) unsafe fn nearest_in<V: Lanes>(
+        &self,
+        ray: &Ray,
+        stack: &mut Stack,
+        mut accept: impl FnMut(&Hit) -> bool,
+    ) -> Option<Hit> {
+        if self.root == EMPTY {
+            return None;
+        }
+        assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
+        // SAFETY: the caller has the instruction set. Child references point into the arrays they were made with, and no more than
+        // `stack_depth` children are ever postponed, which `build` counts and the assertion above checks.
+        unsafe {
+            let mut prepared = Prepared::<V>::new(ray, self.extent);
+            let mut instance = NO_INSTANCE;
+            let postponed = stack.0.as_mut_ptr();
+            let mut depth = 0;
+            let mut nearest: Option<Hit> = None;
+            let mut t_max = ray.t_max;
+            let mut current = self.root;
+            loop {
+                if current & LEAF == 0 {
+                    let node = self.nodes.get_unchecked(current as usize);
+                    let (t_near, mut hits) = prepared.enters(node, t_max);
+                    if hits != 0 {
+                        let first = hits.trailing_zeros() as usize;
+                        hits &= hits - 1;
+                        current = *node.children.get_unchecked(first);
+                        if hits == 0 {
+                            continue;
+                        }
+                        let t_near = t_near.store();
+                        self.prefetch(current);
+                        // insertion with the farthest lowest
+                        let base = depth;
+                        let mut t_current = *t_near.get_unchecked(first);
+                        while hits != 0 {
+                            let lane = hits.trailing_zeros() as usize;
+                            hits &= hits - 1;
+                            let mut entry = (*node.children.get_unchecked(lane), *t_near.get_unchecked(lane));
+                            self.prefetch(entry.0);
+                            if entry.1 < t_current {
+                                std::mem::swap(&mut entry.0, &mut current);
+                                std::mem::swap(&mut entry.1, &mut t_current);
+                            }
+                            let mut slot = depth;
+                            while slot > base && (*postponed.add(slot - 1)).1 < entry.1 {
+                                *postponed.add(slot) = *postponed.add(slot - 1);
+                                slot -= 1;
+                            }
+                            *postponed.add(slot) = entry;
+                            depth += 1;
+                        }
+                        continue;
+                    }
+                } else if current & INSTANCE == 0 {
+                    let block = self.blocks.get_unchecked((current & !LEAF) as usize);
+                    let (mut hits, test) = prepared.meets(block, t_max);
+                    if hits != 0 {
+                        let test = Test {
+                            t: test.t.store(),
+                            u: test.u.store(),
+                            v: test.v.store(),
+                            determinant: test.determinant.store(),
+                        };
+                        while hits != 0 {
+                            let lane = hits.trailing_zeros() as usize;
+                            hits &= hits - 1;
+                            if test.t[lane] < t_max {
+                                let hit = test.hit(lane, block.references[lane], instance);
+                                if hit.is_visible() && (hit.flags & !CULL_BACK == 0 || accept(&hit)) {
+                                    t_max = hit.t;
+                                    nearest = Some(hit);
+                                }
+                            }
+                        }
+                    }
+                } else if current == EMPTY {
+                    prepared = Prepared::new(ray, self.extent);
+                    instance = NO_INSTANCE;
+                } else {
+                    let placed = self.instances.get_unchecked((current & !(LEAF | INSTANCE)) as usize);
+                    prepared = Prepared::new(&placed.tree_ray(ray), placed.extent);
+                    instance = placed.id;
+                    *postponed.add(depth) = (EMPTY, f32::NEG_INFINITY);
+                    depth += 1;
+                    current = placed.root;
+                    continue;
+                }
+                loop {
+                    if depth == 0 {
+                        return nearest;
+                    }
+                    depth -= 1;
+                    let (node, t) = *postponed.add(depth);
+                    if t < t_max {
+                        current = node;
+                        break;
+                    }
+                }
+            }
+        }
+    }
+
+    /// # Safety
+    /// The machine has `V`'s instruction set.
+    #[inline(always)]
+    pub(super) unsafe fn transmittance_in<V: Lanes>(
         &self,
         ray: &Ray,
         stack: &mut Stack,
         mut transmittance: impl FnMut(&Hit) -> Vec3,
     ) -> Vec3 {
-        let prepared = Prepared::new(ray);
         let mut product = Vec3::ONE;
-        let mut depth = 0;
-        let mut current = self.root;
-        loop {
-            if current & LEAF == 0 {
-                let node = &self.nodes[current as usize];
-                let (_, mut hits) = prepared.enters(&node.bounds, ray.t_max);
-                while hits != 0 {
-                    let lane = hits.trailing_zeros() as usize;
-                    hits &= hits - 1;
-                    stack.0[depth] = (node.children[lane], 0.0);
-                    depth += 1;
-                }
-            } else if current != EMPTY {
-                let block = &self.blocks[(current & !LEAF) as usize];
-                let (mut hits, test) = prepared.meets(&block.vertices, ray.t_max);
-                while hits != 0 {
-                    let lane = hits.trailing_zeros() as usize;
-                    hits &= hits - 1;
-                    let hit = test.hit(lane, block.references[lane]);
-                    if hit.is_visible() {
-                        product *= if hit.flags & !CULL_BACK == 0 { Vec3::ZERO } else { transmittance(&hit) };
-                        if product == Vec3::ZERO {
-                            return product;
+        if self.root == EMPTY {
+            return product;
+        }
+        assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
+        // SAFETY: as in `nearest_in`
+        unsafe {
+            let mut prepared = Prepared::<V>::new(ray, self.extent);
+            let mut instance = NO_INSTANCE;
+            let postponed = stack.0.as_mut_ptr();
+            let mut depth = 0;
+            let mut current = self.root;
+            loop {
+                if current & LEAF == 0 {
+                    let node = self.nodes.get_unchecked(current as usize);
+                    let (_, mut hits) = prepared.enters(node, ray.t_max);
+                    if hits != 0 {
+                        current = *node.children.get_unchecked(hits.trailing_zeros() as usize);
+                        hits &= hits - 1;
+                        while hits != 0 {
+                            let lane = hits.trailing_zeros() as usize;
+                            hits &= hits - 1;
+                            (*postponed.add(depth)).0 = *node.children.get_unchecked(lane);
+                            depth += 1;
+                        }
+                        continue;
+                    }
+                } else if current & INSTANCE == 0 {
+                    let block = self.blocks.get_unchecked((current & !LEAF) as usize);
+                    let (mut hits, test) = prepared.meets(block, ray.t_max);
+                    if hits != 0 {
+                        let test = Test {
+                            t: test.t.store(),
+                            u: test.u.store(),
+                            v: test.v.store(),
+                            determinant: test.determinant.store(),
+                        };
+                        while hits != 0 {
+                            let lane = hits.trailing_zeros() as usize;
+                            hits &= hits - 1;
+                            let hit = test.hit(lane, block.references[lane], instance);
+                            if hit.is_visible() {
+                                if hit.flags & !CULL_BACK == 0 {
+                                    return Vec3::ZERO;
+                                }
+                                product *= transmittance(&hit);
+                                if product == Vec3::ZERO {
+                                    return product;
+                                }
+                            }
                         }
                     }
+                } else if current == EMPTY {
+                    prepared = Prepared::new(ray, self.extent);
+                    instance = NO_INSTANCE;
+                } else {
+                    let placed = self.instances.get_unchecked((current & !(LEAF | INSTANCE)) as usize);
+                    prepared = Prepared::new(&placed.tree_ray(ray), placed.extent);
+                    instance = placed.id;
+                    (*postponed.add(depth)).0 = EMPTY;
+                    depth += 1;
+                    current = placed.root;
+                    continue;
                 }
+                if depth == 0 {
+                    return product;
+                }
+                depth -= 1;
+                current = (*postponed.add(depth)).0;
             }
-            if depth == 0 {
-                return product;
-            }
-            depth -= 1;
-            current = stack.0[depth].0;
+        }
+    }
+}
+
+impl super::Placed {
+    /// The same points at the same t in the space of the tree.
+    #[inline(always)]
+    fn tree_ray(&self, ray: &Ray) -> Ray {
+        // the difference first: it is exact where rounding would hurt, close to the instance
+        Ray {
+            origin: self.tree_from_render * (ray.origin - self.translation),
+            direction: self.tree_from_render * ray.direction,
+            t_max: ray.t_max,
         }
     }
 }
 
 impl Hit {
+    #[inline(always)]
     fn is_visible(&self) -> bool {
         self.front || self.flags & CULL_BACK == 0
     }
 }
 
-impl Prepared {
-    fn new(ray: &Ray) -> Self {
+// SAFETY of every block and function below: the callers have `V`'s instruction set
+#[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
+impl<V: Lanes> Prepared<V> {
+    /// `extent`: largest coordinate of the tree's bounds.
+    #[inline(always)]
+    unsafe fn new(ray: &Ray, extent: f32) -> Self {
         let d = ray.direction.to_array();
         let o = ray.origin.to_array();
         let magnitude = d.map(f32::abs);
@@ -185,237 +364,113 @@ impl Prepared {
             2
         };
         // swapping x and y for negative z keeps the winding
-        let (x, y) = if d[z] >= 0.0 { ((z + 1) % 3, (z + 2) % 3) } else { ((z + 2) % 3, (z + 1) % 3) };
+        let next = if z == 2 { 0 } else { z + 1 };
+        let last = if z == 0 { 2 } else { z - 1 };
+        let (x, y) = if d[z] >= 0.0 { (next, last) } else { (last, next) };
         let inverse = d.map(|c| 1.0 / if c.abs() < SMALLEST_SLOPE { SMALLEST_SLOPE.copysign(c) } else { c });
-        Self {
-            origin: o.map(Vec4::splat),
-            inverse: inverse.map(Vec4::splat),
-            near: std::array::from_fn(|axis| if inverse[axis] < 0.0 { axis + 3 } else { axis }),
-            axes: [x, y, z],
-            shear: [d[x] / d[z], d[y] / d[z], 1.0 / d[z]].map(Vec4::splat),
+        let shift: [f32; 3] = std::array::from_fn(|axis| -o[axis] * inverse[axis]);
+        let rounding: [f32; 3] =
+            std::array::from_fn(|axis| SLAB_ROUNDING * (o[axis].abs() + extent) * inverse[axis].abs());
+        let near: [usize; 3] = std::array::from_fn(|axis| if inverse[axis] < 0.0 { axis + 3 } else { axis });
+        let along_z = 1.0 / d[z];
+        // written out: a closure would not have the instruction set, and the vector operations in it would become calls
+        unsafe {
+            Self {
+                inverse: [V::splat(inverse[0]), V::splat(inverse[1]), V::splat(inverse[2])],
+                near_shift: [
+                    V::splat(shift[0] - rounding[0]),
+                    V::splat(shift[1] - rounding[1]),
+                    V::splat(shift[2] - rounding[2]),
+                ],
+                far_shift: [
+                    V::splat(shift[0] + rounding[0]),
+                    V::splat(shift[1] + rounding[1]),
+                    V::splat(shift[2] + rounding[2]),
+                ],
+                near,
+                far: near.map(|plane| if plane < 3 { plane + 3 } else { plane - 3 }),
+                axes: [x, y, z],
+                origin: [V::splat(o[x]), V::splat(o[y]), V::splat(o[z])],
+                shear: [V::splat(d[x] * along_z), V::splat(d[y] * along_z), V::splat(along_z)],
+            }
         }
     }
 
-    /// Distances at which the ray enters four boxes, and a bit per box that it enters before `t_max`.
+    /// Distances to the near plane of an axis of eight boxes.
     #[inline(always)]
-    fn enters(&self, bounds: &[Vec4; 6], t_max: f32) -> (Vec4, u32) {
-        let mut near = Vec4::ZERO;
-        let mut far = Vec4::splat(t_max);
-        for axis in 0..3 {
-            let at_near = self.near[axis];
-            let at_far = if at_near < 3 { at_near + 3 } else { at_near - 3 };
-            near = ((bounds[at_near] - self.origin[axis]) * self.inverse[axis]).max(near);
-            far = ((bounds[at_far] - self.origin[axis]) * (self.inverse[axis] * SLAB_WIDENING)).min(far);
+    unsafe fn near(&self, node: &Node, axis: usize) -> V {
+        unsafe {
+            V::load(node.bounds.get_unchecked(self.near[axis])).mul_add(self.inverse[axis], self.near_shift[axis])
         }
-        (near, near.cmple(far).bitmask())
     }
 
-    /// Tests four triangles; a bit per triangle that is met at 0 < t < `t_max`.
+    /// As [`near`](Self::near), the far plane.
     #[inline(always)]
-    fn meets(&self, vertices: &[[Vec4; 3]; 3], t_max: f32) -> (u32, Test) {
-        let [kx, ky, kz] = self.axes;
-        let [sx, sy, sz] = self.shear;
-        let sheared = |vertex: &[Vec4; 3]| {
-            let z = vertex[kz] - self.origin[kz];
-            (vertex[kx] - self.origin[kx] - sx * z, vertex[ky] - self.origin[ky] - sy * z, sz * z)
-        };
-        let ((ax, ay, az), (bx, by, bz), (cx, cy, cz)) =
-            (sheared(&vertices[0]), sheared(&vertices[1]), sheared(&vertices[2]));
-        let u = cx * by - cy * bx;
-        let v = ax * cy - ay * cx;
-        let w = bx * ay - by * ax;
-        let determinant = u + v + w;
-        let low = u.min(v).min(w);
-        let high = u.max(v).max(w);
-        let inside = (low.cmpge(Vec4::ZERO) | high.cmple(Vec4::ZERO)) & determinant.cmpne(Vec4::ZERO);
-        if !inside.any() {
-            return (0, Test { t: Vec4::ZERO, u, v, determinant });
+    unsafe fn far(&self, node: &Node, axis: usize) -> V {
+        unsafe { V::load(node.bounds.get_unchecked(self.far[axis])).mul_add(self.inverse[axis], self.far_shift[axis]) }
+    }
+
+    /// A vertex of eight triangles in the space where the ray starts at the origin and is the z axis; z is not scaled yet.
+    #[inline(always)]
+    unsafe fn sheared(&self, block: &Block, vertex: usize) -> (V, V, V) {
+        unsafe {
+            let axes = &block.vertices[vertex];
+            let x = V::load(axes.get_unchecked(self.axes[0])).sub(self.origin[0]);
+            let y = V::load(axes.get_unchecked(self.axes[1])).sub(self.origin[1]);
+            let z = V::load(axes.get_unchecked(self.axes[2])).sub(self.origin[2]);
+            (self.shear[0].neg_mul_add(z, x), self.shear[1].neg_mul_add(z, y), z)
         }
-        let t = (u * az + v * bz + w * cz) / determinant;
-        let within = t.cmpgt(Vec4::ZERO) & t.cmplt(Vec4::splat(t_max));
-        ((inside & within).bitmask(), Test { t, u, v, determinant })
+    }
+
+    /// Distances at which the ray enters eight boxes, and a bit per box that it enters before `t_max`.
+    #[inline(always)]
+    unsafe fn enters(&self, node: &Node, t_max: f32) -> (V, u32) {
+        unsafe {
+            let entry = self.near(node, 0).max(self.near(node, 1)).max(self.near(node, 2).max(V::splat(0.0)));
+            let exit = self.far(node, 0).min(self.far(node, 1)).min(self.far(node, 2).min(V::splat(t_max)));
+            (entry, V::bits(entry.at_most(exit)))
+        }
+    }
+
+    /// Tests eight triangles; a bit per triangle that is met at 0 < t < `t_max`.
+    #[inline(always)]
+    unsafe fn meets(&self, block: &Block, t_max: f32) -> (u32, Test<V>) {
+        unsafe {
+            let (ax, ay, az) = self.sheared(block, 0);
+            let (bx, by, bz) = self.sheared(block, 1);
+            let (cx, cy, cz) = self.sheared(block, 2);
+            let u = cx.mul(by).sub(cy.mul(bx));
+            let v = ax.mul(cy).sub(ay.mul(cx));
+            let w = bx.mul(ay).sub(by.mul(ax));
+            let zero = V::splat(0.0);
+            let low = u.min(v).min(w);
+            let high = u.max(v).max(w);
+            let determinant = u.add(v).add(w);
+            let turned = V::either(determinant.below(zero), zero.below(determinant));
+            let inside = V::both(V::either(zero.at_most(low), high.at_most(zero)), turned);
+            if V::bits(inside) == 0 {
+                return (0, Test { t: zero, u, v, determinant });
+            }
+            let t = w.mul_add(cz, v.mul_add(bz, u.mul(az))).mul(self.shear[2]).div(determinant);
+            let within = V::both(zero.below(t), t.below(V::splat(t_max)));
+            (V::bits(V::both(inside, within)), Test { t, u, v, determinant })
+        }
     }
 }
 
-/// Result of the triangle test, one lane per triangle.
-struct Test {
-    t: Vec4,
-    u: Vec4,
-    v: Vec4,
-    determinant: Vec4,
-}
-
-impl Test {
+impl Test<[f32; WIDTH]> {
     #[inline(always)]
-    fn hit(&self, lane: usize, reference: u32) -> Hit {
-        debug_assert!(lane < WIDTH);
+    fn hit(&self, lane: usize, reference: u32, instance: u32) -> Hit {
         let scale = 1.0 / self.determinant[lane];
         let (u, v) = (self.u[lane] * scale, self.v[lane] * scale);
         Hit {
             t: self.t[lane],
             triangle: reference & INDEX_MASK,
+            instance,
             barycentric: [u, v, 1.0 - u - v],
+            // a mirroring instance mirrors ray and triangle alike
             front: self.determinant[lane] > 0.0,
             flags: reference & !INDEX_MASK,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::ALPHA;
-    use super::*;
-    use glam::DVec3;
-    use lumistack_core::seed::Stream;
-
-    /// Distances of the f32 test and the f64 oracle agree to this share of the scene's size.
-    const DISTANCE_TOLERANCE: f64 = 2e-5;
-    /// Rays that pass an edge closer than this (in barycentric units) may go either way in f32 and are not compared.
-    const EDGE_MARGIN: f64 = 1e-4;
-
-    fn random_point(stream: &mut Stream, size: f32) -> Vec3 {
-        (Vec3::new(stream.next_f32(), stream.next_f32(), stream.next_f32()) - 0.5) * size
-    }
-
-    fn soup(count: usize, edge: f32, seed: u64) -> Vec<[Vec3; 3]> {
-        let mut stream = Stream::new(seed);
-        (0..count)
-            .map(|_| {
-                let centre = random_point(&mut stream, 2.0);
-                [0; 3].map(|_| centre + random_point(&mut stream, edge))
-            })
-            .collect()
-    }
-
-    /// Möller, Trumbore 1997 in f64 over all triangles; also returns whether any edge is so near that f32 may differ.
-    fn oracle(triangles: &[[Vec3; 3]], ray: &Ray) -> (Option<(f64, u32)>, bool) {
-        let (o, d) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
-        let mut best: Option<(f64, u32)> = None;
-        let mut doubtful = false;
-        for (index, triangle) in triangles.iter().enumerate() {
-            let [a, b, c]: [DVec3; 3] = triangle.map(|v| v.as_dvec3());
-            let (e1, e2) = (b - a, c - a);
-            let p = d.cross(e2);
-            let determinant = e1.dot(p);
-            if determinant.abs() < 1e-12 {
-                continue;
-            }
-            let s = o - a;
-            let u = s.dot(p) / determinant;
-            let q = s.cross(e1);
-            let v = d.dot(q) / determinant;
-            let t = e2.dot(q) / determinant;
-            let smallest = u.min(v).min(1.0 - u - v);
-            if t > -1e-6 && t < f64::from(ray.t_max) {
-                doubtful |= smallest.abs() < EDGE_MARGIN || t < 1e-6;
-                if smallest >= 0.0 && t > 0.0 && best.is_none_or(|(nearest, _)| t < nearest) {
-                    best = Some((t, index as u32));
-                }
-            }
-        }
-        (best, doubtful)
-    }
-
-    #[test]
-    fn traversal_agrees_with_testing_every_triangle() {
-        let sizes = [(1, 1.0), (2, 1.0), (4, 0.5), (5, 0.5), (9, 0.5), (100, 0.3), (3000, 0.1)];
-        for (count, edge) in sizes {
-            let triangles = soup(count, edge, count as u64);
-            let bvh = Bvh::build(&triangles, &vec![0; count]);
-            let mut stack = bvh.stack();
-            let mut stream = Stream::new(9);
-            let (mut compared, mut found) = (0, 0);
-            for i in 0..400 {
-                let origin = random_point(&mut stream, 4.0);
-                let axis_parallel = [Vec3::X, Vec3::NEG_Y, Vec3::Z][i % 3];
-                let direction = if i % 10 == 0 {
-                    axis_parallel
-                } else {
-                    (random_point(&mut stream, 1.0) - 0.5 * origin).normalize()
-                };
-                let ray = Ray { origin, direction, t_max: f32::INFINITY };
-                let (expected, doubtful) = oracle(&triangles, &ray);
-                if doubtful {
-                    continue;
-                }
-                compared += 1;
-                found += usize::from(expected.is_some());
-                let hit = bvh.nearest(&ray, &mut stack, |_| true);
-                assert_eq!(hit.map(|h| h.triangle), expected.map(|e| e.1), "{count} triangles, {ray:?}");
-                let open = bvh.transmittance(&ray, &mut stack, |_| Vec3::ZERO);
-                assert_eq!(open == Vec3::ONE, expected.is_none());
-                if let (Some(hit), Some((t, _))) = (hit, expected) {
-                    assert!((f64::from(hit.t) - t).abs() < DISTANCE_TOLERANCE);
-                    let triangle = triangles[hit.triangle as usize];
-                    let normal = (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]);
-                    assert_eq!(hit.front, normal.dot(direction) < 0.0);
-                    let point: Vec3 = (0..3).map(|k| triangle[k] * hit.barycentric[k]).sum();
-                    assert!(point.distance(origin + hit.t * direction) < DISTANCE_TOLERANCE as f32);
-                }
-            }
-            assert!(compared > 300 && (count < 100 || found > 50), "{compared} rays, {found} hits");
-        }
-    }
-
-    #[test]
-    fn a_closed_surface_has_no_cracks() {
-        // a finely divided, bumpy sphere seen from inside: every ray must hit, also through vertices and along edges
-        let (rows, cols) = (40, 60);
-        let point = |row: usize, col: usize| {
-            let (theta, phi) = (
-                std::f32::consts::PI * row as f32 / rows as f32,
-                std::f32::consts::TAU * (col % cols) as f32 / cols as f32,
-            );
-            let radius = 1.0 + 0.1 * ((7 * row + 13 * (col % cols)) % 11) as f32 / 11.0;
-            match row {
-                0 => Vec3::Z,
-                row if row == rows => Vec3::NEG_Z,
-                _ => radius * Vec3::new(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()),
-            }
-        };
-        let mut triangles = Vec::new();
-        for row in 0..rows {
-            for col in 0..cols {
-                let (a, b) = (point(row, col), point(row, col + 1));
-                let (c, d) = (point(row + 1, col), point(row + 1, col + 1));
-                triangles.extend([[a, c, d], [a, d, b]]);
-            }
-        }
-        let bvh = Bvh::build(&triangles, &vec![0; triangles.len()]);
-        let mut stack = bvh.stack();
-        let mut stream = Stream::new(1);
-        for i in 0..200_000 {
-            let origin = random_point(&mut stream, 0.5);
-            let target = match i % 3 {
-                0 => point(i % rows, i % cols),
-                1 => 0.5 * (point(i % rows, i % cols) + point(i % rows + 1, i % cols)),
-                _ => random_point(&mut stream, 2.0),
-            };
-            let ray = Ray { origin, direction: (target - origin).normalize(), t_max: f32::INFINITY };
-            assert!(bvh.nearest(&ray, &mut stack, |_| true).is_some(), "ray {i} escapes: {ray:?}");
-        }
-    }
-
-    #[test]
-    fn back_faces_and_refused_hits_are_passed_through() {
-        let square = |z: f32| [Vec3::new(-1.0, -1.0, z), Vec3::new(3.0, -1.0, z), Vec3::new(-1.0, 3.0, z)];
-        let ray = |origin: Vec3| Ray { origin, direction: -origin.z.signum() * Vec3::Z, t_max: f32::INFINITY };
-        let bvh = Bvh::build(&[square(1.0), square(0.0), square(-1.0)], &[ALPHA, CULL_BACK, 0]);
-        let mut stack = bvh.stack();
-        let (above, below) = (Vec3::new(0.0, 0.0, 5.0), Vec3::new(0.0, 0.0, -0.5));
-        assert_eq!(bvh.nearest(&ray(above), &mut stack, |_| true).unwrap().triangle, 0);
-        assert_eq!(bvh.nearest(&ray(above), &mut stack, |_| false).unwrap().triangle, 1);
-        assert_eq!(bvh.nearest(&ray(below), &mut stack, |_| true).unwrap().triangle, 0, "from behind");
-        let half = Vec3::splat(0.5);
-        assert_eq!(bvh.transmittance(&ray(below), &mut stack, |_| half), half);
-        assert_eq!(bvh.transmittance(&ray(above), &mut stack, |_| half), Vec3::ZERO);
-    }
-
-    #[test]
-    fn many_equal_triangles_do_not_exhaust_the_stack() {
-        let triangle = [Vec3::ZERO, Vec3::X, Vec3::Y];
-        let bvh = Bvh::build(&vec![triangle; 5000], &vec![0; 5000]);
-        let ray = Ray { origin: Vec3::new(0.2, 0.2, 1.0), direction: Vec3::NEG_Z, t_max: 10.0 };
-        assert!(bvh.nearest(&ray, &mut bvh.stack(), |_| true).is_some());
     }
 }

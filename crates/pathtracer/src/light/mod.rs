@@ -1,7 +1,9 @@
-//! Everything that emits: triangles, the environment, punctual lights; chosen with a chance that follows their power.
+//! Everything that emits: triangles, the environment, punctual lights. Whether a light is local or shines from infinity is chosen with a
+//! chance that follows power; which local one, by a tree that knows what each may send to the point that is lit ([`tree`]).
 
 mod environment;
 mod punctual;
+mod tree;
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -12,6 +14,8 @@ use lumistack_scene::Scene;
 
 use self::environment::EnvironmentLight;
 use self::punctual::PunctualLight;
+pub(crate) use self::tree::Receiver;
+use self::tree::{Emitter, LightTree};
 use crate::distribution::Distribution;
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::shading::Materials;
@@ -32,10 +36,17 @@ pub(crate) struct Lights {
     /// Light of each triangle of the scene, [`NONE`] for most; empty without emitting triangles.
     light_of_triangle: Vec<u32>,
     environment: Option<EnvironmentLight>,
-    punctual: Vec<PunctualLight>,
-    /// Over triangles, then punctual lights, then the environment.
+    /// Points and spots.
+    points: Vec<PunctualLight>,
+    directional: Vec<PunctualLight>,
+    /// Over triangles, then points and spots.
+    tree: Option<LightTree>,
+    /// Over the tree ([`LOCAL`]), then directional lights, then the environment.
     choice: Option<Distribution>,
 }
+
+/// Index of the tree in the choice.
+const LOCAL: usize = 0;
 
 struct TriangleLight {
     triangle: u32,
@@ -62,7 +73,7 @@ pub(crate) struct LightSample {
 
 impl Lights {
     pub(crate) fn new(scene: &Arc<Scene>, geometry: &Geometry, materials: &Materials) -> Self {
-        let (triangles, triangle_powers) = emitting_triangles(geometry, materials);
+        let (triangles, mut emitters) = emitting_triangles(geometry, materials);
         let mut light_of_triangle = Vec::new();
         if !triangles.is_empty() {
             light_of_triangle = vec![NONE; geometry.triangles.len()];
@@ -70,63 +81,93 @@ impl Lights {
                 light_of_triangle[light.triangle as usize] = index as u32;
             }
         }
-        let punctual: Vec<_> = scene.lights.iter().map(|light| PunctualLight::new(light, geometry.space)).collect();
-        let punctual_powers: Vec<f64> = punctual.iter().map(|light| light.power(geometry.space.radius)).collect();
-        let environment = EnvironmentLight::new(scene);
         let radius = geometry.space.radius;
+        let mut local_power: f64 = emitters.iter().map(|light| f64::from(light.strength * light.sides() * PI)).sum();
+        let (mut points, mut directional, mut directional_powers) = (Vec::new(), Vec::new(), Vec::new());
+        for light in scene.lights.iter().map(|light| PunctualLight::new(light, geometry.space)) {
+            let power = light.power(radius);
+            match light.emitter() {
+                None => {
+                    directional.push(light);
+                    directional_powers.push(power);
+                }
+                Some(emitter) if power > 0.0 => {
+                    points.push(light);
+                    emitters.push(emitter);
+                    local_power += power;
+                }
+                Some(_) => {}
+            }
+        }
+        let tree = LightTree::new(&emitters);
+        let environment = EnvironmentLight::new(scene);
         let environment_power =
-            environment.as_ref().map(|light| f64::from(light.mean_luminance() * PI * PI * radius * radius));
-        let weights = share(&[triangle_powers, punctual_powers, environment_power.into_iter().collect()]);
+            environment.as_ref().map(|light| f64::from(light.sampled_luminance() * PI * PI * radius * radius));
+        let weights = share(&[vec![local_power], directional_powers, environment_power.into_iter().collect()]);
         let choice = Distribution::new(&weights);
-        Self { triangles, light_of_triangle, environment, punctual, choice }
+        Self { triangles, light_of_triangle, environment, points, directional, tree, choice }
     }
 
     /// Whether nothing emits.
     pub(crate) fn is_dark(&self) -> bool {
-        self.choice.is_none()
+        self.choice.is_none() && self.environment.is_none()
+    }
+
+    /// Whether [`sample`](Self::sample) ever finds anything.
+    pub(crate) fn can_be_sampled(&self) -> bool {
+        self.choice.is_some()
     }
 
     /// Radiance from infinity, and the density with which [`sample`](Self::sample) finds its direction.
     pub(crate) fn infinite(&self, direction: Vec3) -> (Vec3, f32) {
         let Some(environment) = &self.environment else { return (Vec3::ZERO, 0.0) };
-        let chance = self.chance(self.triangles.len() + self.punctual.len());
+        let chance = self.chance(1 + self.directional.len());
         let (radiance, pdf) = environment.evaluate(direction);
         (radiance, chance * pdf)
     }
 
-    /// Density per solid angle with which [`sample`](Self::sample), called at `distance` from it, finds a point on a triangle.
-    pub(crate) fn triangle_pdf(&self, triangle: u32, distance: f32, cosine: f32) -> f32 {
-        match self.light_of_triangle.get(triangle as usize) {
-            None | Some(&NONE) => 0.0,
-            Some(&light) => {
+    /// Density per solid angle with which [`sample`](Self::sample) for this receiver finds a point on a triangle, `distance` away and seen
+    /// under this cosine.
+    pub(crate) fn triangle_pdf(&self, triangle: u32, receiver: &Receiver, distance: f32, cosine: f32) -> f32 {
+        match (self.light_of_triangle.get(triangle as usize), &self.tree) {
+            (None | Some(&NONE), _) | (_, None) => 0.0,
+            (Some(&light), Some(tree)) => {
                 let area = self.triangles[light as usize].area;
-                self.chance(light as usize) * distance * distance / (area * cosine.abs()).max(f32::MIN_POSITIVE)
+                let chance = self.chance(LOCAL) * tree.chance(light as usize, receiver);
+                chance * distance * distance / (area * cosine.abs()).max(f32::MIN_POSITIVE)
             }
         }
     }
 
-    /// Chooses a light and a point of it, as seen from `from`. The first number of `u` also chooses the light and is stretched over the
-    /// light's share, which leaves each light a stratified set of its own; `u_fine` adds the digits that this costs it.
+    /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also chooses the light and is stretched over
+    /// the light's share, which leaves each light a stratified set of its own; `u_fine` adds the digits that this costs it.
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
         materials: &Materials,
-        from: Vec3,
+        receiver: &Receiver,
         u: [f32; 2],
         u_fine: f32,
     ) -> Option<LightSample> {
         let (index, inside) = self.choice.as_ref()?.sample(u[0]);
         let chance = self.chance(index);
-        let u = [(inside + u_fine * DIGIT / chance).min(1.0 - f32::EPSILON), u[1]];
-        if let Some(light) = self.triangles.get(index) {
-            return light.sample(geometry, materials, from, chance, u);
+        let inside = f64::from(inside) + f64::from(u_fine * DIGIT / chance);
+        let single = |inside: f64| (inside as f32).min(1.0 - f32::EPSILON);
+        if index == LOCAL {
+            let (light, tree_chance, inside) = self.tree.as_ref()?.sample(receiver, inside.min(1.0 - f64::EPSILON))?;
+            let chance = chance * tree_chance;
+            return match self.triangles.get(light) {
+                Some(triangle) => {
+                    triangle.sample(geometry, materials, receiver.position, chance, [single(inside), u[1]])
+                }
+                None => self.points.get(light - self.triangles.len())?.light_sample(receiver.position, chance),
+            };
         }
-        if let Some(light) = self.punctual.get(index - self.triangles.len()) {
-            let (direction, end, intensity) = light.sample(from)?;
-            return Some(LightSample { direction, end, weight: intensity / chance, pdf: f32::INFINITY });
+        if let Some(light) = self.directional.get(index - 1) {
+            return light.light_sample(receiver.position, chance);
         }
         let environment = self.environment.as_ref()?;
-        let (direction, radiance, density) = environment.sample(u)?;
+        let (direction, radiance, density) = environment.sample([single(inside), u[1]])?;
         let pdf = chance * density;
         Some(LightSample { direction, end: None, weight: radiance / pdf, pdf })
     }
@@ -156,7 +197,7 @@ impl TriangleLight {
         }
         let radiance = self.uniform.unwrap_or_else(|| {
             let point = geometry.point(self.triangle, barycentric);
-            emitted(materials, geometry.material_index(self.triangle), &point)
+            emitted(materials, geometry.material_index(self.triangle), &point, cosine)
         });
         let pdf = chance * distance * distance / (self.area * cosine.abs());
         let end = Some(position + cosine.signum() * self.offset * self.normal);
@@ -176,15 +217,15 @@ fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     [x, y, 1.0 - x - y]
 }
 
-/// Radiance that leaves a point, alpha included.
-fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>) -> Vec3 {
-    materials.emission(material, point, 0.0, true) * materials.coverage(material, point)
+/// Radiance that leaves a point at a direction with this cosine to the normal, alpha included.
+fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>, cosine: f32) -> Vec3 {
+    materials.emission(material, point, 0.0, true, cosine) * materials.coverage(material, point)
 }
 
-/// Triangles that emit, with their powers.
-fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<TriangleLight>, Vec<f64>) {
+/// Triangles that emit, as lights and as the tree sees them.
+fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<TriangleLight>, Vec<Emitter>) {
     let mut lights = Vec::new();
-    let mut powers = Vec::new();
+    let mut emitters = Vec::new();
     for triangle in 0..geometry.triangles.len() as u32 {
         let material = geometry.material(triangle);
         if !material.is_emissive() {
@@ -193,23 +234,33 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         let index = geometry.material_index(triangle);
         let at = |k: usize| (k as f32 + 0.5) / POWER_POINTS as f32;
         let centre = geometry.point(triangle, [1.0 / 3.0; 3]);
-        let varies = material.textures().next().is_some() || !centre.mesh.colors.is_empty();
-        let uniform = (!varies).then(|| emitted(materials, index, &centre));
+        let varies =
+            material.textures().next().is_some() || material.clearcoat.is_some() || !centre.mesh.colors.is_empty();
+        let uniform = (!varies).then(|| emitted(materials, index, &centre, 1.0));
         let mean = match uniform {
             Some(radiance) => radiance,
             None => {
                 let points = (0..POWER_POINTS * POWER_POINTS).map(|i| {
                     let u = [at(i % POWER_POINTS), at(i / POWER_POINTS)];
-                    emitted(materials, index, &geometry.point(triangle, uniform_barycentric(u)))
+                    emitted(materials, index, &geometry.point(triangle, uniform_barycentric(u)), 1.0)
                 });
                 points.sum::<Vec3>() / (POWER_POINTS * POWER_POINTS) as f32
             }
         };
         let area = 0.5 * centre.doubled_area;
-        let sides = if material.double_sided { 2.0 } else { 1.0 };
-        let power = f64::from(sides * PI * area * luminance(mean.to_array()));
+        let strength = area * luminance(mean.to_array());
         // what light sampling cannot choose is still found by scattering
-        if power > 0.0 && area.is_normal() {
+        if strength > 0.0 && strength.is_finite() && area.is_normal() {
+            let [a, b, c] = geometry.triangles[triangle as usize];
+            emitters.push(Emitter {
+                min: a.min(b).min(c),
+                max: a.max(b).max(c),
+                strength,
+                axis: centre.geometric_normal,
+                normal_angle: 0.0,
+                falloff_angle: 0.5 * PI,
+                two_sided: material.double_sided,
+            });
             lights.push(TriangleLight {
                 triangle,
                 area,
@@ -219,10 +270,9 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
                 offset: centre.offset,
                 uniform,
             });
-            powers.push(power);
         }
     }
-    (lights, powers)
+    (lights, emitters)
 }
 
 /// Weights for the choice of a light: by power, mixed with an equal share for each kind that exists.

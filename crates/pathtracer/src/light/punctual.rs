@@ -6,10 +6,15 @@ use glam::Vec3;
 use lumistack_core::colour::luminance;
 use lumistack_scene::{Light, LightKind};
 
+use super::LightSample;
+use super::tree::Emitter;
 use crate::geometry::RenderSpace;
 
 /// Smallest difference of the cosines of a spot's cones, from the extension's formula.
 const LEAST_CONE_DIFFERENCE: f32 = 1e-3;
+
+/// The light tree takes the cone of a spot for so much wider than it is, against rounding at its edge.
+const SPOT_MARGIN_RAD: f32 = 0.05;
 
 /// A punctual light in render space.
 pub(crate) struct PunctualLight {
@@ -42,6 +47,32 @@ impl PunctualLight {
             LightKind::Spot { outer_cone_rad, .. } => 2.0 * PI * (1.0 - f64::from(outer_cone_rad).cos()) * intensity,
             LightKind::Directional => PI * f64::from(radius * radius) * intensity,
         }
+    }
+
+    /// What the light tree knows of it; `None` for light from infinity.
+    pub(crate) fn emitter(&self) -> Option<Emitter> {
+        let strength = luminance(self.intensity.to_array());
+        let (normal_angle, falloff_angle) = match self.kind {
+            LightKind::Point => (std::f32::consts::PI, std::f32::consts::FRAC_PI_2),
+            LightKind::Spot { outer_cone_rad, .. } => (outer_cone_rad, SPOT_MARGIN_RAD),
+            LightKind::Directional => return None,
+        };
+        let axis = self.direction.normalize_or(Vec3::Z);
+        Some(Emitter {
+            min: self.position,
+            max: self.position,
+            strength,
+            axis,
+            normal_angle,
+            falloff_angle,
+            two_sided: false,
+        })
+    }
+
+    /// The light as a sample, chosen with this chance.
+    pub(crate) fn light_sample(&self, from: Vec3, chance: f32) -> Option<LightSample> {
+        let (direction, end, intensity) = self.sample(from)?;
+        Some(LightSample { direction, end, weight: intensity / chance, pdf: f32::INFINITY })
     }
 
     /// Direction to the light, its place (`None` at infinity), and the irradiance it gives to a surface that faces it.

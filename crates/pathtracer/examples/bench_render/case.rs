@@ -1,0 +1,263 @@
+//! The scene that all renderers get: Lambert surfaces with base-colour textures, one rectangle light, a constant sky, one perspective view.
+//!
+//! Whatever the file's materials are, they become diffuse, opaque and two-sided with face normals, so that every renderer can express
+//! the scene exactly. The light faces the scene and stands so that nobody sees its back.
+
+use std::error::Error;
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{Affine3A, DVec3, Quat, Vec2, Vec3, Vec4};
+use lumistack_core::{Collector, Task};
+use lumistack_display::{FieldGeometry, Projection, ViewGrid};
+use lumistack_gltf::AssetResolver;
+use lumistack_scene::{Environment, Image, Instance, Material, Mesh, Pixels, Scene, SceneParts, Window};
+use npyz::WriterBuilder;
+use serde_json::json;
+
+pub type Outcome<T = ()> = Result<T, Box<dyn Error>>;
+
+/// Width of the window in display space; only the ratio to the distance matters.
+const WIDTH_MM: f64 = 400.0;
+/// Distance of the eye over the height of the window: a vertical angle of view of 23°.
+const DISTANCE_PER_HEIGHT: f64 = 2.5;
+/// Radiance of the sky and of the light.
+const SKY: f32 = 0.4;
+const LIGHT: f32 = 40.0;
+/// Mesh and material of the light, made last.
+const LIGHT_NAME: &str = "rectangle light";
+
+/// A scene and how it is looked at.
+pub struct Case {
+    pub name: String,
+    pub scene: Arc<Scene>,
+    pub window: Window,
+    pub geometry: FieldGeometry,
+    /// Corner, edges of the rectangle light.
+    light: [Vec3; 3],
+}
+
+struct Folder<'a>(&'a Path);
+
+impl AssetResolver for Folder<'_> {
+    fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
+        std::fs::read(self.0.join(uri)).map_err(|error| error.to_string())
+    }
+}
+
+impl Case {
+    /// A glTF file as a diffuse scene; a file without a camera also gets a floor. With `copies` > 1, so many of it stand in a square.
+    pub fn load(path: &Path, copies: usize, [cols, rows]: [usize; 2], task: Task<'_>) -> Outcome<Self> {
+        let bytes = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        let folder = Folder(path.parent().unwrap_or(Path::new(".")));
+        // what a diffuse scene leaves out need not be warned of
+        let unread = Collector::default();
+        let quiet = Task { warnings: &unread, ..task };
+        let scene = lumistack_gltf::load(&path.display().to_string(), &bytes, &folder, quiet)?;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let bounds = scene.bounds();
+        let mut parts = scene.into_parts();
+        if copies > 1 {
+            repeat(&mut parts, copies, bounds);
+        }
+        Self::new(if copies > 1 { format!("{copies} × {name}") } else { name }, parts, [cols, rows], task)
+    }
+
+    /// Any parts as a diffuse scene.
+    pub fn new(name: String, parts: SceneParts, [cols, rows]: [usize; 2], task: Task<'_>) -> Outcome<Self> {
+        let unread = Collector::default();
+        let bounds = parts.clone().validate(Task { warnings: &unread, ..task })?.bounds();
+        let mut parts = diffuse(parts);
+        let size = bounds.max - bounds.min;
+        let centre = bounds.centre();
+        let height = f64::from(size.y).max(f64::from(size.length()) * 0.5) * 1.15;
+
+        let pitch_mm = WIDTH_MM / cols as f64;
+        let distance_mm = DISTANCE_PER_HEIGHT * pitch_mm * rows as f64;
+        let grid = ViewGrid::single(Projection::Perspective { distance_mm }, [0.0, 0.0]);
+        let geometry = FieldGeometry { rows, cols, pitch_mm, grid };
+        let size_mm = geometry.size_mm();
+        let window = match parts.cameras.first() {
+            Some(camera) => Window::from_camera(camera, bounds, size_mm)?,
+            None => {
+                let forward = -DVec3::new(0.35, 0.25, 1.0);
+                Window::given(centre.as_dvec3(), forward, DVec3::Y, height * size_mm[0] / size_mm[1], size_mm)?
+            }
+        };
+        if parts.cameras.is_empty() {
+            let at = Vec3::new(centre.x, bounds.min.y, centre.z);
+            let half = 4.0 * size.length();
+            add(&mut parts, rectangle(at, half * Vec3::X, half * Vec3::NEG_Z), diffuse_material(Vec4::splat(0.5)));
+        }
+        // above and beside the viewer, facing the scene
+        let toward = Vec3::new(0.6, 1.0, 0.7).normalize();
+        let (u, v) = toward.any_orthonormal_pair();
+        let half = 0.3 * size.length();
+        let at = centre + 2.5 * size.length() * toward;
+        let (u, v) = (half * u, half * v);
+        let (u, v) = if u.cross(v).dot(toward) > 0.0 { (v, u) } else { (u, v) };
+        let emitting =
+            Material { name: LIGHT_NAME.into(), emission: Vec3::splat(LIGHT), ..diffuse_material(Vec4::ZERO) };
+        add(&mut parts, rectangle(at, u, v), emitting);
+
+        parts.images.push(Image { name: "sky".into(), width: 1, height: 1, pixels: Pixels::RgbF32(vec![[SKY; 3]]) });
+        parts.environment = Some(Environment {
+            image: parts.images.len() - 1,
+            strength: Vec3::ONE,
+            scene_from_environment: Quat::IDENTITY,
+        });
+        Ok(Self {
+            name,
+            scene: Arc::new(parts.validate(task)?),
+            window,
+            geometry,
+            light: [at - u - v, 2.0 * u, 2.0 * v],
+        })
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> f64 {
+        (self.geometry.rows * self.geometry.cols) as f64
+    }
+
+    /// Length of the diagonal of the scene's bounds.
+    pub fn size(&self) -> f32 {
+        let bounds = self.scene.bounds();
+        (bounds.max - bounds.min).length()
+    }
+
+    /// A point of the rectangle light, for `u` in [0, 1)².
+    pub fn point_of_light(&self, u: [f32; 2]) -> Vec3 {
+        let [corner, across, up] = self.light;
+        corner + u[0] * across + u[1] * up
+    }
+
+    /// Writes the scene for the peers: `scene.json` names arrays and pictures beside it. Meshes are in world space.
+    pub fn export(&self, folder: &Path) -> Outcome {
+        std::fs::create_dir_all(folder)?;
+        let mut meshes = Vec::new();
+        for (index, instance) in self.scene.instances.iter().enumerate() {
+            let mesh = &self.scene.meshes[instance.mesh];
+            let material = &self.scene.materials[mesh.material];
+            if material.name == LIGHT_NAME {
+                continue;
+            }
+            let to_world = instance.scene_from_mesh;
+            let positions = mesh.positions.iter().flat_map(|&p| to_world.transform_point3(p).to_array());
+            write_npy(&folder.join(format!("{index}_positions.npy")), [mesh.positions.len(), 3], positions)?;
+            let triangles = mesh.triangles.iter().flatten().map(|&i| i as i32);
+            write_npy(&folder.join(format!("{index}_triangles.npy")), [mesh.triangles.len(), 3], triangles)?;
+            let texture = material.base_color_texture.as_ref();
+            let uvs = texture.map(|texture| (&mesh.uvs[texture.uv_set], texture.texture_from_mesh));
+            let uvs: Vec<Vec2> = match uvs {
+                Some((uvs, map)) if !uvs.is_empty() => uvs.iter().map(|&uv| map.transform_point2(uv)).collect(),
+                _ => vec![Vec2::ZERO; mesh.positions.len()],
+            };
+            write_npy(
+                &folder.join(format!("{index}_uvs.npy")),
+                [uvs.len(), 2],
+                uvs.iter().flat_map(|uv| uv.to_array()),
+            )?;
+            meshes.push(json!({
+                "files": index,
+                "color": material.base_color.truncate().to_array(),
+                "image": texture.map(|texture| self.scene.textures[texture.texture].image),
+            }));
+        }
+        for (index, image) in self.scene.images.iter().enumerate() {
+            if let Pixels::Rgba8(texels) = &image.pixels {
+                let rgb = texels.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
+                let picture = image::RgbImage::from_raw(image.width as u32, image.height as u32, rgb);
+                picture.ok_or("picture size")?.save(folder.join(format!("image_{index}.png")))?;
+            }
+        }
+        let map = &self.window.scene_from_display;
+        let Projection::Perspective { distance_mm } = self.geometry.grid.projection else {
+            return Err("a perspective view".into());
+        };
+        let axis = |v: DVec3| (map.rotation * v).to_array();
+        let about = json!({
+            "meshes": meshes,
+            "sky": SKY,
+            "light": {
+                "corner": self.light[0].to_array(),
+                "edges": [self.light[1].to_array(), self.light[2].to_array()],
+                "radiance": LIGHT,
+            },
+            "camera": {
+                "eye": map.point(DVec3::new(0.0, 0.0, distance_mm)).to_array(),
+                "right": axis(DVec3::X),
+                "up": axis(DVec3::Y),
+                "backward": axis(DVec3::Z),
+                "fov_x_rad": 2.0 * (0.5 * WIDTH_MM / distance_mm).atan(),
+            },
+            "pixels": [self.geometry.cols, self.geometry.rows],
+        });
+        std::fs::write(folder.join("scene.json"), about.to_string())?;
+        Ok(())
+    }
+}
+
+/// Puts instances of everything side by side, every other one mirrored.
+fn repeat(parts: &mut SceneParts, copies: usize, bounds: lumistack_scene::Bounds) {
+    parts.cameras.clear();
+    let across = (copies as f64).sqrt().ceil() as usize;
+    let step = (bounds.max - bounds.min) * 1.2;
+    let one = std::mem::take(&mut parts.instances);
+    for copy in 0..copies {
+        let (row, col) = (copy / across, copy % across);
+        let at = Vec3::new(col as f32 * step.x, 0.0, row as f32 * step.z);
+        let mirror = Vec3::new(if copy % 2 == 0 { 1.0 } else { -1.0 }, 1.0, 1.0);
+        let place = Affine3A::from_translation(at) * Affine3A::from_scale(mirror);
+        parts.instances.extend(one.iter().map(|i| Instance { scene_from_mesh: place * i.scene_from_mesh, ..*i }));
+    }
+}
+
+/// The parts with every material made diffuse, without lights and environment, with face normals.
+fn diffuse(mut parts: SceneParts) -> SceneParts {
+    parts.lights.clear();
+    parts.environment = None;
+    for material in &mut parts.materials {
+        let texture = material.base_color_texture;
+        // the peers get factor or texture, and no alpha
+        let color = if texture.is_some() { Vec4::ONE } else { material.base_color.truncate().extend(1.0) };
+        *material = Material { base_color_texture: texture, ..diffuse_material(color) };
+    }
+    for mesh in &mut parts.meshes {
+        let corners: Vec<usize> = mesh.triangles.iter().flatten().map(|&i| i as usize).collect();
+        mesh.positions = corners.iter().map(|&i| mesh.positions[i]).collect();
+        for uvs in &mut mesh.uvs {
+            *uvs = if uvs.is_empty() { Vec::new() } else { corners.iter().map(|&i| uvs[i]).collect() };
+        }
+        mesh.triangles = (0..mesh.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        (mesh.normals, mesh.tangents, mesh.colors) = (Vec::new(), Vec::new(), Vec::new());
+    }
+    parts
+}
+
+fn diffuse_material(color: Vec4) -> Material {
+    // an index of refraction of 1 reflects nothing
+    Material { base_color: color, metallic: 0.0, roughness: 1.0, ior: 1.0, double_sided: true, ..Material::default() }
+}
+
+fn add(parts: &mut SceneParts, mesh: Mesh, material: Material) {
+    parts.materials.push(material);
+    parts.instances.push(Instance { mesh: parts.meshes.len(), scene_from_mesh: Affine3A::IDENTITY });
+    parts.meshes.push(Mesh { material: parts.materials.len() - 1, ..mesh });
+}
+
+fn rectangle(centre: Vec3, u: Vec3, v: Vec3) -> Mesh {
+    Mesh {
+        positions: vec![centre - u - v, centre + u - v, centre + u + v, centre - u + v],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        ..Mesh::default()
+    }
+}
+
+fn write_npy<T: npyz::AutoSerialize>(path: &Path, shape: [usize; 2], values: impl Iterator<Item = T>) -> Outcome {
+    let file = std::io::BufWriter::new(std::fs::File::create(path)?);
+    let shape = shape.map(|n| n as u64);
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd()?;
+    writer.extend(values)?;
+    Ok(writer.finish()?)
+}

@@ -1,0 +1,261 @@
+//! Times the path tracer, beside other renderers where they are named.
+//!
+//! ```text
+//! bench_render view SCENE [--quick] [--rounds N] [--samples N] [--reference N] [--size COLSxROWS] [--folder FOLDER] [--peer PYTHON SCRIPT]...
+//! bench_render rays SCENE [--copies N] [--rounds N] [--size COLSxROWS] [--embree LIBRARY]
+//! bench_render big SCENE [--copies N]
+//! ```
+//!
+//! `rays` counts rays per second of the tree alone. `big` renders a scene of many copies and prints what it occupies. `view` renders one view of a diffuse scene (see [`case`]) with everyone in turn and prints, per renderer and sampler, the median time,
+//! samples per second, the mean squared error against the renderer's own converged picture, and error × seconds per megapixel.
+
+mod case;
+#[cfg(unix)]
+mod embree;
+mod peer;
+mod rays;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use lumistack_core::{Cancel, Collector, NoProgress, Task};
+use lumistack_pathtracer::{Memory, Renderer, Settings};
+
+use crate::case::{Case, Outcome};
+use crate::peer::Peer;
+
+/// Scattering vertices: 4 after the first hit.
+const BOUNCES: u32 = 5;
+/// A pixel's relative error counts against at least this share of the mean radiance.
+const DARKEST_SHARE: f64 = 0.05;
+
+struct Options {
+    scene: PathBuf,
+    rounds: usize,
+    samples: Vec<u32>,
+    reference: u32,
+    size: [usize; 2],
+    folder: PathBuf,
+    peers: Vec<[PathBuf; 2]>,
+    copies: usize,
+    embree: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let done = match words.first().map(String::as_str) {
+        Some("view") => options(&words[1..]).and_then(|options| view(&options)),
+        Some("rays") => options(&words[1..]).and_then(|options| {
+            let (warnings, cancel) = (Collector::default(), Cancel::default());
+            let case = Case::load(&options.scene, options.copies, options.size, Task::quiet(&warnings, &cancel))?;
+            rays::measure(&case, options.embree.as_deref(), options.rounds)
+        }),
+        Some("big") => options(&words[1..]).and_then(|options| big(&options)),
+        _ => Err("say `view SCENE`, `rays SCENE` or `big SCENE`".into()),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("bench_render: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn options(words: &[String]) -> Outcome<Options> {
+    let mut options = Options {
+        scene: PathBuf::new(),
+        rounds: 3,
+        samples: vec![16, 64],
+        reference: 2048,
+        size: [840, 525],
+        folder: std::env::temp_dir().join("lumistack-bench-render"),
+        peers: Vec::new(),
+        copies: 1,
+        embree: None,
+    };
+    let mut words = words.iter();
+    while let Some(word) = words.next() {
+        let mut value = || words.next().ok_or(format!("{word} needs a value"));
+        match word.as_str() {
+            "--quick" => (options.size, options.reference, options.rounds) = ([420, 262], 1024, 2),
+            "--rounds" => options.rounds = value()?.parse()?,
+            "--samples" => options.samples = vec![value()?.parse()?],
+            "--reference" => options.reference = value()?.parse()?,
+            "--copies" => options.copies = value()?.parse()?,
+            "--embree" => options.embree = Some(value()?.into()),
+            "--folder" => options.folder = value()?.into(),
+            "--peer" => options.peers.push([value()?.into(), value()?.into()]),
+            "--size" => {
+                let (cols, rows) = value()?.split_once('x').ok_or("--size needs COLSxROWS")?;
+                options.size = [cols.parse()?, rows.parse()?];
+            }
+            _ => options.scene = word.into(),
+        }
+    }
+    Ok(options)
+}
+
+/// Someone who renders the view.
+struct Entry {
+    name: String,
+    /// None is ourselves.
+    peer: Option<(usize, String)>,
+    reference: Vec<f32>,
+    /// Per number of samples: (seconds, mean squared error) of every round.
+    runs: Vec<Vec<(f64, f64)>>,
+}
+
+fn view(options: &Options) -> Outcome {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
+    let case = Case::load(&options.scene, options.copies, options.size, task)?;
+    let folder = options.folder.join(&case.name);
+    case.export(&folder)?;
+    let start = Instant::now();
+    let renderer = Renderer::new(case.scene.clone(), task)?;
+    let [cols, rows] = options.size;
+    println!("\n{}, {cols}×{rows}, prepared in {:.2} s", case.name, start.elapsed().as_secs_f64());
+    print_memory(&renderer.memory());
+    let own = |samples: u32, seed: u32| -> Outcome<(f64, Vec<f32>)> {
+        let settings = Settings {
+            samples,
+            seed: seed.into(),
+            max_bounces: BOUNCES,
+            roulette_start: BOUNCES,
+            ..Settings::default()
+        };
+        let start = Instant::now();
+        let picture = renderer.render_view(&case.window, &case.geometry, [0, 0], &settings, task)?;
+        Ok((start.elapsed().as_secs_f64(), picture.data().to_vec()))
+    };
+
+    let mut peers = Vec::new();
+    let mut entries = vec![Entry { name: "Lumistack".into(), peer: None, reference: Vec::new(), runs: Vec::new() }];
+    for [python, script] in &options.peers {
+        match Peer::start(python, script, &folder) {
+            Ok(peer) => {
+                for sampler in &peer.samplers {
+                    entries.push(Entry {
+                        name: format!("{}, {sampler}", peer.name),
+                        peer: Some((peers.len(), sampler.clone())),
+                        reference: Vec::new(),
+                        runs: Vec::new(),
+                    });
+                }
+                peers.push(peer);
+            }
+            Err(error) => println!("without {}: {error}", script.display()),
+        }
+    }
+    let file = folder.join("view.npy");
+    let mut render = |peer: &Option<(usize, String)>, samples: u32, seed: u32| match peer {
+        None => own(samples, seed),
+        Some((index, sampler)) => peers[*index].render(sampler, samples, seed, &file),
+    };
+    for index in 0..entries.len() {
+        // one reference per renderer serves all its samplers
+        let same = entries[..index]
+            .iter()
+            .position(|e| e.peer.as_ref().map(|p| p.0) == entries[index].peer.as_ref().map(|p| p.0));
+        entries[index].reference = match same {
+            Some(same) => entries[same].reference.clone(),
+            None => render(&entries[index].peer, options.reference, 4711)?.1,
+        };
+        entries[index].runs = vec![Vec::new(); options.samples.len()];
+    }
+    for round in 0..options.rounds {
+        for (at, &samples) in options.samples.iter().enumerate() {
+            for entry in &mut entries {
+                let (seconds, picture) = render(&entry.peer, samples, 1 + round as u32)?;
+                entry.runs[at].push((seconds, mean_square(&picture, &entry.reference)));
+            }
+        }
+    }
+    for (at, &samples) in options.samples.iter().enumerate() {
+        println!("\n{samples:>4} samples per pixel                     seconds  Msamples/s     MSE   MSE × s/Mpixel");
+        for entry in &entries {
+            let mut seconds: Vec<f64> = entry.runs[at].iter().map(|run| run.0).collect();
+            seconds.sort_by(f64::total_cmp);
+            let median = seconds[seconds.len() / 2];
+            let error = entry.runs[at].iter().map(|run| run.1).sum::<f64>() / entry.runs[at].len() as f64;
+            let paths = case.pixels() * f64::from(samples);
+            println!(
+                "{:<42} {median:8.2} {:10.2}  {error:9.2e}  {:9.2e}",
+                entry.name,
+                paths / median * 1e-6,
+                error * median / (case.pixels() * 1e-6)
+            );
+        }
+    }
+    println!("\nconverged pictures, {} samples per pixel, against ours:", options.reference);
+    for entry in &entries[1..] {
+        let (mean, relative) = agreement(&entries[0].reference, &entry.reference);
+        println!("{:<42} mean radiance {:+.3} %, relative RMSE {:.2} %", entry.name, 100.0 * mean, 100.0 * relative);
+    }
+    for warning in warnings.take() {
+        println!("warning: {warning}");
+    }
+    for (name, entry) in ["ours", "first peer"].iter().zip([entries.first(), entries.get(1)]) {
+        if let Some(entry) = entry {
+            write_png(&folder.join(format!("{}.png", name.replace(' ', "_"))), &entry.reference, options.size)?;
+        }
+    }
+    Ok(())
+}
+
+/// A scene whose copies would not fit into memory.
+fn big(options: &Options) -> Outcome {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    let case = Case::load(&options.scene, options.copies, options.size, task)?;
+    let start = Instant::now();
+    let renderer = Renderer::new(case.scene.clone(), task)?;
+    println!("\n{}, prepared in {:.2} s", case.name, start.elapsed().as_secs_f64());
+    print_memory(&renderer.memory());
+    let samples = options.samples[0];
+    let settings = Settings { samples, max_bounces: BOUNCES, roulette_start: BOUNCES, ..Settings::default() };
+    let start = Instant::now();
+    let picture = renderer.render_view(&case.window, &case.geometry, [0, 0], &settings, task)?;
+    let seconds = start.elapsed().as_secs_f64();
+    println!("{:.2} Msamples/s", case.pixels() * f64::from(samples) / seconds * 1e-6);
+    write_png(&options.folder.join("big.png"), picture.data(), options.size)
+}
+
+fn print_memory(memory: &Memory) {
+    let per = |bytes: usize, triangles: usize| bytes as f64 / triangles as f64;
+    println!(
+        "{} triangles, {} unique: tree {:.1} bytes per unique triangle, all without coarser textures {:.1} MB ({:.2} bytes per triangle)",
+        memory.triangles,
+        memory.unique_triangles,
+        per(memory.tree_bytes, memory.unique_triangles),
+        memory.bytes() as f64 * 1e-6,
+        per(memory.bytes(), memory.triangles)
+    );
+}
+
+fn write_png(path: &std::path::Path, radiance: &[f32], [cols, rows]: [usize; 2]) -> Outcome {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    let codes = radiance.iter().map(|&v| lumistack_core::colour::srgb_code(v)).collect();
+    Ok(image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or("picture size")?.save(path)?)
+}
+
+fn mean_square(picture: &[f32], reference: &[f32]) -> f64 {
+    let sum: f64 = picture.iter().zip(reference).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+    sum / picture.len() as f64
+}
+
+/// Relative difference of the mean radiance, and root mean square of the pixels' relative differences.
+fn agreement(ours: &[f32], theirs: &[f32]) -> (f64, f64) {
+    let mean = |values: &[f32]| values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;
+    let (own_mean, their_mean) = (mean(ours), mean(theirs));
+    let relative = |(&a, &b): (&f32, &f32)| {
+        let (a, b) = (f64::from(a), f64::from(b));
+        ((b - a) / a.max(DARKEST_SHARE * own_mean)).powi(2)
+    };
+    let squares: f64 = ours.iter().zip(theirs).map(relative).sum();
+    (their_mean / own_mean - 1.0, (squares / ours.len() as f64).sqrt())
+}

@@ -1,0 +1,69 @@
+//! Other people's renderers: child processes that answer one line of JSON per request, as `xtask/bench/view.py` says.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use serde_json::Value;
+
+use crate::case::Outcome;
+
+/// A renderer's process.
+pub struct Peer {
+    /// Renderer and version.
+    pub name: String,
+    /// Samplers that it offers.
+    pub samplers: Vec<String>,
+    child: Child,
+    requests: ChildStdin,
+    answers: BufReader<ChildStdout>,
+}
+
+impl Peer {
+    /// Starts a script on the scene in `folder`.
+    pub fn start(python: &Path, script: &Path, folder: &Path) -> Outcome<Self> {
+        let mut command = Command::new(python);
+        // the child's errors go to our own
+        command.arg(script).arg(folder).stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command.spawn()?;
+        let requests = child.stdin.take().ok_or("no way to ask")?;
+        let answers = BufReader::new(child.stdout.take().ok_or("no way to answer")?);
+        let mut peer = Self { name: String::new(), samplers: Vec::new(), child, requests, answers };
+        let hello = peer.answer()?;
+        let samplers = hello["samplers"].as_array().ok_or("no samplers")?;
+        peer.samplers = samplers.iter().filter_map(|name| name.as_str().map(str::to_owned)).collect();
+        peer.name = hello["name"].as_str().ok_or("no name")?.to_owned();
+        Ok(peer)
+    }
+
+    /// Renders once; seconds and radiance `[row][col][rgb]`.
+    pub fn render(&mut self, sampler: &str, samples: u32, seed: u32, file: &Path) -> Outcome<(f64, Vec<f32>)> {
+        writeln!(self.requests, "render\t{sampler}\t{samples}\t{seed}\t{}", file.display())?;
+        let answer = self.answer()?;
+        let seconds = answer["seconds"].as_f64().ok_or("no time")?;
+        let bytes = std::fs::read(file)?;
+        Ok((seconds, npyz::NpyFile::new(&bytes[..])?.into_vec::<f32>()?))
+    }
+
+    fn answer(&mut self) -> Outcome<Value> {
+        loop {
+            let mut line = String::new();
+            if self.answers.read_line(&mut line)? == 0 {
+                let name = if self.name.is_empty() { "it" } else { &self.name };
+                return Err(format!("{name} ended without an answer").into());
+            }
+            // a library may print on its own
+            if line.starts_with('{') {
+                return Ok(serde_json::from_str(&line)?);
+            }
+        }
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        // an error here means that it has ended already
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,158 @@
+//! Rays per second of the tree alone, beside Embree over the same rays on the same threads.
+
+use std::path::Path;
+use std::time::Instant;
+
+use glam::{DVec3, Vec3};
+use lumistack_core::seed::Stream;
+use lumistack_display::Projection;
+use lumistack_pathtracer::rays::Tree;
+use rayon::prelude::*;
+
+use crate::case::{Case, Outcome};
+#[cfg(unix)]
+use crate::embree::Embree;
+
+/// Rays per unit of work.
+const CHUNK: usize = 4096;
+/// A ray starts this share of the scene's size off its surface.
+const OFFSET: f32 = 1e-5;
+
+type Batch = Vec<(Vec3, Vec3, f32)>;
+
+/// Prints Mrays/s of primary rays, two bounces and shadow rays, medians over rounds in turn.
+pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
+    let triangles = world_triangles(case);
+    let start = Instant::now();
+    let tree = Tree::new(&triangles);
+    let seconds = start.elapsed().as_secs_f64();
+    println!(
+        "\n{}: {} triangles in one tree, built in {seconds:.2} s, {:.0} bytes per triangle",
+        case.name,
+        triangles.len(),
+        tree.bytes() as f64 / triangles.len() as f64
+    );
+    #[cfg(unix)]
+    let peer = match embree.map(|library| Embree::new(library, &triangles)) {
+        Some(Ok(peer)) => Some(peer),
+        Some(Err(error)) => {
+            println!("without Embree: {error}");
+            None
+        }
+        None => None,
+    };
+    #[cfg(not(unix))]
+    let _ = embree;
+    let batches = batches(case, &tree, &triangles);
+    println!(
+        "Mrays/s                    {}",
+        batches.iter().map(|(name, ..)| format!("{name:>10}")).collect::<String>()
+    );
+    let mut ours = vec![Vec::new(); batches.len()];
+    let mut single = vec![Vec::new(); batches.len()];
+    let mut packets = Vec::new();
+    let mut differing = 0usize;
+    for _ in 0..rounds {
+        for (index, (_, shadow, rays)) in batches.iter().enumerate() {
+            let (seconds, own_hits) = timed(rays, |chunk| {
+                let mut scratch = tree.scratch();
+                let hits = |&(o, d, t): &(Vec3, Vec3, f32)| {
+                    if *shadow {
+                        !tree.is_open(o, d, t, &mut scratch)
+                    } else {
+                        tree.nearest(o, d, t, &mut scratch).is_some()
+                    }
+                };
+                chunk.iter().map(hits).filter(|&hit| hit).count()
+            });
+            ours[index].push(rays.len() as f64 / seconds * 1e-6);
+            #[cfg(unix)]
+            if let Some(peer) = &peer {
+                let (seconds, hits) = timed(rays, |chunk| {
+                    let hits = |&(o, d, t): &(Vec3, Vec3, f32)| {
+                        if *shadow { !peer.is_open(o, d, t) } else { peer.nearest(o, d, t).is_some() }
+                    };
+                    chunk.iter().map(hits).filter(|&hit| hit).count()
+                });
+                single[index].push(rays.len() as f64 / seconds * 1e-6);
+                differing = differing.max(hits.abs_diff(own_hits));
+                if index == 0 {
+                    let (seconds, _) = timed(rays, |chunk| chunk.chunks(8).map(|rays| peer.nearest8(rays)).sum());
+                    packets.push(rays.len() as f64 / seconds * 1e-6);
+                }
+            }
+        }
+    }
+    let row = |name: &str, values: &mut [Vec<f64>]| {
+        let median = |values: &mut Vec<f64>| {
+            values.sort_by(f64::total_cmp);
+            format!("{:10.1}", values.get(values.len() / 2).copied().unwrap_or(f64::NAN))
+        };
+        println!("{name:<27}{}", values.iter_mut().map(median).collect::<String>());
+    };
+    row("Lumistack, single rays", &mut ours);
+    if !packets.is_empty() {
+        row("Embree, single rays", &mut single);
+        row("Embree, 8 coherent rays", &mut [packets]);
+        println!("largest difference in the number of hits: {differing} of {}", batches[0].2.len());
+    }
+    Ok(())
+}
+
+fn timed(rays: &Batch, trace: impl Fn(&[(Vec3, Vec3, f32)]) -> usize + Sync + Send) -> (f64, usize) {
+    let start = Instant::now();
+    let hits: usize = rays.par_chunks(CHUNK).map(trace).sum();
+    (start.elapsed().as_secs_f64(), hits)
+}
+
+fn world_triangles(case: &Case) -> Vec<[Vec3; 3]> {
+    let mut triangles = Vec::with_capacity(case.scene.triangle_count());
+    for instance in &case.scene.instances {
+        let mesh = &case.scene.meshes[instance.mesh];
+        let place = |i: u32| instance.scene_from_mesh.transform_point3(mesh.positions[i as usize]);
+        triangles.extend(mesh.triangles.iter().map(|corners| corners.map(place)));
+    }
+    triangles
+}
+
+/// Rays of a path tracer: through every pixel, then scattered by Lambert's law, and from the first hits to the light.
+fn batches(case: &Case, tree: &Tree, triangles: &[[Vec3; 3]]) -> Vec<(&'static str, bool, Batch)> {
+    let mut stream = Stream::new(1);
+    let geometry = &case.geometry;
+    let map = &case.window.scene_from_display;
+    let Projection::Perspective { distance_mm } = geometry.grid.projection else { return Vec::new() };
+    let eye = map.point(DVec3::new(0.0, 0.0, distance_mm));
+    let mut primary = Vec::with_capacity(geometry.rows * geometry.cols);
+    // in tiles of 4 × 2 pixels, which suits packets
+    for tile_row in 0..geometry.rows.div_ceil(2) {
+        for tile_col in 0..geometry.cols.div_ceil(4) {
+            for at in 0..8 {
+                let (row, col) = (2 * tile_row + at / 4, 4 * tile_col + at % 4);
+                let x = geometry.x_mm(0) + geometry.pitch_mm * (col as f64 + f64::from(stream.next_f32()) - 0.5);
+                let y = geometry.y_mm(0) - geometry.pitch_mm * (row as f64 + f64::from(stream.next_f32()) - 0.5);
+                let direction = (map.point(DVec3::new(x, y, 0.0)) - eye).normalize();
+                primary.push((eye.as_vec3(), direction.as_vec3(), f32::INFINITY));
+            }
+        }
+    }
+    let mut scratch = tree.scratch();
+    let mut scatter = |rays: &Batch| -> (Batch, Batch) {
+        let (mut scattered, mut shadow) = (Vec::new(), Vec::new());
+        for &(origin, direction, t_max) in rays {
+            let Some((t, triangle)) = tree.nearest(origin, direction, t_max, &mut scratch) else { continue };
+            let [a, b, c] = triangles[triangle as usize];
+            let normal = (b - a).cross(c - a).normalize();
+            let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+            let from = origin + t * direction + OFFSET * case.size() * normal;
+            let (z, turns) = (2.0 * stream.next_f32() - 1.0, stream.next_f32());
+            let (sin, cos) = (turns * std::f32::consts::TAU).sin_cos();
+            let ring = (1.0 - z * z).max(0.0).sqrt();
+            scattered.push((from, (normal + Vec3::new(ring * cos, ring * sin, z)).normalize_or(normal), f32::INFINITY));
+            shadow.push((from, case.point_of_light([stream.next_f32(), stream.next_f32()]) - from, 0.999));
+        }
+        (scattered, shadow)
+    };
+    let (first, shadow) = scatter(&primary);
+    let (second, _) = scatter(&first);
+    vec![("primary", false, primary), ("bounce 1", false, first), ("bounce 2", false, second), ("shadow", true, shadow)]
+}

@@ -1,0 +1,124 @@
+//! Share of light that an interface reflects: Schlick's approximation, Fresnel's equations, and a thin film on top.
+//!
+//! F = f₀ + (f₉₀ − f₀)(1 − cos θ)⁵ (Schlick 1994). A film (`KHR_materials_iridescence`) replaces F by the reflectance of
+//! outside–film–base with interference, integrated over the spectrum in closed form (Belcour, Barla 2017, section 4; the constants
+//! are their fit of the CIE colour-matching functions), with Schlick's reflectances at both interfaces and without polarization:
+//!
+//! ```text
+//! F = C₀ + 2 Σ_m C_m S(m D, m φ),   C₀ = R₁₂ + R_s,   C_m = (R_s − T₁₂₁) (R₁₂ R₂₃)^(m/2),   R_s = T₁₂₁² R₂₃ / (1 − R₁₂ R₂₃)
+//! D = 2 n₂ d cos θ₂
+//! ```
+
+use std::f32::consts::{PI, TAU};
+
+use glam::{Mat3, Vec3};
+
+/// Terms of the sum over m; the spectral sensitivity has died out behind them.
+const ORDERS: u32 = 2;
+/// Films thinner than this, in nanometres, fade to no film: without thickness there is no interface.
+const FADE_NM: f32 = 30.0;
+/// f₀ of the base from which its index of refraction is taken; 1 would be infinite.
+const MOST_F0: f32 = 0.9999;
+
+/// Schlick's term with its weight: `weight · (f0 + (f90 − f0)(1 − cos)⁵)`, per channel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Schlick {
+    pub(crate) f0: Vec3,
+    pub(crate) f90: f32,
+    pub(crate) weight: Vec3,
+}
+
+/// A thin film.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Film {
+    /// Share of the surface that has it.
+    pub(crate) factor: f32,
+    /// Index of refraction.
+    pub(crate) ior: f32,
+    pub(crate) thickness_nm: f32,
+}
+
+impl Schlick {
+    /// F without the weight; `grazing` is (1 − cos)⁵.
+    #[inline]
+    pub(crate) fn reflectance(&self, grazing: f32) -> Vec3 {
+        self.f0 + (Vec3::splat(self.f90) - self.f0) * grazing
+    }
+}
+
+impl Film {
+    /// `bare`, the reflectance without film of a base with this f₀, changed by the film.
+    pub(crate) fn over(&self, bare: Vec3, base_f0: Vec3, cosine: f32) -> Vec3 {
+        bare.lerp(self.reflectance(base_f0, cosine), self.factor)
+    }
+
+    fn reflectance(&self, base_f0: Vec3, cosine: f32) -> Vec3 {
+        let fade = (self.thickness_nm / FADE_NM).clamp(0.0, 1.0);
+        let ior = 1.0 + (self.ior - 1.0) * fade * fade * (3.0 - 2.0 * fade);
+        let sin2_film = (1.0 - cosine * cosine).max(0.0) / (ior * ior);
+        let cos_film = (1.0 - sin2_film).max(0.0).sqrt();
+        let r12 = schlick(normal_reflectance(ior), cosine);
+        let t121 = 1.0 - r12;
+        let base_root = base_f0.clamp(Vec3::ZERO, Vec3::splat(MOST_F0)).map(f32::sqrt);
+        let base_ior = (Vec3::ONE + base_root) / (Vec3::ONE - base_root);
+        let r23 = (base_ior / ior).map(|ratio| schlick(normal_reflectance(ratio), cos_film));
+        // a reflection at a denser medium turns the phase by π; the inside of the first interface is one, for a film denser than air
+        let phase = base_ior.map(|base| PI + if base < ior { PI } else { 0.0 });
+        let round_trip = (r12 * r23).clamp(Vec3::splat(1e-5), Vec3::splat(0.9999));
+        let decay = round_trip.map(f32::sqrt);
+        let series = t121 * t121 * r23 / (Vec3::ONE - round_trip);
+        let mut sum = Vec3::splat(r12) + series;
+        let mut amplitude = series - t121;
+        let path_nm = 2.0 * ior * self.thickness_nm * cos_film;
+        for order in 1..=ORDERS {
+            amplitude *= decay;
+            sum += 2.0 * amplitude * sensitivity(order as f32 * path_nm, order as f32 * phase);
+        }
+        sum.clamp(Vec3::ZERO, Vec3::ONE)
+    }
+}
+
+/// ((n − 1)/(n + 1))².
+#[inline]
+pub(crate) fn normal_reflectance(ior: f32) -> f32 {
+    let root = (ior - 1.0) / (ior + 1.0);
+    root * root
+}
+
+fn schlick(f0: f32, cosine: f32) -> f32 {
+    f0 + (1.0 - f0) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
+}
+
+/// Fourier transform of the colour-matching functions at an optical path difference, in linear RGB.
+fn sensitivity(path_nm: f32, shift: Vec3) -> Vec3 {
+    let phase = TAU * 1e-9 * path_nm;
+    let gauss = |value: f32, position: f32, variance: f32, shift: f32| {
+        value * (TAU * variance).sqrt() * (position * phase + shift).cos() * (-phase * phase * variance).exp()
+    };
+    let xyz = Vec3::new(
+        gauss(5.4856e-13, 1.6810e6, 4.3278e9, shift.x) + gauss(9.7470e-14, 2.2399e6, 4.5282e9, shift.x),
+        gauss(4.4201e-13, 1.7953e6, 9.3046e9, shift.y),
+        gauss(5.2481e-13, 2.2084e6, 6.6121e9, shift.z),
+    ) / 1.0685e-7;
+    RGB_FROM_XYZ * xyz
+}
+
+/// Linear sRGB from CIE XYZ, D65.
+pub(crate) const RGB_FROM_XYZ: Mat3 = Mat3::from_cols(
+    Vec3::new(3.240_454_2, -0.969_266, 0.055_643_4),
+    Vec3::new(-1.537_138_5, 1.876_010_8, -0.204_025_9),
+    Vec3::new(-0.498_531_4, 0.041_556, 1.057_225_2),
+);
+
+/// Reflectance of a dielectric interface for unpolarized light, and the cosine on the far side; `eta` is the index there over the index here.
+pub(crate) fn dielectric(cosine: f32, eta: f32) -> (f32, f32) {
+    let cosine = cosine.clamp(0.0, 1.0);
+    let sin2_far = (1.0 - cosine * cosine) / (eta * eta);
+    if sin2_far >= 1.0 {
+        return (1.0, 0.0);
+    }
+    let far = (1.0 - sin2_far).sqrt();
+    let parallel = (eta * cosine - far) / (eta * cosine + far);
+    let perpendicular = (cosine - eta * far) / (cosine + eta * far);
+    (0.5 * (parallel * parallel + perpendicular * perpendicular), far)
+}

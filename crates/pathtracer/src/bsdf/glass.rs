@@ -1,0 +1,221 @@
+//! The rough interface between air and a solid, reflecting and refracting.
+//!
+//! Walter et al. 2007 with exact Fresnel terms: reflection F D V, transmission (1 − F) D G₂ |o·h| J / |o_z| with the Jacobian
+//! J = η² |i·h| / (o·h + η i·h)². It carries radiance/η² ("basic radiance"), which leaves out the factor η² that every solid
+//! multiplies once and divides once. Single scattering loses 1 − E(o, α, η); like Turquin 2019, both parts are divided by the
+//! tabulated albedo E, which makes clear glass lossless. Glass that is stretched or whose reflection a film or
+//! `KHR_materials_specular` changes has another albedo and stays single-scattering.
+
+use std::sync::OnceLock;
+
+use glam::{Vec2, Vec3};
+
+use super::fresnel::{self, Film};
+use super::ggx;
+
+/// Indices of refraction closer to 1 than this do not bend light.
+const NO_REFRACTION: f32 = 1e-3;
+/// Nodes of the albedo table over the root of the cosine, perceptual roughness, and the index of refraction.
+const NODES: [usize; 3] = [24, 16, 16];
+/// The table reaches from the root of the reflectance at normal incidence 0 to this (an index of 4).
+const LARGEST_ROOT: f32 = 0.6;
+/// Samples per node, a Fibonacci lattice.
+const SAMPLES: u32 = 610;
+const LATTICE_STEP: u32 = 377;
+/// The smallest cosine and α of the table.
+const SMALLEST: f32 = 1e-3;
+
+/// A glass interface at one point.
+pub(crate) struct Glass {
+    /// Index on the far side over that on the viewer's side.
+    eta: f32,
+    /// Share of the surface, layers above included.
+    pub(crate) weight: f32,
+    /// Tint of what is transmitted.
+    pub(crate) tint: Vec3,
+    /// Whether light passes unbent.
+    pub(crate) straight: bool,
+    /// 1/E.
+    compensation: f32,
+    /// The reflection where `KHR_materials_specular` or a film changes it.
+    changed: Option<Changed>,
+}
+
+/// Reflectance other than that of the bare interface.
+#[derive(Clone, Copy)]
+struct Changed {
+    /// F at normal incidence of the bare interface, and changed.
+    bare_f0: f32,
+    f0: Vec3,
+    f90: f32,
+    film: Option<Film>,
+    front: bool,
+}
+
+/// What [`Glass::new`] needs to know.
+pub(crate) struct GlassOptions {
+    pub(crate) ior: f32,
+    pub(crate) front: bool,
+    pub(crate) weight: f32,
+    pub(crate) tint: Vec3,
+    pub(crate) specular: f32,
+    /// Reflectance at normal incidence.
+    pub(crate) f0: Vec3,
+    pub(crate) film: Option<Film>,
+    /// Perceptual roughness, 0 for a mirror.
+    pub(crate) roughness: f32,
+    pub(crate) compensated: bool,
+}
+
+impl Glass {
+    pub(crate) fn new(o: Vec3, options: &GlassOptions) -> Self {
+        let &GlassOptions { ior, front, weight, tint, specular, f0, film, roughness, compensated } = options;
+        let bare_f0 = fresnel::normal_reflectance(ior);
+        let straight = (ior - 1.0).abs() < NO_REFRACTION;
+        let is_changed = specular != 1.0 || (f0 - bare_f0).abs().max_element() > 1e-6 || film.is_some();
+        let compensation = if compensated && !is_changed && roughness > 0.0 && !straight {
+            1.0 / albedo(o.z, roughness, ior, front)
+        } else {
+            1.0
+        };
+        Self {
+            eta: if front { ior } else { 1.0 / ior },
+            weight,
+            tint,
+            straight,
+            compensation,
+            changed: is_changed.then_some(Changed { bare_f0, f0, f90: specular, film, front }),
+        }
+    }
+
+    /// Reflectance at a microfacet, the chance with which it is chosen, and the cosine on the far side.
+    fn reflectance(&self, cosine: f32) -> (Vec3, f32, f32) {
+        let (bare, far) = fresnel::dielectric(cosine, self.eta);
+        let Some(changed) = &self.changed else { return (Vec3::splat(bare), bare, far) };
+        if bare >= 1.0 {
+            // total reflection leaves no other way
+            return (Vec3::ONE, 1.0, far);
+        }
+        // exact terms in the place of Schlick's (1 − cos)⁵
+        let grazing = ((bare - changed.bare_f0) / (1.0 - changed.bare_f0)).clamp(0.0, 1.0);
+        let mut fresnel = changed.f0 + (Vec3::splat(changed.f90) - changed.f0) * grazing;
+        if let Some(film) = &changed.film {
+            // a lossless stack reflects alike from both sides
+            let outside = if changed.front { cosine } else { far };
+            fresnel = film.over(fresnel, changed.f0, outside);
+        }
+        let fresnel = fresnel.clamp(Vec3::ZERO, Vec3::ONE);
+        (fresnel, fresnel.element_sum() * (1.0 / 3.0), far)
+    }
+
+    /// f |cos| and density (without the chance of this lobe) for a direction above the surface; `specular` is D V |i_z|,
+    /// `reflection_pdf` the density of reflected directions.
+    pub(crate) fn reflected(&self, o_h: f32, specular: f32, reflection_pdf: f32) -> (Vec3, f32) {
+        let (fresnel, chance, _) = self.reflectance(o_h);
+        (fresnel * (self.weight * self.compensation * specular), chance * reflection_pdf)
+    }
+
+    /// The same for a direction below.
+    pub(crate) fn transmitted(&self, o: Vec3, i: Vec3, alpha: Vec2) -> (Vec3, f32) {
+        const NOTHING: (Vec3, f32) = (Vec3::ZERO, 0.0);
+        let Some(h) = (o + self.eta * i).try_normalize() else { return NOTHING };
+        let h = if h.z < 0.0 { -h } else { h };
+        let (o_h, i_h) = (o.dot(h), i.dot(h));
+        if o_h <= 0.0 || i_h >= 0.0 {
+            return NOTHING;
+        }
+        let (fresnel, chance, _) = self.reflectance(o_h);
+        let denominator = o_h + self.eta * i_h;
+        let jacobian = self.eta * self.eta * -i_h / (denominator * denominator);
+        // V holds G₂ / (4 |o_z| |i_z|)
+        let specular = 4.0 * ggx::density(h, alpha) * ggx::visibility(o, i, alpha) * -i.z * o_h * jacobian;
+        let value = self.tint * (Vec3::ONE - fresnel) * (self.weight * self.compensation * specular);
+        (value, (1.0 - chance) * ggx::normal_pdf(o, h, alpha) * jacobian)
+    }
+
+    /// Reflects or refracts at the microfacet normal `h`: direction and, for a mirror, weight without that of the lobe.
+    pub(crate) fn scatter(&self, o: Vec3, h: Vec3, u_fresnel: f32) -> (Vec3, Vec3, bool) {
+        let cosine = o.dot(h);
+        let (fresnel, chance, far) = self.reflectance(cosine);
+        if u_fresnel < chance {
+            (ggx::reflect(o, h), fresnel / chance, true)
+        } else {
+            let i = (cosine / self.eta - far) * h - o / self.eta;
+            (i, self.tint * (Vec3::ONE - fresnel) / (1.0 - chance), false)
+        }
+    }
+}
+
+/// Albedo of clear glass, trilinear in the root of the cosine, perceptual roughness and the root of |n − 1|/(n + 1).
+fn albedo(cosine: f32, roughness: f32, ior: f32, front: bool) -> f32 {
+    static TABLES: OnceLock<[Vec<f32>; 2]> = OnceLock::new();
+    let table = &TABLES.get_or_init(|| [tabulate(false), tabulate(true)])[usize::from(front)];
+    let at = [cosine.max(0.0).sqrt(), roughness, ((ior - 1.0).abs() / (ior + 1.0) / LARGEST_ROOT).sqrt()];
+    let mut index = [0; 3];
+    let mut share = [0.0; 3];
+    for axis in 0..3 {
+        let x = at[axis].clamp(0.0, 1.0) * (NODES[axis] - 1) as f32;
+        index[axis] = (x as usize).min(NODES[axis] - 2);
+        share[axis] = x - index[axis] as f32;
+    }
+    let mut sum = 0.0;
+    for corner in 0..8 {
+        let bit = |axis: usize| (corner >> axis) & 1;
+        let node = ((index[2] + bit(2)) * NODES[1] + index[1] + bit(1)) * NODES[0] + index[0] + bit(0);
+        let weight = |axis: usize| if bit(axis) == 1 { share[axis] } else { 1.0 - share[axis] };
+        sum += table[node] * weight(0) * weight(1) * weight(2);
+    }
+    sum
+}
+
+fn tabulate(front: bool) -> Vec<f32> {
+    let fraction = |index: usize, axis: usize| index as f32 / (NODES[axis] - 1) as f32;
+    let node = |index: usize| {
+        let cosine = fraction(index % NODES[0], 0).powi(2).max(SMALLEST);
+        let roughness = fraction(index / NODES[0] % NODES[1], 1);
+        let root = LARGEST_ROOT * fraction(index / NODES[0] / NODES[1], 2).powi(2);
+        integrate(cosine, (roughness * roughness).max(SMALLEST), (1.0 + root) / (1.0 - root), front)
+    };
+    (0..NODES.iter().product()).map(node).collect()
+}
+
+fn integrate(cosine: f32, alpha: f32, ior: f32, front: bool) -> f32 {
+    let o = Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine);
+    let eta = if front { ior } else { 1.0 / ior };
+    let alpha = Vec2::splat(alpha);
+    let weight = |k: u32| {
+        let u = [(k as f32 + 0.5) / SAMPLES as f32, ((k * LATTICE_STEP) % SAMPLES) as f32 / SAMPLES as f32];
+        let h = ggx::sample_normal(o, alpha, u);
+        let o_h = o.dot(h);
+        let (fresnel, far) = fresnel::dielectric(o_h, eta);
+        let reflected = ggx::reflect(o, h);
+        let refracted = (o_h / eta - far) * h - o / eta;
+        let up = if reflected.z > 0.0 { fresnel * ggx::masking_ratio(o, reflected, alpha) } else { 0.0 };
+        let down = if refracted.z < 0.0 { (1.0 - fresnel) * ggx::masking_ratio(o, refracted, alpha) } else { 0.0 };
+        f64::from(up + down)
+    };
+    ((0..SAMPLES).map(weight).sum::<f64>() / f64::from(SAMPLES)) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_interpolates_the_integral() {
+        for cosine in [0.05f32, 0.3, 0.77, 1.0] {
+            for alpha in [0.01f32, 0.1, 0.4, 1.0] {
+                for ior in [1.05, 1.33, 1.5, 2.4] {
+                    for front in [false, true] {
+                        let table = albedo(cosine, alpha.sqrt(), ior, front);
+                        let direct = integrate(cosine, alpha, ior, front);
+                        assert!(
+                            (table / direct - 1.0).abs() < 0.03,
+                            "{cosine} {alpha} {ior} {front}: {table} {direct}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,146 @@
+//! Fibres that stand up from the surface: the "Charlie" sheen of `KHR_materials_sheen` (Estevez, Kulla 2017).
+//!
+//! f = D V, D(h) = (2 + 1/α) sin^(1/α) θ_h / 2π, V = 1 / ((1 + Λ(o) + Λ(i)) 4 o_z i_z), Λ a fit of theirs; α = roughness².
+//! At grazing views smooth fibres would return up to 1.4 times what arrives; there f is divided by its albedo.
+//!
+//! Half of the samples reflect at a normal of density D cos θ_h, half have density cos/π, which covers what the others find badly:
+//! light from above on rough fibres.
+
+use std::f32::consts::{FRAC_1_PI, TAU};
+use std::sync::OnceLock;
+
+use glam::Vec3;
+
+use super::{cosine_direction, ggx};
+use crate::math::sin_cos_turns;
+
+/// Smallest perceptual roughness; below it the lobe is a rim thinner than a degree.
+const LEAST_ROUGHNESS: f32 = 0.1;
+/// Share of the samples that follow the fibres.
+const FIBRE_SHARE: f32 = 0.5;
+/// Nodes over the root of the cosine and over roughness.
+const COSINES: usize = 48;
+const ROUGHNESSES: usize = 24;
+/// Samples per node, a Fibonacci lattice; the numbers follow one another in Fibonacci's sequence.
+const SAMPLES: u32 = 1597;
+const LATTICE_STEP: u32 = 987;
+/// The smallest cosine of the table.
+const SMALLEST: f32 = 1e-3;
+
+/// Λ at normal incidence per end of its fit, in the order of the paper's table: a, b, c, d, e.
+const FIT_ROUGH: [f32; 5] = [21.5473, 3.82987, 0.19823, -1.97760, -4.32054];
+const FIT_SMOOTH: [f32; 5] = [25.3245, 3.32435, 0.16801, -1.27393, -4.85967];
+
+/// The lobe of one roughness.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fibres {
+    alpha: f32,
+    fit: [f32; 5],
+}
+
+impl Fibres {
+    /// `roughness` is perceptual.
+    pub(crate) fn new(roughness: f32) -> Self {
+        let roughness = roughness.clamp(LEAST_ROUGHNESS, 1.0);
+        let alpha = roughness * roughness;
+        let smooth = (1.0 - alpha) * (1.0 - alpha);
+        Self { alpha, fit: std::array::from_fn(|k| FIT_ROUGH[k] + (FIT_SMOOTH[k] - FIT_ROUGH[k]) * smooth) }
+    }
+
+    /// f |cos| of white fibres, both directions above the surface.
+    pub(crate) fn evaluate(&self, o: Vec3, i: Vec3) -> f32 {
+        let Some(h) = (o + i).try_normalize() else { return 0.0 };
+        self.density(h) / ((1.0 + self.lambda(o.z) + self.lambda(i.z)) * 4.0 * o.z)
+    }
+
+    /// Density per solid angle of [`sample`](Self::sample).
+    pub(crate) fn pdf(&self, o: Vec3, i: Vec3) -> f32 {
+        let Some(h) = (o + i).try_normalize() else { return 0.0 };
+        let fibres = self.density(h) * h.z / (4.0 * o.dot(h)).max(f32::MIN_POSITIVE);
+        FIBRE_SHARE * fibres + (1.0 - FIBRE_SHARE) * i.z * FRAC_1_PI
+    }
+
+    /// A direction; `None` below the surface.
+    pub(crate) fn sample(&self, o: Vec3, u: [f32; 2]) -> Option<Vec3> {
+        if u[0] >= FIBRE_SHARE {
+            return Some(cosine_direction([(u[0] - FIBRE_SHARE) / (1.0 - FIBRE_SHARE), u[1]]));
+        }
+        let sine = u[1].powf(self.alpha / (2.0 * self.alpha + 1.0));
+        let (sin_phi, cos_phi) = sin_cos_turns(u[0] / FIBRE_SHARE);
+        let h = Vec3::new(sine * cos_phi, sine * sin_phi, (1.0 - sine * sine).max(0.0).sqrt());
+        // normals that face away reflect as their opposites would, which are no fibres
+        let i = ggx::reflect(o, h);
+        (o.dot(h) > 0.0 && i.z > 0.0).then_some(i)
+    }
+
+    fn density(&self, h: Vec3) -> f32 {
+        let inverse = 1.0 / self.alpha;
+        (2.0 + inverse) / TAU * (h.x * h.x + h.y * h.y).powf(0.5 * inverse)
+    }
+
+    fn lambda(&self, cosine: f32) -> f32 {
+        let [a, b, c, d, e] = self.fit;
+        let l = |x: f32| a / (1.0 + b * x.powf(c)) + d * x + e;
+        let cosine = cosine.clamp(0.0, 1.0);
+        if cosine < 0.5 { l(cosine).exp() } else { (2.0 * l(0.5) - l(1.0 - cosine)).exp() }
+    }
+}
+
+/// Albedo of white fibres, and the factor on f that keeps it at or below 1, by the cosine and perceptual roughness.
+pub(crate) fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
+    let raw = raw_albedo(cosine, roughness);
+    (raw.min(1.0), 1.0 / raw.max(1.0))
+}
+
+fn raw_albedo(cosine: f32, roughness: f32) -> f32 {
+    static TABLE: OnceLock<Vec<f32>> = OnceLock::new();
+    let table = TABLE.get_or_init(tabulate);
+    let x = cosine.clamp(0.0, 1.0).sqrt() * (COSINES - 1) as f32;
+    let y = ((roughness - LEAST_ROUGHNESS) / (1.0 - LEAST_ROUGHNESS)).clamp(0.0, 1.0) * (ROUGHNESSES - 1) as f32;
+    let (i, j) = ((x as usize).min(COSINES - 2), (y as usize).min(ROUGHNESSES - 2));
+    let (fx, fy) = (x - i as f32, y - j as f32);
+    let row = |j: usize| {
+        let [left, right] = [table[j * COSINES + i], table[j * COSINES + i + 1]];
+        left + (right - left) * fx
+    };
+    let (lower, upper) = (row(j), row(j + 1));
+    lower + (upper - lower) * fy
+}
+
+fn tabulate() -> Vec<f32> {
+    let node = |index: usize| {
+        let roughness = (index / COSINES) as f32 / (ROUGHNESSES - 1) as f32;
+        let fibres = Fibres::new(LEAST_ROUGHNESS + (1.0 - LEAST_ROUGHNESS) * roughness);
+        let root = (index % COSINES) as f32 / (COSINES - 1) as f32;
+        fibres.integrate((root * root).max(SMALLEST))
+    };
+    (0..COSINES * ROUGHNESSES).map(node).collect()
+}
+
+impl Fibres {
+    fn integrate(&self, cosine: f32) -> f32 {
+        let o = Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine);
+        let weight = |k: u32| {
+            let u = [(k as f32 + 0.5) / SAMPLES as f32, ((k * LATTICE_STEP) % SAMPLES) as f32 / SAMPLES as f32];
+            self.sample(o, u).map_or(0.0, |i| f64::from(self.evaluate(o, i) / self.pdf(o, i)))
+        };
+        ((0..SAMPLES).map(weight).sum::<f64>() / f64::from(SAMPLES)) as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_interpolates_an_albedo_of_at_most_one() {
+        for cosine in [0.03f32, 0.1, 0.3, 0.6, 1.0] {
+            for roughness in [0.1, 0.2, 0.33, 0.5, 0.77, 1.0] {
+                let (table, direct) = (raw_albedo(cosine, roughness), Fibres::new(roughness).integrate(cosine));
+                assert!((table - direct).abs() < 0.01, "{cosine} {roughness}: {table} {direct}");
+                let (seen, scale) = albedo(cosine, roughness);
+                assert!((0.0..=1.0).contains(&seen) && (table * scale - seen).abs() < 1e-6, "{cosine} {roughness}");
+            }
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! Dims samples that are brighter than a limit, and counts what that removes.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::Vec3;
+use lumistack_core::Tensor;
+use lumistack_core::colour::luminance;
+
+use crate::settings::Settings;
+
+/// Sums are kept in so many parts of the limit: whole numbers add up the same in any order.
+const PARTS: f64 = 65536.0;
+
+/// What a limit removed from one view.
+#[derive(Default)]
+pub(crate) struct Clamped {
+    samples: AtomicU64,
+    /// Luminance removed, in parts of the limit.
+    removed: AtomicU64,
+}
+
+impl Clamped {
+    /// The sample with no channel above the limit, of the same colour.
+    pub(crate) fn dim(&self, radiance: Vec3, limit: f32) -> Vec3 {
+        let largest = radiance.max_element();
+        if largest <= limit || !radiance.is_finite() {
+            return radiance;
+        }
+        let kept = radiance * (limit / largest);
+        let removed = f64::from(luminance((radiance - kept).to_array()) / limit);
+        self.samples.fetch_add(1, Ordering::Relaxed);
+        self.removed.fetch_add((removed * PARTS) as u64, Ordering::Relaxed);
+        kept
+    }
+
+    /// What to tell about a view; `None` when nothing was removed.
+    pub(crate) fn message(&self, settings: &Settings, radiance: &Tensor<3>) -> Option<String> {
+        let samples = self.samples.load(Ordering::Relaxed);
+        let limit = settings.clamp.filter(|_| samples > 0)?;
+        let removed = self.removed.load(Ordering::Relaxed) as f64 / PARTS * f64::from(limit);
+        let pixels = radiance.data().chunks_exact(3);
+        let all = pixels.len() as f64 * f64::from(settings.samples);
+        let kept: f64 = pixels.map(|rgb| f64::from(luminance([rgb[0], rgb[1], rgb[2]]))).sum();
+        let kept = kept * f64::from(settings.samples);
+        Some(format!(
+            "{samples} of {all} samples are dimmed to the limit {limit}, which removes {:.3} % of the light",
+            100.0 * removed / (removed + kept)
+        ))
+    }
+}

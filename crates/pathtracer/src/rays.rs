@@ -1,0 +1,42 @@
+//! The tree alone, for measurements: single rays against triangles, without a scene.
+
+use glam::Vec3;
+
+use crate::bvh::{Bvh, Input, Ray, Stack};
+
+/// A tree over triangles.
+pub struct Tree(Bvh);
+
+/// Memory that a thread's rays use one after the other.
+pub struct Scratch(Stack);
+
+impl Tree {
+    /// Builds the tree that a scene of these triangles would have; fewer than 2²⁹.
+    pub fn new(triangles: &[[Vec3; 3]]) -> Self {
+        let flags = vec![0; triangles.len()];
+        Self(Bvh::new(&Input { triangles, flags: &flags, loose: 0..triangles.len(), shared: &[], placements: &[] }))
+    }
+
+    /// Memory for the rays of one thread.
+    pub fn scratch(&self) -> Scratch {
+        Scratch(self.0.stack())
+    }
+
+    /// Distance, in lengths of `direction`, and index of the nearest triangle that is met.
+    #[inline]
+    pub fn nearest(&self, origin: Vec3, direction: Vec3, t_max: f32, scratch: &mut Scratch) -> Option<(f32, u32)> {
+        let hit = self.0.nearest(&Ray { origin, direction, t_max }, &mut scratch.0, |_| true)?;
+        Some((hit.t, hit.triangle))
+    }
+
+    /// Whether no triangle is met.
+    #[inline]
+    pub fn is_open(&self, origin: Vec3, direction: Vec3, t_max: f32, scratch: &mut Scratch) -> bool {
+        self.0.transmittance(&Ray { origin, direction, t_max }, &mut scratch.0, |_| Vec3::ZERO) == Vec3::ONE
+    }
+
+    /// Bytes of the tree.
+    pub fn bytes(&self) -> usize {
+        self.0.bytes()
+    }
+}

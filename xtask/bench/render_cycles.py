@@ -1,0 +1,145 @@
+"""The view in Blender's Cycles, on the CPU. Asked as `view.py` says."""
+import os
+import sys
+import tempfile
+import time
+
+import bpy
+import numpy as np
+import view
+from mathutils import Matrix, Vector
+
+v = view.View(sys.argv[1])
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+
+
+def material(about):
+    made = bpy.data.materials.new("diffuse")
+    made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    out, diffuse = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new("ShaderNodeBsdfDiffuse")
+    diffuse.inputs["Roughness"].default_value = 0.0
+    tree.links.new(diffuse.outputs["BSDF"], out.inputs["Surface"])
+    picture = v.image(about)
+    if picture:
+        texture = tree.nodes.new("ShaderNodeTexImage")
+        texture.image = bpy.data.images.load(picture, check_existing=True)
+        tree.links.new(texture.outputs["Color"], diffuse.inputs["Color"])
+    else:
+        diffuse.inputs["Color"].default_value = (*about["color"], 1.0)
+    return made
+
+
+def add_mesh(about, index):
+    positions, triangles, uvs = v.arrays(about)
+    made = bpy.data.meshes.new(f"mesh_{index}")
+    made.vertices.add(len(positions))
+    made.vertices.foreach_set("co", np.ravel(positions))
+    made.loops.add(triangles.size)
+    made.loops.foreach_set("vertex_index", np.ravel(triangles).astype(np.int32))
+    made.polygons.add(len(triangles))
+    made.polygons.foreach_set("loop_start", np.arange(0, triangles.size, 3, dtype=np.int32))
+    layer = made.uv_layers.new()
+    flipped = uvs[np.ravel(triangles)] * np.float32([1, -1]) + np.float32([0, 1])
+    layer.uv.foreach_set("vector", np.ravel(flipped).astype(np.float32))
+    made.update(calc_edges=True)
+    made.shade_flat()
+    made.materials.append(material(about))
+    scene.collection.objects.link(bpy.data.objects.new(made.name, made))
+
+
+def frame(x, y, z, origin):
+    made = Matrix.Identity(4)
+    for column, vector in enumerate((x, y, z, origin)):
+        for row in range(3):
+            made[row][column] = vector[row]
+    return made
+
+
+def add_light():
+    corner, (u, w) = np.array(v.light["corner"]), np.array(v.light["edges"])
+    lamp = bpy.data.lights.new("light", "AREA")
+    lamp.shape = "RECTANGLE"
+    lamp.size, lamp.size_y = np.linalg.norm(u), np.linalg.norm(w)
+    # a Lambertian emitter of radiance L and area A has the power π L A
+    lamp.energy = v.light["radiance"] * lamp.size * lamp.size_y * np.pi
+    lamp.cycles.max_bounces = 1024
+    lamp.use_shadow = True
+    placed = bpy.data.objects.new("light", lamp)
+    x, y = u / np.linalg.norm(u), w / np.linalg.norm(w)
+    # a lamp shines along its -z
+    placed.matrix_world = frame(x, -y, -np.cross(x, y), corner + (u + w) / 2)
+    scene.collection.objects.link(placed)
+
+
+def add_camera():
+    made = bpy.data.cameras.new("camera")
+    made.sensor_fit = "HORIZONTAL"
+    made.angle = v.camera["fov_x_rad"]
+    eye = np.array(v.camera["eye"])
+    made.clip_start, made.clip_end = 1e-3 * np.linalg.norm(eye), 1e4 * np.linalg.norm(eye)
+    placed = bpy.data.objects.new("camera", made)
+    placed.matrix_world = frame(v.camera["right"], v.camera["up"], v.camera["backward"], Vector(eye))
+    scene.collection.objects.link(placed)
+    scene.camera = placed
+
+
+def configure():
+    scene.render.engine = "CYCLES"
+    scene.render.resolution_x, scene.render.resolution_y = v.cols, v.rows
+    scene.render.resolution_percentage = 100
+    scene.render.use_persistent_data = True
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.image_settings.color_depth = "32"
+    scene.render.threads_mode = "FIXED"
+    scene.render.threads = len(os.sched_getaffinity(0))
+    world = bpy.data.worlds.new("sky")
+    world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (v.sky, v.sky, v.sky, 1.0)
+    scene.world = world
+    c = scene.cycles
+    c.device = "CPU"
+    c.use_adaptive_sampling = c.use_denoising = c.use_auto_tile = False
+    c.max_bounces = c.diffuse_bounces = view.BOUNCES_AFTER_FIRST_HIT
+    c.sample_clamp_direct = c.sample_clamp_indirect = 0.0
+    c.min_light_bounces = 1024
+    c.light_sampling_threshold = 0.0
+    c.pixel_filter_type = "BOX"
+    # Cycles' box is two widths wide
+    c.filter_width = 1.0
+
+
+for n, about in enumerate(v.meshes):
+    add_mesh(about, n)
+add_light()
+add_camera()
+configure()
+folder = tempfile.mkdtemp()
+
+
+def timed(samples, seed):
+    scene.cycles.samples = samples
+    scene.cycles.seed = seed
+    path = os.path.join(folder, "view.exr")
+    scene.render.filepath = path
+    start = time.perf_counter()
+    bpy.ops.render.render(write_still=True)
+    seconds = time.perf_counter() - start
+    loaded = bpy.data.images.load(path)
+    picture = np.empty(v.rows * v.cols * 4, dtype=np.float32)
+    loaded.pixels.foreach_get(picture)
+    bpy.data.images.remove(loaded)
+    return seconds, picture.reshape(v.rows, v.cols, 4)[::-1]
+
+
+def render(sampler, samples, seed):
+    # what does not grow with the samples, such as synchronizing the scene and writing the file, is not counted
+    start, _ = timed(1, seed)
+    seconds, picture = timed(samples, seed)
+    return (seconds - start) * samples / max(samples - 1, 1), picture
+
+
+timed(1, 1)
+view.serve(f"Cycles {bpy.app.version_string}", ["default"], render)

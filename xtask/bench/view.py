@@ -1,0 +1,52 @@
+"""What the peers of `cargo xtask bench render` share: the scene, and how they are asked.
+
+A peer is a script that renders one view of a scene of diffuse surfaces. It is started with a folder as its argument, which holds
+
+    scene.json          meshes, camera, sky and rectangle light
+    N_positions.npy     vertices of mesh N in the world, N_triangles.npy its indices, N_uvs.npy texture coordinates (v downwards)
+    image_N.png         textures, sRGB
+
+and then answers requests, one line of text each, with one line of JSON each:
+
+    render SAMPLER SAMPLES SEED FILE    the picture goes to FILE as float32 [row][col][rgb], linear; {"seconds": time that the paths took}
+
+Paths: 4 bounces after the first hit, no roulette, no clamping, box filter.
+"""
+import json
+import sys
+
+import numpy as np
+
+BOUNCES_AFTER_FIRST_HIT = 4
+
+
+class View:
+    def __init__(self, folder):
+        self.folder = folder
+        with open(f"{folder}/scene.json") as file:
+            about = json.load(file)
+        self.camera, self.sky, self.light = about["camera"], about["sky"], about["light"]
+        self.cols, self.rows = about["pixels"]
+        self.meshes = about["meshes"]
+
+    def arrays(self, mesh):
+        """Positions, triangles, texture coordinates of a mesh."""
+        return [np.load(f"{self.folder}/{mesh['files']}_{what}.npy") for what in ("positions", "triangles", "uvs")]
+
+    def image(self, mesh):
+        """The picture's path, or None."""
+        return None if mesh["image"] is None else f"{self.folder}/image_{mesh['image']}.png"
+
+
+def serve(name, samplers, render):
+    """Answers requests until there are no more. `render(sampler, samples, seed)` gives the seconds and the picture."""
+    answer({"name": name, "samplers": samplers})
+    for line in sys.stdin:
+        _, sampler, samples, seed, path = line.rstrip("\n").split("\t")
+        seconds, picture = render(sampler, int(samples), int(seed))
+        np.save(path, np.ascontiguousarray(picture[:, :, :3], dtype=np.float32))
+        answer({"seconds": seconds})
+
+
+def answer(message):
+    print("\n" + json.dumps(message), flush=True)

@@ -1,0 +1,118 @@
+//! `cargo xtask bench render`: the path tracer beside Embree, Mitsuba 3 and Cycles.
+
+use std::path::{Path, PathBuf};
+
+use crate::bench::{absolute, example, text};
+use crate::tools::{self, Outcome, command, output_of};
+
+/// The peers as pip takes them, with what they import as and the script that asks them.
+const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];
+const CYCLES: [&str; 3] = ["bpy==5.0.1", "bpy", "render_cycles.py"];
+const EMBREE: [&str; 2] = ["embreex==4.*", "embreex"];
+/// Copies of FlightHelmet that make 1.4 and 100 million triangles.
+const COPIES: &str = "15";
+const MANY_COPIES: &str = "1100";
+
+/// Runs the rays and the views; `None` if the options make no sense.
+pub fn render(options: &[&str]) -> Option<Outcome> {
+    let (mut quick, mut with_peers, mut scenes) = (false, true, Vec::new());
+    for &word in options {
+        match word {
+            "--quick" => quick = true,
+            "--no-peers" => with_peers = false,
+            word if word.starts_with("--") => return None,
+            scene => scenes.push(absolute(scene)),
+        }
+    }
+    if scenes.is_empty() {
+        scenes = default_scenes();
+    }
+    let quick = if quick { vec!["--quick".to_owned()] } else { Vec::new() };
+    let python = if with_peers { python() } else { None };
+    let embree = python.as_deref().filter(|python| has(python, &EMBREE)).and_then(embree_library);
+    let mut peers = Vec::new();
+    for [package, module, script] in [MITSUBA, CYCLES] {
+        if let Some(python) = python.as_deref().filter(|python| has(python, &[package, module])) {
+            peers.extend(["--peer".to_owned(), text(python)]);
+            peers.push(text(&tools::root().join("xtask/bench").join(script)));
+        }
+    }
+    let run = || -> Outcome {
+        for scene in &scenes {
+            for copies in ["1", COPIES] {
+                let mut words = vec!["rays".to_owned(), scene.clone(), "--copies".to_owned(), copies.to_owned()];
+                words.extend(embree.iter().flat_map(|library| ["--embree".to_owned(), text(library)]));
+                example("lumistack-pathtracer", "bench_render", &words)?;
+            }
+            let folder = ["--folder".to_owned(), text(&tools::root().join("target/bench-render"))];
+            let words = [vec!["view".to_owned(), scene.clone()], quick.clone(), folder.to_vec(), peers.clone()];
+            example("lumistack-pathtracer", "bench_render", &words.concat())?;
+        }
+        Ok(())
+    };
+    Some(run())
+}
+
+/// Runs the scene of many copies.
+pub fn big(options: &[&str]) -> Option<Outcome> {
+    let scene = match options {
+        [] => default_scenes().swap_remove(0),
+        [scene] if !scene.starts_with("--") => absolute(scene),
+        _ => return None,
+    };
+    let words = ["big", &scene, "--copies", MANY_COPIES].map(str::to_owned);
+    Some(example("lumistack-pathtracer", "bench_render", &words))
+}
+
+fn default_scenes() -> Vec<String> {
+    let mut scenes = vec![text(&tools::root().join("scenes/still-life/still-life.gltf"))];
+    match std::env::var_os("LUMISTACK_ASSETS")
+        .map(|assets| Path::new(&assets).join("gltf/FlightHelmet/FlightHelmet.gltf"))
+    {
+        Some(helmet) if helmet.is_file() => scenes.insert(0, text(&helmet)),
+        _ => println!("bench: without FlightHelmet: LUMISTACK_ASSETS names no folder that has it"),
+    }
+    scenes
+}
+
+/// A Python for the peers, made at the first call.
+fn python() -> Option<PathBuf> {
+    if let Some(given) = std::env::var_os("LUMISTACK_BENCH_PYTHON") {
+        return Some(given.into());
+    }
+    let folder = tools::root().join("target/python-render-bench");
+    let python = folder.join("bin/python");
+    let made = if imports(&python, "numpy") {
+        Ok(())
+    } else {
+        tools::make_python(&folder, "to compare our speed with")
+            .and_then(|()| tools::install(&python, &["numpy==1.26.*"]))
+    };
+    made.map_err(|error| println!("bench: without peers: {error}")).ok().map(|()| python)
+}
+
+fn imports(python: &Path, module: &str) -> bool {
+    output_of(command(python).args(["-c", &format!("import {module}")])).is_some()
+}
+
+/// Whether a peer is there; fetches it into the bench's own environment.
+fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
+    if !imports(python, module) && std::env::var_os("LUMISTACK_BENCH_PYTHON").is_none() {
+        println!("\nfetching: {package}, in target/python-render-bench (used only to compare our speed with)");
+        if let Err(error) = tools::install(python, &["--only-binary=:all:", package]) {
+            println!("bench: {error}");
+        }
+    }
+    let there = imports(python, module);
+    if !there {
+        println!("bench: without {module}: {} does not import it", python.display());
+    }
+    there
+}
+
+/// Embree's library inside its wheel.
+fn embree_library(python: &Path) -> Option<PathBuf> {
+    let code = "import embreex, glob, os; f = os.path.dirname(os.path.dirname(embreex.__file__)); print(glob.glob(f + '/embreex.libs/libembree4*')[0])";
+    let path = output_of(command(python).args(["-c", code]))?;
+    Some(PathBuf::from(path.trim()))
+}
