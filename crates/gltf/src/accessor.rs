@@ -8,6 +8,7 @@ use gltf::json::accessor::{ComponentType, Type};
 use gltf::json::validation::Checked;
 
 use crate::document::Document;
+use crate::draco;
 use crate::error::Fault;
 
 /// Elements of an accessor without a buffer view are zeros that take no room in the file; more are refused.
@@ -96,6 +97,27 @@ impl<'a> Accessor<'a> {
         };
         let (used_at, normalized) = (used_at.to_owned(), accessor.normalized);
         Ok(Self { used_at, count, dimensions, component, normalized, dense, sparse })
+    }
+
+    /// Elements that came out of a Draco stream in place of those of the accessor that the index at `used_at` refers to.
+    pub(crate) fn decoded(
+        document: &'a Document<'_>,
+        index: json::Index<json::Accessor>,
+        used_at: &str,
+        format: &Format,
+        source: &'a draco::Attribute,
+    ) -> Result<Self, Fault> {
+        let normalized = document.get(index, used_at)?.normalized;
+        let draco::Attribute { component, dimensions, ref bytes } = *source;
+        let known = format.types.iter().any(|kind| kind.multiplicity() == dimensions);
+        if !(known && format.components.contains(&component)) {
+            let found = format!("{dimensions} of {component:?} in the Draco stream");
+            return Err(Fault::new(used_at, format.text, found));
+        }
+        let size = dimensions * component.size();
+        let count = bytes.len() / size;
+        let dense = Some(Elements { bytes, stride: size, size });
+        Ok(Self { used_at: used_at.to_owned(), count, dimensions, component, normalized, dense, sparse: None })
     }
 
     /// Elements as floats. `fill` stands in for components that the accessor lacks; components past `N` are left out.

@@ -16,8 +16,6 @@ pub(crate) struct Container<'a> {
     pub(crate) root: json::Root,
     /// The binary chunk of a `.glb`.
     pub(crate) bin: Option<&'a [u8]>,
-    /// Whether the file has animations; they are dropped.
-    pub(crate) is_animated: bool,
 }
 
 impl<'a> Container<'a> {
@@ -30,12 +28,15 @@ impl<'a> Container<'a> {
         let text = text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text);
         let mut raw: Value = serde_json::from_slice(text).map_err(|error| syntax_fault(text, &error))?;
         write_integers_as_integers(&mut raw);
-        let is_animated = adapt_to_types(&mut raw);
+        let untyped = adapt_to_types(&mut raw);
         let root = serde_path_to_error::deserialize(&raw).map_err(|error| {
             let path = pointer(error.path());
             structure_fault(path, &error.into_inner().to_string())
         })?;
-        let container = Self { raw, root, bin, is_animated };
+        if let (Some(members), Some(untyped)) = (raw.as_object_mut(), untyped) {
+            members.insert(ANIMATIONS.to_owned(), untyped);
+        }
+        let container = Self { raw, root, bin };
         container.check_version()?;
         Ok(container)
     }
@@ -49,6 +50,7 @@ impl<'a> Container<'a> {
     }
 }
 
+const ANIMATIONS: &str = "animations";
 const MAGIC: &[u8] = b"glTF";
 /// Must not be there, but some editors write it.
 const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
@@ -119,14 +121,14 @@ fn write_integers_as_integers(value: &mut Value) {
     }
 }
 
-/// The `gltf` crate's types ask for what glTF leaves optional: the nodes of a scene, and the target node of an animation, which
-/// nothing here reads. Returns whether there were animations.
-fn adapt_to_types(raw: &mut Value) -> bool {
+/// The `gltf` crate's types ask for what glTF leaves optional: the nodes of a scene, and the target node of an animation. Takes the
+/// animations out, which are read without types.
+fn adapt_to_types(raw: &mut Value) -> Option<Value> {
     let scenes = raw.get_mut("scenes").and_then(Value::as_array_mut);
     for scene in scenes.into_iter().flatten().filter_map(Value::as_object_mut) {
         scene.entry("nodes").or_insert_with(|| Value::Array(Vec::new()));
     }
-    raw.as_object_mut().is_some_and(|root| root.remove("animations").is_some())
+    raw.as_object_mut()?.remove(ANIMATIONS)
 }
 
 fn syntax_fault(text: &[u8], error: &serde_json::Error) -> Fault {

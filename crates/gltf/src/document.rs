@@ -12,13 +12,9 @@ use lumistack_core::Task;
 use percent_encoding::percent_decode_str;
 use serde_json::Value;
 
-use crate::AssetResolver;
 use crate::container::Container;
 use crate::error::Fault;
-
-/// Bytes that one scene may decode to. Small files can ask for any amount (many primitives over one accessor, images
-/// of one colour); past this they are refused instead of exhausting the machine.
-const MAX_DECODED_BYTES: u64 = 8 << 30;
+use crate::{AssetResolver, meshopt};
 
 /// Longest quotation from the file in a message.
 const MAX_QUOTE_CHARS: usize = 60;
@@ -27,10 +23,15 @@ const MAX_QUOTE_CHARS: usize = 60;
 pub(crate) struct Document<'a> {
     pub(crate) root: json::Root,
     pub(crate) task: Task<'a>,
+    /// The chosen variant of materials.
+    pub(crate) variant: Option<usize>,
     raw: Value,
     bin: Option<&'a [u8]>,
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
+    /// Content of buffer views that the file holds compressed.
+    unpacked_views: Vec<OnceCell<Vec<u8>>>,
     resolver: &'a dyn AssetResolver,
+    max_decoded_bytes: u64,
     decoded_bytes: Cell<u64>,
 }
 
@@ -42,13 +43,27 @@ pub(crate) struct View<'a> {
 }
 
 impl<'a> Document<'a> {
-    pub(crate) fn new(container: Container<'a>, resolver: &'a dyn AssetResolver, task: Task<'a>) -> Self {
-        let Container { raw, root, bin, is_animated } = container;
-        if is_animated {
-            task.warn("/animations", "animations are not read; the scene is loaded as its nodes stand");
-        }
+    pub(crate) fn new(
+        container: Container<'a>,
+        resolver: &'a dyn AssetResolver,
+        max_decoded_bytes: u64,
+        task: Task<'a>,
+    ) -> Self {
+        let Container { raw, root, bin } = container;
         let buffers = root.buffers.iter().map(|_| OnceCell::new()).collect();
-        Self { root, task, raw, bin, buffers, resolver, decoded_bytes: Cell::new(0) }
+        let unpacked_views = root.buffer_views.iter().map(|_| OnceCell::new()).collect();
+        Self {
+            root,
+            task,
+            variant: None,
+            raw,
+            bin,
+            buffers,
+            unpacked_views,
+            resolver,
+            max_decoded_bytes,
+            decoded_bytes: Cell::new(0),
+        }
     }
 
     /// The JSON at a pointer.
@@ -81,30 +96,57 @@ impl<'a> Document<'a> {
     pub(crate) fn spend(&self, place: &str, elements: usize, element_bytes: usize) -> Result<(), Fault> {
         let bytes = elements as u64 * element_bytes as u64;
         let total = self.decoded_bytes.get().saturating_add(bytes);
-        if total > MAX_DECODED_BYTES {
-            let expected = format!("a scene that decodes to at most {} GiB", MAX_DECODED_BYTES >> 30);
+        if total > self.max_decoded_bytes {
+            let expected = format!("a scene that decodes to at most {} MiB", self.max_decoded_bytes >> 20);
             return Err(Fault::new(place, expected, format!("{bytes} bytes more here")));
         }
         self.decoded_bytes.set(total);
         Ok(())
     }
 
+    /// Bytes that may still be allocated.
+    pub(crate) fn affordable_bytes(&self) -> u64 {
+        self.max_decoded_bytes.saturating_sub(self.decoded_bytes.get())
+    }
+
     /// The bytes of a buffer view.
     pub(crate) fn view(&self, index: json::Index<json::buffer::View>, place: &str) -> Result<View<'_>, Fault> {
         let view = self.get(index, place)?;
         let place = format!("/bufferViews/{}", index.value());
-        let buffer = self.buffer(view.buffer, &format!("{place}/buffer"))?;
-        let offset = view.byte_offset.unwrap_or_default().0;
-        let range = offset.checked_add(view.byte_length.0).and_then(|end| {
-            let (start, end) = (usize::try_from(offset).ok()?, usize::try_from(end).ok()?);
-            buffer.get(start..end)
-        });
-        let Some(bytes) = range else {
-            let room = (buffer.len() as u64).saturating_sub(offset);
-            let expected = format!("at most {room} bytes, which buffer {} has there", view.buffer.value());
-            return Err(Fault::new(format!("{place}/byteLength"), expected, view.byte_length.0));
+        let stride = view.byte_stride.map(|stride| stride.0);
+        let cell = &self.unpacked_views[index.value()];
+        let bytes = match (cell.get(), meshopt::Packed::of(self, view, &place)?) {
+            (Some(bytes), _) => bytes,
+            (None, Some(packed)) => {
+                let bytes = packed.unpack(self)?;
+                cell.get_or_init(|| bytes)
+            }
+            (None, None) => {
+                let offset = view.byte_offset.unwrap_or_default().0;
+                self.range(view.buffer, offset, view.byte_length.0, &place)?
+            }
         };
-        Ok(View { place, bytes, stride: view.byte_stride.map(|stride| stride.0) })
+        Ok(View { place, bytes, stride })
+    }
+
+    /// A part of a buffer. `place` holds the fields `buffer` and `byteLength`.
+    pub(crate) fn range(
+        &self,
+        buffer: json::Index<json::Buffer>,
+        offset: u64,
+        length: u64,
+        place: &str,
+    ) -> Result<&[u8], Fault> {
+        let bytes = self.buffer(buffer, &format!("{place}/buffer"))?;
+        let range = offset.checked_add(length).and_then(|end| {
+            let (start, end) = (usize::try_from(offset).ok()?, usize::try_from(end).ok()?);
+            bytes.get(start..end)
+        });
+        range.ok_or_else(|| {
+            let room = (bytes.len() as u64).saturating_sub(offset);
+            let expected = format!("at most {room} bytes, which buffer {} has there", buffer.value());
+            Fault::new(format!("{place}/byteLength"), expected, length)
+        })
     }
 
     /// The bytes of a buffer, read on first use.

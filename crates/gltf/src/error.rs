@@ -22,7 +22,7 @@ pub enum GltfError {
         found: String,
     },
     /// The file is sound and says that nobody should show it without an extension that is not supported.
-    #[error("{file}: {place}: expected extensions that can be read ({supported}), found {name}")]
+    #[error("{file}: {place}: expected extensions that can be read ({supported}), found {name}{advice}")]
     UnsupportedExtension {
         /// The file as the caller named it.
         file: String,
@@ -32,6 +32,20 @@ pub enum GltfError {
         name: String,
         /// Every extension that a file may require.
         supported: String,
+        /// What the user can do about it; starts with "; " or is empty.
+        advice: String,
+    },
+    /// The caller chose an animation or a variant that the file does not have.
+    #[error("{file}: expected the name or number of a {what} ({}), found {wanted}", if known.is_empty() { "there are none" } else { known.as_str() })]
+    NoSuch {
+        /// The file as the caller named it.
+        file: String,
+        /// "scene animation" or "material variant".
+        what: &'static str,
+        /// The choice.
+        wanted: String,
+        /// Numbers and names of those there are.
+        known: String,
     },
     /// The task was stopped.
     #[error(transparent)]
@@ -42,7 +56,8 @@ pub enum GltfError {
 #[derive(Debug)]
 pub(crate) enum Fault {
     Malformed { place: String, expected: String, found: String },
-    UnsupportedExtension { place: String, name: String, supported: String },
+    UnsupportedExtension { place: String, name: String, supported: String, advice: String },
+    NoSuch { what: &'static str, wanted: String, known: String },
     Cancelled(Cancelled),
 }
 
@@ -55,9 +70,10 @@ impl Fault {
         let file = file.to_owned();
         match self {
             Self::Malformed { place, expected, found } => GltfError::Malformed { file, place, expected, found },
-            Self::UnsupportedExtension { place, name, supported } => {
-                GltfError::UnsupportedExtension { file, place, name, supported }
+            Self::UnsupportedExtension { place, name, supported, advice } => {
+                GltfError::UnsupportedExtension { file, place, name, supported, advice }
             }
+            Self::NoSuch { what, wanted, known } => GltfError::NoSuch { file, what, wanted, known },
             Self::Cancelled(cancelled) => GltfError::Cancelled(cancelled),
         }
     }

@@ -7,14 +7,15 @@ use std::collections::HashMap;
 use std::io::Cursor;
 
 use gltf::json;
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
 use lumistack_scene::{Image, Pixels};
 
 use crate::document::Document;
 use crate::error::Fault;
+use crate::ktx2;
 
 /// Largest side of a picture in texels.
-const MAX_SIDE: u32 = 1 << 15;
+pub(crate) const MAX_SIDE: u32 = 1 << 15;
 
 /// Memory that decoding one picture may take.
 const MAX_IMAGE_BYTES: u64 = 2 << 30;
@@ -40,29 +41,42 @@ impl Images {
             return Ok(position);
         }
         let place = format!("/images/{}", index.value());
-        let (decoded, name) = match (&image.uri, image.buffer_view) {
+        let owned;
+        let (bytes, place, uri) = match (&image.uri, image.buffer_view) {
             (Some(uri), _) => {
                 let place = format!("{place}/uri");
-                let name = if uri.starts_with("data:") { None } else { Some(uri) };
-                (decode(document, &document.read_uri(uri, &place)?, &place, &TEXTURE_FORMATS)?, name)
+                owned = document.read_uri(uri, &place)?;
+                (owned.as_slice(), place, Some(uri).filter(|uri| !uri.starts_with("data:")))
             }
             (None, Some(view)) => {
                 let place = format!("{place}/bufferView");
-                (decode(document, document.view(view, &place)?.bytes, &place, &TEXTURE_FORMATS)?, None)
+                (document.view(view, &place)?.bytes, place, None)
             }
             (None, None) => return Err(Fault::new(place, "a uri or a bufferView", "neither")),
         };
-        let name = name.or(image.name.as_ref()).map_or(place.clone(), |name| format!("{place} ({name})"));
-        self.position.insert(index.value(), self.decoded.len());
-        self.decoded.push(codes(name, decoded));
+        let number = index.value();
+        let name = uri.or(image.name.as_ref());
+        let name = name.map_or(format!("/images/{number}"), |name| format!("/images/{number} ({name})"));
+        let decoded = if bytes.starts_with(ktx2::MAGIC) {
+            ktx2::decode(document, bytes, &place, name)?
+        } else {
+            codes(document, bytes, &place, name)?
+        };
+        self.position.insert(number, self.decoded.len());
+        self.decoded.push(decoded);
         Ok(self.decoded.len() - 1)
     }
 
     /// Reads the environment map at a URI and returns its position.
     pub(crate) fn environment(&mut self, document: &Document<'_>, uri: &str, place: &str) -> Result<usize, Fault> {
-        let decoded = decode(document, &document.read_uri(uri, place)?, place, &[ImageFormat::Hdr])?;
-        let (width, height) = (decoded.width() as usize, decoded.height() as usize);
-        let texels = decoded.into_rgb32f().pixels().map(|texel| texel.0).collect();
+        let bytes = document.read_uri(uri, place)?;
+        let (format, decoder) = open(document, &bytes, place, &[ImageFormat::Hdr])?;
+        let (width, height) = decoder.dimensions();
+        let (width, height) = (width as usize, height as usize);
+        document.spend(place, width * height, size_of::<[f32; 3]>())?;
+        let decoded = DynamicImage::from_decoder(decoder).map_err(|error| unreadable(place, format, error))?;
+        let values = decoded.into_rgb32f().into_raw();
+        let texels = values.as_chunks::<3>().0.to_vec();
         self.decoded.push(Image { name: place.to_owned(), width, height, pixels: Pixels::RgbF32(texels) });
         Ok(self.decoded.len() - 1)
     }
@@ -70,12 +84,13 @@ impl Images {
 
 const TEXTURE_FORMATS: [ImageFormat; 3] = [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::WebP];
 
-fn decode(
+/// Opens a picture of one of the formats, within the limits.
+fn open<'b>(
     document: &Document<'_>,
-    bytes: &[u8],
+    bytes: &'b [u8],
     place: &str,
     formats: &'static [ImageFormat],
-) -> Result<DynamicImage, Fault> {
+) -> Result<(ImageFormat, impl ImageDecoder + 'b), Fault> {
     document.task.cancel.check()?;
     let names: Vec<String> = formats.iter().map(|format| format!("{format:?}")).collect();
     let expected = format!("a picture in the format {}", names.join(" or "));
@@ -87,36 +102,51 @@ fn decode(
             return Err(Fault::new(place, expected, format!("{} bytes that start \"{start}\"", bytes.len())));
         }
     };
+    let most_bytes = document.affordable_bytes().min(MAX_IMAGE_BYTES);
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE);
     limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(MAX_IMAGE_BYTES);
+    limits.max_alloc = Some(most_bytes);
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     reader.limits(limits);
-    let fault =
-        |error| Fault::new(place, format!("a readable {format:?} picture of at most {MAX_SIDE} texels a side"), error);
-    let decoder = reader.into_decoder().map_err(fault)?;
+    let decoder = reader.into_decoder().map_err(|error| unreadable(place, format, error))?;
     let (width, height) = decoder.dimensions();
-    let total = decoder.total_bytes();
-    if total > MAX_IMAGE_BYTES || width > MAX_SIDE || height > MAX_SIDE {
-        let expected = format!("at most {MAX_SIDE} texels a side and {} GiB", MAX_IMAGE_BYTES >> 30);
+    if decoder.total_bytes() > most_bytes || width > MAX_SIDE || height > MAX_SIDE {
+        let expected = format!("at most {MAX_SIDE} texels a side and {} MiB", most_bytes >> 20);
         return Err(Fault::new(place, expected, format!("{width} × {height} texels of {:?}", decoder.color_type())));
     }
-    let channel_bytes = decoder.color_type().bytes_per_pixel() / decoder.color_type().channel_count();
-    let texel_bytes = 4 * usize::from(channel_bytes);
-    document.spend(place, width as usize * height as usize, texel_bytes)?;
-    DynamicImage::from_decoder(decoder).map_err(fault)
+    Ok((format, decoder))
+}
+
+fn unreadable(place: &str, format: ImageFormat, error: ImageError) -> Fault {
+    Fault::new(place, format!("a readable {format:?} picture of at most {MAX_SIDE} texels a side"), error)
 }
 
 /// Codes with four channels; 16 bits where the file has them.
-fn codes(name: String, decoded: DynamicImage) -> Image {
-    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
-    let pixels = match decoded {
-        DynamicImage::ImageLuma16(_)
-        | DynamicImage::ImageLumaA16(_)
-        | DynamicImage::ImageRgb16(_)
-        | DynamicImage::ImageRgba16(_) => Pixels::Rgba16(decoded.into_rgba16().pixels().map(|texel| texel.0).collect()),
-        _ => Pixels::Rgba8(decoded.into_rgba8().pixels().map(|texel| texel.0).collect()),
+fn codes(document: &Document<'_>, bytes: &[u8], place: &str, name: String) -> Result<Image, Fault> {
+    let (format, decoder) = open(document, bytes, place, &TEXTURE_FORMATS)?;
+    let (width, height) = decoder.dimensions();
+    let (width, height) = (width as usize, height as usize);
+    let color = decoder.color_type();
+    let is_deep = color.bytes_per_pixel() / color.channel_count() > 1;
+    document.spend(place, width * height, if is_deep { 8 } else { 4 })?;
+    let fault = |error| unreadable(place, format, error);
+    let pixels = if color == ColorType::Rgba8 {
+        // in place: these are the large ones
+        let mut texels = vec![[0; 4]; width * height];
+        decoder.read_image(texels.as_flattened_mut()).map_err(fault)?;
+        Pixels::Rgba8(texels)
+    } else if is_deep {
+        let decoded = DynamicImage::from_decoder(decoder).map_err(fault)?;
+        Pixels::Rgba16(decoded.into_rgba16().into_raw().as_chunks::<4>().0.to_vec())
+    } else {
+        let mut raw = vec![0; width * height * usize::from(color.channel_count())];
+        decoder.read_image(&mut raw).map_err(fault)?;
+        Pixels::Rgba8(match color.channel_count() {
+            1 => raw.into_iter().map(|grey| [grey, grey, grey, 255]).collect(),
+            2 => raw.as_chunks::<2>().0.iter().map(|&[grey, alpha]| [grey, grey, grey, alpha]).collect(),
+            _ => raw.as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]).collect(),
+        })
     };
-    Image { name, width, height, pixels }
+    Ok(Image { name, width, height, pixels })
 }

@@ -4,27 +4,9 @@
 //! touches no file system. The `gltf` crate gives the JSON its types; every index, count and offset is checked here before it is
 //! used, so that no file can cause a panic, and memory is bounded.
 //!
-//! # What is read
+//! [`load_with`] takes a time of an animation and a variant of materials. What is read, extension by extension, is in `docs/GLTF.md`.
 //!
-//! | part | support |
-//! |---|---|
-//! | buffers | files, data URIs, the binary chunk; sparse and normalized accessors |
-//! | meshes | triangle lists, strips and fans, indexed or not; two texture coordinate sets per material; `COLOR_0`; morph targets at their weights in the file |
-//! | nodes | matrix or translation, rotation, scale; shared meshes become instances; skins in the pose of the file |
-//! | materials | metallic-roughness with all textures but occlusion, normal maps, alpha modes, emission |
-//! | images | PNG, JPEG, WebP; 16 bits are kept |
-//! | cameras | both kinds; `extras.lumistack.focus_distance` in scene units |
-//! | scene | `extras.lumistack.environment = {"image": "sky.hdr", "strength": 1.0, "rotation": [0, 0, 0, 1]}`, an equirectangular Radiance map |
-//! | `EXT_mesh_gpu_instancing` | copies become instances |
-//! | `EXT_texture_webp` | yes |
-//! | `KHR_lights_punctual` | yes; `range` has no effect |
-//! | `KHR_materials_emissive_strength`, `_ior`, `_transmission`, `_unlit` | yes |
-//! | `KHR_materials_volume` | a thickness above 0 makes a solid, whatever the thickness; attenuation |
-//! | `KHR_mesh_quantization` | yes |
-//! | `KHR_texture_transform` | yes |
-//!
-//! A file that *requires* any other extension is refused; one that *uses* it is loaded with a warning. Points, lines and animations are
-//! left out with a warning.
+//! Meshopt, Draco and Basis Universal streams are decoded by libraries in pure Rust, within the limits of this crate.
 //!
 //! ```
 //! use lumistack_core::{Cancel, Collector, Task};
@@ -47,20 +29,30 @@
 //! ```
 
 mod accessor;
+mod animation;
 mod container;
 mod document;
+mod draco;
 mod error;
 mod extensions;
+mod fields;
+mod glossiness;
 mod images;
+mod ktx2;
 mod lights_cameras;
 mod load;
 mod material;
+mod material_extensions;
 mod mesh;
+mod meshopt;
 mod nodes;
+mod options;
 mod skin;
+mod variants;
 
 pub use error::GltfError;
-pub use load::load;
+pub use load::{Contents, contents, load, load_with};
+pub use options::LoadOptions;
 
 /// Reads the files that a glTF file refers to.
 pub trait AssetResolver {

@@ -14,6 +14,7 @@ use serde_json::Value;
 
 use crate::document::{Document, quote};
 use crate::error::Fault;
+use crate::fields::numbers;
 use crate::images::Images;
 use crate::nodes::{Nodes, extras, rotation};
 
@@ -183,11 +184,6 @@ pub(crate) fn environment(
     };
     let image = images.environment(document, uri, &format!("{place}/image"))?;
     Ok(Some(Environment { image, strength, scene_from_environment }))
-}
-
-fn numbers<const N: usize>(value: &Value) -> Option<[f32; N]> {
-    let numbers: Option<Vec<f32>> = value.as_array()?.iter().map(|v| v.as_f64().map(|v| v as f32)).collect();
-    numbers?.try_into().ok()
 }
 
 /// To the scene's precision.

@@ -14,8 +14,9 @@ use crate::document::Document;
 use crate::error::Fault;
 use crate::material::Materials;
 use crate::nodes::Nodes;
+use crate::options::{LoadOptions, choose};
 use crate::skin::Pose;
-use crate::{AssetResolver, GltfError, extensions, lights_cameras, material, mesh, nodes, skin};
+use crate::{AssetResolver, GltfError, animation, extensions, lights_cameras, material, mesh, nodes, skin, variants};
 
 /// Loads a `.gltf` or `.glb` file.
 ///
@@ -26,9 +27,54 @@ use crate::{AssetResolver, GltfError, extensions, lights_cameras, material, mesh
 /// [`GltfError`] with the place in the file: when the file or one it refers to is missing or broken, when it requires an extension
 /// that is not supported, when nothing in it can be rendered, and when the task is cancelled.
 pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
+    load_with(name, bytes, resolver, &LoadOptions::default(), task)
+}
+
+/// [`load`] at a time of an animation, and in a variant of materials.
+///
+/// # Errors
+/// As [`load`], and when the file does not have the animation or the variant.
+pub fn load_with(
+    name: &str,
+    bytes: &[u8],
+    resolver: &dyn AssetResolver,
+    options: &LoadOptions,
+    task: Task<'_>,
+) -> Result<Scene, GltfError> {
     let warnings = InFile { name, inner: task.warnings };
     let task = Task { warnings: &warnings, ..task };
-    load_scene(name, bytes, resolver, task).map_err(|fault| fault.in_file(name))
+    load_scene(name, bytes, resolver, options, task).map_err(|fault| fault.in_file(name))
+}
+
+/// What a file offers to choose from.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Contents {
+    /// Animations in the file's order: name, and time of the last key in seconds.
+    pub animations: Vec<(String, f32)>,
+    /// Names of the material variants in the file's order.
+    pub variants: Vec<String>,
+}
+
+/// Lists the animations and variants of a file.
+///
+/// # Errors
+/// As [`load`], of what has to be read for the list.
+pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Contents, GltfError> {
+    let warnings = InFile { name, inner: task.warnings };
+    let task = Task { warnings: &warnings, ..task };
+    let list = || -> Result<Contents, Fault> {
+        let limit = LoadOptions::default().max_decoded_bytes;
+        let document = Document::new(Container::open(bytes)?, resolver, limit, task);
+        let named = |names: Vec<Option<&str>>| -> Vec<String> {
+            names.iter().enumerate().map(|(i, name)| name.map_or_else(|| i.to_string(), str::to_owned)).collect()
+        };
+        let mut animations = Vec::new();
+        for (number, name) in named(animation::names(&document)).into_iter().enumerate() {
+            animations.push((name, animation::duration_s(&document, number)?));
+        }
+        Ok(Contents { animations, variants: named(variants::names(&document)) })
+    };
+    list().map_err(|fault| fault.in_file(name))
 }
 
 /// Puts the file's name before the place of every warning.
@@ -43,10 +89,20 @@ impl Warnings for InFile<'_> {
     }
 }
 
-fn load_scene(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, Fault> {
-    let document = Document::new(Container::open(bytes)?, resolver, task);
+fn load_scene(
+    name: &str,
+    bytes: &[u8],
+    resolver: &dyn AssetResolver,
+    options: &LoadOptions,
+    task: Task<'_>,
+) -> Result<Scene, Fault> {
+    let mut document = Document::new(Container::open(bytes)?, resolver, options.max_decoded_bytes, task);
     extensions::check(&document)?;
-    let nodes = nodes::load(&document)?;
+    if let Some(variant) = &options.variant {
+        document.variant = Some(choose("material variant", variant, &variants::names(&document))?);
+    }
+    let document = document;
+    let nodes = nodes::load(&document, animation::sample(&document, options)?)?;
     let mut materials = material::load(&document, &used_materials(&document, &nodes)?)?;
     let environment = lights_cameras::environment(&document, &nodes, &mut materials.images)?;
     let mut parts = SceneParts {
@@ -73,13 +129,17 @@ fn load_scene(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task
 /// Which materials the meshes of the scene use.
 fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
     let mut used = vec![false; document.root.materials.len()];
+    // thousands of nodes may share a mesh of thousands of primitives
+    let mut seen = vec![false; document.root.meshes.len()];
     for &node in &nodes.shown {
         let Some(index) = document.root.nodes[node].mesh else { continue };
         let mesh = document.get(index, &format!("/nodes/{node}/mesh"))?;
+        if std::mem::replace(&mut seen[index.value()], true) {
+            continue;
+        }
         for (i, primitive) in mesh.primitives.iter().enumerate() {
-            if let Some(material) = primitive.material {
-                let place = format!("/meshes/{}/primitives/{i}/material", index.value());
-                document.get(material, &place)?;
+            let place = format!("/meshes/{}/primitives/{i}", index.value());
+            if let Some(material) = variants::material(document, primitive, &place)? {
                 used[material.value()] = true;
             }
         }
@@ -113,12 +173,14 @@ fn place_meshes(
                 document.task.warn(place, "the mesh has no joints; the skin has no effect");
             }
         }
-        let own_shape = pose.is_some() || node.weights.is_some();
+        let animated_weights = nodes.poses.get(&number).and_then(|pose| pose.weights.as_deref());
+        let weights = animated_weights.or(node.weights.as_deref());
+        let own_shape = pose.is_some() || weights.is_some();
         let positions = match loaded.entry((index.value(), own_shape.then_some(number))) {
             Entry::Occupied(entry) => entry.into_mut(),
             Entry::Vacant(entry) => {
                 let first = parts.meshes.len();
-                let shape = Shape { node, mesh, number: index.value(), pose };
+                let shape = Shape { weights, mesh, number: index.value(), pose };
                 parts.meshes.extend(read_mesh(document, &shape, materials, &mut default_material)?);
                 entry.insert(first..parts.meshes.len())
             }
@@ -135,7 +197,8 @@ fn place_meshes(
 
 /// A mesh as one node, or all nodes that share it, show it.
 struct Shape<'a> {
-    node: &'a json::Node,
+    /// The node's own weights of morph targets.
+    weights: Option<&'a [f32]>,
     mesh: &'a json::Mesh,
     number: usize,
     pose: Option<Pose>,
@@ -148,10 +211,11 @@ fn read_mesh(
     materials: &mut Materials,
     default_material: &mut Option<usize>,
 ) -> Result<Vec<lumistack_scene::Mesh>, Fault> {
-    let Shape { node, mesh, number, pose } = shape;
+    let Shape { weights, mesh, number, pose } = shape;
     let mut meshes = Vec::new();
     for (i, primitive) in mesh.primitives.iter().enumerate() {
-        let material = match primitive.material {
+        let place = format!("/meshes/{number}/primitives/{i}");
+        let material = match variants::material(document, primitive, &place)? {
             Some(material) => material.value(),
             None => *default_material.get_or_insert_with(|| {
                 materials.materials.push(Material::default());
@@ -160,12 +224,12 @@ fn read_mesh(
             }),
         };
         let request = mesh::Request {
-            place: format!("/meshes/{number}/primitives/{i}"),
+            place,
             primitive,
             material,
             appearance: &materials.materials[material],
             uv_sets: materials.uv_sets[material],
-            weights: node.weights.as_deref().or(mesh.weights.as_deref()).unwrap_or_default(),
+            weights: weights.or(mesh.weights.as_deref()).unwrap_or_default(),
             pose: pose.as_ref(),
         };
         meshes.extend(mesh::load(document, &request)?);

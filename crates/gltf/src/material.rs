@@ -15,7 +15,9 @@ use serde_json::Value;
 
 use crate::document::{Document, quote};
 use crate::error::Fault;
+use crate::fields::Fields;
 use crate::images::Images;
+use crate::{glossiness, material_extensions};
 
 /// Materials in the file's order, with what they need.
 pub(crate) struct Materials {
@@ -29,7 +31,13 @@ pub(crate) struct Materials {
 /// Reads the materials of the file. Those that nothing uses keep their place but get no textures, so that a picture which
 /// nobody sees cannot be missing.
 pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, Fault> {
-    let mut loader = Loader { document, textures: Vec::new(), images: Images::default(), position: HashMap::new() };
+    let mut loader = Loader {
+        document,
+        textures: Vec::new(),
+        images: Images::default(),
+        position: HashMap::new(),
+        roughness_images: HashMap::new(),
+    };
     let (mut materials, mut uv_sets) = (Vec::new(), Vec::new());
     for (i, material) in document.root.materials.iter().enumerate() {
         let (material, sets) = if used.get(i) == Some(&true) {
@@ -44,19 +52,21 @@ pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, 
     Ok(Materials { materials, uv_sets, textures, images })
 }
 
-struct Loader<'d, 'f> {
-    document: &'d Document<'f>,
-    textures: Vec<Texture>,
-    images: Images,
+pub(crate) struct Loader<'d, 'f> {
+    pub(crate) document: &'d Document<'f>,
+    pub(crate) textures: Vec<Texture>,
+    pub(crate) images: Images,
     /// From the file's texture number to a position in `textures`.
     position: HashMap<usize, usize>,
+    /// From an image with glossiness and the bits of the factor on it to the image with roughness.
+    pub(crate) roughness_images: HashMap<(usize, u32), usize>,
 }
 
 /// A texture reference of any of glTF's kinds.
-struct Reference<'a> {
+struct Reference {
     index: json::Index<json::Texture>,
     uv_set: u32,
-    transform: Option<&'a TextureTransform>,
+    transform: Option<TextureTransform>,
     place: String,
 }
 
@@ -82,12 +92,6 @@ impl Loader<'_, '_> {
             ior: extensions.ior.map_or(1.5, |ior| ior.ior.0),
             ..Material::default()
         };
-        if material.ior == 0.0 {
-            // the extension's way to say that nothing enters the material; the nearest thing there is here
-            let message = "an index of refraction of 0 (specular workflow) is not supported and is taken as 1.5";
-            self.document.task.warn(format!("{place}/extensions/KHR_materials_ior/ior"), message);
-            material.ior = 1.5;
-        }
         if let Some(volume) = &extensions.volume {
             material.solid = volume.thickness_factor.0 > 0.0;
             material.attenuation_color = volume.attenuation_color.0.into();
@@ -106,8 +110,7 @@ impl Loader<'_, '_> {
             let others = normal.extensions.as_ref().map(|extensions| &extensions.others);
             let transform = others.and_then(|others| others.get("KHR_texture_transform"));
             let transform = transform.map(|value| untyped_transform(value, &place)).transpose()?;
-            let reference =
-                Reference { index: normal.index, uv_set: normal.tex_coord, transform: transform.as_ref(), place };
+            let reference = Reference { index: normal.index, uv_set: normal.tex_coord, transform, place };
             material.normal_texture = self.texture_use(Some(reference))?;
         }
         let emissive = source.emissive_texture.as_ref().map(|info| plain(info, place, "emissiveTexture"));
@@ -119,6 +122,9 @@ impl Loader<'_, '_> {
             let texture = texture.map(|info| plain(info, &place, "transmissionTexture"));
             material.transmission_texture = self.texture_use(texture)?;
         }
+        material_extensions::read(self, &mut material, place)?;
+        // goes before all that says how light is reflected
+        glossiness::convert(self, &mut material, place)?;
         let sets = fit_uv_sets(&mut material, place, self.document.task);
         Ok((material, sets))
     }
@@ -137,11 +143,23 @@ impl Loader<'_, '_> {
         }
     }
 
-    fn texture_use(&mut self, reference: Option<Reference<'_>>) -> Result<Option<TextureUse>, Fault> {
+    /// The texture that the member of an extension refers to.
+    pub(crate) fn untyped_texture(&mut self, fields: &Fields<'_>, key: &str) -> Result<Option<TextureUse>, Fault> {
+        let place = fields.place(key);
+        let Some(info) = Fields::at(self.document, place.clone())? else { return Ok(None) };
+        let uv_set = info.count("texCoord")?.unwrap_or_default();
+        let uv_set =
+            u32::try_from(uv_set).map_err(|_| Fault::new(info.place("texCoord"), "a set of coordinates", uv_set))?;
+        let transform = self.document.json(&info.place("extensions/KHR_texture_transform"));
+        let transform = transform.map(|value| untyped_transform(value, &place)).transpose()?;
+        self.texture_use(Some(Reference { index: info.needed_index("index")?, uv_set, transform, place }))
+    }
+
+    fn texture_use(&mut self, reference: Option<Reference>) -> Result<Option<TextureUse>, Fault> {
         let Some(Reference { index, uv_set, transform, place }) = reference else { return Ok(None) };
         let texture = self.texture(index, &format!("{place}/index"))?;
-        let uv_set = transform.and_then(|transform| transform.tex_coord).unwrap_or(uv_set) as usize;
-        let texture_from_mesh = transform.map_or(Affine2::IDENTITY, affine);
+        let uv_set = transform.as_ref().and_then(|transform| transform.tex_coord).unwrap_or(uv_set) as usize;
+        let texture_from_mesh = transform.as_ref().map_or(Affine2::IDENTITY, affine);
         Ok(Some(TextureUse { texture, uv_set, texture_from_mesh }))
     }
 
@@ -153,10 +171,10 @@ impl Loader<'_, '_> {
             return Ok(position);
         }
         let place = format!("/textures/{}", index.value());
-        let webp = format!("{place}/extensions/EXT_texture_webp/source");
-        let image = match document.json(&webp).and_then(Value::as_u64) {
-            // the picture in the better format; `source` is there for readers without the extension
-            Some(source) => self.images.texture(document, json::Index::new(source as u32), &webp)?,
+        let better = ["KHR_texture_basisu", "EXT_texture_webp"].map(|name| format!("{place}/extensions/{name}/source"));
+        // the picture in the better format; `source` is there for readers without the extension
+        let image = match better.iter().find_map(|place| Some((document.json(place)?.as_u64()?, place))) {
+            Some((source, place)) => self.images.texture(document, json::Index::new(source as u32), place)?,
             None => self.images.texture(document, texture.source, &format!("{place}/source"))?,
         };
         let sampler = match texture.sampler {
@@ -197,8 +215,8 @@ impl Loader<'_, '_> {
     }
 }
 
-fn plain<'a>(info: &'a json::texture::Info, parent: &str, slot: &str) -> Reference<'a> {
-    let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.as_ref());
+fn plain(info: &json::texture::Info, parent: &str, slot: &str) -> Reference {
+    let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.clone());
     Reference { index: info.index, uv_set: info.tex_coord, transform, place: format!("{parent}/{slot}") }
 }
 
@@ -232,14 +250,27 @@ fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2]
         );
         task.warn(place, message);
     }
-    let textures = [
+    let coat = material.clearcoat.as_mut();
+    let sheen = material.sheen.as_mut();
+    let film = material.iridescence.as_mut();
+    let layers = coat.map(|coat| [&mut coat.texture, &mut coat.roughness_texture, &mut coat.normal_texture]);
+    let pairs = [
+        sheen.map(|sheen| [&mut sheen.color_texture, &mut sheen.roughness_texture]),
+        film.map(|film| [&mut film.texture, &mut film.thickness_texture]),
+    ];
+    let others = [
         &mut material.base_color_texture,
         &mut material.metallic_roughness_texture,
         &mut material.normal_texture,
         &mut material.emission_texture,
+        &mut material.specular_texture,
+        &mut material.specular_color_texture,
         &mut material.transmission_texture,
     ];
-    for texture in textures.into_iter().flatten() {
+    let stretch = material.anisotropy.as_mut().map(|stretch| &mut stretch.texture);
+    let layers = layers.into_iter().flatten().chain(pairs.into_iter().flatten().flatten());
+    let textures = layers.chain(stretch).chain(others);
+    for texture in textures.flatten() {
         texture.uv_set = used[..used.len().min(2)].iter().position(|&set| set == texture.uv_set).unwrap_or(0);
     }
     let set = |i: usize| used.get(i).map_or(0, |&set| set as u32);

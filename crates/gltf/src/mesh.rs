@@ -11,6 +11,7 @@ use lumistack_scene::{Material, Mesh};
 
 use crate::accessor::{Accessor, Format, Selection};
 use crate::document::Document;
+use crate::draco;
 use crate::error::Fault;
 use crate::skin::Pose;
 
@@ -76,17 +77,29 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         document.task.warn(place, format!("a primitive of mode {mode:?} has no surface and is left out"));
         return Ok(None);
     }
-    let attributes = Attributes { document, request };
+    let decoded = draco::decode(document, place)?;
+    let attributes = Attributes { document, request, decoded: decoded.as_ref() };
     let Some(positions) = attributes.open(Semantic::Positions, &POSITION, None)? else {
         document.task.warn(place, "a primitive without POSITION is left out");
         return Ok(None);
     };
     let count = positions.count;
-    let indices = indices(document, request, count)?;
-    // at most one triangle per index
-    document.spend(place, indices.len(), size_of::<[u32; 3]>())?;
-    let (mut triangles, left_over) = triangles(mode, &indices);
-    drop(indices);
+    let (mut triangles, left_over) = match &decoded {
+        Some(decoded) if decoded.vertices == count => {
+            document.spend(place, decoded.triangles.len(), size_of::<[u32; 3]>())?;
+            (decoded.triangles.clone(), 0)
+        }
+        Some(decoded) => {
+            let place = format!("{place}/extensions/KHR_draco_mesh_compression/attributes");
+            return Err(Fault::new(place, format!("POSITION of {} vertices", decoded.vertices), count));
+        }
+        None => {
+            let indices = indices(document, request, count)?;
+            // at most one triangle per index
+            document.spend(place, indices.len(), size_of::<[u32; 3]>())?;
+            triangles(mode, &indices)
+        }
+    };
     if left_over > 0 {
         document.task.warn(place, format!("{left_over} vertices at the end make no triangle and are left out"));
     }
@@ -135,6 +148,8 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
 pub(crate) struct Attributes<'d, 'f> {
     document: &'d Document<'f>,
     request: &'d Request<'d>,
+    /// What a Draco stream holds instead of accessors.
+    decoded: Option<&'d draco::Decoded>,
 }
 
 impl<'d> Attributes<'d, '_> {
@@ -145,9 +160,13 @@ impl<'d> Attributes<'d, '_> {
         format: &Format,
         count: Option<usize>,
     ) -> Result<Option<Accessor<'d>>, Fault> {
-        let place = format!("{}/attributes/{}", self.request.place, semantic.to_string());
-        let index = self.request.primitive.attributes.get(&Checked::Valid(semantic));
-        index.map(|&index| self.open_index(index, &place, format, count)).transpose()
+        let name = semantic.to_string();
+        let place = format!("{}/attributes/{name}", self.request.place);
+        let Some(&index) = self.request.primitive.attributes.get(&Checked::Valid(semantic)) else { return Ok(None) };
+        match self.decoded.and_then(|decoded| decoded.attributes.get(&name)) {
+            Some(source) => Accessor::decoded(self.document, index, &place, format, source).map(Some),
+            None => self.open_index(index, &place, format, count).map(Some),
+        }
     }
 
     fn open_index(
@@ -259,9 +278,15 @@ fn morph(attributes: &Attributes<'_, '_>, mesh: &mut Mesh, selection: &Selection
 }
 
 fn clamp_colors(document: &Document<'_>, place: &str, colors: Vec<[f32; 4]>) -> Vec<Vec4> {
-    let colors: Vec<Vec4> = colors.into_iter().map(Vec4::from).collect();
-    let clamped: Vec<Vec4> = colors.iter().map(|color| color.clamp(Vec4::ZERO, Vec4::ONE)).collect();
-    if clamped != colors {
+    let mut any = false;
+    let clamp = |color: [f32; 4]| {
+        let color = Vec4::from(color);
+        let clamped = color.clamp(Vec4::ZERO, Vec4::ONE);
+        any |= clamped != color;
+        clamped
+    };
+    let clamped = colors.into_iter().map(clamp).collect();
+    if any {
         document.task.warn(format!("{place}/attributes/COLOR_0"), "colours outside 0..1 are clamped");
     }
     clamped

@@ -3,12 +3,15 @@
 //! scene_from_node = scene_from_parent · parent_from_node, with parent_from_node a matrix or translation · rotation · scale
 //! (glTF 2.0, section 3.5). Products are taken in f64.
 
+use std::collections::HashMap;
+
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 use gltf::json;
 use gltf::json::accessor::{ComponentType, Type};
 use serde_json::Value;
 
 use crate::accessor::{Accessor, Format, Selection};
+use crate::animation::NodePose;
 use crate::document::{Document, quote};
 use crate::error::Fault;
 
@@ -18,16 +21,18 @@ use ComponentType::{F32, I8, I16};
 pub(crate) struct Nodes {
     /// JSON pointer to the scene, where the file has one.
     pub(crate) scene_place: Option<String>,
-    /// Nodes of the scene, parents before children.
+    /// Nodes of the scene, parents before children, without those that `KHR_node_visibility` hides.
     pub(crate) shown: Vec<usize>,
     /// Placement of every node of the file.
     pub(crate) scene_from_node: Vec<DAffine3>,
+    /// What animations say about nodes.
+    pub(crate) poses: HashMap<usize, NodePose>,
 }
 
 /// Reads the hierarchy of the default scene: the file's choice, or its first scene, or, without scenes, all nodes.
-pub(crate) fn load(document: &Document<'_>) -> Result<Nodes, Fault> {
+pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> Result<Nodes, Fault> {
     let parents = parents(document)?;
-    let scene_from_node = placements(document, &parents)?;
+    let scene_from_node = placements(document, &parents, &poses)?;
     let root = &document.root;
     let scene = match root.scene {
         Some(scene) => Some((document.get(scene, "/scene")?, scene.value())),
@@ -60,11 +65,15 @@ pub(crate) fn load(document: &Document<'_>) -> Result<Nodes, Fault> {
     let mut shown = Vec::new();
     let mut open: Vec<usize> = roots.into_iter().rev().collect();
     while let Some(node) = open.pop() {
+        let visible = format!("/nodes/{node}/extensions/KHR_node_visibility/visible");
+        if document.json(&visible).and_then(Value::as_bool) == Some(false) {
+            continue;
+        }
         shown.push(node);
         open.extend(children(&root.nodes[node]).iter().rev().map(json::Index::value));
     }
     let scene_place = scene.map(|(_, number)| format!("/scenes/{number}"));
-    Ok(Nodes { scene_place, shown, scene_from_node })
+    Ok(Nodes { scene_place, shown, scene_from_node, poses })
 }
 
 fn children(node: &json::Node) -> &[json::Index<json::Node>] {
@@ -88,7 +97,11 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
 }
 
 /// The placement of every node; refuses cycles.
-fn placements(document: &Document<'_>, parents: &[Option<usize>]) -> Result<Vec<DAffine3>, Fault> {
+fn placements(
+    document: &Document<'_>,
+    parents: &[Option<usize>],
+    poses: &HashMap<usize, NodePose>,
+) -> Result<Vec<DAffine3>, Fault> {
     let nodes = &document.root.nodes;
     let mut placements: Vec<Option<DAffine3>> = vec![None; nodes.len()];
     for start in 0..nodes.len() {
@@ -104,15 +117,20 @@ fn placements(document: &Document<'_>, parents: &[Option<usize>]) -> Result<Vec<
         }
         let mut placement = at.and_then(|node| placements[node]).unwrap_or(DAffine3::IDENTITY);
         for node in path.into_iter().rev() {
-            placement *= parent_from_node(document, &nodes[node], &format!("/nodes/{node}"))?;
+            placement *= parent_from_node(document, &nodes[node], &format!("/nodes/{node}"), poses.get(&node))?;
             placements[node] = Some(placement);
         }
     }
     Ok(placements.into_iter().map(Option::unwrap_or_default).collect())
 }
 
-fn parent_from_node(document: &Document<'_>, node: &json::Node, place: &str) -> Result<DAffine3, Fault> {
-    let placement = match node.matrix {
+fn parent_from_node(
+    document: &Document<'_>,
+    node: &json::Node,
+    place: &str,
+    pose: Option<&NodePose>,
+) -> Result<DAffine3, Fault> {
+    let at_rest = match node.matrix {
         Some(matrix) => {
             let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
             if matrix.row(3) != glam::DVec4::W {
@@ -127,14 +145,26 @@ fn parent_from_node(document: &Document<'_>, node: &json::Node, place: &str) -> 
         None => {
             let vector = |value: Option<[f32; 3]>, default| value.map_or(default, |v| DVec3::from(v.map(f64::from)));
             let rotation = rotation(node.rotation.unwrap_or_default().0, || format!("{place}/rotation"))?;
-            DAffine3::from_scale_rotation_translation(
-                vector(node.scale, DVec3::ONE),
-                rotation,
-                vector(node.translation, DVec3::ZERO),
-            )
+            let parts = (vector(node.scale, DVec3::ONE), rotation, vector(node.translation, DVec3::ZERO));
+            posed(pose, parts)
         }
     };
+    let placement = match pose {
+        // not allowed, but clear: the matrix stands for what is not animated
+        Some(_) if node.matrix.is_some() => posed(pose, at_rest.to_scale_rotation_translation()),
+        _ => at_rest,
+    };
     if placement.is_finite() { Ok(placement) } else { Err(Fault::new(place, "a finite placement", placement)) }
+}
+
+/// A placement from scale, rotation and translation, each the animation's where it has one.
+fn posed(pose: Option<&NodePose>, (scale, rotation, translation): (DVec3, DQuat, DVec3)) -> DAffine3 {
+    let moved = pose.cloned().unwrap_or_default();
+    DAffine3::from_scale_rotation_translation(
+        moved.scale.unwrap_or(scale),
+        moved.rotation.unwrap_or(rotation),
+        moved.translation.unwrap_or(translation),
+    )
 }
 
 /// A unit quaternion from four numbers that need not have length one.

@@ -282,17 +282,37 @@ fn environments_that_cannot_light() {
 
 #[test]
 fn required_extensions() {
-    let b = triangle_with(|b| _ = b.set("/extensionsRequired", json!(["KHR_draco_mesh_compression"])));
-    let result = load(&b.glb()).0.unwrap_err();
-    assert!(matches!(&result, GltfError::UnsupportedExtension { name, place, .. }
-        if name == "KHR_draco_mesh_compression" && place == "/extensionsRequired/0"));
-    let b = triangle_with(|b| _ = b.set("/extensionsUsed", json!(["KHR_draco_mesh_compression"])));
-    let (result, warnings) = load(&b.glb());
-    assert!(result.is_ok());
-    assert_eq!(
-        warnings,
-        ["test.gltf: /extensionsUsed/0: KHR_draco_mesh_compression is not supported and has no effect"]
-    );
+    for name in [
+        "EXT_lights_image_based",
+        "EXT_texture_avif",
+        "KHR_animation_pointer",
+        "KHR_audio_emitter",
+        "KHR_gaussian_splatting",
+        "KHR_materials_diffuse_transmission",
+        "KHR_materials_volume_scatter",
+        "KHR_techniques_webgl",
+        "MSFT_texture_dds",
+        "ACME_unheard_of",
+    ] {
+        let b = triangle_with(|b| _ = b.set("/extensionsRequired", json!(["KHR_mesh_quantization", name])));
+        let error = load(&b.glb()).0.unwrap_err();
+        let start = "test.gltf: /extensionsRequired/1: expected extensions that can be read (EXT_mesh_gpu_instancing, ";
+        let message = error.to_string();
+        assert!(message.starts_with(start) && message.contains(&format!("), found {name}")), "{message}");
+        assert!(matches!(&error, GltfError::UnsupportedExtension { name: found, .. } if found == name));
+        let b = triangle_with(|b| _ = b.set("/extensionsUsed", json!([name])));
+        let (result, warnings) = load(&b.glb());
+        assert!(result.is_ok() && warnings.len() == 1, "{warnings:?}");
+        let start = format!("test.gltf: /extensionsUsed/0: {name} is not supported and has no effect");
+        assert!(warnings[0].starts_with(&start), "{warnings:?}");
+    }
+    for name in ["KHR_node_hoverability", "KHR_node_selectability", "KHR_xmp", "KHR_xmp_json_ld"] {
+        let b = triangle_with(|b| {
+            b.set("/extensionsUsed", json!([name])).set("/extensionsRequired", json!([name]));
+        });
+        let (result, warnings) = load(&b.glb());
+        assert!(result.is_ok() && warnings.is_empty(), "{warnings:?}");
+    }
 }
 
 #[test]
@@ -304,8 +324,21 @@ fn copies_of_copies_do_not_exhaust_memory() {
     let instancing = json!({"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": offsets}}});
     builder.set("/nodes/0/extensions", instancing);
     let message = error(&builder);
-    let expected = "test.gltf: /nodes/0: expected a scene that decodes to at most 8 GiB";
+    let expected = "test.gltf: /nodes/0: expected a scene that decodes to at most 8192 MiB";
     assert!(message.starts_with(expected), "{message}");
+}
+
+/// Fifty thousand nodes of a mesh with twenty thousand primitives: a billion of anything would take minutes.
+#[test]
+fn nodes_that_share_a_large_mesh_take_no_time() {
+    let mut builder = Builder::triangle();
+    builder.set("/meshes/0/primitives", json!(vec![json!({"attributes": {"POSITION": 0}, "mode": 1}); 20_000]));
+    builder.set("/nodes", json!(vec![json!({"mesh": 0}); 50_000]));
+    builder.set("/scenes/0/nodes", json!((0..50_000).collect::<Vec<_>>()));
+    let start = std::time::Instant::now();
+    let message = error(&builder);
+    assert!(message.contains("expected at least one triangle"), "{message}");
+    assert!(start.elapsed().as_secs() < 10, "{:?}", start.elapsed());
 }
 
 #[test]

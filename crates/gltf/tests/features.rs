@@ -201,6 +201,16 @@ fn the_default_scene_is_chosen() {
 }
 
 #[test]
+fn hidden_nodes_are_left_out() {
+    let mut b = Builder::triangle();
+    b.push("nodes", json!({"mesh": 0, "children": [2], "extensions": {"KHR_node_visibility": {"visible": false}}}));
+    b.push("nodes", json!({"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": true}}}));
+    b.push("nodes", json!({"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": true}}}));
+    b.set("/scenes/0/nodes", json!([0, 1, 3])).set("/extensionsRequired", json!(["KHR_node_visibility"]));
+    assert_eq!(scene(&b).instances.len(), 2);
+}
+
+#[test]
 fn gpu_instancing_places_copies() {
     let mut b = Builder::triangle();
     let translations = b.floats("VEC3", &[0.0, 0.0, 0.0, 0.0, 0.0, 3.0]);
@@ -506,7 +516,7 @@ fn what_has_no_effect_is_said() {
     let (scene, warnings) = load(&b.glb());
     assert!(scene.unwrap().meshes[0].tangents.is_empty());
     let expected = [
-        "/animations: animations are not read; the scene is loaded as its nodes stand",
+        "/animations: the file is animated; it is shown as its nodes stand, since no time is asked for",
         "/scenes/0/extras/lumistack/enviroment: unknown; known here: environment",
         "/meshes/0/primitives/0: some tangents have no direction; all are left out and generated where needed",
     ];

@@ -139,6 +139,17 @@ impl Window {
         Self { scene_from_display, size_mm: self.size_mm }
     }
 
+    /// The window moved back along its normal by `by_mm`, so that what was at depth −`by_mm` lies in its plane. What is seen straight on stays: a window
+    /// for parallel projections keeps its size, and one before an eye at `eye_mm` grows with the distance, eye and frustum staying where they are.
+    #[must_use]
+    pub fn moved_back(&self, by_mm: f64, eye_mm: Option<f64>) -> Self {
+        let map = self.scene_from_display;
+        let factor = eye_mm.map_or(1.0, |eye| (eye + by_mm) / eye);
+        let translation = map.point(DVec3::new(0.0, 0.0, -by_mm));
+        let scene_from_display = Similarity { scale: map.scale * factor, translation, ..map };
+        Self { scene_from_display, size_mm: self.size_mm }
+    }
+
     /// Frames the bounds from the front (looking along −z, glTF's front of an asset): the plane goes through their centre and just
     /// holds their width and height.
     ///
@@ -180,6 +191,21 @@ mod tests {
         assert!(
             (map.inverse_point(map.point(DVec3::new(1.0, -2.0, 3.0))) - DVec3::new(1.0, -2.0, 3.0)).length() < 1e-9
         );
+    }
+
+    #[test]
+    fn a_window_that_moves_back_shows_the_same_straight_on() {
+        let window = Window::given(DVec3::new(1.0, 2.0, 3.0), DVec3::X, DVec3::Y, 4.0, SIZE_MM).unwrap();
+        let (map, corner) = (window.scene_from_display, DVec3::new(80.0, -50.0, 0.0));
+        let oblique = window.moved_back(30.0, None).scene_from_display;
+        assert!((oblique.point(corner) - map.point(corner - 30.0 * DVec3::Z)).length() < 1e-12);
+        let perspective = window.moved_back(30.0, Some(600.0)).scene_from_display;
+        let eye = DVec3::new(0.0, 0.0, 600.0);
+        assert!((perspective.point(eye) - map.point(eye)).length() < 1e-12, "the eye stays");
+        // a corner moves along its line of sight
+        let along = (map.point(corner) - map.point(eye)).normalize();
+        assert!((perspective.point(corner) - map.point(eye)).normalize().distance(along) < 1e-12);
+        assert!((perspective.inverse_point(map.point(-30.0 * DVec3::Z))).length() < 1e-9);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use lumistack_core::{Cancel, Collector, Task};
-use lumistack_gltf::{AssetResolver, GltfError};
+use lumistack_gltf::{AssetResolver, GltfError, LoadOptions};
 use lumistack_scene::Scene;
 use serde_json::{Value, json};
 
@@ -44,6 +44,22 @@ impl AssetResolver for Memory {
 pub fn load_with(bytes: &[u8], resolver: &dyn AssetResolver) -> (Result<Scene, GltfError>, Vec<String>) {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let result = lumistack_gltf::load("test.gltf", bytes, resolver, Task::quiet(&warnings, &cancel));
+    (result, warnings.take().iter().map(ToString::to_string).collect())
+}
+
+/// A file in memory at a time, in a variant.
+pub fn load_choosing(bytes: &[u8], options: &LoadOptions) -> (Result<Scene, GltfError>, Vec<String>) {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    let result = lumistack_gltf::load_with("test.gltf", bytes, &Memory(Vec::new()), options, task);
+    (result, warnings.take().iter().map(ToString::to_string).collect())
+}
+
+pub fn load_file_choosing(path: &Path, options: &LoadOptions) -> (Result<Scene, GltfError>, Vec<String>) {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    let bytes = std::fs::read(path).unwrap();
+    let result = lumistack_gltf::load_with("test.gltf", &bytes, &Folder::of(path), options, task);
     (result, warnings.take().iter().map(ToString::to_string).collect())
 }
 

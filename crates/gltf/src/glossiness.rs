@@ -1,0 +1,70 @@
+//! `KHR_materials_pbrSpecularGlossiness` as metallic-roughness.
+//!
+//! The material is a dielectric (metallic 0) of base colour `diffuse` whose reflection at normal incidence is `specular`: the index of
+//! refraction 0 turns the Fresnel term off, so that the specular colour alone sets it (KHR_materials_specular, "Conversions", and
+//! KHR_materials_ior). Roughness is 1 − glossiness; where a texture holds glossiness in its alpha, a picture is made whose green
+//! channel is 1 − glossinessFactor · alpha, since no factor on a roughness texture can say the same.
+
+use glam::{Vec3, Vec4};
+use lumistack_scene::{Image, Material, Pixels, Texture};
+
+use crate::error::Fault;
+use crate::fields::Fields;
+use crate::material::Loader;
+
+pub(crate) const NAME: &str = "KHR_materials_pbrSpecularGlossiness";
+
+/// Changes the material to what the extension says, if it is there.
+pub(crate) fn convert(loader: &mut Loader<'_, '_>, material: &mut Material, place: &str) -> Result<bool, Fault> {
+    let Some(fields) = Fields::at(loader.document, format!("{place}/extensions/{NAME}"))? else { return Ok(false) };
+    material.base_color = Vec4::from(fields.numbers("diffuseFactor", [1.0; 4])?);
+    material.base_color_texture = loader.untyped_texture(&fields, "diffuseTexture")?;
+    (material.metallic, material.ior, material.specular) = (0.0, 0.0, 1.0);
+    material.specular_color = Vec3::from(fields.numbers("specularFactor", [1.0; 3])?);
+    material.specular_color_texture = loader.untyped_texture(&fields, "specularGlossinessTexture")?;
+    let glossiness = fields.number("glossinessFactor", 1.0)?;
+    if !(0.0..=1.0).contains(&glossiness) {
+        return Err(Fault::new(fields.place("glossinessFactor"), "a number in 0..1", glossiness));
+    }
+    match material.specular_color_texture {
+        None => (material.roughness, material.metallic_roughness_texture) = (1.0 - glossiness, None),
+        Some(glossy) => {
+            let texture = roughness_texture(loader, glossy.texture, glossiness, place)?;
+            material.roughness = 1.0;
+            material.metallic_roughness_texture = Some(lumistack_scene::TextureUse { texture, ..glossy });
+        }
+    }
+    Ok(true)
+}
+
+/// Position of a texture with the roughness that a texture with glossiness stands for.
+fn roughness_texture(loader: &mut Loader<'_, '_>, glossy: usize, factor: f32, place: &str) -> Result<usize, Fault> {
+    let source = loader.textures[glossy];
+    let key = (source.image, factor.to_bits());
+    let image = match loader.roughness_images.get(&key) {
+        Some(&image) => image,
+        None => {
+            let from = &loader.images.decoded[source.image];
+            loader.document.spend(place, from.pixels.len(), size_of::<[u8; 4]>())?;
+            let made = roughness_image(from, factor);
+            loader.images.decoded.push(made);
+            let image = loader.images.decoded.len() - 1;
+            loader.roughness_images.insert(key, image);
+            image
+        }
+    };
+    loader.textures.push(Texture { image, ..source });
+    Ok(loader.textures.len() - 1)
+}
+
+fn roughness_image(glossy: &Image, factor: f32) -> Image {
+    let rough = |alpha: f32| ((1.0 - factor * alpha) * 255.0).round() as u8;
+    let texel = |roughness: u8| [0, roughness, 0, 255];
+    let pixels = match &glossy.pixels {
+        Pixels::Rgba8(texels) => texels.iter().map(|&[.., alpha]| texel(rough(f32::from(alpha) / 255.0))).collect(),
+        Pixels::Rgba16(texels) => texels.iter().map(|&[.., alpha]| texel(rough(f32::from(alpha) / 65535.0))).collect(),
+        Pixels::RgbF32(texels) => vec![texel(rough(1.0)); texels.len()],
+    };
+    let name = format!("{} as roughness", glossy.name);
+    Image { name, width: glossy.width, height: glossy.height, pixels: Pixels::Rgba8(pixels) }
+}

@@ -1,0 +1,121 @@
+//! `KHR_texture_basisu`: KTX2 pictures whose texels are packed by Basis Universal, as ETC1S or UASTC.
+//!
+//! Every offset and size of the container is checked here before the decoder sees it. Only the largest level is decoded; the path
+//! tracer makes its own pyramid. Sources: KTX 2.0 specification, sections 3 and 5; KHR_texture_basisu, "KTX v2 Images with Basis
+//! Universal Supercompression".
+
+use basisu::{DecodeFlags, TargetFormat, Transcoder};
+use lumistack_scene::{Image, Pixels};
+
+use crate::document::Document;
+use crate::error::Fault;
+use crate::images::MAX_SIDE;
+
+/// What a KTX2 file starts with.
+pub(crate) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
+
+/// Bytes of the header before the list of levels, and of one level's entry there.
+const HEADER_BYTES: usize = 80;
+const LEVEL_BYTES: usize = 24;
+/// Colour models of the data format descriptor.
+const ETC1S: u32 = 163;
+const UASTC: u32 = 166;
+
+/// Which of the decoded channels hold what glTF calls red, green, blue and alpha.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Channels {
+    Rgba,
+    /// Red alone.
+    Red,
+    /// Red in the colour, green in alpha.
+    RedAndAlpha,
+    /// Red and green where they belong.
+    RedGreen,
+}
+
+struct Header {
+    width: u32,
+    height: u32,
+    channels: Channels,
+}
+
+/// Decodes the largest level.
+pub(crate) fn decode(document: &Document<'_>, bytes: &[u8], place: &str, name: String) -> Result<Image, Fault> {
+    document.task.cancel.check()?;
+    let Header { width, height, channels } = Header::read(bytes, place)?;
+    document.spend(place, width as usize * height as usize, size_of::<[u8; 4]>())?;
+    let broken = |error| Fault::new(place, "a sound Basis Universal picture", format!("{error:?}"));
+    let transcoder = Transcoder::new(bytes).map_err(broken)?;
+    let mut texels = vec![[0u8; 4]; width as usize * height as usize];
+    transcoder.transcode_into(0, TargetFormat::Rgba32, DecodeFlags::NONE, texels.as_flattened_mut()).map_err(broken)?;
+    for texel in &mut texels {
+        *texel = match channels {
+            Channels::Rgba => *texel,
+            Channels::Red => [texel[0], 0, 0, 255],
+            Channels::RedAndAlpha => [texel[0], texel[3], 0, 255],
+            Channels::RedGreen => [texel[0], texel[1], 0, 255],
+        };
+    }
+    Ok(Image { name, width: width as usize, height: height as usize, pixels: Pixels::Rgba8(texels) })
+}
+
+impl Header {
+    /// Reads what matters of the header and checks every range that it speaks of.
+    fn read(bytes: &[u8], place: &str) -> Result<Self, Fault> {
+        let fault =
+            |expected: &str, found: String| Err(Fault::new(place, format!("a KTX2 picture with {expected}"), found));
+        let truncated = || Fault::new(place, "a whole KTX2 file", format!("{} bytes", bytes.len()));
+        let word = |at: usize| -> Result<u32, Fault> {
+            let found = bytes.get(at..).and_then(|tail| tail.first_chunk());
+            found.map(|&word| u32::from_le_bytes(word)).ok_or_else(truncated)
+        };
+        let long = |at: usize| -> Result<u64, Fault> { Ok(u64::from(word(at)?) | u64::from(word(at + 4)?) << 32) };
+        let inside = |offset: u64, length: u64| match offset.checked_add(length) {
+            Some(end) if end <= bytes.len() as u64 => Ok(()),
+            _ => Err(truncated()),
+        };
+        let (format, width, height, depth) = (word(12)?, word(20)?, word(24)?, word(28)?);
+        let (layers, faces, levels, scheme) = (word(32)?, word(36)?, word(40)?, word(44)?);
+        if format != 0 {
+            return fault("texels of Basis Universal", format!("the Vulkan format {format}"));
+        }
+        if !(1..=MAX_SIDE).contains(&width) || !(1..=MAX_SIDE).contains(&height) {
+            return fault(&format!("1 to {MAX_SIDE} texels a side"), format!("{width} × {height}"));
+        }
+        if depth != 0 || layers > 1 || faces != 1 || !(1..=16).contains(&levels) {
+            let found = format!("depth {depth}, {layers} layers, {faces} faces and {levels} levels");
+            return fault("one face, no layers and 1 to 16 levels", found);
+        }
+        let descriptor = word(48)? as usize;
+        for (offset, length) in [(word(48)?, word(52)?), (word(56)?, word(60)?)] {
+            inside(offset.into(), length.into())?;
+        }
+        inside(long(64)?, long(72)?)?;
+        let model = word(descriptor + 12)? & 255;
+        if !((model == ETC1S && scheme == 1) || (model == UASTC && (scheme == 0 || scheme == 2))) {
+            let found = format!("colour model {model} with supercompression {scheme}");
+            return fault("ETC1S in BasisLZ, or UASTC plain or in Zstandard", found);
+        }
+        for level in 0..levels {
+            let entry = HEADER_BYTES + LEVEL_BYTES * level as usize;
+            inside(long(entry)?, long(entry + 8)?)?;
+            let blocks = |side: u32| u64::from((side >> level).max(1).div_ceil(4));
+            let unpacked = long(entry + 16)?;
+            let needed = 16 * blocks(width) * blocks(height);
+            if model == UASTC && unpacked != needed {
+                return fault(&format!("{needed} bytes in level {level}"), unpacked.to_string());
+            }
+        }
+        let sample = |at: usize| -> Result<u32, Fault> { Ok((word(at)? >> 24) & 15) };
+        let first = sample(descriptor + 28)?;
+        let two_samples = word(52)? >= 60;
+        let channels = match (model, first) {
+            (ETC1S, 3) if two_samples && sample(descriptor + 44)? == 4 => Channels::RedAndAlpha,
+            (ETC1S, 3) | (UASTC, 4) => Channels::Red,
+            (UASTC, 5) => Channels::RedAndAlpha,
+            (UASTC, 6) => Channels::RedGreen,
+            _ => Channels::Rgba,
+        };
+        Ok(Self { width, height, channels })
+    }
+}

@@ -1,0 +1,39 @@
+//! What a caller may choose of a file: a time, an animation, a variant.
+
+use crate::error::Fault;
+
+/// Choices of [`load_with`](crate::load_with). The default is the scene as its nodes stand, with its default materials.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoadOptions {
+    /// Time at which animations are sampled, seconds; they hold their first and last values beyond their ends. `None`: the scene as
+    /// its nodes stand, or, with [`animation`](Self::animation), time 0.
+    pub time_s: Option<f64>,
+    /// Name or number of the animation. `None`: all of them together where no two move the same thing, otherwise the first.
+    pub animation: Option<String>,
+    /// Name or number of the material variant (`KHR_materials_variants`). `None`: the default materials.
+    pub variant: Option<String>,
+    /// Bytes that the scene may decode to. Small files can ask for any amount (many primitives over one accessor, pictures of one
+    /// colour); past this they are refused instead of exhausting the machine. 8 GiB.
+    pub max_decoded_bytes: u64,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self { time_s: None, animation: None, variant: None, max_decoded_bytes: 8 << 30 }
+    }
+}
+
+/// Number of the entry that `wanted` names; a name goes before a number.
+pub(crate) fn choose(what: &'static str, wanted: &str, names: &[Option<&str>]) -> Result<usize, Fault> {
+    let by_name = names.iter().position(|name| *name == Some(wanted));
+    let by_number = || wanted.parse().ok().filter(|&number: &usize| number < names.len());
+    by_name.or_else(by_number).ok_or_else(|| {
+        let known: Vec<String> = names.iter().enumerate().map(|(i, name)| label(i, *name)).collect();
+        Fault::NoSuch { what, wanted: wanted.to_owned(), known: known.join(", ") }
+    })
+}
+
+/// How an entry is called in messages.
+pub(crate) fn label(number: usize, name: Option<&str>) -> String {
+    name.map_or_else(|| number.to_string(), |name| format!("{number} ({name})"))
+}
