@@ -6,11 +6,11 @@ use crate::{Data, ErrorSink, HostServices, Status, Str, Time};
 
 /// Values of [`Descriptor::kind`].
 pub mod kind {
-    /// Makes scenes from files.
+    /// Makes scenes from files; see [`ImporterVtable`](crate::ImporterVtable).
     pub const IMPORTER: u32 = 1;
-    /// Makes light fields.
+    /// Makes light fields; see [`SourceVtable`](crate::SourceVtable).
     pub const SOURCE: u32 = 2;
-    /// Turns light fields into layer stacks.
+    /// Turns light fields into layer stacks; see [`NodeVtable`](crate::NodeVtable).
     pub const NODE: u32 = 3;
     /// Takes what the graph makes and puts it somewhere; see [`OutputVtable`](super::OutputVtable).
     pub const OUTPUT: u32 = 4;
@@ -44,7 +44,7 @@ pub struct Descriptor {
     pub size: usize,
     /// One of [`kind`]; says what `vtable` points to.
     pub kind: u32,
-    /// Accepted input ports, bits of [`port`].
+    /// Accepted input ports, bits of [`port`]: [`FILE`](port::FILE) for importers, none for sources, [`LIGHT_FIELD`](port::LIGHT_FIELD) for nodes.
     pub ports: u32,
     /// Name in job files and on the command line: lower-case letters, digits and underscores, a letter first.
     pub id: Str,
@@ -54,7 +54,7 @@ pub struct Descriptor {
     pub doc: Str,
     /// Parameters: `{"params": [{"name", "kind", "default", "min", "max", "options", "unit", "help"}, ...]}`.
     pub schema_json: Str,
-    /// Functions of its kind: an [`OutputVtable`] for [`kind::OUTPUT`].
+    /// Functions of its kind; see [`kind`].
     pub vtable: *const c_void,
 }
 

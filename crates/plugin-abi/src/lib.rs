@@ -13,6 +13,14 @@
 //!  │  close() ─────────────────────────────▶ │   frees the handle, finished or not
 //! ```
 //!
+//! That is an output's life. Importers, sources and nodes are one call each, from which what they make comes back through a sink:
+//!
+//! ```text
+//!  │  import(HostServices, params, file, Assets, ByteSink) ─▶ │   a glTF document
+//!  │  make(HostServices, params, display, Time, FieldSink) ─▶ │   a light field
+//!  │  make(HostServices, params, display, Time, Data, StackSink) ─▶ │   a layer stack
+//! ```
+//!
 //! Rules that both sides keep:
 //! * A struct starts with its own size in bytes ([`Descriptor`] with the version numbers) and only ever grows at the end. Who reads a
 //!   struct of the other side reads no further than that size; who has one filled in sets its `size` first.
@@ -27,10 +35,12 @@
 mod data;
 mod descriptor;
 mod host;
+mod makers;
 
 pub use data::{Data, Plane, Time, View, dtype, view};
 pub use descriptor::{Descriptor, Entry, OutputVtable, kind, port};
 pub use host::{HostServices, level};
+pub use makers::{Assets, ByteSink, FieldSink, ImporterVtable, NodeVtable, SourceVtable, StackSink};
 
 use core::ffi::c_void;
 
@@ -38,7 +48,7 @@ use core::ffi::c_void;
 pub const ABI_MAJOR: u32 = 0;
 
 /// Version of what was added at the ends of structs.
-pub const ABI_MINOR: u32 = 1;
+pub const ABI_MINOR: u32 = 2;
 
 /// A plugin's entry symbol is this followed by its id; see [`Entry`].
 pub const ENTRY_PREFIX: &str = "lumistack_plugin_entry_";
@@ -186,6 +196,23 @@ mod tests {
         ];
         assert_eq!(plane, [8, 16, 20, 24, 56, 88, 96, 104]);
 
+        assert_eq!((offset_of!(ByteSink, context), offset_of!(ByteSink, write), size_of::<ByteSink>()), (8, 16, 24));
+        assert_eq!((offset_of!(Assets, context), offset_of!(Assets, read), size_of::<Assets>()), (8, 16, 24));
+        let importer = [offset_of!(ImporterVtable, extensions), offset_of!(ImporterVtable, import)];
+        assert_eq!((importer, size_of::<ImporterVtable>()), ([8, 24], 32));
+        let field =
+            [offset_of!(FieldSink, context), offset_of!(FieldSink, geometry), offset_of!(FieldSink, view_plane)];
+        assert_eq!((field, size_of::<FieldSink>()), ([8, 16, 24], 32));
+        let stack = [
+            offset_of!(StackSink, context),
+            offset_of!(StackSink, brightness),
+            offset_of!(StackSink, layer_plane),
+            offset_of!(StackSink, emission_plane),
+        ];
+        assert_eq!((stack, size_of::<StackSink>()), ([8, 16, 24, 32], 40));
+        assert_eq!((offset_of!(SourceVtable, make), size_of::<SourceVtable>()), (8, 16));
+        assert_eq!((offset_of!(NodeVtable, make), size_of::<NodeVtable>()), (8, 16));
+
         assert_eq!((offset_of!(Time, index), offset_of!(Time, seconds), size_of::<Time>()), (8, 16, 24));
         assert_eq!((offset_of!(View, kind), offset_of!(View, value), size_of::<View>()), (8, 16, 40));
     }
@@ -201,8 +228,15 @@ mod tests {
             offset_of!(Plane, size),
             offset_of!(Time, size),
             offset_of!(View, size),
+            offset_of!(ByteSink, size),
+            offset_of!(Assets, size),
+            offset_of!(ImporterVtable, size),
+            offset_of!(FieldSink, size),
+            offset_of!(SourceVtable, size),
+            offset_of!(StackSink, size),
+            offset_of!(NodeVtable, size),
         ];
-        assert_eq!(sizes, [0; 7]);
+        assert_eq!(sizes, [0; 14]);
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use lumistack_plugin::PluginError;
+use lumistack_plugin::serve::PluginKind;
 use thiserror::Error;
 
 /// Why an output was not written. Nothing new is in its folder then.
@@ -19,6 +20,16 @@ pub enum HostError {
         /// All ids.
         known: Vec<String>,
     },
+    /// A plugin of another kind.
+    #[error("plugin `{id}`: expected {expected}, found {found}")]
+    OtherKind {
+        /// The plugin.
+        id: String,
+        /// What was needed.
+        expected: PluginKind,
+        /// What it is.
+        found: PluginKind,
+    },
     /// A plugin that cannot be used.
     #[error("plugin cannot be used: {0}")]
     BadPlugin(PluginError),
@@ -26,24 +37,30 @@ pub enum HostError {
     #[error("two plugins have the id `{0}`")]
     DuplicatePlugin(String),
     /// The plugin does not take these parameters or data.
-    #[error("output `{plugin}`: {reason}")]
+    #[error("{} `{plugin}`: {reason}", kind.name())]
     Refused {
+        /// Its kind.
+        kind: PluginKind,
         /// The plugin.
         plugin: String,
         /// What it does not take.
         reason: String,
     },
     /// The plugin failed.
-    #[error("output `{plugin}` failed: {reason}")]
+    #[error("{} `{plugin}` failed: {reason}", kind.name())]
     Failed {
+        /// Its kind.
+        kind: PluginKind,
         /// The plugin.
         plugin: String,
         /// Why.
         reason: String,
     },
     /// The plugin panicked.
-    #[error("output `{plugin}` panicked, which is a mistake in the plugin: {reason}")]
+    #[error("{} `{plugin}` panicked, which is a mistake in the plugin: {reason}", kind.name())]
     Panicked {
+        /// Its kind.
+        kind: PluginKind,
         /// The plugin.
         plugin: String,
         /// The panic's message.
@@ -80,6 +97,89 @@ pub enum HostError {
     },
 }
 
+/// Why a library gave no plugin. The program does without it.
+#[derive(Debug, Error)]
+pub enum LoadError {
+    /// There is no such file or folder, or it cannot be read.
+    #[error("{}: expected a plugin or a folder of plugins, found: {source}", path.display())]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's answer.
+        source: io::Error,
+    },
+    /// The name does not say which plugin it is.
+    #[error("{}: expected a file named `{expected}`, which says the plugin's id", path.display())]
+    Name {
+        /// The file.
+        path: PathBuf,
+        /// What a plugin's file is called.
+        expected: String,
+    },
+    /// Another kind of file.
+    #[error("{}: expected a shared library, found {found}", path.display())]
+    NotALibrary {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        found: String,
+    },
+    /// A library of another kind of machine.
+    #[error("{}: expected a library for {expected}, found one for {found}", path.display())]
+    Machine {
+        /// The file.
+        path: PathBuf,
+        /// What this program runs on.
+        expected: String,
+        /// What the library was built for.
+        found: String,
+    },
+    /// The system's loader does not take it.
+    #[error("{}: cannot be loaded: {reason}", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// The loader's answer.
+        reason: String,
+    },
+    /// No entry function.
+    #[error("{}: expected the function `{symbol}`, found none of that name", path.display())]
+    NoEntry {
+        /// The file.
+        path: PathBuf,
+        /// The function's name.
+        symbol: String,
+    },
+    /// The descriptor is of another version, or says nothing usable.
+    #[error("{}: {reason}", path.display())]
+    Descriptor {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: PluginError,
+    },
+    /// The file's name and its descriptor differ.
+    #[error("{}: expected a plugin `{expected}` by the file's name, found `{found}`", path.display())]
+    OtherId {
+        /// The file.
+        path: PathBuf,
+        /// By the file's name.
+        expected: String,
+        /// By the descriptor.
+        found: String,
+    },
+    /// The id is taken; the plugin that was there first stays.
+    #[error("{}: another plugin has the id `{id}` already: {first}", path.display())]
+    Duplicate {
+        /// The file.
+        path: PathBuf,
+        /// The id.
+        id: String,
+        /// Where the plugin comes from that keeps the id.
+        first: crate::Origin,
+    },
+}
+
 impl HostError {
     /// For `map_err` on file system calls.
     pub(crate) fn io(path: &Path, doing: &'static str) -> impl FnOnce(io::Error) -> Self {
@@ -88,13 +188,13 @@ impl HostError {
     }
 
     /// An error that the plugin with this id returned.
-    pub(crate) fn of_plugin(id: &str, error: PluginError) -> Self {
+    pub(crate) fn of_plugin(kind: PluginKind, id: &str, error: PluginError) -> Self {
         let plugin = id.to_string();
         match error {
             PluginError::Cancelled => Self::Cancelled,
-            PluginError::Refused(reason) => Self::Refused { plugin, reason },
-            PluginError::Failed(reason) => Self::Failed { plugin, reason },
-            PluginError::Panicked(reason) => Self::Panicked { plugin, reason },
+            PluginError::Refused(reason) => Self::Refused { kind, plugin, reason },
+            PluginError::Failed(reason) => Self::Failed { kind, plugin, reason },
+            PluginError::Panicked(reason) => Self::Panicked { kind, plugin, reason },
         }
     }
 }

@@ -7,18 +7,29 @@
 //!                                  .NAME.partial/  ──only after finish succeeded──▶  NAME/
 //! ```
 //!
+//! Importers, sources and nodes write no files; what they make comes back checked ([`import_scene`], [`make_field`], [`make_stack`]).
+//!
+//! With the feature `dynamic` the registry also loads plugins from shared libraries; see [`PluginPaths`]. They go through the same
+//! descriptor and the same functions as those that are compiled in.
+//!
 //! Whatever a plugin does (fails midway, panics, is cancelled, names a file outside its folder), the output's folder keeps what it
 //! had, and the program goes on.
 
 mod disk;
+#[cfg(feature = "dynamic")]
+mod dynamic;
 mod error;
+mod make;
 mod publish;
 mod registry;
 mod run;
 
-pub use error::HostError;
-pub use registry::Registry;
+#[cfg(feature = "dynamic")]
+pub use dynamic::PluginPaths;
+pub use error::{HostError, LoadError};
+pub use make::{import_scene, make_field, make_stack};
+pub use registry::{Origin, Registry};
 pub use run::{OpenOutput, OutputContext, run_output, with_output};
 
-pub use lumistack_plugin::serve::{OutputData, Plugin, PluginInfo, PluginKind};
+pub use lumistack_plugin::serve::{OutputData, Plugin, PluginInfo, PluginKind, ReadAsset};
 pub use lumistack_plugin::{Choice, Kind, Param, ParamError, PluginError, Port, Schema, Time};

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use lumistack_core::Task;
 use lumistack_display::Display;
 use lumistack_plugin::Time;
-use lumistack_plugin::serve::{Output, OutputData};
+use lumistack_plugin::serve::{Output, OutputData, PluginKind};
 use serde_json::Value;
 
 use crate::disk::DiskHost;
@@ -57,7 +57,7 @@ impl OpenOutput<'_> {
     /// # Errors
     /// If the plugin does not accept the data or fails.
     pub fn submit(&self, time: Time, data: OutputData<'_>) -> Result<(), HostError> {
-        self.output.submit(time, data).map_err(|error| HostError::of_plugin(self.id, error))
+        self.output.submit(time, data).map_err(|error| HostError::of_plugin(PluginKind::Output, self.id, error))
     }
 }
 
@@ -74,11 +74,11 @@ pub fn with_output(
     task: Task<'_>,
     submit_all: impl FnOnce(&OpenOutput<'_>) -> Result<(), HostError>,
 ) -> Result<Vec<PathBuf>, HostError> {
-    let plugin = registry.get(id)?;
+    let plugin = registry.get_kind(id, PluginKind::Output)?;
     let resolved = registry.check_params(id, params)?;
     let staging = Staging::new(out_dir)?;
     let host = DiskHost::new(staging.path(), id, task);
-    let of_plugin = |error| HostError::of_plugin(id, error);
+    let of_plugin = |error| HostError::of_plugin(PluginKind::Output, id, error);
 
     let output = Output::open(plugin, &host, &Value::Object(resolved), display).map_err(of_plugin)?;
     submit_all(&OpenOutput { output: &output, id })?;

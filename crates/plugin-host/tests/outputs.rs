@@ -4,77 +4,19 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
 use lumistack_core::{Cancel, Collector, NoProgress, Progress, Task};
-use lumistack_plugin::testkit::{Sample, samples};
-use lumistack_plugin_host::{HostError, OutputContext, Plugin, Registry, Time, run_output, with_output};
+use lumistack_plugin::testkit::{Sample, same_outputs, samples};
+use lumistack_plugin_host::{
+    HostError, Origin, OutputContext, Plugin, PluginPaths, Registry, Time, run_output, with_output,
+};
 use serde_json::{Value, json};
 
-/// Test-only plugin that misbehaves as told.
-mod faulty {
-    use lumistack_plugin::serde::Deserialize;
-    use lumistack_plugin::{Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, Time, export_plugin};
+mod common;
 
-    pub struct Faulty {
-        host: Host,
-        params: Params,
-    }
-
-    #[derive(Deserialize)]
-    #[serde(crate = "lumistack_plugin::serde")]
-    pub struct Params {
-        fault: String,
-        files: usize,
-        path: String,
-    }
-
-    impl OutputPlugin for Faulty {
-        const DOC: &'static str = "Misbehaves as told.";
-        const PORTS: &'static [Port] = &[Port::LayerStack];
-        type Params = Params;
-
-        fn schema() -> Schema {
-            Schema::new([
-                Param::text("fault", "", "What to do wrong."),
-                Param::int("files", 3, 0..=9, "How many files to write.").unit("files"),
-                Param::text("path", "", "One more file, with this name."),
-            ])
-        }
-
-        fn open(host: Host, params: Params, _display: Display) -> Result<Self, PluginError> {
-            Ok(Self { host, params })
-        }
-
-        fn submit(&self, _time: Time, _data: &Input<'_>) -> Result<(), PluginError> {
-            let stage = self.host.stage("writing", self.params.files as u64, "files");
-            for i in 0..self.params.files {
-                let mut file = self.host.create(&format!("sub{i}/f.txt"))?;
-                file.append(format!("{} of {}", i, self.params.files).as_bytes())?;
-                match self.params.fault.as_str() {
-                    "fail" if i == 1 => return Err(PluginError::Failed("the ink is empty".into())),
-                    "panic" if i == 1 => panic!("no more ink"),
-                    "leave open" if i == 1 => std::mem::forget(file),
-                    _ => file.commit()?,
-                }
-                stage.advance(1, "");
-            }
-            if self.params.fault == "warn" {
-                self.host.warn("low on ink");
-                self.host.info("nobody needs to know");
-            }
-            if !self.params.path.is_empty() {
-                self.host.write(&self.params.path, b"x")?;
-            }
-            Ok(())
-        }
-
-        fn finish(self) -> Result<(), PluginError> {
-            if self.params.fault == "fail late" { Err(PluginError::Failed("jam".into())) } else { Ok(()) }
-        }
-    }
-
-    export_plugin!("faulty", Faulty);
-}
+#[path = "../examples/lumistack_plugin_faulty.rs"]
+mod faulty;
 
 struct Bench {
     folder: tempfile::TempDir,
@@ -88,6 +30,20 @@ impl Bench {
     fn new() -> Self {
         let mut registry = Registry::built_in().unwrap();
         registry.add(Plugin::compiled_in(&faulty::PLUGIN).unwrap()).unwrap();
+        Self::with(registry)
+    }
+
+    /// The same with the plugin from a library.
+    fn loaded() -> Self {
+        let mut registry = Registry::built_in().unwrap();
+        registry.load(&PluginPaths { named: vec![common::example("faulty")], user: None });
+        assert!(registry.failed().is_empty(), "{:?}", registry.failed());
+        let (_, origin) = registry.entries().find(|(info, _)| info.id == "faulty").unwrap();
+        assert_eq!(*origin, Origin::Library(common::example("faulty")));
+        Self::with(registry)
+    }
+
+    fn with(registry: Registry) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let sample = samples().swap_remove(0);
         Self { folder, registry, sample, warnings: Collector::default(), cancel: Cancel::default() }
@@ -170,6 +126,17 @@ fn everything_goes_wrong(bench: &Bench) {
         (json!({"path": "/tmp/escaped.txt"}), "output `faulty`: file `/tmp/escaped.txt`: expected a path inside"),
         (json!({"path": "sub0/F.txt"}), "output `faulty`: file `sub0/F.txt` was already written"),
         (json!({"path": "sub0"}), "output `faulty` failed: cannot write `sub0`"),
+        (json!({"path": "a/../../b"}), "output `faulty`: file `a/../../b`: expected a path inside"),
+        (json!({"path": "C:\\a"}), "output `faulty`: file `C:\\\\a`: expected a path inside"),
+        (json!({"path": "com1.txt"}), "output `faulty`: file `com1.txt`: expected a path inside"),
+        (json!({"fault": "long name"}), "output `faulty`: file `nnn"),
+        (json!({"fault": "panic in open"}), "output `faulty` panicked, which is a mistake in the plugin: no paper"),
+        (json!({"fault": "panic late"}), "output `faulty` panicked, which is a mistake in the plugin: torn"),
+        (json!({"fault": "panic in drop"}), "output `faulty` panicked, which is a mistake in the plugin: dropped"),
+        (
+            json!({"fault": "panic with a payload that panics"}),
+            "output `faulty` panicked, which is a mistake in the plugin: a value that is not text",
+        ),
         (json!({"fiels": 2}), "output `faulty`: unknown parameter `fiels`; did you mean `files`?"),
         (
             json!({"files": 10}),
@@ -187,17 +154,55 @@ fn everything_goes_wrong(bench: &Bench) {
 
 #[test]
 fn whatever_goes_wrong_leaves_nothing_new() {
-    let bench = Bench::new();
-    everything_goes_wrong(&bench);
-    assert!(bench.tree().is_empty(), "not even the folders above");
+    for bench in [Bench::new(), Bench::loaded()] {
+        everything_goes_wrong(&bench);
+        assert!(bench.tree().is_empty(), "not even the folders above");
+    }
 }
 
 #[test]
 fn whatever_goes_wrong_keeps_what_was_there() {
-    let bench = Bench::new();
-    bench.write(json!({"files": 2})).unwrap();
-    fs::write(bench.out().join("mine.txt"), "not the plugin's").unwrap();
-    everything_goes_wrong(&bench);
+    for bench in [Bench::new(), Bench::loaded()] {
+        bench.write(json!({"files": 2})).unwrap();
+        fs::write(bench.out().join("mine.txt"), "not the plugin's").unwrap();
+        everything_goes_wrong(&bench);
+    }
+}
+
+/// How long a plugin may take to notice that it should stop.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+#[test]
+fn a_plugin_that_hangs_ends_when_the_user_asks() {
+    for bench in [Bench::new(), Bench::loaded()] {
+        let start = Instant::now();
+        let result = std::thread::scope(|scope| {
+            let writer = scope.spawn(|| bench.write(json!({"fault": "hang"})));
+            // once it has begun
+            while !bench.out().with_file_name(".faulty.partial").join("sub0/f.txt").exists() {
+                assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the plugin hangs in its second file");
+                std::thread::yield_now();
+            }
+            bench.cancel.cancel();
+            writer.join().unwrap()
+        });
+        assert!(matches!(result, Err(HostError::Cancelled)), "{result:?}");
+        assert!(start.elapsed() < PATIENCE);
+        assert!(bench.tree().is_empty());
+    }
+}
+
+#[test]
+fn a_panic_in_a_thread_of_the_plugin_is_its_own() {
+    for bench in [Bench::new(), Bench::loaded()] {
+        assert_eq!(bench.write(json!({"fault": "panic in a thread", "files": 1})).unwrap().len(), 1);
+    }
+}
+
+#[test]
+fn a_loaded_plugin_writes_what_the_compiled_one_writes() {
+    let [compiled, loaded] = [Bench::new(), Bench::loaded()].map(|bench| bench.registry.get("faulty").unwrap().clone());
+    assert!(same_outputs(&compiled, &loaded, &[]).unwrap() > 20);
 }
 
 #[test]

@@ -66,7 +66,7 @@ pub(crate) fn panic_text(payload: Box<dyn Any + Send>) -> String {
 /// `text` points to `len` readable bytes (or `len` is 0) for as long as the result is used.
 pub(crate) unsafe fn lent_text<'a>(text: Str, what: &str) -> Result<&'a str, PluginError> {
     // SAFETY: the caller's promise.
-    let bytes = unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }) };
+    let bytes = unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, what)? };
     std::str::from_utf8(bytes).map_err(|error| PluginError::failed(what, error))
 }
 
@@ -74,18 +74,22 @@ pub(crate) unsafe fn lent_text<'a>(text: Str, what: &str) -> Result<&'a str, Plu
 ///
 /// # Safety
 /// `bytes` points to `len` readable bytes (or `len` is 0) for as long as the result is used.
-pub(crate) unsafe fn lent_bytes<'a>(bytes: Bytes) -> &'a [u8] {
-    if bytes.len == 0 || bytes.ptr.is_null() {
-        return &[];
+pub(crate) unsafe fn lent_bytes<'a>(bytes: Bytes, what: &str) -> Result<&'a [u8], PluginError> {
+    if bytes.len == 0 {
+        return Ok(&[]);
     }
-    // SAFETY: the caller's promise.
-    unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) }
+    if bytes.ptr.is_null() || isize::try_from(bytes.len).is_err() {
+        let place = if bytes.ptr.is_null() { "nowhere" } else { "somewhere" };
+        return Err(PluginError::Refused(format!("{what}: {} bytes {place}, which cannot be", bytes.len)));
+    }
+    // SAFETY: the caller's promise; no array is longer than what was checked.
+    Ok(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
 }
 
 /// [`ErrorSink::write`] of [`call`].
 unsafe extern "C" fn keep_text(context: *mut c_void, text: Str) {
     // SAFETY: the callee lends the text for this call.
-    let bytes = unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }) };
+    let bytes = unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, "error text") }.unwrap_or_default();
     // SAFETY: `context` is the string of `call`, which waits for the callee.
     let kept = unsafe { &mut *context.cast::<String>() };
     *kept = String::from_utf8_lossy(bytes).into_owned();

@@ -120,7 +120,7 @@ mod tests {
 
     fn display() -> Display {
         let mut display = Display::uniform([4, 3], 1.0, [3, 3], [20.0, 20.0], &[0.0], 2);
-        display.layers[0].transfer = Transfer::Gamma(2.2);
+        display.layers[0].transfer = Transfer::gamma(2.2);
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-9.0, [2, 2], 2.0, [3, 3], [20.0, 20.0]));
         display
     }

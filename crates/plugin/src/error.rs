@@ -28,6 +28,14 @@ impl PluginError {
         Self::Failed(format!("{doing}: {error}"))
     }
 
+    /// Writing through a library failed. What the host itself said (see [`OutputFile`](crate::OutputFile)) comes back as it was.
+    pub fn from_io(doing: &str, error: std::io::Error) -> Self {
+        match error.downcast::<Self>() {
+            Ok(own) => own,
+            Err(other) => Self::failed(doing, other),
+        }
+    }
+
     /// Data of a port that the plugin does not accept.
     pub fn unexpected(data: &Input<'_>) -> Self {
         Self::Refused(format!("data of port {} are not accepted", data.port()))

@@ -6,8 +6,9 @@ use std::sync::LazyLock;
 use lumistack_plugin_abi::{ABI_MAJOR, ABI_MINOR, Descriptor, Str, kind, port};
 use serde::{Deserialize, Serialize};
 
-use crate::OutputPlugin;
+use crate::makers::{importer_vtable, node_vtable, source_vtable};
 use crate::output::vtable_of;
+use crate::{ImporterPlugin, NodePlugin, OutputPlugin, Schema, SourcePlugin};
 
 /// A type of the graph's edges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -56,18 +57,49 @@ pub struct Export(Descriptor);
 impl Export {
     /// Describes an output plugin. Called once per plugin, by [`export_plugin!`](crate::export_plugin): the texts are kept for good.
     pub fn output<P: OutputPlugin>(id: &'static str, version: &'static str) -> Self {
-        let schema_json: &'static str = P::schema().to_json().leak();
+        let ports = P::PORTS.iter().fold(0, |set, port| set | port.bit());
+        Self::describe(kind::OUTPUT, ports, id, version, P::DOC, P::schema(), vtable_of::<P>())
+    }
+
+    /// Describes an importer; as [`output`](Self::output).
+    pub fn importer<P: ImporterPlugin>(id: &'static str, version: &'static str) -> Self {
+        let vtable = Box::leak(Box::new(importer_vtable::<P>()));
+        Self::describe(kind::IMPORTER, port::FILE, id, version, P::DOC, P::schema(), vtable)
+    }
+
+    /// Describes a source; as [`output`](Self::output).
+    pub fn source<P: SourcePlugin>(id: &'static str, version: &'static str) -> Self {
+        let vtable = Box::leak(Box::new(source_vtable::<P>()));
+        Self::describe(kind::SOURCE, 0, id, version, P::DOC, P::schema(), vtable)
+    }
+
+    /// Describes a node; as [`output`](Self::output).
+    pub fn node<P: NodePlugin>(id: &'static str, version: &'static str) -> Self {
+        let vtable = Box::leak(Box::new(node_vtable::<P>()));
+        Self::describe(kind::NODE, port::LIGHT_FIELD, id, version, P::DOC, P::schema(), vtable)
+    }
+
+    fn describe<V>(
+        kind: u32,
+        ports: u32,
+        id: &'static str,
+        version: &'static str,
+        doc: &'static str,
+        schema: Schema,
+        vtable: &'static V,
+    ) -> Self {
+        let schema_json: &'static str = schema.to_json().leak();
         Self(Descriptor {
             abi_major: ABI_MAJOR,
             abi_minor: ABI_MINOR,
             size: size_of::<Descriptor>(),
-            kind: kind::OUTPUT,
-            ports: P::PORTS.iter().fold(0, |set, port| set | port.bit()),
+            kind,
+            ports,
             id: Str::new(id),
             version: Str::new(version),
-            doc: Str::new(P::DOC),
+            doc: Str::new(doc),
             schema_json: Str::new(schema_json),
-            vtable: (&raw const *vtable_of::<P>()).cast(),
+            vtable: (&raw const *vtable).cast(),
         })
     }
 
@@ -97,10 +129,14 @@ pub const fn is_plugin_id(id: &str) -> bool {
 }
 
 /// `export_plugin!("id", Type)` at the end of a plugin's file: the public static `PLUGIN`, which a host lists that has the plugin compiled
-/// in, and the symbol `lumistack_plugin_entry_<id>`, which a host looks for that loads it. The version is the crate's.
+/// in, and the symbol `lumistack_plugin_entry_<id>`, which a host looks for that loads it. The version is the crate's. Plugins of other kinds than
+/// outputs say so: `export_plugin!("id", Type as importer)`, `as source`, `as node`.
 #[macro_export]
 macro_rules! export_plugin {
     ($id:literal, $type:ty) => {
+        $crate::export_plugin!($id, $type as output);
+    };
+    ($id:literal, $type:ty as $kind:ident) => {
         const _: () = ::std::assert!(
             $crate::is_plugin_id($id),
             "a plugin's id has lower-case letters, digits and underscores, a letter first"
@@ -108,7 +144,7 @@ macro_rules! export_plugin {
 
         #[doc = ::std::concat!("The plugin `", $id, "`, for a host that has it compiled in.")]
         pub static PLUGIN: ::std::sync::LazyLock<$crate::Export> =
-            ::std::sync::LazyLock::new(|| $crate::Export::output::<$type>($id, ::std::env!("CARGO_PKG_VERSION")));
+            ::std::sync::LazyLock::new(|| $crate::Export::$kind::<$type>($id, ::std::env!("CARGO_PKG_VERSION")));
 
         #[doc = ::std::concat!("Where a loader finds the plugin `", $id, "`.")]
         // SAFETY: the name ends in the plugin's id, which no other plugin of the program has.

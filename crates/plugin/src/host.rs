@@ -148,7 +148,8 @@ impl Drop for Stage {
     }
 }
 
-/// A file that is being written; see [`Host::create`].
+/// A file that is being written; see [`Host::create`]. Errors of its [`io::Write`] hold a [`PluginError`], which
+/// [`PluginError::from_io`] takes out again.
 #[derive(Debug)]
 pub struct OutputFile {
     host: Host,
@@ -198,10 +199,7 @@ impl Drop for OutputFile {
 
 impl io::Write for OutputFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.append(bytes).map_err(|error| match error {
-            PluginError::Cancelled => io::Error::other(Cancelled),
-            error => io::Error::other(error),
-        })?;
+        self.append(bytes).map_err(io::Error::other)?;
         Ok(bytes.len())
     }
 

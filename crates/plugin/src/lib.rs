@@ -25,7 +25,7 @@
 //!     type Params = MeansParams;
 //!
 //!     fn schema() -> Schema {
-//!         Schema::new([Param::int("digits", 3, 1..=9, "Digits after the point.")])
+//!         Schema::new([Param::int("digits", 3, 1..=9, "Digits after the point.").unit("digits")])
 //!     }
 //!
 //!     fn open(host: Host, params: MeansParams, _display: Display) -> Result<Self, PluginError> {
@@ -55,6 +55,9 @@
 //! # fn main() {}
 //! ```
 //!
+//! Importers, sources and nodes implement [`ImporterPlugin`], [`SourcePlugin`] or [`NodePlugin`], one function each, and end with
+//! `export_plugin!("id", Type as importer)` (`as source`, `as node`).
+//!
 //! A plugin is a plain library. Compiled in, the host lists its `PLUGIN`; loaded, the host finds the symbol
 //! `lumistack_plugin_entry_<id>` in `lumistack_plugin_<id>`. Both ways every call goes through the same C functions, and a panic of the
 //! plugin comes back as an error.
@@ -68,6 +71,8 @@ mod error;
 mod export;
 mod host;
 mod input;
+pub mod lenslets;
+mod makers;
 mod output;
 mod plane;
 mod schema;
@@ -79,6 +84,7 @@ pub use error::PluginError;
 pub use export::{Export, Port, entry_of, is_plugin_id};
 pub use host::{Host, OutputFile, Stage};
 pub use input::{FieldInput, Input, StackInput, ViewPoint};
+pub use makers::{Assets, ImporterPlugin, NodePlugin, SourcePlugin};
 pub use output::{OutputPlugin, Time};
 pub use plane::PlaneView;
 pub use schema::{Choice, Kind, Param, ParamError, Schema};
@@ -86,6 +92,8 @@ pub use schema::{Choice, Kind, Param, ParamError, Schema};
 pub use lumistack_core as core;
 pub use lumistack_display as display;
 pub use lumistack_display::Display;
+#[cfg(feature = "field-io")]
+pub use lumistack_field_io as field_io;
 pub use lumistack_plugin_abi as abi;
 pub use serde;
 pub use serde_json;

@@ -7,10 +7,10 @@ use std::sync::{PoisonError, RwLock};
 use lumistack_display::Display;
 use lumistack_plugin_abi::{self as abi, Data, ErrorSink, HostServices, OutputVtable, Status, Str};
 use serde::de::DeserializeOwned;
-use serde_json::Value;
 
 use crate::boundary::{answer, lent_text, panic_text};
 use crate::describe::display_from_json;
+use crate::makers::{needs, params_of};
 use crate::{Host, Input, PluginError, Port, Schema};
 
 /// Place in a sequence.
@@ -20,6 +20,12 @@ pub struct Time {
     pub index: u64,
     /// Time in the scene, seconds.
     pub seconds: f64,
+}
+
+impl Time {
+    pub(crate) fn to_abi(self) -> abi::Time {
+        abi::Time { size: size_of::<abi::Time>(), index: self.index, seconds: self.seconds }
+    }
 }
 
 /// A plugin that takes what the graph makes and puts it somewhere. Its life: [`open`](Self::open), [`submit`](Self::submit) for every time,
@@ -124,22 +130,11 @@ unsafe extern "C" fn open<P: OutputPlugin>(
     error: *const ErrorSink,
 ) -> Status {
     let start = || {
-        // SAFETY: the host lends table and texts.
-        let (size, params, display) =
-            unsafe { ((*host).size, lent_text(params_json, "parameters")?, lent_text(display_json, "display")?) };
-        if size < size_of::<HostServices>() {
-            return Err(PluginError::Refused(format!(
-                "the host offers {size} bytes of services, the plugin needs {}",
-                size_of::<HostServices>()
-            )));
-        }
-        let given: Value = serde_json::from_str(params).map_err(|error| PluginError::failed("parameters", error))?;
-        let resolved = P::schema().resolve(&given)?;
-        let params = serde_json::from_value(Value::Object(resolved))
-            .map_err(|error| PluginError::failed("parameters differ from the plugin's schema", error))?;
+        // SAFETY: the host lends the texts, and the table until `close` returns; where there will be no `close`, `CloseHost` ends it.
+        let (params, display, host) = unsafe {
+            (params_of(P::schema(), params_json)?, lent_text(display_json, "display")?, CloseHost::checked(host)?)
+        };
         let display = display_from_json(display)?;
-        // SAFETY: the table is valid until `close` returns; `CloseHost` ends it where there will be no `close`.
-        let host = CloseHost(Some(unsafe { Host::new(host) }));
         let plugin = P::open(host.get(), params, display)?;
         let (plugin, panicked) = (RwLock::new(Some(plugin)), AtomicBool::new(false));
         let boxed = Box::new(Instance { plugin, host: host.keep(), panicked });
@@ -152,10 +147,19 @@ unsafe extern "C" fn open<P: OutputPlugin>(
 }
 
 /// Ends a host's services unless they are kept: also on a panic in `open`.
-struct CloseHost(Option<Host>);
+pub(crate) struct CloseHost(Option<Host>);
 
 impl CloseHost {
-    fn get(&self) -> Host {
+    /// # Safety
+    /// `host` is a table of services that is valid until this is dropped or what it keeps is closed.
+    pub(crate) unsafe fn checked(host: *const HostServices) -> Result<Self, PluginError> {
+        // SAFETY: the caller's promise; the size comes first in every version.
+        needs(unsafe { (*host).size }, size_of::<HostServices>())?;
+        // SAFETY: the caller's promise.
+        Ok(Self(Some(unsafe { Host::new(host) })))
+    }
+
+    pub(crate) fn get(&self) -> Host {
         self.0.clone().expect("not yet kept")
     }
 

@@ -23,7 +23,7 @@ pub struct Param {
     /// Type, default and range.
     #[serde(flatten)]
     pub kind: Kind,
-    /// Unit of a number, for example `mm`.
+    /// Unit of a number, for example `mm`; `1` for a plain one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
     /// What it does, a sentence.
@@ -69,6 +69,9 @@ pub enum Kind {
         /// Value when none is given.
         default: String,
     },
+    /// The path of a file that the plugin reads, none when empty. A host makes it independent of the working directory. A text that begins
+    /// with `{` is the content itself.
+    File,
 }
 
 /// One word of a [`Kind::Choice`].
@@ -113,6 +116,11 @@ impl Param {
         Self::new(name, Kind::Text { default: default.into() }, help)
     }
 
+    /// A file that the plugin reads; see [`Kind::File`].
+    pub fn file(name: &str, help: &str) -> Self {
+        Self::new(name, Kind::File, help)
+    }
+
     /// Gives a number its unit.
     #[must_use]
     pub fn unit(mut self, unit: &str) -> Self {
@@ -131,12 +139,13 @@ impl Param {
             Kind::Int { default, .. } => Value::from(*default),
             Kind::Float { default, .. } => Value::from(*default),
             Kind::Choice { default, .. } | Kind::Text { default } => Value::from(default.clone()),
+            Kind::File => Value::from(""),
         }
     }
 
     /// What may be given, for people: `0 to 1 mm`, `one of panel, srgb, linear`.
     pub fn expected(&self) -> String {
-        let unit = self.unit.as_ref().map_or(String::new(), |unit| format!(" {unit}"));
+        let unit = self.unit.as_ref().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" {unit}"));
         match &self.kind {
             Kind::Bool { .. } => "true or false".into(),
             Kind::Int { min, max, .. } => format!("a whole number from {min} to {max}{unit}"),
@@ -145,6 +154,7 @@ impl Param {
                 format!("one of {}", options.iter().map(|option| option.value.as_str()).collect::<Vec<_>>().join(", "))
             }
             Kind::Text { .. } => "a text".into(),
+            Kind::File => "a file's path, or its text, which begins with {".into(),
         }
     }
 
@@ -159,7 +169,7 @@ impl Param {
                 let word = value.as_str()?;
                 options.iter().any(|option| option.value == word).then(|| value.clone())
             }
-            Kind::Text { .. } => value.is_string().then(|| value.clone()),
+            Kind::Text { .. } | Kind::File => value.is_string().then(|| value.clone()),
         }
     }
 }

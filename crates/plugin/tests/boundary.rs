@@ -34,7 +34,10 @@ impl OutputPlugin for Probe {
     type Params = ProbeParams;
 
     fn schema() -> Schema {
-        Schema::new([Param::text("fault", "", "What to do wrong."), Param::float("scale", 1.0, 0.0..=2.0, "Factor.")])
+        Schema::new([
+            Param::text("fault", "", "What to do wrong."),
+            Param::float("scale", 1.0, 0.0..=2.0, "Factor.").unit("1"),
+        ])
     }
 
     fn open(host: Host, params: ProbeParams, display: Display) -> Result<Self, PluginError> {
@@ -219,7 +222,7 @@ fn descriptors_of_other_versions_are_refused() {
     };
     assert!(refused(abi::Descriptor { abi_major: 9, ..descriptor }).contains("version 9."));
     assert!(refused(abi::Descriptor { size: 8, ..descriptor }).contains("version"));
-    assert!(refused(abi::Descriptor { kind: abi::kind::NODE, ..descriptor }).contains("kind 3"));
+    assert!(refused(abi::Descriptor { kind: 9, ..descriptor }).contains("kind 9"));
     assert!(refused(abi::Descriptor { id: abi::Str::new("a b"), ..descriptor }).contains("`a b`"));
     assert!(refused(abi::Descriptor { ports: 0, ..descriptor }).contains("accepts nothing"));
     assert!(refused(abi::Descriptor { schema_json: abi::Str::new("{}"), ..descriptor }).contains("parameters"));

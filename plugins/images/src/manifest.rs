@@ -25,17 +25,24 @@ pub(crate) struct Entry {
     pub(crate) format: Format,
     /// Whether stored values are proportional to light.
     pub(crate) linear: bool,
-    /// Columns.
-    pub(crate) width: usize,
-    /// Rows.
-    pub(crate) height: usize,
+    /// Columns and rows of a picture.
+    #[serde(flatten)]
+    pub(crate) size: Option<Size>,
     /// Number of the time in the sequence.
     pub(crate) time: u64,
     /// Time in the scene.
     pub(crate) time_seconds: f64,
 }
 
-/// What a picture shows.
+/// Pixels of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub(crate) struct Size {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+}
+
+/// What a file shows.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "content", rename_all = "snake_case")]
 pub(crate) enum Content {
@@ -47,14 +54,54 @@ pub(crate) enum Content {
     SimulatedView { view: [usize; 2], slope: [f64; 2], divided_by: f64 },
     /// Radiance.
     View { view: [usize; 2], slope: [f64; 2] },
+    /// What the panel behind the lenslets shows, pixel by pixel.
+    LensletPanel {
+        frame: usize,
+        panel_pitch_mm: f64,
+        lens_pitch_mm: f64,
+        focal_mm: f64,
+        rotation_deg: f64,
+        offset_mm: [f64; 2],
+        pixels_per_lens: f64,
+    },
+    /// All views of the grid in one file: of every view its name there, its place in the grid and its slope.
+    Views { views: Vec<NamedView>, divided_by: f64 },
+    /// A viewer who swings through the zone: slope of every picture, `nearest` where they are the nearest of a light field's views.
+    Animation { slopes: Vec<[f64; 2]>, nearest: bool, pictures_per_second: u16, divided_by: f64 },
+    /// All patterns on one sheet; `index` is the file that says where.
+    Atlas { index: String },
+    /// Arrays of all patterns, or of all views.
+    Arrays { names: Vec<String> },
+    /// A view in a folder of a public archive.
+    ArchiveView { archive: &'static str, view: [usize; 2], slope: [f64; 2], divided_by: f64 },
+}
+
+/// One of several views of a file.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub(crate) struct NamedView {
+    pub(crate) name: String,
+    pub(crate) view: [usize; 2],
+    pub(crate) slope: [f64; 2],
 }
 
 /// How a picture is stored.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "format", rename_all = "snake_case")]
 pub(crate) enum Format {
-    /// Code values.
-    Png { bits: u32, encoding: Transfer },
+    /// Code values; of a panel with fewer bits than the file, `panel_bits`, and how values in between are shown.
+    Png {
+        bits: u32,
+        encoding: Transfer,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        panel_bits: Option<u32>,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        dither: Option<&'static str>,
+    },
+    /// Animated PNG of code values.
+    Apng { bits: u32, encoding: Transfer },
+    /// NumPy archive of float32.
+    Npz,
     /// Linear values.
     Exr { precision: &'static str },
 }

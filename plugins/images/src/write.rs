@@ -2,16 +2,19 @@
 
 use std::borrow::Cow;
 
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
-use lumistack_field_io::picture::{Precision, exr_bytes};
-use lumistack_plugin::display::{Layer, Transfer};
-use lumistack_plugin::encoding::{codes8, codes16};
-use lumistack_plugin::{FieldInput, PluginError, StackInput, Stage, Time, ViewPoint};
+use lumistack_plugin::display::{Layer, LensletBacklight, Transfer};
+use lumistack_plugin::encoding::Dither;
+use lumistack_plugin::field_io::picture::{MultiView, Precision, exr_bytes};
+use lumistack_plugin::{FieldInput, PluginError, StackInput, Stage, Time};
 
-use crate::manifest::{Content, Entry, Format};
+use crate::animation::Swing;
+use crate::encode::{PanelCodes, png8, png16, samples8, samples16};
+use crate::folders::{self, Archive};
+use crate::manifest::{Content, Entry, Format, NamedView, Size};
+use crate::params::{Animation, Encode, ExrDepth, Views};
 use crate::pictures::{backlight_picture, centre_and_corners};
-use crate::{Encode, ExrDepth, Images, Views};
+use crate::views::{ViewSource, nearest, slope_at};
+use crate::{Images, arrays, atlas, panel};
 
 /// Linear values on their way to a file.
 struct Picture<'a> {
@@ -22,40 +25,121 @@ struct Picture<'a> {
     size: [usize; 2],
     /// `[row][col][rgb]`.
     rgb: Vec<f32>,
-    transfer: Transfer,
-    /// The panel that the codes drive, from its darkest state to its brightest; none for codes that stand for the values themselves.
-    panel: Option<&'a Layer>,
+    transfer: &'a Transfer,
+    /// The panel that the codes drive; none for codes that stand for the values themselves.
+    panel: Option<Panel<'a>>,
+}
+
+/// What codes drive, from its darkest state to its brightest.
+#[derive(Clone, Copy)]
+struct Panel<'a> {
+    kind: PanelKind<'a>,
+    codes: PanelCodes,
+}
+
+#[derive(Clone, Copy)]
+enum PanelKind<'a> {
+    Layer(&'a Layer),
+    Backlight(&'a LensletBacklight),
+}
+
+impl Panel<'_> {
+    fn driven(&self, rgb: &[f32]) -> Vec<f32> {
+        match self.kind {
+            PanelKind::Layer(layer) => rgb.iter().map(|&value| layer.drive(value)).collect(),
+            PanelKind::Backlight(backlight) => rgb.iter().map(|&value| backlight.drive(value)).collect(),
+        }
+    }
 }
 
 impl Images {
-    /// Writes all layers and frames, the backlight's frames, and the chosen views.
+    /// Writes all that is wanted of a layer stack.
     pub(crate) fn write_stack(&self, time: Time, stack: &StackInput<'_>) -> Result<Vec<Entry>, PluginError> {
-        let (layers, frames) = (stack.layer_count(), stack.frames());
-        let views = match self.params.views {
-            Views::None => Vec::new(),
-            Views::Some => centre_and_corners(stack.target().grid.views()),
-            Views::All => stack.target().grid.iter().collect(),
-        };
-        let pictures = layers * frames + stack.emission_shape().map_or(0, |_| frames) + views.len();
-        let stage = self.host.stage("images", pictures as u64, "pictures");
-        let folder = folder(time);
-        let (layer_digits, frame_digits) = (digits(layers, 1), digits(frames, 2));
         let mut entries = Vec::new();
+        if self.params.writes_pictures() {
+            self.write_patterns(time, stack, &mut entries)?;
+            self.write_simulated(time, stack, &mut entries)?;
+        }
+        let folder = folder(time);
+        if self.params.atlas {
+            let samples = |layer, frame| self.layer_samples(stack, layer, frame);
+            let [width, height] = atlas::write(&self.host, &folder, stack, samples)?;
+            let content = Content::Atlas { index: format!("{folder}atlas.json") };
+            // each tile has its panel's transfer function
+            let format = self.png_format(8, self.params.encode.of_panel(&self.display.layers[0].transfer), None);
+            let linear = self.params.encode == Encode::Linear;
+            entries.push(entry(format!("{folder}atlas.png"), content, format, linear, Some([height, width]), time));
+        }
+        if self.params.npz {
+            let file = format!("{folder}stack.npz");
+            arrays::write_stack(&self.host, &file, &self.display, stack)?;
+            let layers = (0..stack.layer_count()).map(|layer| format!("layer_{layer}"));
+            let emission = stack.emission_shape().map(|_| "emission".to_string());
+            let names = layers.chain(["d_mm".into()]).chain(emission).chain(["brightness".into()]).collect();
+            entries.push(entry(file, Content::Arrays { names }, Format::Npz, true, None, time));
+        }
+        self.write_from_views(time, &ViewSource::Stack(stack), &mut entries)?;
+        Ok(entries)
+    }
+
+    /// Writes all that is wanted of a light field.
+    pub(crate) fn write_field(&self, time: Time, field: &FieldInput<'_>) -> Result<Vec<Entry>, PluginError> {
+        let grid = &field.geometry().grid;
+        let views = grid.views();
+        let mut entries = Vec::new();
+        if self.params.writes_pictures() {
+            let stage = self.host.stage("images", (views[0] * views[1]) as u64, "pictures");
+            for view in grid.iter() {
+                self.host.check_cancelled()?;
+                let plane = field.view(view)?;
+                let picture = Picture {
+                    stem: format!("{}view_{}", folder(time), view_name(view, views)),
+                    content: Content::View { view, slope: [grid.slope_x[view[1]], grid.slope_y[view[0]]] },
+                    size: [plane.rows(), plane.cols()],
+                    rgb: plane.to_vec(),
+                    transfer: self.params.encode.of_other(),
+                    panel: None,
+                };
+                self.write_picture(time, &picture, &stage, &mut entries)?;
+            }
+        }
+        let source = ViewSource::Field(field);
+        if self.params.npz {
+            let file = format!("{}views.npz", folder(time));
+            arrays::write_views(&self.host, &file, &source)?;
+            let names = ["radiance", "slope_x", "slope_y"].map(String::from).to_vec();
+            entries.push(entry(file, Content::Arrays { names }, Format::Npz, true, None, time));
+        }
+        self.write_from_views(time, &source, &mut entries)?;
+        if entries.is_empty() {
+            let text = "parameters: a light field has neither patterns nor a panel, and nothing else is to be written";
+            return Err(PluginError::Refused(text.into()));
+        }
+        Ok(entries)
+    }
+
+    /// All layers and frames, and the backlight's frames.
+    fn write_patterns(&self, time: Time, stack: &StackInput<'_>, entries: &mut Vec<Entry>) -> Result<(), PluginError> {
+        let (layers, frames) = (stack.layer_count(), stack.frames());
+        let folder = folder(time);
+        let lenses =
+            if self.params.lenslet_panel { Some(panel::lenslet_panel(&self.display, &self.params)?) } else { None };
+        let per_frame = layers + usize::from(stack.emission_shape().is_some()) + usize::from(lenses.is_some());
+        let stage = self.host.stage("patterns", (frames * per_frame) as u64, "pictures");
+        let (layer_digits, frame_digits) = (digits(layers, 1), digits(frames, 2));
         for (layer, frame) in (0..layers).flat_map(|layer| (0..frames).map(move |frame| (layer, frame))) {
             self.host.check_cancelled()?;
-            let panel = self.display.layers.get(layer).ok_or_else(|| {
-                PluginError::Refused(format!("layer {layer}: the display has {}", self.display.layers.len()))
-            })?;
+            let own = self.layer_of(layer)?;
             let plane = stack.layer(layer, frame)?;
             let picture = Picture {
                 stem: format!("{folder}layer_{layer:0layer_digits$}_frame_{frame:0frame_digits$}"),
-                content: Content::Layer { layer, frame, d_mm: panel.d_mm },
+                content: Content::Layer { layer, frame, d_mm: own.d_mm },
                 size: [plane.rows(), plane.cols()],
                 rgb: plane.to_vec(),
-                transfer: self.params.encode.of_layer(panel.transfer),
-                panel: (self.params.encode == Encode::Panel).then_some(panel),
+                transfer: self.params.encode.of_panel(&own.transfer),
+                panel: self.panel(PanelKind::Layer(own), layer + layers * frame),
             };
-            self.write_picture(time, &picture, &stage, &mut entries)?;
+            self.write_picture(time, &picture, &stage, entries)?;
         }
         if let Some([bins_y, bins_x, rows, cols]) = stack.emission_shape() {
             let (bins, lenslets) = ([bins_y, bins_x], [rows, cols]);
@@ -70,108 +154,221 @@ impl Images {
                     transfer: self.params.encode.of_other(),
                     panel: None,
                 };
-                self.write_picture(time, &picture, &stage, &mut entries)?;
+                self.write_picture(time, &picture, &stage, entries)?;
             }
         }
-        for view in views {
+        let Some((backlight, lenses)) = lenses else { return Ok(()) };
+        for frame in 0..frames {
             self.host.check_cancelled()?;
-            let grid = &stack.target().grid;
-            let plane = stack.simulate(ViewPoint::of_view(stack.target(), view))?;
-            let adapted = (1.0 / stack.brightness()) as f32;
-            let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
             let picture = Picture {
-                stem: format!("{folder}simulated_{}", view_name(view, grid.views())),
-                content: Content::SimulatedView { view, slope, divided_by: stack.brightness() },
-                size: [plane.rows(), plane.cols()],
-                rgb: plane.to_vec().into_iter().map(|value| value * adapted).collect(),
-                transfer: self.params.encode.of_other(),
-                panel: None,
+                stem: format!("{folder}panel_frame_{frame:0frame_digits$}"),
+                content: Content::LensletPanel {
+                    frame,
+                    panel_pitch_mm: lenses.pitch_mm,
+                    lens_pitch_mm: lenses.lens_pitch_mm,
+                    focal_mm: lenses.focal_mm,
+                    rotation_deg: lenses.rotation_deg,
+                    offset_mm: lenses.offset_mm,
+                    pixels_per_lens: lenses.lens_pitch_mm / lenses.pitch_mm,
+                },
+                size: [lenses.resolution[1], lenses.resolution[0]],
+                rgb: panel::picture(&self.host, &lenses, stack, frame, self.params.lens_samples)?,
+                transfer: self.params.encode.of_panel(&backlight.transfer),
+                panel: self.panel(PanelKind::Backlight(backlight), layers * frames + frame),
             };
-            self.write_picture(time, &picture, &stage, &mut entries)?;
+            self.write_picture(time, &picture, &stage, entries)?;
         }
-        Ok(entries)
+        Ok(())
     }
 
-    /// Writes every view.
-    pub(crate) fn write_field(&self, time: Time, field: &FieldInput<'_>) -> Result<Vec<Entry>, PluginError> {
-        let grid = &field.geometry().grid;
-        let views = grid.views();
-        let stage = self.host.stage("images", (views[0] * views[1]) as u64, "pictures");
-        let mut entries = Vec::new();
-        for view in grid.iter() {
+    /// The views of the target's grid that were chosen.
+    fn write_simulated(&self, time: Time, stack: &StackInput<'_>, entries: &mut Vec<Entry>) -> Result<(), PluginError> {
+        let grid = &stack.target().grid;
+        let views = match self.params.views {
+            Views::None => return Ok(()),
+            Views::Some => centre_and_corners(grid.views()),
+            Views::All => grid.iter().collect(),
+        };
+        let stage = self.host.stage("simulated views", views.len() as u64, "pictures");
+        for view in views {
             self.host.check_cancelled()?;
-            let plane = field.view(view)?;
+            let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
             let picture = Picture {
-                stem: format!("{}view_{}", folder(time), view_name(view, views)),
-                content: Content::View { view, slope: [grid.slope_x[view[1]], grid.slope_y[view[0]]] },
-                size: [plane.rows(), plane.cols()],
-                rgb: plane.to_vec(),
+                stem: format!("{}simulated_{}", folder(time), view_name(view, grid.views())),
+                content: Content::SimulatedView { view, slope, divided_by: stack.brightness() },
+                size: [stack.target().rows, stack.target().cols],
+                rgb: ViewSource::Stack(stack).view(view)?,
                 transfer: self.params.encode.of_other(),
                 panel: None,
             };
-            self.write_picture(time, &picture, &stage, &mut entries)?;
+            self.write_picture(time, &picture, &stage, entries)?;
         }
-        Ok(entries)
+        Ok(())
+    }
+
+    /// What is made of views, wherever they come from.
+    fn write_from_views(
+        &self,
+        time: Time,
+        source: &ViewSource<'_>,
+        entries: &mut Vec<Entry>,
+    ) -> Result<(), PluginError> {
+        let (params, folder, geometry) = (&self.params, folder(time), source.geometry());
+        let grid = &geometry.grid;
+        let size = [geometry.rows, geometry.cols];
+        let divided_by = source.divided_by();
+        if params.exr_multi_view {
+            let (precision, name) = params.exr_depth.precision();
+            let centre = grid.views().map(|count| (count - 1) / 2);
+            let mut file = MultiView::new([size[1], size[0]], precision);
+            let mut views = Vec::new();
+            let stage = self.host.stage("multi-view picture", (grid.views()[0] * grid.views()[1]) as u64, "views");
+            for view in [centre].into_iter().chain(grid.iter().filter(|view| *view != centre)) {
+                self.host.check_cancelled()?;
+                let name = format!("view_{}", view_name(view, grid.views()));
+                file.push(&name, &source.view(view)?);
+                views.push(NamedView { name, view, slope: [grid.slope_x[view[1]], grid.slope_y[view[0]]] });
+                stage.advance(1, "");
+            }
+            let bytes = file.into_bytes().map_err(|error| PluginError::failed("OpenEXR encoder", error))?;
+            let path = format!("{folder}views.exr");
+            self.host.write(&path, &bytes)?;
+            let content = Content::Views { views, divided_by };
+            entries.push(entry(path, content, Format::Exr { precision: name }, true, Some(size), time));
+        }
+        if params.animation != Animation::None {
+            let swing = Swing {
+                pictures: params.animation_pictures,
+                pictures_per_second: params.animation_rate,
+                ellipse: params.animation == Animation::Ellipse,
+                width: params.animation_width,
+            };
+            let path = format!("{folder}swing.png");
+            swing.write(&self.host, &path, source)?;
+            let is_nearest = matches!(source, ViewSource::Field(_));
+            let slope = |at: [f64; 2]| {
+                let at = if is_nearest { nearest(geometry, at).map(|view| view as f64) } else { at };
+                [slope_at(&grid.slope_x, at[1]), slope_at(&grid.slope_y, at[0])]
+            };
+            let content = Content::Animation {
+                slopes: swing.path(grid.views()).into_iter().map(slope).collect(),
+                nearest: is_nearest,
+                pictures_per_second: params.animation_rate,
+                divided_by,
+            };
+            let [width, height] = swing.size(size);
+            let format = Format::Apng { bits: 8, encoding: Transfer::Srgb };
+            entries.push(entry(path, content, format, false, Some([height, width]), time));
+        }
+        let archives = [(params.hci, Archive::Hci, "hci"), (params.stanford, Archive::Stanford, "stanford")];
+        for (_, archive, name) in archives.into_iter().filter(|(wanted, ..)| *wanted) {
+            let sixteen = params.png16 && !params.png8;
+            let files = folders::write(&self.host, archive, &folder, source, params.camera_distance_mm, sixteen)?;
+            let bits = if sixteen { 16 } else { 8 };
+            for (file, view) in files {
+                let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
+                let content = Content::ArchiveView { archive: name, view, slope, divided_by };
+                let format = self.png_format(bits, &Transfer::Srgb, None);
+                entries.push(entry(file, content, format, false, Some(size), time));
+            }
+        }
+        Ok(())
     }
 
     /// Writes one picture in every chosen format.
     fn write_picture(
         &self,
         time: Time,
-        picture: &Picture,
+        picture: &Picture<'_>,
         stage: &Stage,
         entries: &mut Vec<Entry>,
     ) -> Result<(), PluginError> {
-        let [height, width] = picture.size;
-        let (params, transfer) = (&self.params, picture.transfer);
+        let (params, transfer, size) = (&self.params, picture.transfer, picture.size);
         let mut write = |suffix: String, format: Format, linear: bool, bytes: Vec<u8>| {
             let file = format!("{}{suffix}", picture.stem);
             self.host.write(&file, &bytes)?;
-            let content = picture.content.clone();
-            let (index, time_seconds) = (time.index, time.seconds);
-            entries.push(Entry { file, content, format, linear, width, height, time: index, time_seconds });
+            entries.push(entry(file, picture.content.clone(), format, linear, Some(size), time));
             Ok::<_, PluginError>(())
         };
         let linear = if params.encode == Encode::Linear { "_linear" } else { "" };
-        let png = |bits| Format::Png { bits, encoding: transfer };
-        let proportional = transfer == Transfer::Linear;
-        let driven: Cow<[f32]> = match picture.panel {
-            Some(panel) => picture.rgb.iter().map(|&value| panel.drive(value)).collect(),
-            None => Cow::Borrowed(&picture.rgb),
-        };
-        if params.png8 {
-            let codes = codes8(transfer, &driven);
-            let bytes = png_bytes(&codes, picture.size, ExtendedColorType::Rgb8)?;
-            write(format!("{linear}.png"), png(8), proportional, bytes)?;
-        }
-        if params.png16 {
-            // the encoder takes 16-bit samples in native byte order
-            let codes: Vec<u8> = codes16(transfer, &driven).into_iter().flat_map(u16::to_ne_bytes).collect();
-            let bytes = png_bytes(&codes, picture.size, ExtendedColorType::Rgb16)?;
-            write(format!("{linear}_16bit.png"), png(16), proportional, bytes)?;
+        let proportional = *transfer == Transfer::Linear;
+        let codes = picture.panel.map(|panel| panel.codes);
+        if params.png8 || params.png16 {
+            let driven: Cow<'_, [f32]> = match picture.panel {
+                Some(panel) => panel.driven(&picture.rgb).into(),
+                None => Cow::Borrowed(&picture.rgb),
+            };
+            if params.png8 {
+                let bytes = png8(&samples8(transfer, codes, size, &driven), size)?;
+                write(format!("{linear}.png"), self.png_format(8, transfer, codes), proportional, bytes)?;
+            }
+            if params.png16 {
+                let bytes = png16(samples16(transfer, codes, size, &driven), size)?;
+                write(format!("{linear}_16bit.png"), self.png_format(16, transfer, codes), proportional, bytes)?;
+            }
         }
         if params.exr {
-            let (precision, name) = match params.exr_depth {
-                ExrDepth::Half => (Precision::Half, "half"),
-                ExrDepth::Float => (Precision::Float, "float"),
-            };
-            let bytes = exr_bytes([width, height], &picture.rgb, precision)
+            let (precision, name) = params.exr_depth.precision();
+            let bytes = exr_bytes([size[1], size[0]], &picture.rgb, precision)
                 .map_err(|error| PluginError::failed("OpenEXR encoder", error))?;
             write(".exr".into(), Format::Exr { precision: name }, true, bytes)?;
         }
         stage.advance(1, "");
         Ok(())
     }
+
+    /// 8-bit samples of a pattern, for the atlas.
+    fn layer_samples(&self, stack: &StackInput<'_>, layer: usize, frame: usize) -> Result<Vec<u8>, PluginError> {
+        let own = self.layer_of(layer)?;
+        let plane = stack.layer(layer, frame)?;
+        let (size, rgb) = ([plane.rows(), plane.cols()], plane.to_vec());
+        let panel = self.panel(PanelKind::Layer(own), layer + stack.layer_count() * frame);
+        let driven = panel.map_or_else(|| rgb.clone(), |panel| panel.driven(&rgb));
+        Ok(samples8(self.params.encode.of_panel(&own.transfer), panel.map(|panel| panel.codes), size, &driven))
+    }
+
+    fn layer_of(&self, layer: usize) -> Result<&Layer, PluginError> {
+        let layers = &self.display.layers;
+        layers
+            .get(layer)
+            .ok_or_else(|| PluginError::Refused(format!("layer {layer}: the display has {}", layers.len())))
+    }
+
+    fn panel<'a>(&self, kind: PanelKind<'a>, pattern: usize) -> Option<Panel<'a>> {
+        let own = match kind {
+            PanelKind::Layer(layer) => layer.bits,
+            PanelKind::Backlight(_) => None,
+        };
+        let bits = if self.params.bits > 0 { Some(self.params.bits) } else { own };
+        let codes = PanelCodes { bits, dither: self.params.dither, pattern };
+        (self.params.encode == Encode::Panel).then_some(Panel { kind, codes })
+    }
+
+    fn png_format(&self, bits: u32, transfer: &Transfer, codes: Option<PanelCodes>) -> Format {
+        let panel_bits = codes.and_then(|codes| codes.bits).map(|panel| panel.min(bits));
+        let dither = codes.and_then(|codes| match codes.dither {
+            Dither::None => None,
+            Dither::Ordered => Some("ordered"),
+            Dither::BlueNoise => Some("blue_noise"),
+            Dither::Diffusion => Some("diffusion"),
+        });
+        Format::Png { bits, encoding: transfer.clone(), panel_bits, dither }
+    }
 }
 
-fn png_bytes(samples: &[u8], [rows, cols]: [usize; 2], colour: ExtendedColorType) -> Result<Vec<u8>, PluginError> {
-    let failed = |error: String| PluginError::failed("PNG encoder", error);
-    let side = |n: usize| u32::try_from(n).map_err(|error| failed(error.to_string()));
-    let mut bytes = Vec::new();
-    PngEncoder::new(&mut bytes)
-        .write_image(samples, side(cols)?, side(rows)?, colour)
-        .map_err(|error| failed(error.to_string()))?;
-    Ok(bytes)
+impl ExrDepth {
+    fn precision(self) -> (Precision, &'static str) {
+        match self {
+            Self::Half => (Precision::Half, "half"),
+            Self::Float => (Precision::Float, "float"),
+        }
+    }
+}
+
+/// `size` = [rows, cols].
+fn entry(file: String, content: Content, format: Format, linear: bool, size: Option<[usize; 2]>, time: Time) -> Entry {
+    let size = size.map(|[height, width]| Size { width, height });
+    Entry { file, content, format, linear, size, time: time.index, time_seconds: time.seconds }
 }
 
 /// The first time of a sequence, or a still, stands beside the manifest.

@@ -1,12 +1,16 @@
 //! The plugin through its C functions: what is read back from the files is what went in.
 
 use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
 
-use lumistack_field_io::picture::Picture;
-use lumistack_plugin::display::{Transfer, forward};
+use lumistack_plugin::core::{Cancel, Collector, Task};
+use lumistack_plugin::display::{Channels, FieldGeometry, LightField, Projection, Transfer, ViewGrid, forward};
 use lumistack_plugin::encoding::{decode, encode};
+use lumistack_plugin::field_io::picture::Picture;
+use lumistack_plugin::field_io::{GeometryDefaults, GeometryFlags};
 use lumistack_plugin::serde_json::{Value, from_slice, json};
-use lumistack_plugin::serve::{Output, Plugin};
+use lumistack_plugin::serve::{Output, OutputData, Plugin};
 use lumistack_plugin::testkit::{MemoryHost, Sample, conformance, samples};
 use lumistack_plugin::{PluginError, Time};
 use lumistack_plugin_images::PLUGIN;
@@ -40,17 +44,19 @@ fn png(files: &Files, name: &str) -> ([usize; 2], Vec<u16>, u32) {
 }
 
 /// All codes lie within half a code of the values' encoding.
-fn assert_png(files: &Files, name: &str, size: [usize; 2], values: &[f32], transfer: Transfer) {
+fn assert_png(files: &Files, name: &str, size: [usize; 2], values: &[f32], transfer: &Transfer) {
     let (found_size, codes, bits) = png(files, name);
     assert_eq!(found_size, size, "{name}");
     assert_eq!(codes.len(), values.len(), "{name}");
     let top = ((1u32 << bits) - 1) as f32;
     for (i, (&code, &value)) in codes.iter().zip(values).enumerate() {
-        let exact = encode(transfer, value) * top;
+        let channel = i % 3;
+        let exact = encode(transfer, channel, value) * top;
         assert!((f32::from(code) - exact).abs() <= HALF_CODE, "{name}[{i}]: code {code}, value {value} = {exact}");
         // the linear value that a panel shows differs by no more than the codes around it do
-        let around = [exact - HALF_CODE, exact + HALF_CODE].map(|code| decode(transfer, (code / top).clamp(0.0, 1.0)));
-        let shown = decode(transfer, f32::from(code) / top);
+        let around =
+            [exact - HALF_CODE, exact + HALF_CODE].map(|code| decode(transfer, channel, (code / top).clamp(0.0, 1.0)));
+        let shown = decode(transfer, channel, f32::from(code) / top);
         assert!(shown >= around[0] && shown <= around[1], "{name}[{i}]: {shown} not in {around:?}");
     }
 }
@@ -91,12 +97,12 @@ fn pngs_hold_every_layer_and_frame_in_the_panel_s_codes() {
         for m in 0..frames {
             for suffix in [".png", "_16bit.png"] {
                 let name = format!("layer_{l}_frame_{m:02}{suffix}");
-                assert_png(&files, &name, [rows, cols], layer.block([m]), panel.transfer);
+                assert_png(&files, &name, [rows, cols], layer.block([m]), &panel.transfer);
             }
         }
     }
-    let transfers: Vec<Transfer> = sample.display.layers.iter().map(|layer| layer.transfer).collect();
-    assert_eq!(transfers, [Transfer::Srgb, Transfer::Linear, Transfer::Gamma(2.2)], "the sample has all kinds");
+    let transfers: Vec<Transfer> = sample.display.layers.iter().map(|layer| layer.transfer.clone()).collect();
+    assert_eq!(transfers, [Transfer::Srgb, Transfer::Linear, Transfer::gamma(2.2)], "the sample has all kinds");
 }
 
 #[test]
@@ -107,14 +113,14 @@ fn codes_of_a_limited_panel_run_from_its_darkest_to_its_brightest_state() {
     let files = write(&sample, json!({"exr": true, "exr_depth": "float"})).unwrap();
     let size = [layer.shape()[1], layer.shape()[2]];
     let driven: Vec<f32> = layer.block([0]).iter().map(|value| ((value - 0.08) / 0.72).clamp(0.0, 1.0)).collect();
-    assert_png(&files, "layer_0_frame_00.png", size, &driven, Transfer::Srgb);
+    assert_png(&files, "layer_0_frame_00.png", size, &driven, &Transfer::Srgb);
     assert_eq!(
         exr(&files, "layer_0_frame_00.exr"),
         (size, layer.block([0]).to_vec()),
         "EXR holds the values themselves"
     );
     let files = write(&sample, json!({"encode": "srgb"})).unwrap();
-    assert_png(&files, "layer_0_frame_00.png", size, layer.block([0]), Transfer::Srgb);
+    assert_png(&files, "layer_0_frame_00.png", size, layer.block([0]), &Transfer::Srgb);
 }
 
 #[test]
@@ -123,9 +129,9 @@ fn the_job_can_choose_another_encoding() {
     let layer = &sample.stack().unwrap().layers[2];
     let size = [layer.shape()[1], layer.shape()[2]];
     let files = write(&sample, json!({"encode": "srgb"})).unwrap();
-    assert_png(&files, "layer_2_frame_01.png", size, layer.block([1]), Transfer::Srgb);
+    assert_png(&files, "layer_2_frame_01.png", size, layer.block([1]), &Transfer::Srgb);
     let files = write(&sample, json!({"encode": "linear"})).unwrap();
-    assert_png(&files, "layer_2_frame_01_linear.png", size, layer.block([1]), Transfer::Linear);
+    assert_png(&files, "layer_2_frame_01_linear.png", size, layer.block([1]), &Transfer::Linear);
     assert!(!files.contains_key("layer_2_frame_01.png"), "a picture with linear values says so in its name");
 }
 
@@ -159,7 +165,7 @@ fn simulated_views_show_what_an_adapted_viewer_sees() {
         let emitted = forward::view_from_slope(&sample.display, stack, slope).radiance;
         let seen: Vec<f32> = emitted.data().iter().map(|value| value / stack.brightness as f32).collect();
         let name = format!("simulated_{:02}_{:02}.png", view[0], view[1]);
-        assert_png(&files, &name, [geometry.rows, geometry.cols], &seen, Transfer::Srgb);
+        assert_png(&files, &name, [geometry.rows, geometry.cols], &seen, &Transfer::Srgb);
     }
     let simulated = |files: &Files| files.keys().filter(|name| name.starts_with("simulated")).count();
     assert_eq!(simulated(&files), 9);
@@ -180,7 +186,7 @@ fn the_backlight_s_cells_show_the_bins_as_through_a_lens() {
         for channel in 0..3 {
             let value = emission.get([0, bin[0], bin[1], y / bins_y, x / bins_x, channel]);
             let code = f32::from(codes[3 * (y * size[1] + x) + channel]);
-            assert!((code - encode(Transfer::Srgb, value) * 65535.0).abs() <= HALF_CODE);
+            assert!((code - encode(&Transfer::Srgb, channel, value) * 65535.0).abs() <= HALF_CODE);
         }
     }
 }
@@ -193,7 +199,7 @@ fn every_view_of_a_light_field_is_written() {
     for view in field.geometry().grid.iter() {
         let (name, size) =
             (format!("view_{:02}_{:02}", view[0], view[1]), [field.geometry().rows, field.geometry().cols]);
-        assert_png(&files, &format!("{name}.png"), size, field.view(view), Transfer::Srgb);
+        assert_png(&files, &format!("{name}.png"), size, field.view(view), &Transfer::Srgb);
         assert_eq!(exr(&files, &format!("{name}.exr")), (size, field.view(view).to_vec()));
     }
     assert_eq!(files.len(), 2 * 6 + 1);
@@ -226,4 +232,249 @@ fn the_manifest_names_every_file_and_says_what_it_is() {
 fn writing_nothing_at_all_is_refused() {
     let error = write(&layered(), json!({"png8": false})).unwrap_err();
     assert!(matches!(&error, PluginError::Refused(text) if text.contains("`png8`")), "{error:?}");
+}
+
+#[test]
+fn a_measured_panel_of_few_bits_shows_the_right_mean_light() {
+    let mut sample = layered();
+    let table = |exponent: f64| (0..=16).map(|i| [f64::from(i), 0.5 + f64::from(i).powf(exponent)]).collect();
+    let transfer = Transfer::Table(Channels::Rgb([table(2.0), table(2.2), table(2.6)]));
+    (sample.display.layers[0].transfer, sample.display.layers[0].black_level) = (transfer.clone(), 0.05);
+    let layer = sample.stack().unwrap().layers[0].clone();
+    let [frames, rows, cols, _] = layer.shape();
+    for dither in ["none", "ordered", "blue_noise", "diffusion"] {
+        let files = write(&sample, json!({"bits": 3, "dither": dither, "png16": true})).unwrap();
+        for frame in 0..frames {
+            let [eight, sixteen] = ["", "_16bit"].map(|end| png(&files, &format!("layer_0_frame_{frame:02}{end}.png")));
+            assert!(eight.1.iter().all(|code| (0..8).any(|k| u32::from(*code) == (k * 255 + 3) / 7)), "3 bits");
+            assert!(sixteen.1.iter().zip(&eight.1).all(|(a, b)| a >> 13 == b >> 5), "the highest bits are the code");
+            for (i, (&code, &value)) in eight.1.iter().zip(layer.block([frame])).enumerate() {
+                let top = decode(&transfer, i % 3, f32::from((code >> 5) + 1) / 7.0);
+                let low = decode(&transfer, i % 3, (f32::from(code >> 5) - 1.0).max(0.0) / 7.0);
+                let drive = ((value - 0.05) / 0.95).clamp(0.0, 1.0);
+                let near = dither == "diffusion" || (low..=top).contains(&drive);
+                assert!(near, "{dither}: {drive} is shown by code {}", code >> 5);
+            }
+        }
+        let manifest: Value = from_slice(&files["images.json"]).unwrap();
+        let entry = manifest["files"].as_array().unwrap().iter().find(|e| e["file"] == "layer_0_frame_01.png").unwrap();
+        assert_eq!(entry["panel_bits"], 3);
+        assert_eq!(entry["dither"], if dither == "none" { Value::Null } else { json!(dither) });
+        assert_eq!((rows, cols), (6, 8));
+    }
+    // the panel's own bits, where the job names none
+    (sample.display.layers[0].transfer, sample.display.layers[0].bits) = (Transfer::gamma(2.2), Some(2));
+    let files = write(&sample, json!({})).unwrap();
+    assert!(png(&files, "layer_0_frame_00.png").1.iter().all(|code| code % 85 == 0));
+}
+
+#[test]
+fn the_panel_behind_the_lenses_is_what_the_optics_ask_for() {
+    let sample = directional();
+    let emission = sample.stack().unwrap().emission.as_ref().unwrap();
+    let params = json!({
+        "lenslet_panel": true, "panel_columns": 90, "panel_rows": 61, "panel_pitch_mm": 0.1, "lens_rotation_deg": 2.0,
+        "lens_offset_x_mm": 0.3, "lens_samples": 1, "exr": true, "exr_depth": "float", "lens_focal_mm": 3.0,
+    });
+    let files = write(&sample, params).unwrap();
+    let (size, values) = exr(&files, "panel_frame_00.exr");
+    assert_eq!(size, [61, 90]);
+    assert_png(&files, "panel_frame_00.png", size, &values, &Transfer::Srgb);
+    // lenses of 2 mm in 4 × 3, 3 × 2 bins over 40°: a straightforward search for the lens, in f64
+    let (angle, half) = (2f64.to_radians(), 20f64.to_radians().tan());
+    for (row, col) in (0..61).flat_map(|row| (0..90).map(move |col| (row, col))) {
+        let point = [(col as f64 - 44.5) * 0.1, (30.0 - row as f64) * 0.1];
+        let mut expected = [0.0; 3];
+        for (j, i) in (0..3).flat_map(|j| (0..4).map(move |i| (j, i))) {
+            let [x, y] = [(f64::from(i) - 1.5) * 2.0, (1.0 - f64::from(j)) * 2.0];
+            let centre = [0.3 + x * angle.cos() - y * angle.sin(), x * angle.sin() + y * angle.cos()];
+            let u = [point[0] - centre[0], point[1] - centre[1]];
+            let own = [u[0] * angle.cos() + u[1] * angle.sin(), u[1] * angle.cos() - u[0] * angle.sin()];
+            let bin = [-u[0] / 3.0, u[1] / 3.0].map(|slope| slope / half);
+            if own.iter().all(|u| u.abs() < 1.0) && bin.iter().all(|b| b.abs() < 1.0) {
+                let bin = [((bin[1] + 1.0) * 1.0) as usize, ((bin[0] + 1.0) * 1.5) as usize];
+                expected = [0, 1, 2].map(|rgb| emission.get([0, bin[0], bin[1], j as usize, i as usize, rgb]));
+            }
+        }
+        assert_eq!(values[3 * (row * 90 + col)..][..3], expected, "row {row}, column {col}");
+    }
+    let uniform = write(&layered(), json!({"lenslet_panel": true})).unwrap_err();
+    assert!(matches!(&uniform, PluginError::Refused(text) if text.contains("`lenslet_panel`")), "{uniform:?}");
+}
+
+/// What NumPy, Pillow and OpenEXR's own bindings read, as JSON; none where they are not installed.
+fn read_by_others(files: &Files) -> Option<Value> {
+    let candidates = [std::env::var("LUMISTACK_PYTHON").ok(), Some("python3".to_string())];
+    let python = candidates.into_iter().flatten().find(|python| {
+        let imports = Command::new(python).args(["-c", "import numpy, PIL, OpenEXR"]).output();
+        imports.is_ok_and(|output| output.status.success())
+    });
+    let Some(python) = python else {
+        println!("skipped: no Python with numpy, pillow and OpenEXR (`cargo xtask ci` makes one)");
+        return None;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in files {
+        let path = folder.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/read.py");
+    let output = Command::new(python).arg(script).arg(folder.path()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(from_slice(&output.stdout).unwrap())
+}
+
+fn floats(value: &Value) -> Vec<f32> {
+    match value {
+        Value::Array(values) => values.iter().flat_map(floats).collect(),
+        number => vec![number.as_f64().unwrap() as f32],
+    }
+}
+
+#[test]
+fn others_read_arrays_atlas_animation_and_multi_view_pictures() {
+    let (sample, params) = (
+        layered(),
+        json!({
+            "npz": true, "atlas": true, "animation": "ellipse", "animation_pictures": 12, "animation_rate": 25, "exr_multi_view": true,
+            "exr_depth": "float", "views": "none",
+        }),
+    );
+    let (stack, geometry) = (sample.stack().unwrap(), sample.display.geometry().unwrap());
+    let files = write(&sample, params).unwrap();
+    let Some(read) = read_by_others(&files) else { return };
+    for (l, layer) in stack.layers.iter().enumerate() {
+        let array = &read["stack.npz"][format!("layer_{l}")];
+        assert_eq!(array["shape"], json!(layer.shape()));
+        assert_eq!(floats(&array["values"]), layer.data());
+    }
+    assert_eq!(floats(&read["stack.npz"]["d_mm"]["values"]), [-4.0, 0.0, 4.0]);
+    // the sheet: frames below one another, layers of 8 × 6, 10 × 7 and 4 × 3 pixels side by side
+    let sheet = &read["atlas.png"];
+    assert_eq!((&sheet["size"], &sheet["mode"]), (&json!([22, 14]), &json!("RGB")));
+    let pixels = floats(&sheet["pixels"]);
+    let atlas: Value = from_slice(&files["atlas.json"]).unwrap();
+    let tiles = atlas["tiles"].as_array().unwrap();
+    assert_eq!(tiles.len(), 6);
+    for tile in tiles {
+        let key = |name: &str| tile[name].as_u64().unwrap() as usize;
+        let name = format!("layer_{}_frame_{:02}.png", key("layer"), key("frame"));
+        let (size, codes, _) = png(&files, &name);
+        assert_eq!(size, [key("height"), key("width")]);
+        for (i, code) in codes.iter().enumerate() {
+            let (row, col) = (key("y") + i / 3 / size[1], key("x") + i / 3 % size[1]);
+            assert_eq!(pixels[3 * (row * 22 + col) + i % 3], f32::from(*code), "{name}");
+        }
+    }
+    // twelve pictures; the first is seen from the top centre, the fourth from the right
+    let swing = &read["swing.png"];
+    assert_eq!((&swing["size"], &swing["frames"], &swing["loop"]), (&json!([8, 6]), &json!(12), &json!(0)));
+    assert!((swing["duration_ms"].as_f64().unwrap() - 40.0).abs() < 1e-9);
+    for (picture, view) in [(0, [0, 1]), (3, [1, 2]), (6, [2, 1]), (9, [1, 0])] {
+        let slope = geometry.grid.slope_at(view, [0.0, 0.0]);
+        let emitted = forward::view_from_slope(&sample.display, stack, slope).radiance;
+        let shown = floats(&swing["pixels"][picture]);
+        for (i, (code, value)) in shown.iter().zip(emitted.data()).enumerate() {
+            let exact = encode(&Transfer::Srgb, i % 3, value / stack.brightness as f32) * 255.0;
+            assert!((code - exact).abs() <= HALF_CODE, "picture {picture}: {code} for {exact}");
+        }
+    }
+    // the first view is the central one
+    let views = &read["views.exr"];
+    let names: Vec<&str> = views["multiView"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
+    assert_eq!(names[..3], ["view_01_01", "view_00_00", "view_00_01"]);
+    assert_eq!(names.len(), 9);
+    for name in names {
+        let view = [&name[5..7], &name[8..10]].map(|digits| digits.parse::<usize>().unwrap());
+        let slope = geometry.grid.slope_at(view, [0.0, 0.0]);
+        let emitted = forward::view_from_slope(&sample.display, stack, slope).radiance;
+        let expected: Vec<f32> = emitted.data().iter().map(|value| value * (1.0 / stack.brightness as f32)).collect();
+        assert_eq!(floats(&views["views"][name]), expected, "{name}");
+    }
+}
+
+#[test]
+fn folders_are_read_back_as_the_light_field_they_were() {
+    let sample = light_field();
+    let field = sample.field().unwrap();
+    let files = write(&sample, json!({"stanford": true, "png8": false, "png16": true, "npz": true})).unwrap();
+    let refused = write(&sample, json!({"hci": true})).unwrap_err();
+    assert!(matches!(&refused, PluginError::Refused(text) if text.contains("equal steps")), "{refused:?}");
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in files.iter().filter(|(name, _)| name.starts_with("stanford/")) {
+        std::fs::write(folder.path().join(name.trim_start_matches("stanford/")), bytes).unwrap();
+    }
+    assert!(files.contains_key("stanford/out_00_02_-25.000000_75.000000.png"), "{:?}", files.keys());
+    let grid = &field.geometry().grid;
+    let flags = GeometryFlags { pitch_mm: Some(0.5), focus_px: Some(0.0), ..GeometryFlags::default() };
+    let back = open(folder.path(), &flags);
+    same_within_codes(&back, field);
+    let fov = [field.geometry().grid.slope_x.len(), field.geometry().grid.slope_y.len()];
+    assert_eq!(fov, [3, 2]);
+    // positions in proportion to the centres
+    let ratio = |slopes: &[f64]| (slopes[1] - slopes[0]) / (slopes[2] - slopes[0]);
+    assert!((ratio(&back.geometry().grid.slope_x) - ratio(&grid.slope_x)).abs() < 1e-6);
+    if let Some(read) = read_by_others(&files) {
+        assert_eq!(floats(&read["views.npz"]["radiance"]["values"]), field.radiance().data());
+        let slopes: Vec<f32> = grid.slope_y.iter().map(|slope| *slope as f32).collect();
+        assert_eq!(floats(&read["views.npz"]["slope_y"]["values"]), slopes);
+    }
+}
+
+#[test]
+fn an_hci_folder_keeps_its_geometry() {
+    let geometry = FieldGeometry {
+        rows: 5,
+        cols: 9,
+        pitch_mm: 0.5,
+        grid: ViewGrid {
+            projection: Projection::Perspective { distance_mm: 600.0 },
+            slope_x: vec![-0.1, 0.0, 0.1],
+            slope_y: vec![0.05, -0.05],
+        },
+    };
+    let mut field = LightField::black(geometry).unwrap();
+    let mut random = lumistack_plugin::core::seed::Stream::new(4);
+    field.radiance_mut().data_mut().fill_with(|| random.next_f32());
+    let display = layered().display;
+    let (host, plugin) = (MemoryHost::new(), Plugin::compiled_in(&PLUGIN).unwrap());
+    let params = json!({"hci": true, "png8": false, "png16": true});
+    let output = Output::open(&plugin, &host, &params, &display).unwrap();
+    output.submit(Time::default(), OutputData::LightField(&field)).unwrap();
+    output.finish().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in host.files().iter().filter(|(name, _)| name.starts_with("hci/")) {
+        std::fs::write(folder.path().join(name.trim_start_matches("hci/")), bytes).unwrap();
+    }
+    let flags = GeometryFlags { pitch_mm: Some(0.5), ..GeometryFlags::default() };
+    let back = open(folder.path(), &flags);
+    same_within_codes(&back, &field);
+    let (found, expected) = (back.geometry(), field.geometry());
+    let pairs = found.grid.slope_x.iter().chain(&found.grid.slope_y);
+    let given = expected.grid.slope_x.iter().chain(&expected.grid.slope_y);
+    assert!(pairs.zip(given).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+    let Projection::Perspective { distance_mm } = found.grid.projection else { panic!("{found:?}") };
+    assert!((distance_mm - 600.0).abs() < 1e-9);
+}
+
+/// Opens a folder as the rest of the program does, without any default for its geometry.
+fn open(path: &Path, flags: &GeometryFlags) -> LightField {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let defaults = GeometryDefaults { width_mm: None, fov_deg: None };
+    let flags = GeometryFlags { fov_deg: stanford_fov(path), ..flags.clone() };
+    lumistack_plugin::field_io::open(path, &flags, &defaults, Task::quiet(&warnings, &cancel)).unwrap()
+}
+
+/// The archive's format knows no angles.
+fn stanford_fov(path: &Path) -> Option<[f64; 2]> {
+    (!path.join("parameters.cfg").exists()).then_some([20.0, 10.0])
+}
+
+fn same_within_codes(found: &LightField, expected: &LightField) {
+    assert_eq!(found.radiance().shape(), expected.radiance().shape());
+    for (i, (a, b)) in found.radiance().data().iter().zip(expected.radiance().data()).enumerate() {
+        let [a, b] = [a, b].map(|value| encode(&Transfer::Srgb, 0, *value) * 65535.0);
+        assert!((a - b).abs() <= HALF_CODE + 0.02, "{i}: {a} for {b}");
+    }
 }

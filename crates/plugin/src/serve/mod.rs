@@ -4,12 +4,14 @@
 //! The host proper (`lumistack-plugin-host`) adds a registry and files on disk, the test kit files in memory.
 
 mod lend;
+mod makers;
 mod output;
 mod path;
 mod plugin;
 mod services;
 
 pub use lend::OutputData;
+pub use makers::{ReadAsset, import, make_field, make_stack, resolved};
 pub use output::Output;
 pub use path::path_parts;
 pub use plugin::{Plugin, PluginInfo, PluginKind};

@@ -4,11 +4,12 @@ use std::ffi::c_void;
 use std::marker::PhantomData;
 
 use lumistack_display::Display;
-use lumistack_plugin_abi::{self as abi, ErrorSink, HostServices, OutputVtable, Status, Str};
+use lumistack_plugin_abi::{ErrorSink, HostServices, OutputVtable, Status, Str};
 use serde_json::Value;
 
 use crate::boundary::call;
 use crate::serve::lend::Lent;
+use crate::serve::plugin::Vtable;
 use crate::serve::services::table;
 use crate::serve::{OutputData, Plugin, Services};
 use crate::{PluginError, Port, Time};
@@ -57,12 +58,13 @@ impl<'a> Output<'a> {
     ) -> Result<Self, PluginError> {
         let display_json = serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))?;
         let table = Box::new(table(services));
-        let open = function(plugin.vtable.open)?;
+        let Vtable::Output(vtable) = plugin.vtable else { return Err(plugin.is_no("output")) };
+        let open = function(vtable.open)?;
         let mut instance = std::ptr::null_mut();
         // SAFETY: the table lives until `close` has returned (fields are dropped after `drop`); the rest is lent for the call.
         call(|error| unsafe { open(&*table, Str::new(params_json), Str::new(&display_json), &mut instance, error) })?;
         Ok(Self {
-            vtable: plugin.vtable,
+            vtable,
             instance,
             id: plugin.info().id.clone(),
             ports: plugin.info().ports.clone(),
@@ -83,7 +85,7 @@ impl<'a> Output<'a> {
         }
         let lent = Lent::new(self.display, data)?;
         let data = lent.to_abi();
-        let time = abi::Time { size: size_of::<abi::Time>(), index: time.index, seconds: time.seconds };
+        let time = time.to_abi();
         let submit = function(self.vtable.submit)?;
         // SAFETY: the handle is the plugin's own; time and data are lent for the call.
         call(|error| unsafe { submit(self.instance, &time, &data, error) })

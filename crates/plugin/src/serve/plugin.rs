@@ -2,7 +2,9 @@
 
 use std::fmt;
 
-use lumistack_plugin_abi::{ABI_MAJOR, ABI_MINOR, Descriptor, OutputVtable, Str, kind};
+use lumistack_plugin_abi::{
+    ABI_MAJOR, ABI_MINOR, Descriptor, ImporterVtable, NodeVtable, OutputVtable, SourceVtable, Str, kind,
+};
 use serde::Serialize;
 
 use crate::boundary::lent_text;
@@ -22,6 +24,25 @@ pub enum PluginKind {
     Output,
 }
 
+impl PluginKind {
+    /// Its name in listings.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Importer => "importer",
+            Self::Source => "source",
+            Self::Node => "node",
+            Self::Output => "output",
+        }
+    }
+}
+
+impl fmt::Display for PluginKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = self.name();
+        write!(f, "{} {name}", if name.starts_with(['i', 'o']) { "an" } else { "a" })
+    }
+}
+
 /// What a plugin says about itself.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PluginInfo {
@@ -35,6 +56,9 @@ pub struct PluginInfo {
     pub doc: String,
     /// What it accepts.
     pub ports: Vec<Port>,
+    /// Of an importer: extensions of the files that it takes, without the dot.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub extensions: Vec<String>,
     /// Whether it runs until the user closes it.
     pub presents: bool,
     /// Its parameters.
@@ -46,7 +70,16 @@ pub struct PluginInfo {
 #[derive(Clone)]
 pub struct Plugin {
     info: PluginInfo,
-    pub(crate) vtable: &'static OutputVtable,
+    pub(crate) vtable: Vtable,
+}
+
+/// The functions of a plugin's kind.
+#[derive(Clone, Copy)]
+pub(crate) enum Vtable {
+    Importer(&'static ImporterVtable),
+    Source(&'static SourceVtable),
+    Node(&'static NodeVtable),
+    Output(&'static OutputVtable),
 }
 
 impl Plugin {
@@ -73,9 +106,16 @@ impl Plugin {
         }
         // SAFETY: version and size come first in every version of the struct.
         let (major, minor, size) = unsafe { ((*descriptor).abi_major, (*descriptor).abi_minor, (*descriptor).size) };
-        if major != ABI_MAJOR || size < size_of::<Descriptor>() {
+        if major != ABI_MAJOR {
+            let remedy = if major > ABI_MAJOR { "it needs a newer program" } else { "it must be built anew" };
             return Err(PluginError::Refused(format!(
-                "built for version {major}.{minor} of the plugin boundary, this program has {ABI_MAJOR}.{ABI_MINOR}"
+                "built for version {major}.{minor} of the plugin boundary, this program has {ABI_MAJOR}.{ABI_MINOR}: {remedy}"
+            )));
+        }
+        if size < size_of::<Descriptor>() {
+            return Err(PluginError::Refused(format!(
+                "its descriptor says version {major}.{minor} and {size} bytes, of which that version has {} or more",
+                size_of::<Descriptor>()
             )));
         }
         // SAFETY: it is at least as long as this version's struct.
@@ -87,32 +127,40 @@ impl Plugin {
             return Err(PluginError::Refused(format!("`{id}` cannot be a plugin's id")));
         }
         let refused = |what: String| PluginError::Refused(format!("plugin `{id}`: {what}"));
-        if descriptor.kind != kind::OUTPUT {
-            return Err(refused(format!("plugins of kind {} are not driven by this version", descriptor.kind)));
-        }
         let schema: Schema = serde_json::from_str(text(descriptor.schema_json, "parameters")?)
             .map_err(|error| refused(format!("parameters: {error}")))?;
         schema.check().map_err(refused)?;
-        // SAFETY: an output's descriptor points to an output's functions.
-        let vtable = unsafe { descriptor.vtable.cast::<OutputVtable>().as_ref() }
-            .filter(|vtable| vtable.size >= size_of::<OutputVtable>())
-            .filter(|vtable| vtable.open.is_some() && vtable.submit.is_some())
-            .filter(|vtable| vtable.finish.is_some() && vtable.close.is_some())
-            .ok_or_else(|| refused("a function of an output is missing".into()))?;
+        // SAFETY: a descriptor points to the functions of its kind.
+        let (kind, vtable) = unsafe { vtable_of(descriptor) }.map_err(refused)?;
         let ports: Vec<Port> = Port::ALL.into_iter().filter(|port| descriptor.ports & port.bit() != 0).collect();
-        if ports.is_empty() {
+        if ports.is_empty() && kind != PluginKind::Source {
             return Err(refused("it accepts nothing".into()));
         }
+        let mut extensions = Vec::new();
+        if let Vtable::Importer(importer) = vtable {
+            extensions.extend(text(importer.extensions, "extensions")?.split_whitespace().map(String::from));
+            if extensions.is_empty()
+                || extensions.iter().any(|word| word.starts_with('.') || *word != word.to_lowercase())
+            {
+                return Err(refused("an importer names extensions in lower case, without dots".into()));
+            }
+        }
         let info = PluginInfo {
-            kind: PluginKind::Output,
+            kind,
             version: text(descriptor.version, "version")?.into(),
             doc: text(descriptor.doc, "doc")?.into(),
             ports,
-            presents: vtable.run.is_some(),
+            extensions,
+            presents: matches!(vtable, Vtable::Output(output) if output.run.is_some()),
             schema,
             id,
         };
         Ok(Self { info, vtable })
+    }
+
+    /// A plugin that was taken for one of another kind.
+    pub(crate) fn is_no(&self, wanted: &str) -> PluginError {
+        PluginError::Refused(format!("`{}` is no {wanted} but {}", self.info.id, self.info.kind))
     }
 
     /// What it says about itself.
@@ -124,5 +172,48 @@ impl Plugin {
 impl fmt::Debug for Plugin {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_tuple("Plugin").field(&self.info.id).finish()
+    }
+}
+
+/// The functions of a plugin's kind, if all that must be there are.
+///
+/// # Safety
+/// The descriptor's `vtable` is null or points to the functions of its kind, at least as far as their `size` says, which live as long as the process.
+unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), String> {
+    let missing = |kind: PluginKind| format!("a function of {kind} is missing");
+    let table = descriptor.vtable;
+    // SAFETY: every table starts with its size.
+    let size = if table.is_null() { 0 } else { unsafe { *table.cast::<usize>() } };
+    match descriptor.kind {
+        kind::IMPORTER if size >= size_of::<ImporterVtable>() => {
+            // SAFETY: the caller's promise, and it is long enough.
+            let found = unsafe { &*table.cast::<ImporterVtable>() };
+            let whole = found.import.is_some();
+            whole
+                .then_some((PluginKind::Importer, Vtable::Importer(found)))
+                .ok_or_else(|| missing(PluginKind::Importer))
+        }
+        kind::SOURCE if size >= size_of::<SourceVtable>() => {
+            // SAFETY: as above.
+            let found = unsafe { &*table.cast::<SourceVtable>() };
+            found.make.map(|_| (PluginKind::Source, Vtable::Source(found))).ok_or_else(|| missing(PluginKind::Source))
+        }
+        kind::NODE if size >= size_of::<NodeVtable>() => {
+            // SAFETY: as above.
+            let found = unsafe { &*table.cast::<NodeVtable>() };
+            found.make.map(|_| (PluginKind::Node, Vtable::Node(found))).ok_or_else(|| missing(PluginKind::Node))
+        }
+        kind::OUTPUT if size >= size_of::<OutputVtable>() => {
+            // SAFETY: as above.
+            let found = unsafe { &*table.cast::<OutputVtable>() };
+            let whole =
+                found.open.is_some() && found.submit.is_some() && found.finish.is_some() && found.close.is_some();
+            whole.then_some((PluginKind::Output, Vtable::Output(found))).ok_or_else(|| missing(PluginKind::Output))
+        }
+        kind::IMPORTER => Err(missing(PluginKind::Importer)),
+        kind::SOURCE => Err(missing(PluginKind::Source)),
+        kind::NODE => Err(missing(PluginKind::Node)),
+        kind::OUTPUT => Err(missing(PluginKind::Output)),
+        other => Err(format!("plugins of kind {other} are not driven by this version")),
     }
 }

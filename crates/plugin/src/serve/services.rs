@@ -87,7 +87,7 @@ unsafe fn services<'a, S: Services>(context: *const c_void) -> &'a S {
 /// The plugin lends the text for as long as the result is used.
 unsafe fn text<'a>(text: Str) -> std::borrow::Cow<'a, str> {
     // SAFETY: the caller's promise.
-    String::from_utf8_lossy(unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }) })
+    String::from_utf8_lossy(unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, "text") }.unwrap_or_default())
 }
 
 /// Runs a service that cannot fail; a panic in it stays here.
@@ -149,7 +149,7 @@ unsafe extern "C" fn file_append<S: Services>(
     error: *const ErrorSink,
 ) -> Status {
     // SAFETY: as in `log`; the plugin lends the bytes.
-    unsafe { answer(error, || services::<S>(context).file_append(file, lent_bytes(bytes))) }
+    unsafe { answer(error, || services::<S>(context).file_append(file, lent_bytes(bytes, "bytes of a file")?)) }
 }
 
 unsafe extern "C" fn file_commit<S: Services>(context: *const c_void, file: u64, error: *const ErrorSink) -> Status {

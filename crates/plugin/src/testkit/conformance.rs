@@ -3,12 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
-use lumistack_display::Display;
 use serde_json::{Map, Value, json};
 use thiserror::Error;
 
-use crate::serve::{Output, OutputData, Plugin};
-use crate::testkit::{MemoryHost, Sample, samples};
+use crate::serve::{Output, OutputData, Plugin, PluginKind};
+use crate::testkit::{MemoryHost, Sample, makers, samples};
 use crate::{Export, Kind, Param, PluginError, Time};
 
 /// A rule that a plugin breaks.
@@ -23,31 +22,123 @@ pub struct Broken {
 
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// Checks an output plugin against every rule of the boundary that can be seen from outside, through its C functions:
-/// it describes itself, declares all its parameters and refuses others, takes all its ports, gives the same files again and from any
-/// thread, stops when asked, reports a full disk, leaves nothing open, and writes nowhere but through the host.
+/// Checks a plugin that is compiled in; see [`conformance_of`].
 ///
 /// # Errors
 /// The first rule that is broken.
 pub fn conformance(export: &'static LazyLock<Export>) -> Result<(), Broken> {
-    let plugin = rule("describes itself", Plugin::compiled_in(export))?;
-    let samples: Vec<Sample> =
-        samples().into_iter().filter(|sample| plugin.info().ports.contains(&sample.port())).collect();
+    conformance_but_for(export, &[])
+}
+
+/// As [`conformance`], but leaves parameters at their defaults whose other values take too long or too much memory for a test.
+///
+/// # Errors
+/// As [`conformance`].
+pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str]) -> Result<(), Broken> {
+    conformance_of(&rule("describes itself", Plugin::compiled_in(export))?, at_default)
+}
+
+/// Checks a plugin against every rule of the boundary that can be seen from outside, through its C functions.
+///
+/// An output describes itself, declares all its parameters with units and ranges and refuses others, takes all its ports, gives the same files again and from any
+/// thread, stops when asked, reports a full disk, leaves nothing open, and writes nowhere but through the host; most rules are tried with default parameters and again with
+/// everything switched on, but for the parameters in `at_default`. A node or a source makes the same again,
+/// stops when asked, and takes or refuses with a reason every display; an importer fails without a panic on files that are none. What an importer makes of
+/// real files is checked by [`import_conformance`](crate::testkit::import_conformance).
+///
+/// # Errors
+/// The first rule that is broken.
+pub fn conformance_of(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken> {
+    described(plugin)?;
     let surroundings = listing();
-    described(&plugin)?;
-    for sample in &samples {
-        let files = defaults_work(&plugin, sample)?;
-        same_again_from_any_thread(&plugin, sample, &files)?;
-        stops_when_asked(&plugin, sample)?;
-        reports_failing_host(&plugin, sample)?;
-        parameters_in_range_work(&plugin, sample)?;
-    }
-    refuses_bad_parameters(&plugin, samples.first())?;
-    can_be_abandoned(&plugin, samples.first())?;
+    match plugin.info().kind {
+        PluginKind::Output => output_conformance(plugin, at_default),
+        PluginKind::Node => makers::node_conformance(plugin),
+        PluginKind::Source => makers::source_conformance(plugin),
+        PluginKind::Importer => makers::importer_conformance(plugin),
+    }?;
     let added: Vec<String> = listing().difference(&surroundings).cloned().collect();
     require("bytes leave only through the host", added.is_empty(), || {
         format!("new in the working directory: {added:?}")
     })
+}
+
+fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken> {
+    let mut samples: Vec<Sample> =
+        samples().into_iter().filter(|sample| plugin.info().ports.contains(&sample.port())).collect();
+    // a display that cannot be served is refused with a reason; one at least can
+    let mut reasons = Vec::new();
+    samples.retain(|sample| match write(plugin, &MemoryHost::new(), &json!({}), sample) {
+        Err(PluginError::Refused(reason)) => {
+            reasons.push(reason);
+            false
+        }
+        _ => true,
+    });
+    require("serves one of the samples of its ports", !samples.is_empty(), || format!("{reasons:?}"))?;
+    for sample in &samples {
+        defaults_work(plugin, sample)?;
+        for params in [Some(json!({})), everything(plugin, sample, at_default)].into_iter().flatten() {
+            same_again_from_any_thread(plugin, sample, &params)?;
+            stops_when_asked(plugin, sample, &params)?;
+            reports_failing_host(plugin, sample, &params)?;
+        }
+        parameters_in_range_work(plugin, sample, at_default)?;
+    }
+    refuses_bad_parameters(plugin, samples.first())?;
+    can_be_abandoned(plugin, samples.first())
+}
+
+/// Checks that two builds of one plugin describe themselves alike and make the same bytes: for every sample, with default parameters and at the
+/// ends of every parameter's range. Returns how many files, stacks, light fields or documents were compared.
+///
+/// # Errors
+/// The first difference.
+pub fn same_outputs(plugin: &Plugin, other: &Plugin, at_default: &[&str]) -> Result<usize, Broken> {
+    let told = |plugin: &Plugin| serde_json::to_value(plugin.info()).unwrap_or_default();
+    require("describes itself alike", told(plugin) == told(other), || format!("{}\n{}", told(plugin), told(other)))?;
+    let mut count = 0;
+    for params in defaults_and_ends(plugin, at_default) {
+        if plugin.info().kind != PluginKind::Output {
+            count += makers::same(plugin, other, &params)?;
+            continue;
+        }
+        for sample in samples().into_iter().filter(|sample| plugin.info().ports.contains(&sample.port())) {
+            let outcome = |plugin: &Plugin| {
+                let host = MemoryHost::new();
+                write(plugin, &host, &params, &sample).map(|()| host.files())
+            };
+            let (a, b) = (outcome(plugin), outcome(other));
+            require("writes the same bytes", a == b, || match (&a, &b) {
+                (Ok(a), Ok(b)) => format!("{params}, {}: {}", sample.name, difference(b, a)),
+                _ => format!("{params}, {}: {:?}, {:?}", sample.name, a.as_ref().err(), b.as_ref().err()),
+            })?;
+            count += a.map_or(0, |files| files.len());
+        }
+    }
+    Ok(count)
+}
+
+/// Default parameters, and every end of every parameter's range.
+pub(super) fn defaults_and_ends<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = Value> + 'a {
+    let ends = varied(plugin, at_default).flat_map(allowed);
+    std::iter::once(json!({})).chain(ends.map(|(name, value)| Value::Object(Map::from_iter([(name, value)]))))
+}
+
+/// The plugin itself refuses what its schema does not allow: a host in another language need not have checked.
+pub(super) fn bad_parameters_are_refused(
+    plugin: &Plugin,
+    refusal: impl Fn(&str) -> Option<PluginError>,
+) -> Result<(), Broken> {
+    let params = &plugin.info().schema.params;
+    let unknown = [("no_such_parameter".to_string(), json!(1))];
+    for (name, value) in unknown.into_iter().chain(params.iter().flat_map(forbidden)) {
+        let given = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
+        let result = refusal(&given.to_string());
+        let named = matches!(&result, Some(PluginError::Refused(text)) if text.contains(&name));
+        require("refuses bad parameters by name", named, || format!("{given}: {result:?}"))?;
+    }
+    require("refuses what is not JSON", refusal("{").is_some(), || "accepted `{`".into())
 }
 
 fn described(plugin: &Plugin) -> Result<(), Broken> {
@@ -55,27 +146,62 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
     let version: Vec<&str> = info.version.split('.').collect();
     let numbers = version.len() == 3 && version[..2].iter().all(|part| part.parse::<u64>().is_ok());
     require("version is major.minor.patch", numbers, || info.version.clone())?;
-    require("says what it does", info.doc.trim().ends_with('.'), || format!("doc {:?}, expected sentences", info.doc))
+    require("says what it does", info.doc.trim().ends_with('.'), || format!("doc {:?}, expected sentences", info.doc))?;
+    for param in &info.schema.params {
+        let named = param.unit.as_ref().is_some_and(|unit| !unit.trim().is_empty());
+        let (ranged, unit) = match param.kind {
+            Kind::Int { min, max, .. } => (min < max && max < i64::MAX && min > i64::MIN, named),
+            Kind::Float { min, max, .. } => (min < max && min.is_finite() && max.is_finite(), named),
+            _ => (true, true),
+        };
+        let expected = || format!("`{}` takes {}", param.name, param.expected());
+        require("numbers have a range", ranged, expected)?;
+        require("numbers have a unit (`1` for a plain number)", unit, expected)?;
+    }
+    Ok(())
 }
 
-fn defaults_work(plugin: &Plugin, sample: &Sample) -> Result<Files, Broken> {
+fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = &'a Param> {
+    plugin.info().schema.params.iter().filter(|param| !at_default.contains(&param.name.as_str()))
+}
+
+/// Every switch on, as far as the plugin takes them together: each one in turn is switched on if what is on by then is still taken.
+fn everything(plugin: &Plugin, sample: &Sample, at_default: &[&str]) -> Option<Value> {
+    let mut on = Map::new();
+    for param in varied(plugin, at_default) {
+        let last = match &param.kind {
+            Kind::Bool { .. } => json!(true),
+            Kind::Choice { options, .. } => json!(options.last()?.value),
+            _ => continue,
+        };
+        let mut more = on.clone();
+        more.insert(param.name.clone(), last);
+        if write(plugin, &MemoryHost::new(), &Value::Object(more.clone()), sample).is_ok() {
+            on = more;
+        }
+    }
+    (!on.is_empty()).then_some(Value::Object(on))
+}
+
+fn defaults_work(plugin: &Plugin, sample: &Sample) -> Result<(), Broken> {
     let host = MemoryHost::new();
     rule("works with default parameters", write(plugin, &host, &json!({}), sample))?;
     let files = host.files();
     let presents = plugin.info().presents;
     require("an output that does not present writes something", presents || !files.is_empty(), || sample.name.into())?;
-    closed(&host, "default parameters")?;
-    Ok(files)
+    closed(&host, "default parameters")
 }
 
-fn same_again_from_any_thread(plugin: &Plugin, sample: &Sample, stills: &Files) -> Result<(), Broken> {
-    let again = MemoryHost::new();
-    rule("works twice", write(plugin, &again, &json!({}), sample))?;
-    require("writes the same bytes again", again.files() == *stills, || difference(&again.files(), stills))?;
+fn same_again_from_any_thread(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<(), Broken> {
+    let [once, again] = [MemoryHost::new(), MemoryHost::new()];
+    rule("works twice", write(plugin, &once, params, sample))?;
+    rule("works twice", write(plugin, &again, params, sample))?;
+    let [stills, others] = [once.files(), again.files()];
+    require("writes the same bytes again", stills == others, || difference(&others, &stills))?;
 
     let sequence = |threads: bool| {
         let host = MemoryHost::new();
-        let output = Output::open(plugin, &host, &json!({}), &sample.display)?;
+        let output = Output::open(plugin, &host, params, &sample.display)?;
         let submit = |index: u64| output.submit(Time { index, seconds: index as f64 / 24.0 }, sample.data());
         if threads {
             std::thread::scope(|scope| {
@@ -94,18 +220,18 @@ fn same_again_from_any_thread(plugin: &Plugin, sample: &Sample, stills: &Files) 
     require("files do not depend on the order of times", at_once == in_order, || difference(&at_once, &in_order))
 }
 
-fn stops_when_asked(plugin: &Plugin, sample: &Sample) -> Result<(), Broken> {
+fn stops_when_asked(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<(), Broken> {
     let host = MemoryHost::new();
     host.cancel();
-    let result = write(plugin, &host, &json!({}), sample);
+    let result = write(plugin, &host, params, sample);
     require("returns `cancelled` when asked to stop before", result == Err(PluginError::Cancelled), || {
         format!("{result:?}")
     })?;
     closed(&host, "cancelled before")?;
-    let appends = appends(plugin, sample);
+    let appends = appends(plugin, sample, params);
     if appends > 1 {
         let host = MemoryHost::cancelled_at(0);
-        let result = write(plugin, &host, &json!({}), sample);
+        let result = write(plugin, &host, params, sample);
         let prompt = result == Err(PluginError::Cancelled) || host.opened_after_cancel() == 0;
         require("opens no further file once asked to stop", prompt, || {
             format!("{} files, {result:?}", host.opened_after_cancel())
@@ -115,12 +241,12 @@ fn stops_when_asked(plugin: &Plugin, sample: &Sample) -> Result<(), Broken> {
     Ok(())
 }
 
-fn reports_failing_host(plugin: &Plugin, sample: &Sample) -> Result<(), Broken> {
-    let appends = appends(plugin, sample);
+fn reports_failing_host(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<(), Broken> {
+    let appends = appends(plugin, sample, params);
     let moments = BTreeSet::from([0, appends / 2, appends.saturating_sub(1)]);
     for append in moments.into_iter().filter(|append| *append < appends) {
         let host = MemoryHost::failing_at(append);
-        let result = write(plugin, &host, &json!({}), sample);
+        let result = write(plugin, &host, params, sample);
         let told = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no space left"));
         require("passes on why the host could not write", told, || format!("append {append}: {result:?}"))?;
         closed(&host, "the disk was full")?;
@@ -128,8 +254,8 @@ fn reports_failing_host(plugin: &Plugin, sample: &Sample) -> Result<(), Broken> 
     Ok(())
 }
 
-fn parameters_in_range_work(plugin: &Plugin, sample: &Sample) -> Result<(), Broken> {
-    for (name, value) in plugin.info().schema.params.iter().flat_map(allowed) {
+fn parameters_in_range_work(plugin: &Plugin, sample: &Sample, at_default: &[&str]) -> Result<(), Broken> {
+    for (name, value) in varied(plugin, at_default).flat_map(allowed) {
         let params = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
         let host = MemoryHost::new();
         match write(plugin, &host, &params, sample) {
@@ -146,19 +272,11 @@ fn parameters_in_range_work(plugin: &Plugin, sample: &Sample) -> Result<(), Brok
     Ok(())
 }
 
-/// The plugin itself refuses what its schema does not allow: a host in another language need not have checked.
 fn refuses_bad_parameters(plugin: &Plugin, sample: Option<&Sample>) -> Result<(), Broken> {
     let Some(Sample { display, .. }) = sample else { return Ok(()) };
-    let params = &plugin.info().schema.params;
-    let unknown = [("no_such_parameter".to_string(), json!(1))];
-    for (name, value) in unknown.into_iter().chain(params.iter().flat_map(forbidden)) {
-        let given = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
-        let result = refusal(plugin, &given.to_string(), display);
-        let named = matches!(&result, Some(PluginError::Refused(text)) if text.contains(&name));
-        require("refuses bad parameters by name", named, || format!("{given}: {result:?}"))?;
-    }
-    let result = refusal(plugin, "{", display);
-    require("refuses what is not JSON", result.is_some(), || "accepted `{`".into())
+    bad_parameters_are_refused(plugin, |params| {
+        Output::open_unresolved(plugin, &MemoryHost::new(), params, display).err()
+    })
 }
 
 fn can_be_abandoned(plugin: &Plugin, sample: Option<&Sample>) -> Result<(), Broken> {
@@ -185,15 +303,11 @@ fn write(plugin: &Plugin, host: &MemoryHost, params: &Value, sample: &Sample) ->
     output.finish()
 }
 
-fn appends(plugin: &Plugin, sample: &Sample) -> usize {
+fn appends(plugin: &Plugin, sample: &Sample, params: &Value) -> usize {
     let host = MemoryHost::new();
     // a failure shows in the other checks
-    let _ = write(plugin, &host, &json!({}), sample);
+    let _ = write(plugin, &host, params, sample);
     host.appends()
-}
-
-fn refusal(plugin: &Plugin, params_json: &str, display: &Display) -> Option<PluginError> {
-    Output::open_unresolved(plugin, &MemoryHost::new(), params_json, display).err()
 }
 
 /// The ends of a parameter's range.
@@ -204,6 +318,7 @@ fn allowed(param: &Param) -> Vec<(String, Value)> {
         Kind::Float { min, max, .. } => vec![json!(min), json!(max)],
         Kind::Choice { options, .. } => options.iter().map(|option| json!(option.value)).collect(),
         Kind::Text { default } => vec![json!(default), json!("")],
+        Kind::File => vec![json!(""), json!("no such file")],
     };
     values.into_iter().map(|value| (param.name.clone(), value)).collect()
 }
@@ -218,12 +333,12 @@ fn forbidden(param: &Param) -> Vec<(String, Value)> {
         }
         Kind::Float { min, max, .. } => vec![json!(min - 1.0 - min.abs()), json!(max + 1.0 + max.abs()), json!("1")],
         Kind::Choice { .. } => vec![json!("no such choice"), json!(0)],
-        Kind::Text { .. } => vec![json!(0)],
+        Kind::Text { .. } | Kind::File => vec![json!(0)],
     };
     values.into_iter().map(|value| (param.name.clone(), value)).collect()
 }
 
-fn closed(host: &MemoryHost, when: &str) -> Result<(), Broken> {
+pub(super) fn closed(host: &MemoryHost, when: &str) -> Result<(), Broken> {
     let (stages, open) = host.stages();
     require("no file stays open", host.open_files().is_empty(), || format!("{when}: {:?}", host.open_files()))?;
     require("every stage of progress ends", open == 0, || format!("{when}: {open} of {stages:?} did not"))
@@ -241,10 +356,10 @@ fn listing() -> BTreeSet<String> {
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
-fn rule<T>(rule: &'static str, result: Result<T, PluginError>) -> Result<T, Broken> {
+pub(super) fn rule<T>(rule: &'static str, result: Result<T, PluginError>) -> Result<T, Broken> {
     result.map_err(|error| Broken { rule, found: format!("{error:?}") })
 }
 
-fn require(rule: &'static str, holds: bool, found: impl FnOnce() -> String) -> Result<(), Broken> {
+pub(super) fn require(rule: &'static str, holds: bool, found: impl FnOnce() -> String) -> Result<(), Broken> {
     if holds { Ok(()) } else { Err(Broken { rule, found: found() }) }
 }

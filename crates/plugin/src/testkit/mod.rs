@@ -1,4 +1,4 @@
-//! Checks that every output plugin must pass, and what they need: a host that keeps files in memory, and sample data.
+//! Checks that every plugin must pass, and what they need: a host that keeps files in memory, and sample data.
 //!
 //! ```ignore
 //! #[test]
@@ -8,9 +8,11 @@
 //! ```
 
 mod conformance;
+mod makers;
 mod memory_host;
 mod samples;
 
-pub use conformance::{Broken, conformance};
+pub use conformance::{Broken, conformance, conformance_but_for, conformance_of, same_outputs};
+pub use makers::import_conformance;
 pub use memory_host::MemoryHost;
 pub use samples::{Sample, samples};

@@ -59,6 +59,7 @@ impl Sample {
 pub fn samples() -> Vec<Sample> {
     let layered = three_layers();
     let directional = one_directional_layer();
+    let fixed = two_static_layers();
     let perspective = FieldGeometry {
         rows: 5,
         cols: 9,
@@ -83,6 +84,11 @@ pub fn samples() -> Vec<Sample> {
             display: directional,
         },
         Sample { name: "perspective light field of 3 × 2 views", kind: Kind::Field(field), display: layered },
+        Sample {
+            name: "two layers of different size, one frame",
+            kind: Kind::Stack(random_stack(&fixed, 4)),
+            display: fixed,
+        },
     ]
 }
 
@@ -90,7 +96,14 @@ fn three_layers() -> Display {
     let plain = Display::uniform([8, 6], 1.0, [3, 3], [10.0, 10.0], &[-4.0, 0.0, 4.0], 2);
     let mut display = Display { name: "three layers".into(), brightness: 0.5, ..plain };
     display.layers[1] = Layer { transfer: Transfer::Linear, ..Layer::new(0.0, [10, 7], 0.8) };
-    display.layers[2] = Layer { transfer: Transfer::Gamma(2.2), ..Layer::new(4.0, [4, 3], 2.0) };
+    display.layers[2] = Layer { transfer: Transfer::gamma(2.2), ..Layer::new(4.0, [4, 3], 2.0) };
+    display
+}
+
+fn two_static_layers() -> Display {
+    let plain = Display::uniform([8, 6], 1.0, [3, 3], [10.0, 10.0], &[0.0, 4.0], 1);
+    let mut display = Display { name: "static".into(), ..plain };
+    display.layers[1] = Layer { offset_mm: [0.5, -0.25], black_level: 0.1, ..Layer::new(4.0, [9, 7], 1.5) };
     display
 }
 

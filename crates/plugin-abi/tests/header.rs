@@ -1,0 +1,166 @@
+//! `include/lumistack_plugin.h` is what these types say, and a C compiler gives them the same layout.
+//!
+//! `LUMISTACK_WRITE=1 cargo test -p lumistack-plugin-abi --test header` writes the header anew.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::mem::{align_of, offset_of, size_of};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use cbindgen::{Builder, Config, ExportConfig, Language, RenameRule};
+use lumistack_plugin_abi as abi;
+
+/// Names of constants in C: those of a module get its name.
+const CONSTANTS: [(&str, &[&str]); 6] = [
+    ("KIND", &["IMPORTER", "SOURCE", "NODE", "OUTPUT"]),
+    ("PORT", &["SCENE", "LIGHT_FIELD", "LAYER_STACK", "FILE"]),
+    ("DTYPE", &["F32"]),
+    ("VIEW", &["SLOPE", "EYE"]),
+    ("LEVEL", &["ERROR", "WARN", "INFO", "DEBUG"]),
+    ("", &["ABI_MAJOR", "ABI_MINOR"]),
+];
+
+const TOP: &str = "\
+/* Plugins of Lumistack, for C. Made from the Rust types of lumistack-plugin-abi; do not edit.
+ *
+ * A plugin ID is a shared library lumistack_plugin_ID (with the system's prefix and suffix) that exports
+ *
+ *     const LumistackDescriptor *lumistack_plugin_entry_ID(void);
+ *
+ * A struct starts with its own size in bytes (a descriptor with its version) and only ever grows at the end: set `size` to `sizeof` of what
+ * you hand out, and read no further than the `size` of what you are given. Texts are UTF-8 with a length, never null-terminated.
+ * Nothing may unwind into the caller. docs/PLUGINS.md shows a whole plugin.
+ */";
+
+fn crate_folder() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn header_path() -> PathBuf {
+    crate_folder().join("include/lumistack_plugin.h")
+}
+
+fn generated() -> String {
+    let mut export =
+        ExportConfig { prefix: Some("Lumistack".into()), renaming_overrides_prefixing: true, ..Default::default() };
+    for (module, names) in CONSTANTS {
+        for name in names {
+            let full = ["LUMISTACK", module, name].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>();
+            export.rename.insert((*name).into(), full.join("_"));
+        }
+    }
+    // used through pointers alone, or by nobody but the plugin
+    let items = ["Descriptor", "OutputVtable", "ImporterVtable", "SourceVtable", "NodeVtable"];
+    export.include = items.map(String::from).to_vec();
+    export.exclude = vec!["ENTRY_PREFIX".into()];
+    let mut config = Config {
+        language: Language::C,
+        cpp_compat: true,
+        include_guard: Some("LUMISTACK_PLUGIN_H".into()),
+        header: Some(TOP.into()),
+        no_includes: true,
+        sys_includes: ["stddef.h", "stdint.h"].map(String::from).to_vec(),
+        usize_is_size_t: true,
+        line_length: 120,
+        export,
+        ..Default::default()
+    };
+    config.function.rename_args = RenameRule::None;
+    let mut builder = Builder::new().with_config(config);
+    for file in ["lib", "data", "descriptor", "host", "makers"] {
+        builder = builder.with_src(crate_folder().join("src").join(format!("{file}.rs")));
+    }
+    let mut bytes = Vec::new();
+    builder.generate().expect("the types have a form in C").write(&mut bytes);
+    let text = String::from_utf8(bytes).unwrap();
+    // constants of a transparent struct would be struct literals, which C cannot compare
+    without_links(&text.replace("LumistackStatus_", "LUMISTACK_STATUS_"))
+}
+
+/// Comments without the links of Rust's documentation: [`a`](b::a) and [`a`] become `a`.
+fn without_links(text: &str) -> String {
+    let (mut plain, mut rest) = (String::new(), text);
+    while let Some(start) = rest.find("[`") {
+        let (before, link) = rest.split_at(start);
+        let end = link.find("`]").expect("links end");
+        plain += before;
+        plain += &link[1..=end];
+        rest = &link[end + 2..];
+        if let Some(target) = rest.strip_prefix('(') {
+            rest = target.split_once(')').expect("links end").1;
+        }
+    }
+    plain + rest
+}
+
+#[test]
+fn the_header_is_current() {
+    let (path, wanted) = (header_path(), generated());
+    if std::env::var_os("LUMISTACK_WRITE").is_some() {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(&path, &wanted).unwrap();
+    }
+    let found = fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n");
+    assert!(
+        found == wanted,
+        "{} is not what the types say; LUMISTACK_WRITE=1 cargo test -p lumistack-plugin-abi --test header writes it",
+        path.display()
+    );
+}
+
+/// C assertions of the size of a struct and the places of its members.
+macro_rules! layout {
+    ($text:ident, $($type:ident { $($member:ident),* $(,)? })*) => {$(
+        writeln!($text, "_Static_assert(sizeof(Lumistack{0}) == {1}, \"{0}\");", stringify!($type), size_of::<abi::$type>()).unwrap();
+        writeln!($text, "_Static_assert(_Alignof(Lumistack{0}) == {1}, \"{0}\");", stringify!($type), align_of::<abi::$type>()).unwrap();
+        $(writeln!(
+            $text,
+            "_Static_assert(offsetof(Lumistack{0}, {1}) == {2}, \"{0}.{1}\");",
+            stringify!($type), stringify!($member), offset_of!(abi::$type, $member)
+        ).unwrap();)*
+    )*};
+}
+
+/// Every Unix that links Rust has a C compiler.
+#[test]
+#[cfg(unix)]
+fn c_compilers_see_the_same_layout() {
+    let mut text = String::from("#include \"lumistack_plugin.h\"\n");
+    layout!(text,
+        Str { ptr, len } Bytes { ptr, len } ErrorSink { size, context, write }
+        Descriptor { abi_major, abi_minor, size, kind, ports, id, version, doc, schema_json, vtable }
+        OutputVtable { size, open, submit, run, finish, close }
+        HostServices {
+            size, context, log, progress_begin, progress_advance, progress_end, is_cancelled, file_open, file_append,
+            file_commit, file_abort, simulate,
+        }
+        Data { size, port, context, description_json, layer_plane, emission_plane, view_plane }
+        Plane { size, data, dtype, ndim, shape, strides, owner, release }
+        Time { size, index, seconds } View { size, kind, value }
+        ByteSink { size, context, write } Assets { size, context, read } ImporterVtable { size, extensions, import }
+        FieldSink { size, context, geometry, view_plane } SourceVtable { size, make }
+        StackSink { size, context, brightness, layer_plane, emission_plane } NodeVtable { size, make }
+    );
+    for (name, value) in [
+        ("ABI_MAJOR", abi::ABI_MAJOR),
+        ("ABI_MINOR", abi::ABI_MINOR),
+        ("KIND_OUTPUT", abi::kind::OUTPUT),
+        ("KIND_IMPORTER", abi::kind::IMPORTER),
+        ("PORT_LAYER_STACK", abi::port::LAYER_STACK),
+        ("PORT_FILE", abi::port::FILE),
+        ("DTYPE_F32", abi::dtype::F32),
+        ("VIEW_EYE", abi::view::EYE),
+        ("LEVEL_DEBUG", abi::level::DEBUG),
+        ("STATUS_PANICKED", abi::Status::PANICKED.0 as u32),
+    ] {
+        writeln!(text, "_Static_assert(LUMISTACK_{name} == {value}, \"{name}\");").unwrap();
+    }
+    assert!(text.lines().count() > 100, "{text}");
+    let folder = tempfile::tempdir().unwrap();
+    let source = folder.path().join("layout.c");
+    fs::write(&source, &text).unwrap();
+    let mut cc = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
+    cc.args(["-std=c11", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-I"]).arg(crate_folder().join("include"));
+    assert!(cc.arg(&source).status().expect("a C compiler").success(), "{text}");
+}

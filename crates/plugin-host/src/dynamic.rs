@@ -1,0 +1,224 @@
+//! Plugins in shared libraries.
+//!
+//! A plugin `id` lies in a file `lumistack_plugin_<id>` (with the system's prefix and suffix for shared libraries) and is found through
+//! its function `lumistack_plugin_entry_<id>`. What can be checked without running the library's code is checked before it is
+//! opened: name, kind of file, machine. A library is never unloaded: its threads, thread-local destructors and lent texts may outlive any use.
+
+use std::env::consts::{ARCH, DLL_PREFIX, DLL_SUFFIX};
+use std::env::{split_paths, var_os};
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+use libloading::Library;
+use lumistack_plugin::abi::{ENTRY_PREFIX, Entry};
+use lumistack_plugin::is_plugin_id;
+use lumistack_plugin::serve::Plugin;
+use object::{Architecture, BinaryFormat, FileKind, Object, ObjectKind, ReadCache};
+
+use crate::{LoadError, Origin, Registry};
+
+/// Names more places, separated like those of `PATH`.
+const VARIABLE: &str = "LUMISTACK_PLUGIN_PATH";
+/// Stem of every plugin's file, before the id.
+const STEM: &str = "lumistack_plugin_";
+
+/// Where plugins are looked for, in this order; of two with one id the first stays.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PluginPaths {
+    /// Files and folders that somebody named, and that must be there.
+    pub named: Vec<PathBuf>,
+    /// The user's own folder, which need not exist.
+    pub user: Option<PathBuf>,
+}
+
+impl PluginPaths {
+    /// The places given on the command line, then those of the environment variable `LUMISTACK_PLUGIN_PATH`, then the folder
+    /// `lumistack/plugins` among the user's data.
+    pub fn of_system(given: &[PathBuf]) -> Self {
+        Self::of(given, var_os(VARIABLE), user_data())
+    }
+
+    fn of(given: &[PathBuf], variable: Option<OsString>, user_data: Option<PathBuf>) -> Self {
+        let variable = variable.unwrap_or_default();
+        let of_variable = split_paths(&variable).filter(|path| !path.as_os_str().is_empty());
+        Self {
+            named: given.iter().cloned().chain(of_variable).collect(),
+            user: user_data.map(|folder| folder.join("lumistack").join("plugins")),
+        }
+    }
+}
+
+/// Where this system keeps the data of a user's programs.
+fn user_data() -> Option<PathBuf> {
+    let folder = |name: &str| var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    if cfg!(windows) {
+        folder("APPDATA")
+    } else if cfg!(target_os = "macos") {
+        Some(folder("HOME")?.join("Library/Application Support"))
+    } else {
+        folder("XDG_DATA_HOME").or_else(|| Some(folder("HOME")?.join(".local/share")))
+    }
+}
+
+impl Registry {
+    /// Loads all plugins of these places. What cannot be used goes to [`Registry::failed`], one entry each.
+    ///
+    /// This runs code of every library there; name only places that you trust.
+    pub fn load(&mut self, paths: &PluginPaths) {
+        let user = paths.user.iter().filter(|folder| folder.exists());
+        let mut seen = Vec::new();
+        for place in paths.named.iter().chain(user) {
+            let files = match libraries(place) {
+                Ok(files) => files,
+                Err(source) => {
+                    self.failed.push(LoadError::Read { path: place.clone(), source });
+                    continue;
+                }
+            };
+            for file in files {
+                // a place that was named twice is no conflict
+                let real = fs::canonicalize(&file).unwrap_or_else(|_| file.clone());
+                if !seen.contains(&real) {
+                    seen.push(real);
+                    self.load_file(&file);
+                }
+            }
+        }
+    }
+
+    fn load_file(&mut self, path: &Path) {
+        let added = load(path).and_then(|plugin| {
+            self.add_from(plugin, Origin::Library(path.into())).map_err(|(plugin, first)| LoadError::Duplicate {
+                path: path.into(),
+                id: plugin.info().id.clone(),
+                first,
+            })
+        });
+        self.failed.extend(added.err());
+    }
+}
+
+/// The file itself, or the plugins in a folder, sorted by name.
+fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
+    if !fs::metadata(place)?.is_dir() {
+        return Ok(vec![place.into()]);
+    }
+    let mut files = Vec::new();
+    for entry in fs::read_dir(place)? {
+        let path = entry?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if name.starts_with(&format!("{DLL_PREFIX}{STEM}")) && name.ends_with(DLL_SUFFIX) {
+            files.push(path);
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// Opens a library and takes its plugin.
+fn load(path: &Path) -> Result<Plugin, LoadError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let id = name
+        .strip_prefix(DLL_PREFIX)
+        .and_then(|name| name.strip_prefix(STEM))
+        .and_then(|name| name.strip_suffix(DLL_SUFFIX))
+        .filter(|id| is_plugin_id(id))
+        .ok_or_else(|| LoadError::Name { path: path.into(), expected: format!("{DLL_PREFIX}{STEM}ID{DLL_SUFFIX}") })?;
+    check_file(path)?;
+    // an absolute path, since the loader looks for a bare name elsewhere
+    let absolute = std::path::absolute(path).map_err(|source| LoadError::Read { path: path.into(), source })?;
+    // SAFETY: whoever names a plugin wants its code to run; the initializers of a library that was built as a plugin make no demands.
+    let library = unsafe { Library::new(&absolute) }
+        .map_err(|error| LoadError::Open { path: path.into(), reason: said_by_loader(&error) })?;
+    // never unloaded, whatever follows
+    let library: &'static Library = Box::leak(Box::new(library));
+    let symbol = format!("{ENTRY_PREFIX}{id}");
+    // SAFETY: a function of this name is a plugin's entry, by the boundary's convention.
+    let entry = unsafe { library.get::<Entry>(symbol.as_bytes()) }
+        .map_err(|_| LoadError::NoEntry { path: path.into(), symbol: symbol.clone() })?;
+    // SAFETY: as above; it returns null or a descriptor that lives as long as the library, which is never unloaded.
+    let plugin = unsafe { Plugin::from_descriptor(entry()) }
+        .map_err(|reason| LoadError::Descriptor { path: path.into(), reason })?;
+    let found = &plugin.info().id;
+    if found == id {
+        Ok(plugin)
+    } else {
+        Err(LoadError::OtherId { path: path.into(), expected: id.into(), found: found.clone() })
+    }
+}
+
+/// The system's own words, which libloading keeps behind its own.
+fn said_by_loader(error: &libloading::Error) -> String {
+    std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string)
+}
+
+/// Whether a file is a shared library for this machine. The system's own loader says "no such file" to some that are not.
+fn check_file(path: &Path) -> Result<(), LoadError> {
+    let read = |source| LoadError::Read { path: path.into(), source };
+    let other = |found: String| Err(LoadError::NotALibrary { path: path.into(), found });
+    let file = File::open(path).map_err(read)?;
+    if file.metadata().map_err(read)?.is_dir() {
+        return other("a folder".into());
+    }
+    let data = ReadCache::new(file);
+    match FileKind::parse(&data) {
+        // several machines in one file, from which the loader takes its own
+        Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(()),
+        Ok(_) => {}
+        Err(_) => return other("a file of another kind".into()),
+    }
+    let library = match object::File::parse(&data) {
+        Ok(library) => library,
+        Err(error) => return other(format!("a damaged one: {error}")),
+    };
+    let (format, machine) = (library.format(), library.architecture());
+    if format != BinaryFormat::native_object() || native().is_some_and(|native| native != machine) {
+        let found = format!("{machine:?} ({format:?})").to_lowercase();
+        let expected = format!("{ARCH} ({:?})", BinaryFormat::native_object()).to_lowercase();
+        return Err(LoadError::Machine { path: path.into(), expected, found });
+    }
+    match library.kind() {
+        ObjectKind::Dynamic => Ok(()),
+        kind => other(format!("a file of another kind ({kind:?})").to_lowercase()),
+    }
+}
+
+/// This machine in the words of library files; `None` where nobody has looked it up.
+fn native() -> Option<Architecture> {
+    Some(match ARCH {
+        "x86_64" => Architecture::X86_64,
+        "x86" => Architecture::I386,
+        "aarch64" => Architecture::Aarch64,
+        "arm" => Architecture::Arm,
+        "riscv64" => Architecture::Riscv64,
+        "loongarch64" => Architecture::LoongArch64,
+        "powerpc64" => Architecture::PowerPc64,
+        "s390x" => Architecture::S390x,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_goes_before_the_environment_and_that_before_the_user_s_folder() {
+        let given = [PathBuf::from("/a"), PathBuf::from("b")];
+        let variable = std::env::join_paths(["/c", "", "/d"]).unwrap();
+        let paths = PluginPaths::of(&given, Some(variable), Some("/home/u/data".into()));
+        assert_eq!(paths.named, ["/a", "b", "/c", "/d"].map(PathBuf::from));
+        assert_eq!(paths.user, Some("/home/u/data/lumistack/plugins".into()));
+        assert_eq!(PluginPaths::of(&[], None, None), PluginPaths::default());
+    }
+
+    #[test]
+    fn this_machine_has_a_name() {
+        let this = File::open(std::env::current_exe().unwrap()).unwrap();
+        let this = ReadCache::new(this);
+        let this = object::File::parse(&this).unwrap();
+        assert_eq!(Some(this.architecture()), native());
+        assert_eq!(this.format(), BinaryFormat::native_object());
+    }
+}

@@ -1,0 +1,130 @@
+//! Importers, sources and nodes: messages, progress and cancellation go to the task, files nowhere.
+
+use lumistack_core::Task;
+use lumistack_display::{Display, LayerStack, LightField};
+use lumistack_plugin::serve::{self, LogLevel, Plugin, PluginKind, ReadAsset, Services};
+use lumistack_plugin::{PluginError, Time};
+use serde_json::Value;
+
+use crate::{HostError, Registry};
+
+/// Has the importer `id` turn the file `file` into a glTF document, not yet validated. `read` reads that file and those beside it.
+///
+/// # Errors
+/// If there is no such importer, it does not take the parameters, or it fails.
+pub fn import_scene(
+    registry: &Registry,
+    id: &str,
+    params: &Value,
+    file: &str,
+    read: &ReadAsset<'_>,
+    task: Task<'_>,
+) -> Result<Vec<u8>, HostError> {
+    make(registry, id, PluginKind::Importer, params, task, |plugin, host, params| {
+        serve::import(plugin, host, params, file, read)
+    })
+}
+
+/// Has the source `id` make the light field of one time.
+///
+/// # Errors
+/// If there is no such source, it does not take the parameters, it fails, or what it makes is no light field.
+pub fn make_field(
+    registry: &Registry,
+    id: &str,
+    params: &Value,
+    display: &Display,
+    time: Time,
+    task: Task<'_>,
+) -> Result<LightField, HostError> {
+    make(registry, id, PluginKind::Source, params, task, |plugin, host, params| {
+        serve::make_field(plugin, host, params, display, time)
+    })
+}
+
+/// Has the node `id` make the layer stack of one time; `field` must have the display's own geometry.
+///
+/// # Errors
+/// If there is no such node, it does not take the parameters or the display, it fails, or what it makes does not fit the display.
+pub fn make_stack(
+    registry: &Registry,
+    id: &str,
+    params: &Value,
+    display: &Display,
+    time: Time,
+    field: &LightField,
+    task: Task<'_>,
+) -> Result<LayerStack, HostError> {
+    make(registry, id, PluginKind::Node, params, task, |plugin, host, params| {
+        serve::make_stack(plugin, host, params, display, time, field)
+    })
+}
+
+fn make<T>(
+    registry: &Registry,
+    id: &str,
+    kind: PluginKind,
+    params: &Value,
+    task: Task<'_>,
+    work: impl FnOnce(&Plugin, &TaskHost<'_>, &str) -> Result<T, PluginError>,
+) -> Result<T, HostError> {
+    let plugin = registry.get_kind(id, kind)?;
+    let of_plugin = |error| HostError::of_plugin(kind, id, error);
+    let params = serve::resolved(plugin, params).map_err(of_plugin)?;
+    let made = work(plugin, &TaskHost { kind, id, task }, &params).map_err(of_plugin)?;
+    task.cancel.check().map_err(|_| HostError::Cancelled)?;
+    Ok(made)
+}
+
+/// A host without files.
+struct TaskHost<'a> {
+    kind: PluginKind,
+    id: &'a str,
+    task: Task<'a>,
+}
+
+impl TaskHost<'_> {
+    fn no_files(&self) -> PluginError {
+        PluginError::Refused(format!("{} writes no files", self.kind))
+    }
+}
+
+impl Services for TaskHost<'_> {
+    fn log(&self, level: LogLevel, message: &str) {
+        if matches!(level, LogLevel::Error | LogLevel::Warn) {
+            self.task.warn(format!("{} `{}`", self.kind.name(), self.id), message);
+        }
+    }
+
+    fn progress_begin(&self, stage: &str, total: u64, unit: &str) {
+        self.task.progress.begin(stage, total, unit);
+    }
+
+    fn progress_advance(&self, steps: u64, note: &str) {
+        self.task.progress.advance(steps, note);
+    }
+
+    fn progress_end(&self) {
+        self.task.progress.end();
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.task.cancel.is_cancelled()
+    }
+
+    fn file_open(&self, _path: &str) -> Result<u64, PluginError> {
+        Err(self.no_files())
+    }
+
+    fn file_append(&self, _file: u64, _bytes: &[u8]) -> Result<(), PluginError> {
+        Err(self.no_files())
+    }
+
+    fn file_commit(&self, _file: u64) -> Result<(), PluginError> {
+        Err(self.no_files())
+    }
+
+    fn file_abort(&self, _file: u64) -> Result<(), PluginError> {
+        Err(self.no_files())
+    }
+}

@@ -1,0 +1,278 @@
+//! Plugins that make something: importers, sources and nodes. Each trait is one function; what it returns goes to the host piece by piece.
+
+use lumistack_display::{Display, LayerStack, LightField};
+use lumistack_plugin_abi::{
+    self as abi, ByteSink, Bytes, Data, ErrorSink, FieldSink, HostServices, ImporterVtable, NodeVtable, Plane,
+    SourceVtable, StackSink, Status, Str, dtype,
+};
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::boundary::{answer, call, lent_bytes, lent_text};
+use crate::describe::{Geometry, display_from_json};
+use crate::output::CloseHost;
+use crate::{FieldInput, Host, Input, PluginError, Schema, Time};
+
+/// A plugin that turns files of some format into scenes.
+pub trait ImporterPlugin: 'static {
+    /// What it does, for people; the first sentence stands in lists.
+    const DOC: &'static str;
+    /// Extensions of the files that it takes: lower case, without the dot.
+    const EXTENSIONS: &'static [&'static str];
+
+    /// The schema's parameters as a struct: one field each, of the same name.
+    type Params: DeserializeOwned;
+
+    /// Its parameters. Checked before `import`, which therefore gets every parameter, of the right type and in range.
+    fn schema() -> Schema;
+
+    /// Reads the file `file`, and others beside it, through `assets`, and returns a glTF 2.0 document, `.glb` or `.gltf`. The host validates it like
+    /// any other; files that it refers to are read beside the imported file.
+    ///
+    /// # Errors
+    /// If the file makes no sense, with the place in it.
+    fn import(host: &Host, params: Self::Params, file: &str, assets: &Assets<'_>) -> Result<Vec<u8>, PluginError>;
+}
+
+/// A plugin that makes light fields.
+pub trait SourcePlugin: 'static {
+    /// What it does, for people; the first sentence stands in lists.
+    const DOC: &'static str;
+
+    /// The schema's parameters as a struct: one field each, of the same name.
+    type Params: DeserializeOwned;
+
+    /// Its parameters. Checked before `make`, which therefore gets every parameter, of the right type and in range.
+    fn schema() -> Schema;
+
+    /// Makes the light field of one time: linear radiance, finite and not below 0. Wanted is the display's own geometry
+    /// ([`Display::geometry`]); another is taken as it is.
+    ///
+    /// # Errors
+    /// If it cannot be made; [`PluginError::Cancelled`] when the user asked to stop.
+    fn make(host: &Host, params: Self::Params, display: &Display, time: Time) -> Result<LightField, PluginError>;
+}
+
+/// A plugin that turns light fields into the layer stacks of a display.
+pub trait NodePlugin: 'static {
+    /// What it does, for people; the first sentence stands in lists.
+    const DOC: &'static str;
+
+    /// The schema's parameters as a struct: one field each, of the same name.
+    type Params: DeserializeOwned;
+
+    /// Its parameters. Checked before `make`, which therefore gets every parameter, of the right type and in range.
+    fn schema() -> Schema;
+
+    /// Makes the patterns of one time. The light field has the display's own geometry; the stack must fit the display, with values in 0..1, and its
+    /// `brightness` is the β by which what is shown is to be divided.
+    ///
+    /// # Errors
+    /// [`PluginError::Refused`] if the display is not of the kind that the plugin serves; [`PluginError::Cancelled`] when the user asked to stop.
+    fn make(
+        host: &Host,
+        params: Self::Params,
+        display: &Display,
+        time: Time,
+        field: &FieldInput<'_>,
+    ) -> Result<LayerStack, PluginError>;
+}
+
+/// Files that an importer may read: the imported one, and those beside it.
+#[derive(Debug)]
+pub struct Assets<'a>(&'a abi::Assets);
+
+impl Assets<'_> {
+    /// Reads a whole file; `path` is relative to the folder of the imported file, with `/` between its parts.
+    ///
+    /// # Errors
+    /// If there is no such file, or the host does not allow it.
+    pub fn read(&self, path: &str) -> Result<Vec<u8>, PluginError> {
+        let mut bytes = Vec::new();
+        let sink = ByteSink { size: size_of::<ByteSink>(), context: (&raw mut bytes).cast(), write: append };
+        // SAFETY: the table's own context; the text and the sink are lent for the call.
+        call(|error| unsafe { (self.0.read)(self.0.context, Str::new(path), &sink, error) })?;
+        Ok(bytes)
+    }
+}
+
+/// [`ByteSink::write`] into a vector.
+pub(crate) unsafe extern "C" fn append(
+    context: *mut std::ffi::c_void,
+    bytes: Bytes,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: the other side lends the bytes; `context` is the vector of who made the sink and waits for the call.
+    unsafe {
+        answer(error, || {
+            (*context.cast::<Vec<u8>>()).extend_from_slice(lent_bytes(bytes, "bytes")?);
+            Ok(())
+        })
+    }
+}
+
+/// The C functions of an importer.
+pub(crate) fn importer_vtable<P: ImporterPlugin>() -> ImporterVtable {
+    let extensions: &'static str = P::EXTENSIONS.join(" ").leak();
+    ImporterVtable { size: size_of::<ImporterVtable>(), extensions: Str::new(extensions), import: Some(import::<P>) }
+}
+
+/// The C functions of a source.
+pub(crate) fn source_vtable<P: SourcePlugin>() -> SourceVtable {
+    SourceVtable { size: size_of::<SourceVtable>(), make: Some(make_field::<P>) }
+}
+
+/// The C functions of a node.
+pub(crate) fn node_vtable<P: NodePlugin>() -> NodeVtable {
+    NodeVtable { size: size_of::<NodeVtable>(), make: Some(make_stack::<P>) }
+}
+
+unsafe extern "C" fn import<P: ImporterPlugin>(
+    host: *const HostServices,
+    params_json: Str,
+    file: Str,
+    assets: *const abi::Assets,
+    scene: *const ByteSink,
+    error: *const ErrorSink,
+) -> Status {
+    let work = || {
+        // SAFETY: the host lends all of it until this call returns.
+        let (params, host) = unsafe { (params_of(P::schema(), params_json)?, CloseHost::checked(host)?) };
+        // SAFETY: as above.
+        let (file, assets, scene) = unsafe { (lent_text(file, "file name")?, &*assets, &*scene) };
+        needs(scene.size, size_of::<ByteSink>())?;
+        needs(assets.size, size_of::<abi::Assets>())?;
+        let bytes = P::import(&host.get(), params, file, &Assets(assets))?;
+        // SAFETY: the sink's own context; the bytes are lent for the call.
+        call(|error| unsafe { (scene.write)(scene.context, Bytes::new(&bytes), error) })
+    };
+    // SAFETY: the host passes null or a valid sink.
+    unsafe { answer(error, work) }
+}
+
+unsafe extern "C" fn make_field<P: SourcePlugin>(
+    host: *const HostServices,
+    params_json: Str,
+    display_json: Str,
+    time: *const abi::Time,
+    field: *const FieldSink,
+    error: *const ErrorSink,
+) -> Status {
+    let work = || {
+        // SAFETY: the host lends all of it until this call returns.
+        let (params, host) = unsafe { (params_of(P::schema(), params_json)?, CloseHost::checked(host)?) };
+        // SAFETY: as above.
+        let (display, time, sink) =
+            unsafe { (display_from_json(lent_text(display_json, "display")?)?, time_of(time)?, &*field) };
+        needs(sink.size, size_of::<FieldSink>())?;
+        let made = P::make(&host.get(), params, &display, time)?;
+        let geometry = serde_json::to_string(&Geometry::from(made.geometry()))
+            .map_err(|error| PluginError::failed("geometry", error))?;
+        // SAFETY: the sink's own context; the text is lent for the call.
+        call(|error| unsafe { (sink.geometry)(sink.context, Str::new(&geometry), error) })?;
+        let [_, _, rows, cols, channels] = made.radiance().shape();
+        for [y, x] in made.geometry().grid.iter() {
+            let plane = dense(made.view([y, x]), [rows, cols, channels]);
+            // SAFETY: as above; the plane is lent for the call.
+            call(|error| unsafe { (sink.view_plane)(sink.context, y, x, &plane, error) })?;
+        }
+        Ok(())
+    };
+    // SAFETY: the host passes null or a valid sink.
+    unsafe { answer(error, work) }
+}
+
+unsafe extern "C" fn make_stack<P: NodePlugin>(
+    host: *const HostServices,
+    params_json: Str,
+    display_json: Str,
+    time: *const abi::Time,
+    data: *const Data,
+    stack: *const StackSink,
+    error: *const ErrorSink,
+) -> Status {
+    let work = || {
+        // SAFETY: the host lends all of it until this call returns.
+        let (params, host) = unsafe { (params_of(P::schema(), params_json)?, CloseHost::checked(host)?) };
+        // SAFETY: as above.
+        let (display, time, sink) =
+            unsafe { (display_from_json(lent_text(display_json, "display")?)?, time_of(time)?, &*stack) };
+        needs(sink.size, size_of::<StackSink>())?;
+        // SAFETY: as above.
+        let input = unsafe {
+            needs((*data).size, size_of::<Data>())?;
+            Input::new(data, host.get())?
+        };
+        let Input::LightField(field) = &input else { return Err(PluginError::unexpected(&input)) };
+        let made = P::make(&host.get(), params, &display, time, field)?;
+        made.check(&display).map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
+        // SAFETY: the sink's own context; planes are lent for the call.
+        call(|error| unsafe { (sink.brightness)(sink.context, made.brightness, error) })?;
+        for (n, layer) in made.layers.iter().enumerate() {
+            let [frames, rows, cols, channels] = layer.shape();
+            for frame in 0..frames {
+                let plane = dense(layer.block([frame]), [rows, cols, channels]);
+                // SAFETY: as above.
+                call(|error| unsafe { (sink.layer_plane)(sink.context, n, frame, &plane, error) })?;
+            }
+        }
+        if let Some(emission) = &made.emission {
+            let [frames, bins_y, bins_x, rows, cols, channels] = emission.shape();
+            for (frame, y, x) in
+                (0..frames).flat_map(|frame| (0..bins_y).flat_map(move |y| (0..bins_x).map(move |x| (frame, y, x))))
+            {
+                let plane = dense(emission.block([frame, y, x]), [rows, cols, channels]);
+                // SAFETY: as above.
+                call(|error| unsafe { (sink.emission_plane)(sink.context, frame, y, x, &plane, error) })?;
+            }
+        }
+        Ok(())
+    };
+    // SAFETY: the host passes null or a valid sink.
+    unsafe { answer(error, work) }
+}
+
+/// The parameters that were given, checked, with the defaults of the others.
+///
+/// # Safety
+/// The text is lent for the call.
+pub(crate) unsafe fn params_of<T: DeserializeOwned>(schema: Schema, params_json: Str) -> Result<T, PluginError> {
+    // SAFETY: the caller's promise.
+    let text = unsafe { lent_text(params_json, "parameters")? };
+    let given: Value = serde_json::from_str(text).map_err(|error| PluginError::failed("parameters", error))?;
+    let resolved = schema.resolve(&given)?;
+    serde_json::from_value(Value::Object(resolved))
+        .map_err(|error| PluginError::failed("parameters differ from the plugin's schema", error))
+}
+
+/// # Safety
+/// `time` is lent for the call.
+unsafe fn time_of(time: *const abi::Time) -> Result<Time, PluginError> {
+    // SAFETY: the caller's promise.
+    unsafe {
+        needs((*time).size, size_of::<abi::Time>())?;
+        Ok(Time { index: (*time).index, seconds: (*time).seconds })
+    }
+}
+
+/// Refuses a struct of an older host.
+pub(crate) fn needs(size: usize, least: usize) -> Result<(), PluginError> {
+    if size < least {
+        let text = format!("the host offers a struct of {size} bytes, the plugin needs {least}");
+        return Err(PluginError::Refused(text));
+    }
+    Ok(())
+}
+
+/// Lends values that lie `[row][col][channel]`.
+pub(crate) fn dense(values: &[f32], [rows, cols, channels]: [usize; 3]) -> Plane {
+    let element = size_of::<f32>() as isize;
+    Plane {
+        data: values.as_ptr().cast(),
+        dtype: dtype::F32,
+        ndim: 3,
+        shape: [rows, cols, channels, 1],
+        strides: [(cols * channels) as isize * element, channels as isize * element, element, 0],
+        ..Plane::empty()
+    }
+}

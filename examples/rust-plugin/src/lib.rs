@@ -1,0 +1,93 @@
+//! Output plugin `means`: the mean transmittance of every layer and frame, as a table.
+
+use std::sync::Mutex;
+
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::{Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, Time, export_plugin};
+
+/// The plugin: what it was given, and the lines so far.
+pub struct Means {
+    host: Host,
+    params: MeansParams,
+    lines: Mutex<Vec<String>>,
+}
+
+/// One field for every parameter of the schema.
+#[derive(Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct MeansParams {
+    digits: usize,
+    separator: Separator,
+}
+
+/// The words of the parameter `separator`.
+#[derive(Deserialize)]
+#[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
+pub enum Separator {
+    Comma,
+    Tab,
+}
+
+impl OutputPlugin for Means {
+    const DOC: &'static str = "Writes the mean transmittance of every layer and frame as a table.";
+    const PORTS: &'static [Port] = &[Port::LayerStack];
+    type Params = MeansParams;
+
+    fn schema() -> Schema {
+        Schema::new([
+            Param::int("digits", 4, 1..=9, "Digits after the point.").unit("1"),
+            Param::choice(
+                "separator",
+                "comma",
+                [("comma", "A comma."), ("tab", "A tabulator.")],
+                "What stands between the columns.",
+            ),
+        ])
+    }
+
+    fn open(host: Host, params: MeansParams, _display: Display) -> Result<Self, PluginError> {
+        Ok(Self { host, params, lines: Mutex::default() })
+    }
+
+    // from any thread, in any order, once for every time of a sequence
+    fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
+        let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
+        let separator = match self.params.separator {
+            Separator::Comma => ",",
+            Separator::Tab => "\t",
+        };
+        for layer in 0..stack.layer_count() {
+            for frame in 0..stack.frames() {
+                self.host.check_cancelled()?;
+                let values = stack.layer(layer, frame)?.to_vec();
+                let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64;
+                let columns = [
+                    format!("{:04}", time.index),
+                    layer.to_string(),
+                    format!("{frame:02}"),
+                    format!("{mean:.*}", self.params.digits),
+                ];
+                self.lines.lock().expect("no submit panics").push(columns.join(separator));
+            }
+        }
+        Ok(())
+    }
+
+    // all times are in
+    fn finish(self) -> Result<(), PluginError> {
+        self.host.check_cancelled()?;
+        let mut lines = self.lines.into_inner().expect("no submit panicked");
+        lines.sort();
+        self.host.write("means.csv", (lines.join("\n") + "\n").as_bytes())
+    }
+}
+
+export_plugin!("means", Means);
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn keeps_the_rules_of_plugins() {
+        lumistack_plugin::testkit::conformance(&super::PLUGIN).unwrap();
+    }
+}

@@ -1,0 +1,109 @@
+//! An animated PNG of a viewer who swings through the viewing zone.
+//!
+//! With φ = 2πt/T, in units of views around the grid's centre: x = (A_x − 1)/2 · sin φ, and on an ellipse y = (A_y − 1)/2 · cos φ. The last picture
+//! leads into the first.
+
+use std::f64::consts::TAU;
+use std::io::BufWriter;
+
+use image::imageops::FilterType;
+use image::{ImageBuffer, Rgb};
+use lumistack_plugin::display::Transfer;
+use lumistack_plugin::encoding::codes8;
+use lumistack_plugin::{Host, PluginError};
+
+use crate::encode::png_error;
+use crate::views::ViewSource;
+
+/// How the viewer moves.
+pub(crate) struct Swing {
+    /// Pictures of one period.
+    pub(crate) pictures: u32,
+    pub(crate) pictures_per_second: u16,
+    /// Up and down too.
+    pub(crate) ellipse: bool,
+    /// Most columns of the animation; 0 for those of the views.
+    pub(crate) width: usize,
+}
+
+impl Swing {
+    /// Places [view_y, view_x] of all pictures, in units of views.
+    pub(crate) fn path(&self, views: [usize; 2]) -> Vec<[f64; 2]> {
+        let half = views.map(|count| (count as f64 - 1.0) / 2.0);
+        let place = |i: u32| {
+            let phase = TAU * f64::from(i) / f64::from(self.pictures);
+            let up = if self.ellipse { phase.cos() } else { 0.0 };
+            [half[0] * (1.0 - up), half[1] * (1.0 + phase.sin())]
+        };
+        (0..self.pictures).map(place).collect()
+    }
+
+    /// Columns and rows of the animation.
+    pub(crate) fn size(&self, [rows, cols]: [usize; 2]) -> [usize; 2] {
+        if self.width == 0 || self.width >= cols {
+            return [cols, rows];
+        }
+        [self.width, ((rows * self.width) as f64 / cols as f64).round().max(1.0) as usize]
+    }
+
+    /// Writes it picture by picture.
+    pub(crate) fn write(&self, host: &Host, path: &str, source: &ViewSource<'_>) -> Result<(), PluginError> {
+        let geometry = source.geometry();
+        let [rows, cols] = [geometry.rows, geometry.cols];
+        let [width, height] = self.size([rows, cols]).map(|side| side as u32);
+        let mut file = host.create(path)?;
+        let mut writer = BufWriter::new(&mut file);
+        let mut encoder = png::Encoder::new(&mut writer, width, height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::RelativeColorimetric);
+        encoder.set_compression(png::Compression::Fast);
+        encoder.set_animated(self.pictures, 0).map_err(png_error)?;
+        encoder.set_frame_delay(1, self.pictures_per_second).map_err(png_error)?;
+        let mut encoder = encoder.write_header().map_err(png_error)?;
+        let stage = host.stage("animation", u64::from(self.pictures), "pictures");
+        for place in self.path(geometry.grid.views()) {
+            host.check_cancelled()?;
+            let rgb = reduced(source.between(place)?, [cols, rows], [width, height]);
+            encoder.write_image_data(&codes8(&Transfer::Srgb, &rgb)).map_err(png_error)?;
+            stage.advance(1, "");
+        }
+        encoder.finish().map_err(png_error)?;
+        let flushed = writer.into_inner().map(drop).map_err(|error| error.into_error());
+        flushed.map_err(|error| PluginError::from_io(path, error))?;
+        file.commit()
+    }
+}
+
+fn reduced(rgb: Vec<f32>, [cols, rows]: [usize; 2], [width, height]: [u32; 2]) -> Vec<f32> {
+    if [cols, rows] == [width as usize, height as usize] {
+        return rgb;
+    }
+    let picture = ImageBuffer::<Rgb<f32>, _>::from_raw(cols as u32, rows as u32, rgb).expect("values fill the picture");
+    image::imageops::resize(&picture, width, height, FilterType::Triangle).into_raw()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_viewer_reaches_both_ends_and_comes_back() {
+        let swing = |ellipse| Swing { pictures: 8, pictures_per_second: 24, ellipse, width: 0 };
+        let path = swing(false).path([3, 5]);
+        let x: Vec<f64> = path.iter().map(|place| (1e6 * place[1]).round() / 1e6).collect();
+        assert_eq!(x, [2.0, 3.414_214, 4.0, 3.414_214, 2.0, 0.585_786, 0.0, 0.585_786]);
+        assert!(path.iter().all(|place| place[0] == 1.0));
+        let path = swing(true).path([3, 5]);
+        assert!(path[0][0].abs() < 1e-9 && (path[4][0] - 2.0).abs() < 1e-9, "from the top to the bottom");
+        assert_eq!(swing(true).path([1, 1]), [[0.0, 0.0]; 8]);
+    }
+
+    #[test]
+    fn pictures_are_only_reduced() {
+        let swing = |width| Swing { pictures: 1, pictures_per_second: 24, ellipse: false, width };
+        assert_eq!(
+            [0, 840, 841, 420, 1].map(|width| swing(width).size([525, 840])),
+            [[840, 525], [840, 525], [840, 525], [420, 263], [1, 1]]
+        );
+    }
+}

@@ -1,0 +1,100 @@
+//! One sheet with the patterns of all layers and frames, for engines that load a single texture.
+//!
+//! Tiles stand side by side without a gap: one row of tiles per frame, in it the layers from rear (left) to front. `atlas.json` says where each is.
+//! The sheet is written row by row, so memory does not grow with the number of frames.
+
+use std::io::{BufWriter, Write};
+
+use lumistack_plugin::serde::Serialize;
+use lumistack_plugin::{Host, PluginError, StackInput, serde_json};
+
+use crate::encode::png_error;
+
+/// `atlas.json`.
+#[derive(Serialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+struct Index<'a> {
+    schema: &'static str,
+    version: u32,
+    /// The sheet, beside this file.
+    file: &'a str,
+    width: usize,
+    height: usize,
+    tiles: Vec<Tile>,
+}
+
+/// One pattern: columns x..x + width and rows y..y + height of the sheet, from its top left corner.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+struct Tile {
+    layer: usize,
+    frame: usize,
+    x: usize,
+    y: usize,
+    width: usize,
+    height: usize,
+}
+
+/// Writes the sheet and its index; returns [columns, rows]. `samples(layer, frame)` = 8-bit samples `[row][col][rgb]` of a pattern.
+pub(crate) fn write(
+    host: &Host,
+    folder: &str,
+    stack: &StackInput<'_>,
+    mut samples: impl FnMut(usize, usize) -> Result<Vec<u8>, PluginError>,
+) -> Result<[usize; 2], PluginError> {
+    let sizes: Vec<[usize; 2]> = (0..stack.layer_count()).filter_map(|layer| stack.layer_size(layer)).collect();
+    let width: usize = sizes.iter().map(|size| size[1]).sum();
+    let band = sizes.iter().map(|size| size[0]).max().unwrap_or(0);
+    let height = band * stack.frames();
+    let tiles = (0..stack.frames()).flat_map(|frame| {
+        let mut x = 0;
+        let tiles: Vec<Tile> = sizes
+            .iter()
+            .enumerate()
+            .map(|(layer, &[rows, cols])| {
+                x += cols;
+                Tile { layer, frame, x: x - cols, y: frame * band, width: cols, height: rows }
+            })
+            .collect();
+        tiles
+    });
+    let index =
+        Index { schema: "lumistack/atlas", version: 1, file: "atlas.png", width, height, tiles: tiles.collect() };
+    let side = |n: usize| u32::try_from(n).map_err(|error| PluginError::failed("atlas", error));
+    let mut file = host.create(&format!("{folder}atlas.png"))?;
+    let mut writer = BufWriter::new(&mut file);
+    let mut encoder = png::Encoder::new(&mut writer, side(width)?, side(height)?);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_compression(png::Compression::Fast);
+    let mut encoder = encoder.write_header().map_err(png_error)?;
+    let mut rows = encoder.stream_writer().map_err(png_error)?;
+    let stage = host.stage("atlas", (stack.frames() * sizes.len()) as u64, "patterns");
+    let mut line = vec![0; 3 * width];
+    for frame in 0..stack.frames() {
+        let mut patterns = Vec::new();
+        for layer in 0..sizes.len() {
+            host.check_cancelled()?;
+            patterns.push(samples(layer, frame)?);
+            stage.advance(1, "");
+        }
+        for row in 0..band {
+            line.fill(0);
+            let mut x = 0;
+            for (pattern, &[layer_rows, cols]) in patterns.iter().zip(&sizes) {
+                if row < layer_rows {
+                    line[3 * x..3 * (x + cols)].copy_from_slice(&pattern[3 * row * cols..3 * (row + 1) * cols]);
+                }
+                x += cols;
+            }
+            rows.write_all(&line).map_err(|error| PluginError::from_io("atlas", error))?;
+        }
+    }
+    rows.finish().map_err(png_error)?;
+    encoder.finish().map_err(png_error)?;
+    let flushed = writer.into_inner().map(drop).map_err(|error| error.into_error());
+    flushed.map_err(|error| PluginError::from_io("atlas", error))?;
+    file.commit()?;
+    let text = serde_json::to_string_pretty(&index).expect("an index holds nothing that JSON cannot");
+    host.write(&format!("{folder}atlas.json"), format!("{text}\n").as_bytes())?;
+    Ok([width, height])
+}

@@ -1,0 +1,91 @@
+//! From linear values to PNG.
+
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+use lumistack_plugin::PluginError;
+use lumistack_plugin::display::Transfer;
+use lumistack_plugin::encoding::{Dither, codes8, codes16, panel_codes};
+
+/// Codes of a panel.
+#[derive(Clone, Copy)]
+pub(crate) struct PanelCodes {
+    /// Bits per channel, if they are fewer than the file's.
+    pub(crate) bits: Option<u32>,
+    pub(crate) dither: Dither,
+    /// Number of the layer and frame, so that threshold maps do not line up.
+    pub(crate) pattern: usize,
+}
+
+/// Samples of a PNG, `[row][col][rgb]`, 8 bits: codes of values in 0..1.
+pub(crate) fn samples8(transfer: &Transfer, panel: Option<PanelCodes>, size: [usize; 2], rgb: &[f32]) -> Vec<u8> {
+    match panel {
+        None => codes8(transfer, rgb),
+        Some(panel) => {
+            let bits = panel.bits.unwrap_or(8).min(8);
+            let codes = panel_codes(transfer, bits, panel.dither, size, rgb, panel.pattern);
+            codes.into_iter().map(|code| spread(code, bits, 255) as u8).collect()
+        }
+    }
+}
+
+/// Samples of a PNG, 16 bits.
+pub(crate) fn samples16(transfer: &Transfer, panel: Option<PanelCodes>, size: [usize; 2], rgb: &[f32]) -> Vec<u16> {
+    match panel {
+        None => codes16(transfer, rgb),
+        Some(panel) => {
+            let bits = panel.bits.unwrap_or(16);
+            let codes = panel_codes(transfer, bits, panel.dither, size, rgb, panel.pattern);
+            codes.into_iter().map(|code| spread(code, bits, 65535) as u16).collect()
+        }
+    }
+}
+
+/// A code of few bits as one of a file with more: code · top / (2^bits − 1), rounded. The file's highest bits are the code.
+fn spread(code: u16, bits: u32, top: u32) -> u32 {
+    let own = (1u32 << bits) - 1;
+    ((u64::from(code) * u64::from(top) + u64::from(own / 2)) / u64::from(own)) as u32
+}
+
+/// The bytes of a PNG with 8 bits per channel.
+pub(crate) fn png8(samples: &[u8], size: [usize; 2]) -> Result<Vec<u8>, PluginError> {
+    png_bytes(samples, size, ExtendedColorType::Rgb8)
+}
+
+/// The bytes of a PNG with 16 bits per channel.
+pub(crate) fn png16(samples: Vec<u16>, size: [usize; 2]) -> Result<Vec<u8>, PluginError> {
+    // the encoder takes 16-bit samples in native byte order
+    let bytes: Vec<u8> = samples.into_iter().flat_map(u16::to_ne_bytes).collect();
+    png_bytes(&bytes, size, ExtendedColorType::Rgb16)
+}
+
+fn png_bytes(samples: &[u8], [rows, cols]: [usize; 2], colour: ExtendedColorType) -> Result<Vec<u8>, PluginError> {
+    let failed = |error: String| PluginError::failed("PNG encoder", error);
+    let side = |n: usize| u32::try_from(n).map_err(|error| failed(error.to_string()));
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes)
+        .write_image(samples, side(cols)?, side(rows)?, colour)
+        .map_err(|error| failed(error.to_string()))?;
+    Ok(bytes)
+}
+
+/// What a PNG encoder that writes to the host's file says.
+pub(crate) fn png_error(error: png::EncodingError) -> PluginError {
+    match error {
+        png::EncodingError::IoError(error) => PluginError::from_io("PNG encoder", error),
+        other => PluginError::failed("PNG encoder", other),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_highest_bits_of_a_sample_are_the_panel_s_code() {
+        for (bits, code) in (1..=8u32).flat_map(|bits| (0..1u16 << bits).map(move |code| (bits, code))) {
+            assert_eq!(spread(code, bits, 255) >> (8 - bits), u32::from(code), "{bits} bits");
+            assert_eq!(spread(code, bits, 65535) >> (16 - bits), u32::from(code), "{bits} bits");
+        }
+        assert_eq!([0, 1, 2, 3].map(|code| spread(code, 2, 255)), [0, 85, 170, 255]);
+    }
+}

@@ -1,0 +1,76 @@
+//! Views of whatever was submitted, as an adapted viewer sees them.
+
+use lumistack_plugin::display::{FieldGeometry, Projection};
+use lumistack_plugin::{FieldInput, PluginError, StackInput, ViewPoint};
+
+/// Where views come from.
+#[derive(Clone, Copy)]
+pub(crate) enum ViewSource<'a> {
+    /// Simulated, divided by β.
+    Stack(&'a StackInput<'a>),
+    /// The views themselves.
+    Field(&'a FieldInput<'a>),
+}
+
+impl ViewSource<'_> {
+    pub(crate) fn geometry(&self) -> &FieldGeometry {
+        match self {
+            Self::Stack(stack) => stack.target(),
+            Self::Field(field) => field.geometry(),
+        }
+    }
+
+    /// `[row][col][rgb]` of `view` = [view_y, view_x] of the grid.
+    pub(crate) fn view(&self, view: [usize; 2]) -> Result<Vec<f32>, PluginError> {
+        match self {
+            Self::Stack(stack) => adapted(stack, ViewPoint::of_view(stack.target(), view)),
+            Self::Field(field) => Ok(field.view(view)?.to_vec()),
+        }
+    }
+
+    /// The view at a place between those of the grid, `at` = [view_y, view_x] in units of views. A light field gives the nearest it has.
+    pub(crate) fn between(&self, at: [f64; 2]) -> Result<Vec<f32>, PluginError> {
+        match self {
+            Self::Stack(stack) => {
+                let grid = &stack.target().grid;
+                let [x, y] = [slope_at(&grid.slope_x, at[1]), slope_at(&grid.slope_y, at[0])];
+                let from = match grid.projection {
+                    Projection::Oblique => ViewPoint::Slope([x, y]),
+                    Projection::Perspective { distance_mm } => {
+                        ViewPoint::Eye([x * distance_mm, y * distance_mm, distance_mm])
+                    }
+                };
+                adapted(stack, from)
+            }
+            Self::Field(_) => self.view(nearest(self.geometry(), at)),
+        }
+    }
+
+    /// What a viewer sees who is adapted to the display is what it emits, divided by this.
+    pub(crate) fn divided_by(&self) -> f64 {
+        match self {
+            Self::Stack(stack) => stack.brightness(),
+            Self::Field(_) => 1.0,
+        }
+    }
+}
+
+/// The view of the grid that is nearest to a place between them.
+pub(crate) fn nearest(geometry: &FieldGeometry, at: [f64; 2]) -> [usize; 2] {
+    let views = geometry.grid.views();
+    [0, 1].map(|axis| (at[axis].round().max(0.0) as usize).min(views[axis] - 1))
+}
+
+fn adapted(stack: &StackInput<'_>, from: ViewPoint) -> Result<Vec<f32>, PluginError> {
+    let factor = (1.0 / stack.brightness()) as f32;
+    let mut values = stack.simulate(from)?.to_vec();
+    values.iter_mut().for_each(|value| *value *= factor);
+    Ok(values)
+}
+
+/// Slope at a place between views, which is at least 0 and at most the last.
+pub(crate) fn slope_at(slopes: &[f64], at: f64) -> f64 {
+    let first = (at.floor() as usize).min(slopes.len() - 1);
+    let second = (first + 1).min(slopes.len() - 1);
+    slopes[first] + (at - first as f64) * (slopes[second] - slopes[first])
+}

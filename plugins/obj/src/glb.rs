@@ -1,0 +1,189 @@
+//! A binary glTF document of triangle meshes.
+
+use std::path::Path;
+
+use lumistack_plugin::PluginError;
+use lumistack_plugin::serde_json::{self, Value, json};
+use tobj::{Material, Mesh, Model};
+
+use crate::{Up, forward};
+
+/// glTF's numbers for what a component is and what a buffer is for.
+const FLOAT: u32 = 5126;
+const UNSIGNED_INT: u32 = 5125;
+const VERTICES: u32 = 34962;
+const INDICES: u32 = 34963;
+
+/// Arrays, one behind the other, and what describes them.
+#[derive(Default)]
+struct Arrays {
+    bytes: Vec<u8>,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+}
+
+impl Arrays {
+    /// Adds an array of elements of `kind`; returns the number of its accessor.
+    fn add(
+        &mut self,
+        bytes: impl Iterator<Item = [u8; 4]>,
+        kind: &str,
+        component: u32,
+        width: usize,
+        target: u32,
+    ) -> usize {
+        let start = self.bytes.len();
+        self.bytes.extend(bytes.flatten());
+        let length = self.bytes.len() - start;
+        self.views.push(json!({"buffer": 0, "byteOffset": start, "byteLength": length, "target": target}));
+        self.accessors.push(json!({
+            "bufferView": self.views.len() - 1, "componentType": component, "count": length / 4 / width, "type": kind
+        }));
+        self.accessors.len() - 1
+    }
+
+    fn floats(&mut self, values: &[f32], kind: &str, width: usize) -> usize {
+        self.add(values.iter().map(|value| value.to_le_bytes()), kind, FLOAT, width, VERTICES)
+    }
+}
+
+/// The document of all meshes under one node that turns and scales them.
+pub(crate) fn document(models: &[Model], materials: &[Material], up: Up, scale: f64) -> Result<Vec<u8>, PluginError> {
+    let mut arrays = Arrays::default();
+    let meshes: Vec<Value> = models
+        .iter()
+        .map(|model| json!({"name": model.name, "primitives": [primitive(&mut arrays, &model.mesh, materials.len())]}))
+        .collect();
+    let mut nodes: Vec<Value> = models.iter().enumerate().map(|(i, m)| json!({"name": m.name, "mesh": i})).collect();
+    // a quarter turn about x brings z up
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let rotation = if up == Up::Z { [-half, 0.0, 0.0, half] } else { [0.0, 0.0, 0.0, 1.0] };
+    let children: Vec<usize> = (0..nodes.len()).collect();
+    nodes.push(json!({"rotation": rotation, "scale": [scale, scale, scale], "children": children}));
+    let mut root = json!({
+        "asset": {"version": "2.0", "generator": concat!("lumistack obj ", env!("CARGO_PKG_VERSION"))},
+        "scene": 0,
+        "scenes": [{"nodes": [nodes.len() - 1]}],
+        "nodes": nodes,
+        "meshes": meshes,
+        "accessors": arrays.accessors,
+        "bufferViews": arrays.views,
+        "buffers": [{"byteLength": arrays.bytes.len()}],
+    });
+    add_materials(&mut root, materials);
+    glb(&root, arrays.bytes)
+}
+
+fn primitive(arrays: &mut Arrays, mesh: &Mesh, materials: usize) -> Value {
+    let positions = arrays.floats(&mesh.positions, "VEC3", 3);
+    let (min, max) = bounds(&mesh.positions);
+    arrays.accessors[positions]["min"] = json!(min);
+    arrays.accessors[positions]["max"] = json!(max);
+    let mut attributes = json!({"POSITION": positions});
+    if mesh.normals.len() == mesh.positions.len() {
+        attributes["NORMAL"] = arrays.floats(&mesh.normals, "VEC3", 3).into();
+    }
+    if mesh.texcoords.len() / 2 == mesh.positions.len() / 3 && !mesh.texcoords.is_empty() {
+        let downwards: Vec<f32> = mesh.texcoords.chunks_exact(2).flat_map(|uv| [uv[0], 1.0 - uv[1]]).collect();
+        attributes["TEXCOORD_0"] = arrays.floats(&downwards, "VEC2", 2).into();
+    }
+    let indices = arrays.add(mesh.indices.iter().map(|i| i.to_le_bytes()), "SCALAR", UNSIGNED_INT, 1, INDICES);
+    let mut primitive = json!({"attributes": attributes, "indices": indices});
+    if let Some(material) = mesh.material_id.filter(|material| *material < materials) {
+        primitive["material"] = material.into();
+    }
+    primitive
+}
+
+fn bounds(positions: &[f32]) -> ([f32; 3], [f32; 3]) {
+    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for position in positions.chunks_exact(3) {
+        for axis in 0..3 {
+            (min[axis], max[axis]) = (min[axis].min(position[axis]), max[axis].max(position[axis]));
+        }
+    }
+    (min, max)
+}
+
+fn add_materials(root: &mut Value, materials: &[Material]) {
+    if materials.is_empty() {
+        return;
+    }
+    let (mut textures, mut images) = (Vec::new(), Vec::new());
+    let list: Vec<Value> = materials
+        .iter()
+        .map(|material| {
+            let number = |name: &str| material.unknown_param.get(name).and_then(|text| text.trim().parse::<f32>().ok());
+            let shiny = material.shininess.map(|ns| 1.0 - (ns / 1000.0).clamp(0.0, 1.0).sqrt());
+            let [r, g, b] = material.diffuse.unwrap_or([0.8; 3]).map(|value| value.clamp(0.0, 1.0));
+            let alpha = material.dissolve.unwrap_or(1.0).clamp(0.0, 1.0);
+            let mut surface = json!({
+                "baseColorFactor": [r, g, b, alpha],
+                "metallicFactor": number("Pm").unwrap_or(0.0).clamp(0.0, 1.0),
+                "roughnessFactor": number("Pr").or(shiny).unwrap_or(1.0).clamp(0.0, 1.0),
+            });
+            if let Some(path) = &material.diffuse_texture {
+                images.push(json!({"uri": percent_encoded(&forward(Path::new(path)))}));
+                textures.push(json!({"source": images.len() - 1}));
+                surface["baseColorTexture"] = json!({"index": textures.len() - 1});
+            }
+            let mut material_json =
+                json!({"name": material.name, "pbrMetallicRoughness": surface, "doubleSided": true});
+            if let Some(emission) = material.emissive.filter(|emission| *emission != [0.0; 3]) {
+                emit(&mut material_json, emission);
+            }
+            if alpha < 1.0 {
+                material_json["alphaMode"] = "BLEND".into();
+            }
+            material_json
+        })
+        .collect();
+    if list.iter().any(|material| material["extensions"].is_object()) {
+        root["extensionsUsed"] = json!([EMISSIVE_STRENGTH]);
+    }
+    root["materials"] = list.into();
+    if !textures.is_empty() {
+        (root["textures"], root["images"]) = (textures.into(), images.into());
+    }
+}
+
+const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
+
+/// glTF's emission lies in 0..1, with a factor for more.
+fn emit(material: &mut Value, emission: [f32; 3]) {
+    let most = emission.iter().fold(1.0f32, |most, value| most.max(*value));
+    material["emissiveFactor"] = json!(emission.map(|value| (value / most).clamp(0.0, 1.0)));
+    if most > 1.0 {
+        material["extensions"] = json!({EMISSIVE_STRENGTH: {"emissiveStrength": most}});
+    }
+}
+
+/// A file's name as a URI.
+fn percent_encoded(path: &str) -> String {
+    path.bytes()
+        .map(|byte| match byte {
+            b'/' | b'.' | b'-' | b'_' | b'~' => char::from(byte).to_string(),
+            _ if byte.is_ascii_alphanumeric() => char::from(byte).to_string(),
+            _ => format!("%{byte:02X}"),
+        })
+        .collect()
+}
+
+/// Header, JSON chunk, binary chunk; lengths are multiples of 4.
+fn glb(root: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>, PluginError> {
+    let mut text = serde_json::to_vec(root).map_err(|error| PluginError::failed("glTF", error))?;
+    text.resize(text.len().next_multiple_of(4), b' ');
+    binary.resize(binary.len().next_multiple_of(4), 0);
+    let length = |n: usize| {
+        u32::try_from(n).map(u32::to_le_bytes).map_err(|_| PluginError::Failed("more than 4 GiB in one file".into()))
+    };
+    let mut bytes = Vec::with_capacity(28 + text.len() + binary.len());
+    bytes.extend(b"glTF\x02\0\0\0");
+    bytes.extend(length(28 + text.len() + binary.len())?);
+    for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &binary)] {
+        bytes.extend(length(chunk.len())?);
+        bytes.extend(kind);
+        bytes.extend(chunk);
+    }
+    Ok(bytes)
+}

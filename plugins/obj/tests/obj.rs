@@ -1,0 +1,93 @@
+//! OBJ files through the plugin's C function and our glTF reader.
+
+use std::collections::BTreeMap;
+
+use lumistack_core::{Cancel, Collector, Task};
+use lumistack_gltf::AssetResolver;
+use lumistack_plugin::PluginError;
+use lumistack_plugin::serde_json::{Value, json};
+use lumistack_plugin::serve::{LogLevel, Plugin, import, resolved};
+use lumistack_plugin::testkit::{MemoryHost, conformance, import_conformance};
+use lumistack_plugin_obj::PLUGIN;
+
+/// A quad and a triangle with two materials, in the way that modelling programs write them.
+const OBJ: &str = "mtllib looks.mtl\no Card\nv 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n\
+    usemtl red\nf 1/1/1 2/2/1 3/3/1 4/4/1\no Roof\nv 0 1 -3\nusemtl lamp\nf 3//1 4//1 5//1\n";
+const MTL: &str = "newmtl red\nKd 0.5 0.25 0.125\nNs 250\nnewmtl lamp\nKd 0 0 0\nKe 4 2 1\nPr 0.75\n";
+
+struct Files(BTreeMap<&'static str, &'static str>);
+
+impl AssetResolver for Files {
+    fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
+        self.0.get(uri).map(|text| text.as_bytes().to_vec()).ok_or_else(|| "no such file".into())
+    }
+}
+
+fn files() -> Files {
+    Files(BTreeMap::from([("a.obj", OBJ), ("looks.mtl", MTL)]))
+}
+
+fn document(files: &Files, params: &Value, host: &MemoryHost) -> Result<Vec<u8>, PluginError> {
+    let plugin = Plugin::compiled_in(&PLUGIN).unwrap();
+    let read = |path: &str| files.read(path).map_err(|error| PluginError::Failed(format!("{path}: {error}")));
+    import(&plugin, host, &resolved(&plugin, params)?, "a.obj", &read)
+}
+
+fn scene(params: &Value) -> lumistack_scene::Scene {
+    let (files, warnings, cancel) = (files(), Collector::default(), Cancel::default());
+    let bytes = document(&files, params, &MemoryHost::new()).unwrap();
+    let scene = lumistack_gltf::load("a.glb", &bytes, &files, Task::quiet(&warnings, &cancel)).unwrap();
+    let texts: Vec<String> = warnings.take().iter().map(ToString::to_string).collect();
+    assert!(texts.is_empty(), "{texts:?}");
+    scene
+}
+
+#[test]
+fn conforms() {
+    conformance(&PLUGIN).unwrap();
+    let plugin = Plugin::compiled_in(&PLUGIN).unwrap();
+    import_conformance(&plugin, "a.obj", &[("a.obj", OBJ.as_bytes()), ("looks.mtl", MTL.as_bytes())]).unwrap();
+}
+
+#[test]
+fn meshes_and_materials_arrive() {
+    let scene = scene(&json!({}));
+    assert_eq!(scene.triangle_count(), 3);
+    let bounds = scene.bounds();
+    assert_eq!((bounds.min.to_array(), bounds.max.to_array()), ([0.0, 0.0, -3.0], [2.0, 1.0, 0.0]));
+    let red = scene.materials.iter().find(|material| material.base_color[0] == 0.5).expect("the red material");
+    assert_eq!(red.base_color.to_array(), [0.5, 0.25, 0.125, 1.0]);
+    assert!((red.roughness - 0.5).abs() < 1e-6, "Ns 250 is a roughness of 1 − √0.25");
+    let lamp = scene.materials.iter().find(|material| material.emission[0] == 4.0).expect("the lamp");
+    assert_eq!((lamp.emission.to_array(), lamp.roughness), ([4.0, 2.0, 1.0], 0.75));
+}
+
+#[test]
+fn the_axis_and_the_unit_are_the_user_s() {
+    let bounds = scene(&json!({"up": "z", "scale": 10.0})).bounds();
+    // z up: (x, y, z) becomes (x, z, −y)
+    let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
+    for (found, expected) in min.iter().chain(&max).zip([0.0, -30.0, -10.0, 20.0, 0.0, 0.0]) {
+        assert!((found - expected).abs() < 1e-4, "{min:?} to {max:?}");
+    }
+}
+
+#[test]
+fn a_missing_material_file_is_a_warning() {
+    let host = MemoryHost::new();
+    document(&Files(BTreeMap::from([("a.obj", OBJ)])), &json!({}), &host).unwrap();
+    let messages = host.messages();
+    assert_eq!(messages.len(), 1, "{messages:?}");
+    assert_eq!(messages[0], (LogLevel::Warn, "a.obj: without its materials: looks.mtl: no such file".into()));
+}
+
+#[test]
+fn files_that_make_no_sense_are_named() {
+    for (text, expected) in [("", "expected faces, found none"), ("v 1 2\nf 1 2 3\n", "a.obj"), ("f 1 2 3\n", "a.obj")]
+    {
+        let error = document(&Files(BTreeMap::from([("a.obj", text)])), &json!({}), &MemoryHost::new()).unwrap_err();
+        assert!(matches!(&error, PluginError::Failed(message) if message.contains(expected)), "{text:?}: {error:?}");
+    }
+    let error = document(&Files(BTreeMap::new()), &json!({}), &MemoryHost::new()).unwrap_err();
+    assert_eq!(error.to_string(), "a.obj: no such file");
+}

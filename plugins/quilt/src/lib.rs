@@ -1,0 +1,333 @@
+//! Output plugin `quilt`: pictures for lenticular displays.
+//!
+//! | file | what |
+//! |---|---|
+//! | `NAME_qs<C>x<R>a<A>.png` | the views of one row from left to right, view 0 in the bottom-left tile; see [`layout`] |
+//! | `NAME_native.png` | with a calibration, the screen's own picture: every subpixel shows the view that its lens sends its way; see [`weave`] |
+//! | `quilt.json` | sizes, and of every view its slope and how it was made |
+//!
+//! Pictures are 8-bit sRGB without alpha. Times of a sequence are `NAME_f0000_qs…`, `NAME_f0001_qs…`, …, which is what video encoders take.
+//! Memory: one quilt, one view, and the native picture.
+
+pub mod devices;
+pub mod layout;
+pub mod views;
+pub mod weave;
+
+use std::io::{BufWriter, Write};
+use std::sync::{Mutex, PoisonError};
+
+use lumistack_plugin::display::Transfer;
+use lumistack_plugin::encoding::codes8;
+use lumistack_plugin::serde::{Deserialize, Serialize};
+use lumistack_plugin::{
+    Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, Time, export_plugin, serde_json,
+};
+
+use devices::{Device, devices};
+use layout::{Given, Layout};
+use views::{Fit, Made, Missing, Source, fitted, places};
+use weave::Calibration;
+
+/// Value of `device` for none.
+const CUSTOM: &str = "custom";
+/// Longest side of pictures that H.264 encoders take.
+const H264_SIDE: usize = 6000;
+
+/// The plugin.
+#[derive(Debug)]
+pub struct Quilt {
+    host: Host,
+    params: QuiltParams,
+    device: Option<&'static Device>,
+    calibration: Option<Calibration>,
+    written: Mutex<Vec<Entry>>,
+}
+
+/// Parameters; see [`Quilt::schema`](OutputPlugin::schema) for their meaning.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct QuiltParams {
+    name: String,
+    device: String,
+    columns: usize,
+    rows: usize,
+    width: usize,
+    height: usize,
+    aspect: f64,
+    fit: Fit,
+    view_row: i64,
+    missing_views: Missing,
+    sequence: bool,
+    calibration: String,
+    write_quilt: bool,
+}
+
+/// `quilt.json`.
+#[derive(Serialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+struct Manifest {
+    schema: &'static str,
+    version: u32,
+    files: Vec<Entry>,
+}
+
+/// One time.
+#[derive(Clone, Debug, Serialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+struct Entry {
+    time: u64,
+    time_seconds: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    quilt: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    native: Option<String>,
+    width: usize,
+    height: usize,
+    columns: usize,
+    rows: usize,
+    tile: [usize; 2],
+    aspect: f64,
+    /// The video encoder that takes pictures of this size.
+    video: &'static str,
+    /// From left to right: view 0 is the bottom-left tile.
+    views: Vec<ViewEntry>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+struct ViewEntry {
+    slope: [f64; 2],
+    made: Made,
+}
+
+impl OutputPlugin for Quilt {
+    const DOC: &'static str = "Writes quilts for lenticular displays, and with a display's calibration its native picture. \
+        A file quilt.json says where every view was seen from.";
+    const PORTS: &'static [Port] = &[Port::LightField, Port::LayerStack];
+    type Params = QuiltParams;
+
+    fn schema() -> Schema {
+        let known = devices().iter().map(|device| (device.id.as_str(), device.name.as_str()));
+        Schema::new([
+            Param::text("name", "quilt", "Beginning of the files' names."),
+            Param::choice(
+                "device",
+                CUSTOM,
+                [(CUSTOM, "No device: tiles have the views' own pixels.")].into_iter().chain(known),
+                "Whose default quilt to make; what the parameters below say wins.",
+            ),
+            Param::int("columns", 0, 0..=100, "Columns of views; 0 for the device's, or as square as the views allow.")
+                .unit("views"),
+            Param::int("rows", 0, 0..=100, "Rows of views; 0 as for columns.").unit("views"),
+            Param::int(
+                "width",
+                0,
+                0..=16384,
+                "Width of the quilt; 0 for the device's, or that of the views side by side.",
+            )
+            .unit("px"),
+            Param::int(
+                "height",
+                0,
+                0..=16384,
+                "Height of the quilt; 0 for the device's, or that of the views above one another.",
+            )
+            .unit("px"),
+            Param::float(
+                "aspect",
+                0.0,
+                0.0..=10.0,
+                "Width over height of one view as shown, whatever its tile; 0 for the device's, or the views' own.",
+            )
+            .unit("1"),
+            Param::choice(
+                "fit",
+                "contain",
+                [
+                    ("contain", "All of the view, with black bars."),
+                    ("cover", "No bars: what is too much of the view is cropped."),
+                    ("stretch", "Stretched to the tile."),
+                ],
+                "How a view of another aspect fills its tile.",
+            ),
+            Param::int(
+                "view_row",
+                -1,
+                -1..=9999,
+                "Row of views that is taken, 0 the topmost; -1 for the middle, of two the upper.",
+            )
+            .unit("rows"),
+            Param::choice(
+                "missing_views",
+                "nearest",
+                [
+                    ("nearest", "The nearest view, with a warning."),
+                    ("blend", "The two around it mixed, which ghosts, with a warning."),
+                    ("refuse", "An error that says what to render."),
+                ],
+                "What to take where a light field has no view at a tile's place. Layer stacks are simulated at every place.",
+            ),
+            Param::bool(
+                "sequence",
+                false,
+                "Number the first time too (NAME_f0000_qs...), as later times of a sequence always are.",
+            ),
+            Param::file(
+                "calibration",
+                "The display's own calibration (visual.json), or its text: the native picture is written too.",
+            ),
+            Param::bool("write_quilt", true, "Write the quilt itself."),
+        ])
+    }
+
+    fn open(host: Host, params: QuiltParams, _display: Display) -> Result<Self, PluginError> {
+        let plain = |c: char| c.is_alphanumeric() || "-_. ".contains(c);
+        if params.name.is_empty() || params.name.starts_with('.') || !params.name.chars().all(plain) {
+            return Err(PluginError::Refused(format!(
+                "parameter `name`: expected letters, digits, spaces, dots, dashes and underscores, found {:?}",
+                params.name
+            )));
+        }
+        let calibration = read_calibration(&params.calibration)?;
+        if calibration.is_none() && !params.write_quilt {
+            let text = "parameter `write_quilt` is false and there is no `calibration`: there is nothing to write";
+            return Err(PluginError::Refused(text.into()));
+        }
+        let device = devices().iter().find(|device| device.id == params.device);
+        Ok(Self { host, params, device, calibration, written: Mutex::default() })
+    }
+
+    fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
+        let source = match data {
+            Input::LayerStack(stack) => Source::Stack(stack),
+            Input::LightField(field) => Source::Field(field),
+            other => return Err(PluginError::unexpected(other)),
+        };
+        let entry = self.write(time, &source)?;
+        self.written.lock().unwrap_or_else(PoisonError::into_inner).push(entry);
+        Ok(())
+    }
+
+    fn finish(self) -> Result<(), PluginError> {
+        self.host.check_cancelled()?;
+        let mut files = self.written.into_inner().unwrap_or_else(PoisonError::into_inner);
+        files.sort_by_key(|entry| entry.time);
+        let manifest = Manifest { schema: "lumistack/quilt", version: 1, files };
+        let text = serde_json::to_string_pretty(&manifest).expect("a manifest holds nothing that JSON cannot");
+        self.host.write("quilt.json", format!("{text}\n").as_bytes())
+    }
+}
+
+impl Quilt {
+    fn write(&self, time: Time, source: &Source<'_>) -> Result<Entry, PluginError> {
+        let (params, geometry) = (&self.params, source.geometry());
+        let size = [geometry.cols, geometry.rows];
+        let given =
+            Given { views: [params.columns, params.rows], size: [params.width, params.height], aspect: params.aspect };
+        let available = geometry.grid.slope_x.len();
+        let layout = Layout::new(self.device, given, available, size)?;
+        let row = source.row(params.view_row)?;
+        if let Some(advice) = source.advice(layout.views(), params.missing_views)? {
+            self.host.warn(&advice);
+        }
+        if params.sequence && layout.size.iter().any(|side| side % 2 == 1) {
+            let [width, height] = layout.size;
+            self.host.warn(&format!("video encoders want even sizes, the quilt has {width} × {height} pixels"));
+        }
+        let (quilt, views) = self.fill(source, &layout, size, row)?;
+        let frame = if params.sequence || time.index > 0 { format!("_f{:04}", time.index) } else { String::new() };
+        let name = format!("{}{frame}", params.name);
+        let quilt_file = params.write_quilt.then(|| format!("{name}{}.png", layout.suffix()));
+        if let Some(file) = &quilt_file {
+            self.write_png(file, layout.size, &quilt)?;
+        }
+        let native_file = self.calibration.as_ref().map(|_| format!("{name}_native.png"));
+        if let (Some(calibration), Some(file)) = (&self.calibration, &native_file) {
+            self.host.check_cancelled()?;
+            self.write_png(file, calibration.screen, &calibration.weave(&quilt, &layout))?;
+        }
+        Ok(Entry {
+            time: time.index,
+            time_seconds: time.seconds,
+            quilt: quilt_file,
+            native: native_file,
+            width: layout.size[0],
+            height: layout.size[1],
+            columns: layout.columns,
+            rows: layout.rows,
+            tile: layout.tile(),
+            aspect: layout.aspect,
+            video: if layout.size.iter().all(|side| *side <= H264_SIDE) { "h264" } else { "hevc" },
+            views,
+        })
+    }
+
+    /// The quilt's codes `[row][col][rgb]`.
+    fn fill(
+        &self,
+        source: &Source<'_>,
+        layout: &Layout,
+        size: [usize; 2],
+        row: usize,
+    ) -> Result<(Vec<u8>, Vec<ViewEntry>), PluginError> {
+        let params = &self.params;
+        let (tile, width) = (layout.tile(), layout.size[0]);
+        let mut quilt = vec![0; 3 * width * layout.size[1]];
+        let mut entries = Vec::with_capacity(layout.views());
+        let stage = self.host.stage("quilt", layout.views() as u64, "views");
+        let all = places(layout.views(), source.geometry().grid.slope_x.len());
+        for (view, place) in all.into_iter().enumerate() {
+            self.host.check_cancelled()?;
+            let (rgb, made, slope) = source.view(place, row, params.missing_views)?;
+            let codes = codes8(&Transfer::Srgb, &fitted(&rgb, size, tile, layout.aspect, params.fit));
+            let [x, y] = layout.corner(view);
+            for (tile_row, line) in codes.chunks_exact(3 * tile[0]).enumerate() {
+                quilt[3 * ((y + tile_row) * width + x)..][..line.len()].copy_from_slice(line);
+            }
+            entries.push(ViewEntry { slope, made });
+            stage.advance(1, "");
+        }
+        Ok((quilt, entries))
+    }
+
+    /// `size` = [columns, rows].
+    fn write_png(&self, path: &str, size: [usize; 2], codes: &[u8]) -> Result<(), PluginError> {
+        let failed = |error: png::EncodingError| match error {
+            png::EncodingError::IoError(error) => PluginError::from_io(path, error),
+            other => PluginError::failed(path, other),
+        };
+        let mut file = self.host.create(path)?;
+        let mut writer = BufWriter::with_capacity(1 << 20, &mut file);
+        let mut encoder = png::Encoder::new(&mut writer, size[0] as u32, size[1] as u32);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::RelativeColorimetric);
+        encoder.set_compression(png::Compression::Fast);
+        let mut encoder = encoder.write_header().map_err(failed)?;
+        let mut lines = encoder.stream_writer().map_err(failed)?;
+        for line in codes.chunks_exact(3 * size[0]) {
+            lines.write_all(line).map_err(|error| PluginError::from_io(path, error))?;
+        }
+        lines.finish().map_err(failed)?;
+        encoder.finish().map_err(failed)?;
+        writer.into_inner().map_err(|error| PluginError::from_io(path, error.into_error()))?;
+        file.commit()
+    }
+}
+
+/// The JSON itself, or the file that holds it.
+fn read_calibration(given: &str) -> Result<Option<Calibration>, PluginError> {
+    let refused = |text: String| PluginError::Refused(format!("parameter `calibration`: {text}"));
+    if given.is_empty() {
+        return Ok(None);
+    }
+    let text = if given.trim_start().starts_with('{') {
+        given.to_string()
+    } else {
+        std::fs::read_to_string(given).map_err(|error| refused(format!("cannot read {given}: {error}")))?
+    };
+    let json = serde_json::from_str(&text).map_err(|error| refused(format!("expected JSON, found {error}")))?;
+    Calibration::from_json(&json).map(Some).map_err(|error| refused(error.to_string()))
+}
+
+export_plugin!("quilt", Quilt);

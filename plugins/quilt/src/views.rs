@@ -1,0 +1,247 @@
+//! The views of a quilt, from left to right, of whatever was submitted.
+//!
+//! View i of N stands in the middle of its share of the viewing zone. In units of the A views across of the source,
+//!
+//! ```text
+//! a_i = (i + ½) / N · A − ½
+//! ```
+//!
+//! which for N = A is the source's own view i. A layer stack is simulated there; a light field has views at whole numbers alone.
+
+use std::borrow::Cow;
+
+use lumistack_plugin::display::{FieldGeometry, Projection};
+use lumistack_plugin::serde::{Deserialize, Serialize};
+use lumistack_plugin::{FieldInput, PluginError, StackInput, ViewPoint};
+
+/// What to do where a light field has no view at a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
+pub enum Missing {
+    /// Take the nearest view.
+    Nearest,
+    /// Mix the two around it.
+    Blend,
+    /// Say what to render.
+    Refuse,
+}
+
+/// How a view of a quilt was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
+pub enum Made {
+    /// From a layer stack, at its place.
+    Simulated,
+    /// A view of the light field, at its place.
+    Exact,
+    /// The nearest view of the light field.
+    Nearest,
+    /// A mixture of two.
+    Blend,
+}
+
+/// Where views come from.
+#[derive(Clone, Copy)]
+pub enum Source<'a> {
+    /// Simulated, divided by β.
+    Stack(&'a StackInput<'a>),
+    /// The views of one row.
+    Field(&'a FieldInput<'a>),
+}
+
+/// A view whose place is nearer than this to one of the source's is that one; in units of views.
+const SAME_PLACE: f64 = 1e-6;
+
+/// Places a_i of `count` views on an axis of `available`.
+pub fn places(count: usize, available: usize) -> Vec<f64> {
+    (0..count).map(|i| (i as f64 + 0.5) / count as f64 * available as f64 - 0.5).collect()
+}
+
+impl Source<'_> {
+    /// Pixels and views of the source.
+    pub fn geometry(&self) -> &FieldGeometry {
+        match self {
+            Self::Stack(stack) => stack.target(),
+            Self::Field(field) => field.geometry(),
+        }
+    }
+
+    /// The row of views that is taken: the given one, or the middle (the upper of two).
+    ///
+    /// # Errors
+    /// If there is no such row.
+    pub fn row(&self, given: i64) -> Result<usize, PluginError> {
+        let rows = self.geometry().grid.slope_y.len();
+        match usize::try_from(given) {
+            Err(_) => Ok((rows - 1) / 2),
+            Ok(row) if row < rows => Ok(row),
+            Ok(row) => Err(PluginError::Refused(format!(
+                "parameter `view_row`: expected -1 to {} rows of views, found {row}",
+                rows - 1
+            ))),
+        }
+    }
+
+    /// The view at `place` of a row, `[row][col][rgb]` linear, how it was made and its slope.
+    ///
+    /// # Errors
+    /// Under [`Missing::Refuse`] if a light field has no such view; or what the host returns.
+    pub fn view(&self, place: f64, row: usize, missing: Missing) -> Result<(Vec<f32>, Made, [f64; 2]), PluginError> {
+        let grid = &self.geometry().grid;
+        let slope_y = grid.slope_y[row];
+        match self {
+            Self::Stack(stack) => {
+                let slope = [slope_at(&grid.slope_x, place), slope_y];
+                let from = match grid.projection {
+                    Projection::Oblique => ViewPoint::Slope(slope),
+                    Projection::Perspective { distance_mm } => {
+                        ViewPoint::Eye([slope[0] * distance_mm, slope[1] * distance_mm, distance_mm])
+                    }
+                };
+                let factor = (1.0 / stack.brightness()) as f32;
+                let values = stack.simulate(from)?.to_vec().into_iter().map(|value| value * factor).collect();
+                Ok((values, Made::Simulated, slope))
+            }
+            Self::Field(field) => {
+                let last = grid.slope_x.len() - 1;
+                let nearest = (place.round().max(0.0) as usize).min(last);
+                let own = (field.view([row, nearest])?, [grid.slope_x[nearest], slope_y]);
+                if (place - nearest as f64).abs() < SAME_PLACE {
+                    return Ok((own.0.to_vec(), Made::Exact, own.1));
+                }
+                match missing {
+                    Missing::Refuse => Err(PluginError::Refused("no view at this place".into())),
+                    Missing::Nearest => Ok((own.0.to_vec(), Made::Nearest, own.1)),
+                    Missing::Blend => {
+                        let place = place.clamp(0.0, last as f64);
+                        let first = (place.floor() as usize).min(last.saturating_sub(1));
+                        let t = (place - first as f64) as f32;
+                        let [a, b] = [first, (first + 1).min(last)].map(|view| field.view([row, view]));
+                        let (a, b) = (a?.to_vec(), b?.to_vec());
+                        let mixed = a.iter().zip(&b).map(|(a, b)| a + t * (b - a)).collect();
+                        Ok((mixed, Made::Blend, [slope_at(&grid.slope_x, place), slope_y]))
+                    }
+                }
+            }
+        }
+    }
+
+    /// What a user should know about views that a light field does not have, or the refusal.
+    ///
+    /// # Errors
+    /// Under [`Missing::Refuse`] if there are any.
+    pub fn advice(&self, count: usize, missing: Missing) -> Result<Option<String>, PluginError> {
+        let available = self.geometry().grid.slope_x.len();
+        if matches!(self, Self::Stack(_)) || available == count {
+            return Ok(None);
+        }
+        let have = format!("the light field has {available} views across, the quilt {count}");
+        let render = format!("render views = [{count}, 1] for a view of its own in every tile");
+        match missing {
+            Missing::Refuse => Err(PluginError::Refused(format!("{have}: {render}"))),
+            Missing::Nearest => Ok(Some(format!("{have}: the nearest views are taken; {render}"))),
+            Missing::Blend => Ok(Some(format!("{have}: neighbouring views are mixed, which ghosts; {render}"))),
+        }
+    }
+}
+
+/// Slope at a place, which may lie up to half a view beyond the outermost ones.
+fn slope_at(slopes: &[f64], place: f64) -> f64 {
+    let [_, .., _] = slopes else { return slopes[0] };
+    let first = (place.floor().max(0.0) as usize).min(slopes.len() - 2);
+    slopes[first] + (place - first as f64) * (slopes[first + 1] - slopes[first])
+}
+
+/// How a view fills its tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
+pub enum Fit {
+    /// All of it, with black bars.
+    Contain,
+    /// No bars, cropped.
+    Cover,
+    /// Stretched.
+    Stretch,
+}
+
+/// Brings a view of `size` = [columns, rows] to a tile that stands for pictures of `aspect`. A view that has the tile's size and aspect is left as it is.
+pub fn fitted(rgb: &[f32], size: [usize; 2], tile: [usize; 2], aspect: f64, fit: Fit) -> Cow<'_, [f32]> {
+    let own = size[0] as f64 / size[1] as f64;
+    let same = (own / aspect - 1.0).abs() < 0.5 / size[0].max(size[1]) as f64;
+    if size == tile && (same || fit == Fit::Stretch) {
+        return Cow::Borrowed(rgb);
+    }
+    // shares of the tile that the view fills, and of the view that the tile shows
+    let (mut filled, mut shown) = ([1.0, 1.0], [1.0, 1.0]);
+    if !same {
+        match fit {
+            Fit::Contain if own > aspect => filled[1] = aspect / own,
+            Fit::Contain => filled[0] = own / aspect,
+            Fit::Cover if own > aspect => shown[0] = aspect / own,
+            Fit::Cover => shown[1] = own / aspect,
+            Fit::Stretch => {}
+        }
+    }
+    let pixels = |side: usize, share: f64| ((side as f64 * share).round() as usize).clamp(1, side);
+    let kept = [0, 1].map(|axis| pixels(size[axis], shown[axis]));
+    let target = [0, 1].map(|axis| pixels(tile[axis], filled[axis]));
+    let from = [0, 1].map(|axis| (size[axis] - kept[axis]) / 2);
+    let part = image::ImageBuffer::<image::Rgb<f32>, _>::from_fn(kept[0] as u32, kept[1] as u32, |x, y| {
+        let i = 3 * ((y as usize + from[1]) * size[0] + x as usize + from[0]);
+        image::Rgb([rgb[i], rgb[i + 1], rgb[i + 2]])
+    });
+    let scaled = if kept == target {
+        part
+    } else {
+        image::imageops::resize(&part, target[0] as u32, target[1] as u32, image::imageops::FilterType::Triangle)
+    };
+    if target == tile {
+        return Cow::Owned(scaled.into_raw());
+    }
+    let to = [0, 1].map(|axis| (tile[axis] - target[axis]) / 2);
+    let mut values = vec![0.0; 3 * tile[0] * tile[1]];
+    for (row, line) in scaled.into_raw().chunks_exact(3 * target[0]).enumerate() {
+        values[3 * ((row + to[1]) * tile[0] + to[0])..][..line.len()].copy_from_slice(line);
+    }
+    Cow::Owned(values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn as_many_views_are_the_same_views() {
+        assert_eq!(places(5, 5), [0.0, 1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(places(4, 2), [-0.25, 0.25, 0.75, 1.25]);
+        assert_eq!(places(1, 5), [2.0]);
+        let slopes = [-0.2, 0.0, 0.2];
+        for (place, slope) in [(-0.5, -0.3), (0.0, -0.2), (0.5, -0.1), (2.25, 0.25)] {
+            assert!((slope_at(&slopes, place) - slope).abs() < 1e-12, "{place}");
+        }
+        assert_eq!(slope_at(&[0.1], -0.4), 0.1);
+    }
+
+    /// Left half 0, right half 1.
+    fn halves(size: [usize; 2]) -> Vec<f32> {
+        (0..3 * size[0] * size[1]).map(|i| f32::from(u8::from(i / 3 % size[0] >= size[0] / 2))).collect()
+    }
+
+    #[test]
+    fn a_wide_view_in_a_square_tile() {
+        let view = halves([8, 4]);
+        let red = |values: &[f32]| -> Vec<f32> { values.iter().step_by(3).copied().collect() };
+        let contained = red(&fitted(&view, [8, 4], [4, 4], 1.0, Fit::Contain));
+        assert_eq!(contained[..4], [0.0; 4], "a bar above");
+        assert_eq!(contained[12..], [0.0; 4], "a bar below");
+        assert!(contained[4] < 0.1 && contained[7] > 0.9);
+        let covered = red(&fitted(&view, [8, 4], [4, 4], 1.0, Fit::Cover));
+        assert_eq!(covered, [0.0, 0.0, 1.0, 1.0].repeat(4));
+        let stretched = red(&fitted(&view, [8, 4], [4, 4], 1.0, Fit::Stretch));
+        assert!(stretched[0] < 0.1 && stretched[3] > 0.9 && stretched[12] < 0.1 && stretched[15] > 0.9);
+        // an anamorphic tile of the view's own aspect is filled
+        let squeezed = fitted(&view, [8, 4], [4, 4], 2.0, Fit::Contain);
+        assert_eq!(red(&squeezed), stretched);
+        assert!(matches!(fitted(&view, [8, 4], [8, 4], 2.0, Fit::Contain), Cow::Borrowed(_)));
+    }
+}

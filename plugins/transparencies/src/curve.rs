@@ -1,0 +1,148 @@
+//! What the film transmits where a code was printed.
+//!
+//! A measured curve is a list of pairs `code transmittance`, for example `0 0.02, 64 0.09, 128 0.3, 255 0.88`; three lists for red, green and blue are
+//! separated by `;`. Codes are 0 to 255, transmittances 0 to 1, both rise, the last pair is clear film.
+//!
+//! A mask value f is printed relative to clear film: the film shows f / peak times what clear film does, and never less than its darkest state,
+//!
+//! ```text
+//! T(code) / T_clear = max(f / peak, T_dark / T_clear)
+//! ```
+//!
+//! so a whole layer loses the factor T_clear, and only values below the darkest state are lost.
+
+use lumistack_plugin::PluginError;
+use lumistack_plugin::display::{Channels, Layer, Transfer};
+
+/// Film and printer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Film {
+    /// From 0 (darkest state) to 1 (clear film) to codes.
+    transfer: Transfer,
+    /// Darkest state over clear film, per channel.
+    pub dark: [f64; 3],
+    /// Transmittance of clear film, where it was measured.
+    pub clear: Option<[f64; 3]>,
+}
+
+impl Film {
+    /// A measured curve, or without one sRGB codes and a darkest state.
+    ///
+    /// # Errors
+    /// On a list that is no curve.
+    pub fn new(curve: &str, dark: f64) -> Result<Self, PluginError> {
+        if curve.trim().is_empty() {
+            return Ok(Self { transfer: Transfer::Srgb, dark: [dark; 3], clear: None });
+        }
+        let refused = |found: &str| {
+            PluginError::Refused(format!(
+                "parameter `curve`: expected two or more pairs `code transmittance` separated by commas, codes 0 to 255 and transmittances 0 to 1 that rise, once or for red; green; blue, found {found:?}"
+            ))
+        };
+        let tables: Vec<Vec<[f64; 2]>> =
+            curve.split(';').map(|list| table(list).ok_or_else(|| refused(list.trim()))).collect::<Result<_, _>>()?;
+        let ends = |table: &Vec<[f64; 2]>| (table[0][1], table[table.len() - 1][1]);
+        let (table, all) = match <[Vec<[f64; 2]>; 3]>::try_from(tables) {
+            Ok(rgb) => {
+                let all = rgb.each_ref().map(ends);
+                (Channels::Rgb(rgb), all)
+            }
+            Err(mut one) if one.len() == 1 => {
+                let all = [ends(&one[0]); 3];
+                (Channels::Same(one.swap_remove(0)), all)
+            }
+            Err(_) => return Err(refused(curve)),
+        };
+        Ok(Self {
+            transfer: Transfer::Table(table),
+            dark: all.map(|(dark, clear)| dark / clear),
+            clear: Some(all.map(|(_, clear)| clear)),
+        })
+    }
+
+    /// The codes of a layer's values `[..][rgb]`, and how many values are darker than the film can be.
+    pub fn codes(&self, layer: &Layer, rgb: &[f32]) -> (Vec<u8>, usize) {
+        let mut lost = 0;
+        let codes = rgb.iter().enumerate().map(|(i, &value)| {
+            let (wanted, dark) = (f64::from(value) / layer.peak, self.dark[i % 3]);
+            lost += usize::from(wanted < dark - HALF_CODE);
+            let share = ((wanted - dark) / (1.0 - dark)).clamp(0.0, 1.0) as f32;
+            (self.transfer.encode(i % 3, share) * 255.0 + 0.5) as u8
+        });
+        (codes.collect(), lost)
+    }
+
+    /// What the film transmits at a code, relative to clear film.
+    pub fn transmittance(&self, channel: usize, code: u8) -> f64 {
+        let share = f64::from(self.transfer.decode(channel, f32::from(code) / 255.0));
+        self.dark[channel] + (1.0 - self.dark[channel]) * share
+    }
+}
+
+/// Values that miss the darkest state by less are not called lost.
+const HALF_CODE: f64 = 0.5 / 255.0;
+
+/// A list of pairs from code 0 to code 255. Ends that were not measured are an error: what lies beyond is unknown.
+fn table(list: &str) -> Option<Vec<[f64; 2]>> {
+    let pair = |text: &str| {
+        let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<Result<_, _>>().ok()?;
+        <[f64; 2]>::try_from(numbers).ok()
+    };
+    let table: Vec<[f64; 2]> = list.split(',').map(pair).collect::<Option<_>>()?;
+    let rises = table.windows(2).all(|pair| pair[0][0] < pair[1][0] && pair[0][1] < pair[1][1]);
+    let whole = table.len() >= 2 && table[0][0] == 0.0 && table[table.len() - 1][0] == 255.0;
+    let light = table.iter().all(|pair| (0.0..=1.0).contains(&pair[1]));
+    (rises && whole && light).then_some(table)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_measured_curve_is_inverted_relative_to_clear_film() {
+        let film = Film::new("0 0.04, 128 0.24, 255 0.8", 0.0).unwrap();
+        assert!((film.dark[0] - 0.05).abs() < 1e-12);
+        assert_eq!(film.clear, Some([0.8; 3]));
+        let layer = Layer { peak: 0.9, ..Layer::new(0.0, [1, 1], 1.0) };
+        // 0.3 of clear film is 0.24: code 128; below 0.05 nothing gets darker
+        let (codes, lost) = film.codes(&layer, &[0.9, 0.27, 0.9 * 0.05, 0.01, 0.0, 1.0]);
+        assert_eq!((codes, lost), (vec![255, 128, 0, 0, 0, 255], 2));
+        for code in [0, 60, 128, 200, 255] {
+            let (back, _) = film.codes(&layer, &[(0.9 * film.transmittance(0, code)) as f32, 0.5, 0.5]);
+            assert_eq!(back[0], code);
+        }
+    }
+
+    #[test]
+    fn channels_may_have_their_own() {
+        let film = Film::new("0 0, 255 1; 0 0.1, 255 1; 0 0, 255 0.5", 0.3).unwrap();
+        assert_eq!(film.dark, [0.0, 0.1, 0.0]);
+        let (codes, _) = film.codes(&Layer::new(0.0, [1, 1], 1.0), &[0.5; 3]);
+        assert_eq!(codes, [128, 113, 128]);
+    }
+
+    #[test]
+    fn without_a_curve_codes_are_srgb_above_the_darkest_state() {
+        let film = Film::new(" ", 0.1).unwrap();
+        let (codes, lost) = film.codes(&Layer::new(0.0, [1, 1], 1.0), &[0.0, 0.1, 1.0]);
+        assert_eq!((codes, lost), (vec![0, 0, 255], 1));
+    }
+
+    #[test]
+    fn what_is_no_curve_is_refused() {
+        for bad in [
+            "0 0",
+            "0 0, 255 0",
+            "0 0, 200 1",
+            "1 0, 255 1",
+            "0 0 255 1",
+            "0 0, 255 2",
+            "a b, c d",
+            "0 0, 255 1; 0 0, 255 1",
+        ] {
+            let error = Film::new(bad, 0.0).unwrap_err().to_string();
+            assert!(error.starts_with("parameter `curve`: expected two or more pairs"), "{bad}: {error}");
+        }
+    }
+}

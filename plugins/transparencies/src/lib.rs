@@ -1,0 +1,294 @@
+//! Output plugin `transparencies`: a PDF of static layers to print on film at true size.
+//!
+//! | page | what |
+//! |---|---|
+//! | 1 | assembly: order of films, spacers, sides, and a ruler to check the scale |
+//! | 2 | test chart: steps of codes to measure the printer's curve; see [`curve`] |
+//! | 3, ... | one film per layer, from the rear: the mask, registration marks in the border, cut lines outside it; see [`sheet`] |
+//!
+//! `transparencies.json` says where each mask stands on its page. Colours are device RGB: print without colour management, without scaling.
+
+pub mod curve;
+mod pages;
+pub mod pdf;
+pub mod sheet;
+
+use std::sync::{Mutex, PoisonError};
+
+use lumistack_plugin::display::{Backlight, Formation, Layer};
+use lumistack_plugin::serde::{Deserialize, Serialize};
+use lumistack_plugin::{
+    Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, StackInput, Time, export_plugin, serde_json,
+};
+
+use curve::Film;
+use pdf::{Document, Page};
+use sheet::{INCH_MM, Sheet};
+
+/// The plugin.
+#[derive(Debug)]
+pub struct Transparencies {
+    host: Host,
+    params: TransparenciesParams,
+    display: Display,
+    film: Film,
+    sheet: Sheet,
+    written: Mutex<Vec<Entry>>,
+}
+
+/// Parameters; see [`Transparencies::schema`](OutputPlugin::schema) for their meaning.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct TransparenciesParams {
+    paper: Paper,
+    dpi: u32,
+    curve: String,
+    min_transmittance: f64,
+    mirror: bool,
+    border_mm: f64,
+    film_mm: f64,
+    spacer_index: f64,
+    chart: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
+enum Paper {
+    A4,
+    A3,
+    Letter,
+    Tight,
+}
+
+impl Paper {
+    /// [shorter, longer] side.
+    fn size_mm(self) -> Option<[f64; 2]> {
+        match self {
+            Self::A4 => Some([210.0, 297.0]),
+            Self::A3 => Some([297.0, 420.0]),
+            Self::Letter => Some([8.5 * INCH_MM, 11.0 * INCH_MM]),
+            Self::Tight => None,
+        }
+    }
+}
+
+/// `transparencies.json`.
+#[derive(Serialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+struct Manifest<'a> {
+    schema: &'static str,
+    version: u32,
+    page_mm: [f64; 2],
+    film_mm: [f64; 2],
+    mirrored: bool,
+    /// Darkest state of the film relative to clear film, per channel: `black_level` of the layers.
+    darkest: [f64; 3],
+    spacers_mm: &'a [f64],
+    /// Codes of the test chart's steps.
+    chart_codes: &'a [u8],
+    files: Vec<Entry>,
+}
+
+/// One film.
+#[derive(Clone, Debug, Serialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+struct Entry {
+    file: String,
+    /// From 1.
+    page: usize,
+    layer: usize,
+    d_mm: f64,
+    /// Left, bottom, width and height of the mask on the page.
+    place_mm: [f64; 4],
+    /// Columns and rows of the picture on the page.
+    resolution: [usize; 2],
+    /// Values that are darker than the film can be.
+    too_dark: usize,
+    time: u64,
+}
+
+impl OutputPlugin for Transparencies {
+    const DOC: &'static str = "Writes a PDF to print static layers on film at true size, with an assembly sheet and a test chart. \
+        It takes displays of attenuating layers with one frame.";
+    const PORTS: &'static [Port] = &[Port::LayerStack];
+    type Params = TransparenciesParams;
+
+    fn schema() -> Schema {
+        Schema::new([
+            Param::choice(
+                "paper",
+                "a4",
+                [
+                    ("a4", "210 × 297 mm."),
+                    ("a3", "297 × 420 mm."),
+                    ("letter", "8.5 × 11 inches."),
+                    ("tight", "As small as films, cut lines and titles allow."),
+                ],
+                "Size of the pages, upright or across as the films ask.",
+            ),
+            Param::int(
+                "dpi",
+                0,
+                0..=4800,
+                "Dots per inch of the pictures in the file, nearest pixels; 0 keeps the masks' own pixels, for printers that enlarge them without smoothing, as the file asks.",
+            )
+            .unit("dots/inch"),
+            Param::text(
+                "curve",
+                "",
+                "What the film transmits where a code was printed, measured on the test chart: pairs of code (0 to 255) and transmittance (0 to 1), for example \"0 0.02, 128 0.3, 255 0.88\"; three lists separated by semicolons for red, green and blue. Without it codes are sRGB.",
+            ),
+            Param::float(
+                "min_transmittance",
+                0.0,
+                0.0..=0.9,
+                "Transmittance of the darkest print relative to clear film, where there is no curve.",
+            )
+            .unit("1"),
+            Param::bool("mirror", false, "Mirror films left to right, to be seen through the film with the printed side away from the viewer."),
+            Param::float("border_mm", 12.0, 8.0..=100.0, "Width of the border around the masks, which holds the registration marks.").unit("mm"),
+            Param::float("film_mm", 0.1, 0.0..=10.0, "Thickness of a film, taken off the spacers.").unit("mm"),
+            Param::float(
+                "spacer_index",
+                1.0,
+                1.0..=2.5,
+                "Refractive index of the spacers: 1 for air, 1.49 for acrylic. A plate of thickness t acts like t / index of air.",
+            )
+            .unit("1"),
+            Param::bool("chart", true, "Add the test chart."),
+        ])
+    }
+
+    fn open(host: Host, params: TransparenciesParams, display: Display) -> Result<Self, PluginError> {
+        if display.frames != 1 {
+            return Err(PluginError::Refused(format!(
+                "printed layers do not change: expected a display with frames = 1, found {}",
+                display.frames
+            )));
+        }
+        if display.formation != Formation::Attenuating {
+            return Err(PluginError::Refused(format!(
+                "film attenuates: expected formation = \"attenuating\", found {:?}",
+                display.formation
+            )));
+        }
+        if display.backlight != Backlight::Uniform {
+            host.warn("the backlight of lenslets is not printed, only the layers in front of it");
+        }
+        let film = Film::new(&params.curve, params.min_transmittance)?;
+        let sheet = Sheet::new(&display.layers, params.border_mm, params.paper.size_mm())?;
+        pages::spacers_mm(&display.layers, params.film_mm, params.spacer_index)?;
+        Ok(Self { host, params, display, film, sheet, written: Mutex::default() })
+    }
+
+    fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
+        let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
+        let entries = self.write(time, stack)?;
+        self.written.lock().unwrap_or_else(PoisonError::into_inner).extend(entries);
+        Ok(())
+    }
+
+    fn finish(self) -> Result<(), PluginError> {
+        self.host.check_cancelled()?;
+        let mut files = self.written.into_inner().unwrap_or_else(PoisonError::into_inner);
+        files.sort_by_key(|file| (file.time, file.page));
+        let spacers = pages::spacers_mm(&self.display.layers, self.params.film_mm, self.params.spacer_index)?;
+        let manifest = Manifest {
+            schema: "lumistack/transparencies",
+            version: 1,
+            page_mm: self.sheet.page_mm,
+            film_mm: self.sheet.film_mm,
+            mirrored: self.params.mirror,
+            darkest: self.film.dark,
+            spacers_mm: &spacers,
+            chart_codes: if self.params.chart { &pages::CHART_CODES } else { &[] },
+            files,
+        };
+        let text = serde_json::to_string_pretty(&manifest).expect("a manifest holds nothing that JSON cannot");
+        self.host.write("transparencies.json", format!("{text}\n").as_bytes())
+    }
+}
+
+impl Transparencies {
+    fn write(&self, time: Time, stack: &StackInput<'_>) -> Result<Vec<Entry>, PluginError> {
+        let file = if time.index == 0 {
+            "transparencies.pdf".into()
+        } else {
+            format!("t{:04}/transparencies.pdf", time.index)
+        };
+        let layers = &self.display.layers;
+        let stage = self.host.stage("films", layers.len() as u64, "pages");
+        let mut document = Document::new(&self.display.name);
+        let spacers = pages::spacers_mm(layers, self.params.film_mm, self.params.spacer_index)?;
+        document.add(self.sheet.page_mm, pages::assembly(self, &spacers));
+        if self.params.chart {
+            document.add(self.sheet.page_mm, pages::chart(&self.sheet));
+        }
+        let first = if self.params.chart { 3 } else { 2 };
+        let mut entries = Vec::new();
+        for (n, layer) in layers.iter().enumerate() {
+            self.host.check_cancelled()?;
+            let (page, resolution, too_dark) = self.film_page(stack, n, layer)?;
+            document.add(self.sheet.page_mm, page);
+            entries.push(Entry {
+                file: file.clone(),
+                page: first + n,
+                layer: n,
+                d_mm: layer.d_mm,
+                place_mm: self.sheet.place(layer, self.params.mirror),
+                resolution,
+                too_dark,
+                time: time.index,
+            });
+            stage.advance(1, "");
+        }
+        let too_dark: usize = entries.iter().map(|entry| entry.too_dark).sum();
+        if too_dark > 0 {
+            let darkest = self.film.dark.iter().copied().fold(0.0, f64::max);
+            self.host.warn(&format!(
+                "{too_dark} values are darker than the film can be; black_level = {darkest:.3} in the display's layers makes patterns that it can show"
+            ));
+        }
+        self.host.write(&file, &document.finish())?;
+        Ok(entries)
+    }
+
+    /// A layer's film, the picture's [columns, rows] and how many values are too dark.
+    fn film_page(
+        &self,
+        stack: &StackInput<'_>,
+        n: usize,
+        layer: &Layer,
+    ) -> Result<(Page, [usize; 2], usize), PluginError> {
+        let plane = stack.layer(n, 0)?;
+        let [rows, cols] = [plane.rows(), plane.cols()];
+        let (codes, too_dark) = self.film.codes(layer, &plane.to_vec());
+        let size = match self.params.dpi {
+            0 => [cols, rows],
+            dpi => [cols, rows]
+                .map(|count| ((count as f64 * layer.pitch_mm / INCH_MM * f64::from(dpi)).round() as usize).max(1)),
+        };
+        if size.iter().any(|side| *side > SIDE_LIMIT) {
+            return Err(PluginError::Refused(format!(
+                "parameter `dpi`: expected pictures of at most {SIDE_LIMIT} pixels a side, found {} × {} for layer {n}",
+                size[0], size[1]
+            )));
+        }
+        let mut printed = Vec::with_capacity(3 * size[0] * size[1]);
+        for row in 0..size[1] {
+            for col in 0..size[0] {
+                let col = if self.params.mirror { size[0] - 1 - col } else { col };
+                let from = 3 * ((2 * row + 1) * rows / (2 * size[1]) * cols + (2 * col + 1) * cols / (2 * size[0]));
+                printed.extend_from_slice(&codes[from..from + 3]);
+            }
+        }
+        let mut page = pages::film(&self.sheet, &self.display, n, self.params.mirror);
+        page.image(self.sheet.place(layer, self.params.mirror), size, &printed)?;
+        Ok((page, size, too_dark))
+    }
+}
+
+/// Most pixels of a picture's side.
+const SIDE_LIMIT: usize = 32768;
+
+export_plugin!("transparencies", Transparencies);

@@ -1,0 +1,175 @@
+//! What stands on the pages.
+
+use lumistack_plugin::PluginError;
+use lumistack_plugin::display::{Display, Layer};
+
+use crate::Transparencies;
+use crate::pdf::Page;
+use crate::sheet::Sheet;
+
+/// Codes of the test chart's steps: closer together where film is dark.
+pub(crate) const CHART_CODES: [u8; 24] =
+    [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64, 80, 96, 112, 128, 144, 160, 176, 192, 208, 224, 240, 248, 255];
+/// Size of type, millimetres.
+const TYPE_MM: f64 = 3.2;
+const LINE_MM: f64 = 4.6;
+const MARGIN_MM: f64 = 12.0;
+
+/// Thickness of the spacers between neighbouring films: the distance of the layers in air, times the spacers' index, less half a film on either side.
+///
+/// # Errors
+/// If films are thicker than a distance.
+pub(crate) fn spacers_mm(layers: &[Layer], film_mm: f64, index: f64) -> Result<Vec<f64>, PluginError> {
+    layers
+        .windows(2)
+        .map(|pair| {
+            let gap = pair[1].d_mm - pair[0].d_mm;
+            if gap < film_mm {
+                return Err(PluginError::Refused(format!(
+                    "parameter `film_mm`: expected at most the distance of layers, {gap} mm, found {film_mm}"
+                )));
+            }
+            Ok((gap - film_mm) * index)
+        })
+        .collect()
+}
+
+/// A layer's page without its mask: title, cut lines, registration marks.
+pub(crate) fn film(sheet: &Sheet, display: &Display, n: usize, mirror: bool) -> Page {
+    let mut page = Page::default();
+    let [left, bottom] = sheet.film_corner();
+    let [right, top] = [left + sheet.film_mm[0], bottom + sheet.film_mm[1]];
+    for (x, outward_x) in [(left, -1.0), (right, 1.0)] {
+        for (y, outward_y) in [(bottom, -1.0), (top, 1.0)] {
+            page.line(&[[x + 2.0 * outward_x, y], [x + 7.0 * outward_x, y]]);
+            page.line(&[[x, y + 2.0 * outward_y], [x, y + 7.0 * outward_y]]);
+        }
+    }
+    for mark in sheet.marks() {
+        page.mark(mark);
+    }
+    let place = match n {
+        0 => ", rear",
+        n if n + 1 == display.layers.len() => ", front",
+        _ => "",
+    };
+    let side = if mirror { "printed side away from the viewer" } else { "printed side to the viewer" };
+    let d_mm = display.layers[n].d_mm;
+    page.text([left + 9.0, bottom - 6.0], 2.6, &format!("layer {n}{place}, z = {d_mm} mm, {side}"));
+    // which way is up survives cutting: a short line at the top
+    page.line(&[[left + 0.5 * sheet.film_mm[0] + 5.0, top - 1.0], [left + 0.5 * sheet.film_mm[0] + 10.0, top - 1.0]]);
+    page
+}
+
+/// Order, spacers, and a ruler.
+pub(crate) fn assembly(output: &Transparencies, spacers_mm: &[f64]) -> Page {
+    let (sheet, display, params) = (&output.sheet, &output.display, &output.params);
+    let mut page = Page::default();
+    let mut lines = vec![
+        display.name.clone(),
+        String::new(),
+        "Print all pages at 100 %, without scaling and without colour management.".into(),
+        format!("Cut every film at the corner lines, {:.2} x {:.2} mm.", sheet.film_mm[0], sheet.film_mm[1]),
+        "Lay the films on one another until all marks coincide; the short line is up.".into(),
+        if params.mirror {
+            "Films are mirrored: their printed sides look away from the viewer.".into()
+        } else {
+            "The printed sides look at the viewer.".into()
+        },
+        String::new(),
+        "From the back to the viewer:".into(),
+    ];
+    for (n, layer) in display.layers.iter().enumerate() {
+        lines.push(format!(
+            "film {n}: z = {} mm, {} x {} pixels of {} mm",
+            layer.d_mm, layer.resolution[0], layer.resolution[1], layer.pitch_mm
+        ));
+        if let Some(spacer) = spacers_mm.get(n) {
+            let index = params.spacer_index;
+            let what = if index == 1.0 { "air".to_string() } else { format!("a plate of index {index}") };
+            lines.push(format!("    spacer of {spacer:.3} mm, {what}"));
+        }
+    }
+    let darkest = output.film.dark.map(|dark| format!("{dark:.3}")).join(", ");
+    lines.push(String::new());
+    lines.push(format!("Films of {} mm. Darkest print over clear film: {darkest} (red, green, blue).", params.film_mm));
+    if let Some(clear) = output.film.clear {
+        let clear = clear.map(|clear| format!("{clear:.3}")).join(", ");
+        lines.push(format!("Clear film lets {clear} through; every layer loses that factor."));
+    }
+    let [width, height] = sheet.page_mm;
+    let longest = lines.iter().map(|line| line.chars().count()).max().unwrap_or(1) as f64;
+    // Helvetica's letters are about half as wide as high; small pages get small type
+    let fit = ((width - 2.0 * MARGIN_MM) / (0.5 * TYPE_MM * longest))
+        .min((height - 2.0 * MARGIN_MM - 12.0) / (LINE_MM * lines.len() as f64))
+        .clamp(0.05, 1.0);
+    for (i, line) in lines.iter().enumerate() {
+        let y = height - MARGIN_MM - LINE_MM * fit * (i as f64 + 1.0);
+        page.text([MARGIN_MM, y], TYPE_MM * fit, line);
+    }
+    ruler(&mut page, width);
+    page
+}
+
+/// A ruler at the foot of a page, as many whole centimetres as fit, up to ten.
+fn ruler(page: &mut Page, width: f64) {
+    let centimetres = ((width - 2.0 * MARGIN_MM) / 10.0).floor().clamp(0.0, 10.0);
+    let length = 10.0 * centimetres;
+    page.line(&[[MARGIN_MM, 6.0], [MARGIN_MM + length, 6.0]]);
+    for i in 0..=length as u32 {
+        let tick = if i % 10 == 0 { 4.0 } else { 2.0 };
+        let x = MARGIN_MM + f64::from(i);
+        page.line(&[[x, 6.0], [x, 6.0 + tick]]);
+    }
+    if centimetres >= 1.0 {
+        page.text([MARGIN_MM + 1.0, 2.5], 2.6, &format!("{length:.0} mm"));
+    }
+}
+
+/// Steps of grey, and of each colour alone, whose transmittance is to be measured.
+pub(crate) fn chart(sheet: &Sheet) -> Page {
+    let mut page = Page::default();
+    let [width, height] = sheet.page_mm;
+    let room = [width - 2.0 * MARGIN_MM, height - 2.0 * MARGIN_MM - 8.0];
+    let (columns, rows) = (CHART_CODES.len() as f64 / 4.0, 16.0);
+    let cell = [room[0] / columns, room[1] / rows];
+    let sides: [(&str, [bool; 3]); 4] = [
+        ("grey", [true; 3]),
+        ("red", [true, false, false]),
+        ("green", [false, true, false]),
+        ("blue", [false, false, true]),
+    ];
+    let title = "Measure light through each step over light through the last of its colour; codes are below the steps.";
+    let size = (room[0] / (0.5 * title.chars().count() as f64)).min(TYPE_MM);
+    page.text([MARGIN_MM, height - MARGIN_MM], size, title);
+    for (s, (name, channels)) in sides.iter().enumerate() {
+        for (i, &code) in CHART_CODES.iter().enumerate() {
+            let (row, col) = (4 * s + i / 6, i % 6);
+            let x = MARGIN_MM + col as f64 * cell[0];
+            let y = height - MARGIN_MM - 4.0 - (row as f64 + 1.0) * cell[1];
+            let label = (0.22 * cell[1]).min(TYPE_MM);
+            // a colour alone: the other two are clear film's
+            let rgb = channels.map(|own| if own { code } else { 255 });
+            let patch = [x, y + 1.4 * label, 0.92 * cell[0], cell[1] - 1.6 * label];
+            page.fill(patch, rgb);
+            page.frame(patch);
+            page.text([x, y + 0.3 * label], label, &format!("{name} {code}"));
+        }
+    }
+    page
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plate_is_as_much_thicker_as_its_index_says() {
+        let layers = [-4.0, 0.0, 6.0].map(|d_mm| Layer::new(d_mm, [2, 2], 1.0));
+        assert_eq!(spacers_mm(&layers, 0.0, 1.0).unwrap(), [4.0, 6.0]);
+        let acrylic = spacers_mm(&layers, 0.1, 1.49).unwrap();
+        assert!((acrylic[0] - 3.9 * 1.49).abs() < 1e-12 && (acrylic[1] - 5.9 * 1.49).abs() < 1e-12);
+        let error = spacers_mm(&layers, 5.0, 1.0).unwrap_err().to_string();
+        assert!(error.starts_with("parameter `film_mm`: expected at most the distance of layers, 4 mm"), "{error}");
+    }
+}

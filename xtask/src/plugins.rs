@@ -1,0 +1,163 @@
+//! Plugins as libraries, the samples for plugin authors, and the pages about parameters.
+
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use crate::tools::{Outcome, cargo, command, output_of, root, run as run_program};
+
+/// All plugins and their parameters, as `lumistack --json plugins` tells them.
+const DUMP: &str = "docs/plugins.json";
+/// A page for each.
+const PAGES: &str = "docs/plugins";
+/// A crate outside the workspace, as the tutorial builds it.
+const SAMPLE: &str = "examples/rust-plugin";
+
+/// Builds and checks everything about plugins; `write` renews the committed pages.
+pub fn run(write: bool) -> Outcome {
+    pages(write)?;
+    let metadata = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
+        .and_then(|text| serde_json::from_str::<Value>(&text).ok())
+        .ok_or("cargo metadata failed")?;
+    let target = PathBuf::from(metadata["target_directory"].as_str().ok_or("cargo metadata names no target folder")?);
+    let folder = target.join("plugins");
+    // of plugins that are gone
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    for package in metadata["packages"].as_array().into_iter().flatten() {
+        let manifest = Path::new(package["manifest_path"].as_str().unwrap_or_default());
+        if manifest.starts_with(root().join("plugins")) {
+            let name = package["name"].as_str().unwrap_or_default();
+            cargo(&["rustc", "--quiet", "--package", name, "--lib", "--crate-type", "cdylib"])?;
+            take(&target.join("debug"), name, &folder)?;
+        }
+    }
+    sample(&target, &folder)?;
+    // the same selection of packages as for all tests, so that nothing is built twice
+    let mut tests = command("cargo");
+    tests.args(["test", "--quiet", "--workspace", "--test", "loaded", "--", "--nocapture"]);
+    run_program(tests.env("LUMISTACK_TEST_PLUGINS", &folder))
+}
+
+/// Builds the crate of the tutorial on its own, tests it, and takes its library.
+fn sample(target: &Path, folder: &Path) -> Outcome {
+    // the versions of the workspace, and so nothing to fetch
+    let lock = root().join(SAMPLE).join("Cargo.lock");
+    fs::copy(root().join("Cargo.lock"), &lock).map_err(|error| format!("{}: {error}", lock.display()))?;
+    for task in ["build", "test"] {
+        let mut build = command("cargo");
+        build.args([task, "--quiet", "--target-dir"]).arg(target.join("sample"));
+        build.arg("--manifest-path").arg(root().join(SAMPLE).join("Cargo.toml"));
+        run_program(&mut build)?;
+    }
+    take(&target.join("sample/debug"), "lumistack-plugin-means", folder)
+}
+
+/// Copies the library of a package.
+fn take(built: &Path, package: &str, folder: &Path) -> Outcome {
+    let name = format!("{DLL_PREFIX}{}{DLL_SUFFIX}", package.replace('-', "_"));
+    fs::copy(built.join(&name), folder.join(&name))
+        .map(drop)
+        .map_err(|error| format!("{}: {error}", built.join(name).display()))
+}
+
+/// Compares the committed dump and pages with what the program says, or writes them.
+fn pages(write: bool) -> Outcome {
+    let mut program = command("cargo");
+    program.args(["run", "--quiet", "--package", "lumistack-cli", "--", "--json", "plugins"]);
+    // only what is compiled in
+    program.env_remove("LUMISTACK_PLUGIN_PATH").env("XDG_DATA_HOME", root().join("target/no-such-folder"));
+    let told = output_of(&mut program).ok_or("`lumistack --json plugins` failed")?;
+    let told: Value = serde_json::from_str(&told).map_err(|error| format!("`lumistack --json plugins`: {error}"))?;
+    let mut plugins: Vec<Value> = told["plugins"].as_array().cloned().ok_or("`lumistack --json plugins` lists none")?;
+    plugins.retain(|plugin| plugin["origin"] == "compiled in");
+    for plugin in plugins.iter_mut().filter_map(Value::as_object_mut) {
+        plugin.remove("origin");
+    }
+    let dump = json!({ "schema": "lumistack/plugins", "version": 1, "plugins": plugins });
+    let dump = serde_json::to_string_pretty(&dump).map_err(|error| error.to_string())? + "\n";
+    let mut files = vec![(PathBuf::from(DUMP), dump)];
+    for plugin in &plugins {
+        files.push((Path::new(PAGES).join(format!("{}.md", text(plugin, "id"))), page(plugin)));
+    }
+    let stale = listed(&root().join(PAGES)).filter(|path| !files.iter().any(|(file, _)| root().join(file) == *path));
+    let stale: Vec<PathBuf> = stale.collect();
+    for (file, wanted) in &files {
+        let path = root().join(file);
+        if write {
+            fs::create_dir_all(path.parent().unwrap_or(&path))
+                .map_err(|error| format!("{}: {error}", path.display()))?;
+            fs::write(&path, wanted).map_err(|error| format!("{}: {error}", path.display()))?;
+        } else if fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n") != *wanted {
+            return Err(format!("{} is not what the plugins say: `cargo xtask plugins --write`", file.display()));
+        }
+    }
+    for path in &stale {
+        if !write {
+            return Err(format!("{} is of no plugin: `cargo xtask plugins --write`", path.display()));
+        }
+        fs::remove_file(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    }
+    println!("plugins: {} pages {}", files.len() - 1, if write { "written" } else { "are current" });
+    Ok(())
+}
+
+fn listed(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+    fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
+}
+
+fn text<'a>(value: &'a Value, key: &str) -> &'a str {
+    value[key].as_str().unwrap_or_default()
+}
+
+/// The page of one plugin.
+fn page(plugin: &Value) -> String {
+    let (id, kind) = (text(plugin, "id"), text(plugin, "kind"));
+    let mut page =
+        format!("<!-- made by `cargo xtask plugins --write` -->\n\n# {id}\n\n{}\n\n", text(plugin, "doc").trim());
+    let words = |key: &str| {
+        let list = plugin[key].as_array().into_iter().flatten().filter_map(Value::as_str);
+        list.map(|word| format!("`{word}`")).collect::<Vec<_>>().join(", ")
+    };
+    let takes = match kind {
+        "importer" => format!("files {}", words("extensions")),
+        "source" => "nothing".into(),
+        _ => words("ports"),
+    };
+    let presents = if plugin["presents"] == true { "; runs until it is closed" } else { "" };
+    let _ = writeln!(page, "Kind: {kind}; takes {takes}{presents}. Version {}.", text(plugin, "version"));
+    let params = plugin["params"].as_array().map_or(&[][..], Vec::as_slice);
+    if params.is_empty() {
+        page.push_str("\nThere are no parameters.\n");
+        return page;
+    }
+    page.push_str("\n| parameter | default | values | meaning |\n|---|---|---|---|\n");
+    for param in params {
+        let unit = param["unit"].as_str().map_or(String::new(), |unit| format!(" {unit}"));
+        let (values, meaning) = match text(param, "kind") {
+            "bool" => ("`true`, `false`".into(), String::new()),
+            "choice" => {
+                let options = || param["options"].as_array().into_iter().flatten();
+                let values = options().map(|option| format!("`{}`", text(option, "value"))).collect::<Vec<_>>();
+                let told = options().map(|option| format!("`{}`: {}", text(option, "value"), text(option, "help")));
+                (values.join(", "), told.map(|told| format!(" {told}")).collect())
+            }
+            "int" => (format!("{} to {}{unit}, whole", param["min"], param["max"]), String::new()),
+            "float" => (format!("{} to {}{unit}", param["min"], param["max"]), String::new()),
+            _ => ("text".into(), String::new()),
+        };
+        let cell = |text: &str| text.replace('|', "\\|").replace('\n', " ");
+        let _ = writeln!(
+            page,
+            "| `{}` | `{}` | {} | {} |",
+            text(param, "name"),
+            param["default"],
+            cell(&values),
+            cell(&format!("{}{meaning}", text(param, "help")))
+        );
+    }
+    page
+}
