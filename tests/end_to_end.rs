@@ -218,6 +218,72 @@ fn simulate_shows_parallax_in_the_right_direction() {
 }
 
 #[test]
+fn one_render_feeds_two_displays_and_five_outputs() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let go = || {
+        let mut command = lumistack();
+        succeed(command.arg("run").arg(root().join("tests/cases/two-displays/job.toml")).arg("-o").arg(&run))
+    };
+    go();
+    let report = report(&run);
+    let nodes = report["nodes"].as_array().unwrap();
+    let ids: Vec<&str> = nodes.iter().map(|node| node["id"].as_str().unwrap()).collect();
+    assert_eq!(ids, ["tensor", "barrier"]);
+    let outputs =
+        nodes.iter().flat_map(|node| node["outputs"].as_array().unwrap()).chain(report["outputs"].as_array().unwrap());
+    let outputs: Vec<&str> = outputs.map(|path| path.as_str().unwrap()).collect();
+    assert_eq!(outputs.len(), 5, "{outputs:?}");
+    assert!(outputs.iter().all(|path| run.join(path).join("images.json").is_file()), "{outputs:?}");
+    // 3 × 3 views behind pinholes: each is open in one frame of nine
+    assert!((number(&nodes[1], "brightness") - 1.0 / 9.0).abs() < 1e-6);
+    let views = files(&run.join("target"));
+    assert_eq!(views.len(), 1 + 9, "one light field for both");
+    // each node's folder is enough to look at its display
+    let picture = folder.path().join("barrier.png");
+    succeed(lumistack().arg("simulate").arg(run.join("nodes/barrier")).arg("-o").arg(&picture));
+    let picture = image::open(&picture).unwrap().into_rgb8();
+    assert!(picture.pixels().any(|pixel| pixel.0[0] > 64), "the barrier shows something");
+
+    // a second run takes everything from the first
+    let before = std::fs::metadata(run.join("nodes/barrier/layers/layer_0.npy")).unwrap().modified().unwrap();
+    go();
+    assert_eq!(std::fs::metadata(run.join("nodes/barrier/layers/layer_0.npy")).unwrap().modified().unwrap(), before);
+}
+
+#[test]
+fn scenes_of_other_formats_go_through_importers() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("card.obj");
+    std::fs::write(folder.path().join("card.mtl"), "newmtl red\nKd 0.8 0.1 0.1\n").unwrap();
+    let corners = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\n";
+    std::fs::write(&scene, format!("mtllib card.mtl\n{corners}usemtl red\nf 1 2 3 4\n")).unwrap();
+    let info = succeed(lumistack().args(["--json", "info"]).arg(&scene));
+    assert!(info.contains("\"triangles\":2") && info.contains("red"), "{info}");
+    let views = folder.path().join("views");
+    succeed(lumistack().arg("render").arg(&scene).arg("-o").arg(&views).args([
+        "--resolution",
+        "32x20",
+        "--samples",
+        "2",
+    ]));
+    assert!(views.join("lightfield.json").is_file());
+}
+
+#[test]
+fn libraries_that_are_no_plugins_are_listed_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = format!("{}lumistack_plugin_text{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+    std::fs::write(folder.path().join(&name), "not a library").unwrap();
+    let text = succeed(lumistack().arg("plugins").arg("--plugin-path").arg(folder.path()));
+    assert!(text.contains("images 0.1.0 (output, compiled in)"), "{text}");
+    assert!(text.contains(&format!("{name}: expected a shared library, found a file of another kind")), "{text}");
+    let json = succeed(lumistack().args(["--json", "plugins"]).env("LUMISTACK_PLUGIN_PATH", folder.path()));
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["failed"].as_array().unwrap().len(), 1, "{json}");
+}
+
+#[test]
 fn the_small_commands_answer() {
     let folder = tempfile::tempdir().unwrap();
     assert!(succeed(lumistack().arg("plugins")).contains("images"));

@@ -53,14 +53,15 @@ fn scenes() {
         "textures": [{"source": 0}], "images": [{"uri": "missing.png"}]}"#;
     let text = run_fails("texture.gltf", format!("{}{texture}", triangle("", r#", "material": 0"#)).as_bytes());
     assert!(text.contains("missing.png") && text.contains("/images/0"), "{text}");
-    let required =
-        r#", "extensionsRequired": ["KHR_draco_mesh_compression"], "extensionsUsed": ["KHR_draco_mesh_compression"]}"#;
-    let text = run_fails("draco.gltf", format!("{}{required}", triangle("", "")).as_bytes());
-    assert!(text.contains("KHR_draco_mesh_compression"), "{text}");
+    let required = r#", "extensionsRequired": ["EXT_lights_ies"], "extensionsUsed": ["EXT_lights_ies"]}"#;
+    let text = run_fails("lamp.gltf", format!("{}{required}", triangle("", "")).as_bytes());
+    assert!(text.contains("EXT_lights_ies"), "{text}");
     run_fails("text.gltf", b"this is not JSON");
     run_fails("empty-file.glb", b"");
     let text = run_fails("model.obj", b"v 0 0 0");
-    assert!(text.contains("expected a .gltf or .glb file"), "{text}");
+    assert!(text.contains("model.obj"), "{text}");
+    let text = run_fails("model.stl", b"solid");
+    assert!(text.contains("expected a file .gltf, .glb") && text.contains("`stl`"), "{text}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{fail, files, lumistack, number, report, root, succeed};
+use common::{fail, files, lumistack, number, report, root, succeed, write_test_field};
 use serde_json::Value;
 
 /// How much 5 iterations from the patterns of the time before may be worse than 30 from nothing, dB, with the paper's rule.
@@ -91,6 +91,31 @@ fn a_warm_start_saves_iterations() {
         // every time started where the one before ended: better than nothing at all, and worse than where it ended
         assert!(times[1..].iter().all(|time| number(time, "psnr_start") < number(time, "psnr_view")));
     }
+}
+
+/// In the middle of a sequence the picture cuts to another: there the patterns of the time before are no start.
+#[test]
+fn a_cut_starts_fresh() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = folder.path().join("times");
+    std::fs::create_dir(&input).unwrap();
+    let shot = |time: usize| input.join(format!("f{time}.npy"));
+    (0..2).for_each(|time| write_moving_field(&shot(time), time as f64, SIZE));
+    (2..4).for_each(|time| write_test_field(&shot(time), [VIEWS[0], VIEWS[1], SIZE[0], SIZE[1]], 20.0, 3.0));
+    let run = folder.path().join("run");
+    succeed(factorize(&input, &run).args(["--sequence", "--iterations", "30"]));
+    let times = times(&run);
+    let starts: Vec<&str> = times.iter().map(|time| time["start"].as_str().unwrap()).collect();
+    assert_eq!(starts, ["content", "warm", "content", "warm"]);
+    let alone = folder.path().join("alone");
+    succeed(factorize(&shot(2), &alone).args(["--iterations", "5"]));
+    let (cut, fresh) = (number(&times[2], "psnr_view"), number(&report(&alone), "psnr_view"));
+    assert!(cut > fresh - 1e-6, "{cut} dB at the cut, {fresh} dB from a fresh start");
+    // the time's own job says what was done, and does it again
+    let patterns = files(&run.join("t0003/layers"));
+    let again = folder.path().join("again");
+    succeed(lumistack().arg("run").arg(run.join("t0003/job.toml")).arg("-o").arg(&again));
+    assert!(files(&again.join("layers")) == patterns);
 }
 
 #[test]
@@ -213,6 +238,78 @@ fn a_window_moves_through_a_scene() {
     assert!(patterns == files(&run.join("t0002/layers")));
 }
 
+/// A square that glides by half of its width in one second, red or blue.
+fn write_gliding_square(path: &Path) {
+    use base64::Engine;
+    let mut bin: Vec<u8> = Vec::new();
+    let corners = [-1.0f32, -1.0, 0.0, 1.0, -1.0, 0.0, -1.0, 1.0, 0.0, 1.0, 1.0, 0.0];
+    let (keys, places) = ([0.0f32, 1.0], [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0]);
+    bin.extend(corners.iter().chain(&keys).chain(&places).flat_map(|value| value.to_le_bytes()));
+    let data = base64::engine::general_purpose::STANDARD.encode(&bin);
+    let view =
+        |offset: usize, length: usize| serde_json::json!({"buffer": 0, "byteOffset": offset, "byteLength": length});
+    let accessor = |view: usize, kind: &str, count: usize| serde_json::json!({"bufferView": view, "componentType": 5126, "type": kind, "count": count});
+    let colour = |rgb: [f32; 3]| {
+        serde_json::json!({"emissiveFactor": rgb, "extensions": {"KHR_materials_unlit": {}}, "doubleSided": true,
+        "pbrMetallicRoughness": {"baseColorFactor": [rgb[0], rgb[1], rgb[2], 1.0]}})
+    };
+    let gltf = serde_json::json!({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 1]}],
+        "nodes": [{"mesh": 0}, {"mesh": 1, "translation": [0, 0, -0.2], "scale": [3, 3, 1]}],
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0}, "mode": 5, "material": 0,
+                "extensions": {"KHR_materials_variants": {"mappings": [{"material": 1, "variants": [0]}]}}}]},
+            {"primitives": [{"attributes": {"POSITION": 0}, "mode": 5, "material": 2}]}],
+        "materials": [colour([0.9, 0.1, 0.1]), colour([0.1, 0.1, 0.9]), colour([0.3, 0.3, 0.3])],
+        "extensions": {"KHR_materials_variants": {"variants": [{"name": "Blue"}]}},
+        "buffers": [{"byteLength": bin.len(), "uri": format!("data:application/octet-stream;base64,{data}")}],
+        "bufferViews": [view(0, 48), view(48, 8), view(56, 24)],
+        "accessors": [accessor(0, "VEC3", 4), accessor(1, "SCALAR", 2), accessor(2, "VEC3", 2)],
+        "animations": [{"name": "Glide", "samplers": [{"input": 1, "output": 2}],
+            "channels": [{"sampler": 0, "target": {"node": 0, "path": "translation"}}]}],
+    });
+    std::fs::write(path, gltf.to_string()).unwrap();
+}
+
+#[test]
+fn an_animated_scene_plays() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("square.gltf");
+    write_gliding_square(&scene);
+    let info = succeed(lumistack().arg("info").arg(&scene));
+    assert!(info.contains("Glide (1.00 s)") && info.contains("Blue"), "{info}");
+
+    let small = ["--resolution", "42x26", "--frames", "2", "--samples", "1", "--iterations", "5", "--max-bounces", "1"];
+    let run = folder.path().join("run");
+    let play = ["--times", "3", "--duration-s", "0.5", "--time", "0.25"];
+    succeed(lumistack().arg("run").arg(&scene).arg("-o").arg(&run).args(small).args(play));
+    let source = |time: usize| times(&run)[time]["source"].as_str().unwrap().to_owned();
+    assert!(source(0).starts_with("at 0.250 s") && source(2).starts_with("at 0.750 s"), "{}", source(2));
+    let target = |run: &Path| files(&run.join("target"));
+    assert!(target(&run.join("t0001")) != target(&run.join("t0002")));
+    assert!(target(&run.join("t0002")) != target(&run.join("t0003")));
+    // the last time is a job of its own, which knows its pose; another pose in the same folder is not taken from the cache
+    let last = run.join("t0003");
+    let before = target(&last);
+    succeed(lumistack().arg("run").arg(last.join("job.toml")).arg("-o").arg(&last));
+    assert!(target(&last) == before);
+    succeed(lumistack().arg("run").arg(last.join("job.toml")).arg("-o").arg(&last).args(["--time", "0"]));
+    assert!(target(&last) != before);
+    let moved = target(&last);
+    succeed(lumistack().arg("run").arg(last.join("job.toml")).arg("-o").arg(&last).args([
+        "--time",
+        "0",
+        "--variant",
+        "Blue",
+    ]));
+    assert!(target(&last) != moved);
+    let error =
+        fail(lumistack().arg("run").arg(last.join("job.toml")).arg("-o").arg(&last).args(["--variant", "Green"]));
+    assert!(error.contains("0 (Blue)") && error.contains("found Green"), "{error}");
+    let error = fail(lumistack().arg("run").arg(&scene).arg("-o").arg(&last).args(["--animation", "Crawl"]));
+    assert!(error.contains("0 (Glide)") && error.contains("found Crawl"), "{error}");
+}
+
 #[test]
 fn jobs() {
     let folder = tempfile::tempdir().unwrap();
@@ -233,6 +330,10 @@ fn jobs() {
     check(&scene, "times = 0", &["sequence.times", "1 to 9999", "0"]);
     check(&scene, "times = 2\nturn = 3", &["line 6", "turn", "turn_deg"]);
     check(&input, "turn_deg = 3.0", &["sequence", "light fields"]);
+    check(&input, "duration_s = 3.0", &["sequence", "duration_s", "light fields"]);
+    check(&scene, "times = 2\nduration_s = inf", &["sequence.duration_s", "finite"]);
+    check(&input, "[pose]\ntime_s = 1.0", &["pose", "a scene to pose"]);
+    check(&scene, "times = 2\n[pose]\ntime_s = nan", &["pose.time_s", "a finite time"]);
     check(&input, "times = 3", &["times", "at least 3 light fields", "found 2"]);
     check(&input.join("f8.npy"), "", &["f8.npy", "readable"]);
 }

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use crate::layers::{self, PORTABLE};
+use crate::plugins;
 use crate::tools::{self, Outcome, cargo, command, output_of, run};
 
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
@@ -30,7 +31,9 @@ pub fn run_steps(full: bool) -> Outcome {
     })?;
     step("wasm32", wasm)?;
     let python = tools::python()?;
+    tools::poppler();
     step("tests", || run(command("cargo").args(["test", "--workspace"]).env("LUMISTACK_PYTHON", &python)))?;
+    step("plugins", || plugins::run(false))?;
     if full {
         step("slow tests", || {
             let mut tests = command("cargo");

@@ -1,8 +1,11 @@
 //! Development tasks: `cargo xtask ci` is what CI runs and what a developer runs before a push.
 
 mod bench;
+mod bench_render;
 mod ci;
+mod fuzz;
 mod layers;
+mod plugins;
 mod tools;
 
 use std::process::ExitCode;
@@ -13,6 +16,9 @@ cargo xtask <task>
   ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
                 --full adds the slow ones
   layers        the layer and forbidden-edge check alone
+  plugins [--write]
+                build every plugin as a library and compare it with its compiled-in self, build the samples, and compare
+                docs/plugins.json and the pages made from it with what the program says; --write writes them anew
   scenes        write the sample scenes anew
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists what else there is
 ";
@@ -24,6 +30,8 @@ fn main() -> ExitCode {
         ["ci"] => ci::run_ci(false),
         ["ci", "--full"] => ci::run_ci(true),
         ["layers"] => layers::check(),
+        ["plugins"] => plugins::run(false),
+        ["plugins", "--write"] => plugins::run(true),
         ["scenes"] => tools::cargo(&["run", "--package", "lumistack-scene-generator"]),
         ["bench", rest @ ..] => match bench::run(rest) {
             Some(result) => result,

@@ -48,7 +48,10 @@ fn describe(command: &Command) -> String {
 /// Reference tools of image metrics, as pip takes them; tests that use them skip where they cannot be had.
 const METRICS: [&str; 3] = ["--only-binary=:all:", "scikit-image", "flip-evaluator==1.*"];
 
-/// A Python with NumPy, in `target/python`, and with scikit-image and flip-evaluator where their wheels exist. Some tests check our files and
+/// Readers of pictures, which check files that we write.
+const READERS: [&str; 3] = ["--only-binary=:all:", "pillow", "OpenEXR==3.*"];
+
+/// A Python with NumPy, in `target/python`, and where their wheels exist with Pillow and OpenEXR's bindings, scikit-image and flip-evaluator. Some tests check our files and
 /// figures with other people's software.
 pub fn python() -> Outcome<PathBuf> {
     let folder = root().join("target/python");
@@ -60,6 +63,12 @@ pub fn python() -> Outcome<PathBuf> {
     }
     if !imports("numpy") {
         return Err("numpy was installed into target/python and does not import".into());
+    }
+    if !imports("PIL, OpenEXR") {
+        println!("fetching: Pillow and OpenEXR, in target/python (used only to check pictures that we write)");
+        if let Err(error) = install(&python, &READERS) {
+            println!("pictures: other people's readers are not tried: {error}");
+        }
     }
     if !imports("skimage, flip_evaluator") {
         println!("fetching: scikit-image and flip-evaluator, in target/python (used only to check our SSIM and FLIP)");
@@ -88,6 +97,17 @@ pub fn make_python(folder: &Path, purpose: &str) -> Outcome {
             .map_err(|error| format!("no Python environment: {error}; install Python 3 with its venv module"))?;
     }
     Ok(())
+}
+
+/// `pdftoppm`, which turns the pages of our PDF files into pixels; tests that need it skip where it cannot be had.
+pub fn poppler() {
+    if output_of(command("pdftoppm").arg("-v")).is_some() {
+        return;
+    }
+    println!("\nfetching: the Debian package poppler-utils (used only to check PDF files that we write)");
+    if let Err(error) = run(command("apt-get").args(["install", "-y", "--no-install-recommends", "poppler-utils"])) {
+        println!("PDF: pages are not checked: {error}");
+    }
 }
 
 /// Whether rustc can compile to wasm32; asks rustup for the target where it cannot.

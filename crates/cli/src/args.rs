@@ -19,6 +19,11 @@ pub(crate) struct Args {
     /// Worker threads; results do not depend on it [default: all cores]
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
+    /// A plugin, or a folder of plugins (shared libraries `lumistack_plugin_ID`), before those of the variable LUMISTACK_PLUGIN_PATH and
+    /// those in lumistack/plugins among your data; may be given several times
+    #[cfg(feature = "dynamic")]
+    #[arg(long, global = true, value_name = "FILE|DIR")]
+    pub(crate) plugin_path: Vec<PathBuf>,
     #[command(subcommand)]
     pub(crate) command: Command,
 }
@@ -27,7 +32,7 @@ pub(crate) struct Args {
 pub(crate) enum Command {
     /// Scene to outputs: render, factorize, write, report
     #[command(
-        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n\nA run that was stopped goes on from what is finished when the same command is given again."
+        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA run that was stopped goes on from what is finished when the same command is given again."
     )]
     Run(Run),
     /// The views of a scene only, as a light-field folder
@@ -44,7 +49,7 @@ pub(crate) enum Command {
     Simulate(Simulate),
     /// What is in a scene, a light field, a layer stack, a run folder, a display or a job
     Info(Info),
-    /// What can be written, with each plugin's parameters
+    /// All plugins with their parameters and where they come from, and which libraries could not be used and why
     Plugins,
     /// The displays that come with the program
     Displays,
@@ -86,12 +91,33 @@ pub(crate) struct RenderArgs {
     /// Name or number of the camera whose plane of focus the display takes
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
+    /// Time at which the scene's animations are sampled, seconds; without it the scene as its nodes stand
+    #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
+    pub(crate) time_s: Option<f64>,
+    /// Name or number of the animation; default: all that do not conflict, otherwise the first
+    #[arg(long, value_name = "NAME|N")]
+    pub(crate) animation: Option<String>,
+    /// Name or number of the material variant
+    #[arg(long, value_name = "NAME|N")]
+    pub(crate) variant: Option<String>,
     /// Environment map (Radiance HDR or EXR) instead of the scene's
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
     /// Stops added to the automatic exposure
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
+    /// Tone curve of all views: auto, linear, khronos-neutral or agx
+    #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
+    pub(crate) tone: Option<String>,
+    /// Bring the scene into the display's depth of field: move the window, or compress depth as well
+    #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["off", "move", "compress"])]
+    pub(crate) fit_depth: Option<String>,
+    /// Factor on parallax between views, and so on depth
+    #[arg(long, value_name = "K")]
+    pub(crate) depth_scale: Option<f64>,
+    /// Angle under which a lens is seen from the window, degrees: what lies off the display's plane blurs [default: 0, no lens]
+    #[arg(long, value_name = "DEG")]
+    pub(crate) lens_deg: Option<f64>,
     /// Seed of all random streams
     #[arg(long)]
     pub(crate) seed: Option<u64>,
@@ -118,7 +144,7 @@ pub(crate) struct FactorizeArgs {
     pub(crate) weights: Option<PathBuf>,
 }
 
-/// A sequence of times instead of a still: the window moves through the scene.
+/// A sequence of times instead of a still: the window moves through the scene, or the scene moves.
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Sequence")]
 pub(crate) struct SequenceArgs {
@@ -131,6 +157,9 @@ pub(crate) struct SequenceArgs {
     /// Movement of the window from the first time to the last, millimetres of the display: X right, Y up, Z to the viewer
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) shift_mm: Option<Numbers<3>>,
+    /// Time of the scene's animations from the first time to the last, seconds, from --time or 0 on
+    #[arg(long, value_name = "S", allow_hyphen_values = true)]
+    pub(crate) duration_s: Option<f64>,
     /// Full updates at every time after the first [default: 5]
     #[arg(long, value_name = "N")]
     pub(crate) sequence_iterations: Option<u32>,
@@ -138,7 +167,7 @@ pub(crate) struct SequenceArgs {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Run {
-    /// Job file (.toml) or scene (.gltf, .glb)
+    /// Job file (.toml) or scene (.gltf, .glb, and what importer plugins take)
     pub(crate) input: PathBuf,
     /// Folder for the results [default: runs/NAME]
     #[arg(short, long, value_name = "DIR")]
@@ -155,7 +184,7 @@ pub(crate) struct Run {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Render {
-    /// Scene (.gltf, .glb) or job file (.toml)
+    /// Scene (.gltf, .glb, and what importer plugins take) or job file (.toml)
     pub(crate) scene: PathBuf,
     /// Folder for the views
     #[arg(short, long, value_name = "DIR")]
@@ -330,6 +359,14 @@ mod tests {
     #[test]
     fn the_command_line_is_sound() {
         Args::command().debug_assert();
+    }
+
+    #[test]
+    #[cfg(feature = "dynamic")]
+    fn plugin_paths_add_up_on_both_sides_of_the_command() {
+        let args = Args::parse_from(["lumistack", "plugins", "--plugin-path", "a", "--plugin-path=b"]);
+        assert_eq!(args.plugin_path, ["a", "b"].map(PathBuf::from));
+        assert_eq!(Args::parse_from(["lumistack", "--plugin-path", "a", "plugins"]).plugin_path, [PathBuf::from("a")]);
     }
 
     #[test]

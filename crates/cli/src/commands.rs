@@ -6,8 +6,8 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, Job, PipelineError, RunFolder, SequenceJob, Viewpoint, presets, render_only, run as run_job,
-    set_threads, simulate_to_file,
+    DisplayJob, FitDepth, Job, PipelineError, Registry, RunFolder, SequenceJob, Tone, Viewpoint, plugins, presets,
+    render_only, run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
@@ -27,13 +27,26 @@ pub(crate) fn run(args: Args, cancel: &Cancel) -> Result<(), PipelineError> {
     }
     let console = Console::new(args.json);
     let task = Task { progress: &console, warnings: &console, cancel };
+    #[cfg(feature = "dynamic")]
+    let registry = || plugins(&args.plugin_path);
+    #[cfg(not(feature = "dynamic"))]
+    let registry = || plugins(&[]);
+    // the program does without what cannot be used
+    let registry_for_work = || {
+        let registry = registry()?;
+        registry.failed().iter().for_each(|error| task.warn("plugin", error.to_string()));
+        Ok::<_, PipelineError>(registry)
+    };
     match args.command {
-        Command::Run(run) => run_command(&run, args.json, task),
-        Command::Render(render) => render_command(&render, args.json, task),
-        Command::Factorize(factorize) => factorize_command(&factorize, args.json, task),
+        Command::Run(run) => run_command(&run, &registry_for_work()?, args.json, task),
+        Command::Render(render) => render_command(&render, &registry_for_work()?, args.json, task),
+        Command::Factorize(factorize) => factorize_command(&factorize, &registry_for_work()?, args.json, task),
         Command::Simulate(simulate) => simulate_command(&simulate, args.json),
-        Command::Info(info) => info::print(&info, args.json, task),
-        Command::Plugins => info::print_plugins(args.json),
+        Command::Info(info) => info::print(&info, &registry_for_work()?, args.json, task),
+        Command::Plugins => {
+            info::print_plugins(&registry()?, args.json);
+            Ok(())
+        }
         Command::Displays => info::print_displays(args.json),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut Args::command(), "lumistack", &mut std::io::stdout());
@@ -42,17 +55,17 @@ pub(crate) fn run(args: Args, cancel: &Cancel) -> Result<(), PipelineError> {
     }
 }
 
-fn run_command(args: &Run, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+fn run_command(args: &Run, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let mut job = job_or_scene(&args.input)?;
     change_display(&mut job, &args.display);
     change_render(&mut job, &args.render);
     change_factorize(&mut job, &args.factorize);
     change_sequence(&mut job, &args.sequence);
     let folder = args.output.clone().unwrap_or_else(|| Path::new("runs").join(&job.name));
-    finish(&job, &folder, json, task)
+    finish(&job, &folder, registry, json, task)
 }
 
-fn factorize_command(args: &Factorize, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+fn factorize_command(args: &Factorize, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let mut job = Job::new(presets::by_name_or_path(&args.display.display));
     job.name = stem(&args.light_field);
     job.light_field = Some(args.light_field.clone());
@@ -66,13 +79,13 @@ fn factorize_command(args: &Factorize, json: bool, task: Task<'_>) -> Result<(),
         let iterations = args.sequence_iterations.unwrap_or(default.iterations);
         job.sequence = Some(SequenceJob { iterations, ..default });
     }
-    finish(&job, &args.output, json, task)
+    finish(&job, &args.output, registry, json, task)
 }
 
-fn finish(job: &Job, folder: &Path, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+fn finish(job: &Job, folder: &Path, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let command = format!("lumistack {}", words.join(" "));
-    let summary = run_job(job, folder, Some(&command), task)?;
+    let summary = run_job(job, folder, registry, Some(&command), task)?;
     if json {
         let mut event = serde_json::to_value(&summary).expect("summaries serialize");
         event["event"] = "done".into();
@@ -83,24 +96,34 @@ fn finish(job: &Job, folder: &Path, json: bool, task: Task<'_>) -> Result<(), Pi
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("{name} {psnr:.1} dB")));
         say!("PSNR {:.1} dB over {times} times{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
         say!("{}", summary.report.display());
+    } else if !summary.nodes.is_empty() {
+        for node in &summary.nodes {
+            say!("{}: PSNR {:.1} dB at the target views", node.id, node.psnr_view);
+        }
+        say!("{} displays; {:.0} s", summary.nodes.len(), summary.seconds);
+        say!("{}", summary.report.display());
     } else {
         let others = [("in between", summary.psnr_held_out), ("outside", summary.psnr_outside)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!(", {name} {psnr:.1} dB")));
+        if let Some(sentence) = &summary.depth_sentence {
+            say!("Depth: {sentence}");
+        }
         say!("PSNR {:.1} dB at the target views{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
         say!("{}", summary.report.display());
     }
     Ok(())
 }
 
-fn render_command(args: &Render, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+fn render_command(args: &Render, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let mut job = job_or_scene(&args.scene)?;
     change_display(&mut job, &args.display);
     change_render(&mut job, &args.render);
-    render_only(&job, &args.output, task)?;
+    let depth = render_only(&job, &args.output, registry, task)?;
     let index = args.output.join("lightfield.json");
     if json {
-        say!("{}", json!({"event": "done", "light_field": index}));
+        say!("{}", json!({"event": "done", "light_field": index, "depth": depth.to_json()}));
     } else {
+        say!("Depth: {}", depth.sentence());
         say!("{}", index.display());
     }
     Ok(())
@@ -154,11 +177,32 @@ fn change_render(job: &mut Job, args: &RenderArgs) {
     job.render.max_bounces = args.max_bounces.unwrap_or(job.render.max_bounces);
     job.light.exposure_ev = args.exposure_ev.unwrap_or(job.light.exposure_ev);
     job.seed = args.seed.unwrap_or(job.seed);
+    job.window.depth_scale = args.depth_scale.unwrap_or(job.window.depth_scale);
+    job.render.lens_deg = args.lens_deg.unwrap_or(job.render.lens_deg);
+    match args.tone.as_deref() {
+        Some("linear") => job.light.tone = Tone::Linear,
+        Some("khronos-neutral") => job.light.tone = Tone::KhronosNeutral,
+        Some("agx") => job.light.tone = Tone::Agx,
+        Some(_) => job.light.tone = Tone::Auto,
+        None => {}
+    }
+    match args.fit_depth.as_deref() {
+        Some("move") => job.window.fit_depth = FitDepth::Move,
+        Some("compress") => job.window.fit_depth = FitDepth::Compress,
+        Some(_) => job.window.fit_depth = FitDepth::Off,
+        None => {}
+    }
     if args.camera.is_some() {
         job.window.camera = args.camera.clone();
     }
     if args.environment.is_some() {
         job.light.environment = args.environment.clone();
+    }
+    job.pose.time_s = args.time_s.or(job.pose.time_s);
+    for (new, old) in [(&args.animation, &mut job.pose.animation), (&args.variant, &mut job.pose.variant)] {
+        if new.is_some() {
+            old.clone_from(new);
+        }
     }
 }
 
@@ -181,14 +225,16 @@ fn change_factorize(job: &mut Job, args: &FactorizeArgs) {
 }
 
 fn change_sequence(job: &mut Job, args: &SequenceArgs) {
-    let SequenceArgs { times, turn_deg, shift_mm, sequence_iterations } = args;
-    if times.is_none() && turn_deg.is_none() && shift_mm.is_none() && sequence_iterations.is_none() {
+    let SequenceArgs { times, turn_deg, shift_mm, duration_s, sequence_iterations } = args;
+    let moves = turn_deg.is_some() || shift_mm.is_some() || duration_s.is_some();
+    if times.is_none() && !moves && sequence_iterations.is_none() {
         return;
     }
     let sequence = job.sequence.get_or_insert_default();
     sequence.times = times.or(sequence.times);
     sequence.turn_deg = turn_deg.unwrap_or(sequence.turn_deg);
     sequence.shift_mm = shift_mm.map_or(sequence.shift_mm, |shift| shift.0);
+    sequence.duration_s = duration_s.unwrap_or(sequence.duration_s);
     sequence.iterations = sequence_iterations.unwrap_or(sequence.iterations);
 }
 

@@ -5,7 +5,8 @@ use std::path::Path;
 use lumistack_core::Task;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
-    Job, LightJob, PipelineError, describe_light_field, load_scene, plugin_list, plugin_text, presets,
+    ImporterJob, Job, LightJob, PipelineError, PoseJob, Registry, describe_light_field, load_scene, plugin_list,
+    plugin_text, presets, scene_contents,
 };
 use serde_json::{Value, json};
 
@@ -13,8 +14,8 @@ use crate::args::Info;
 use crate::commands::geometry;
 use crate::console::say;
 
-pub(crate) fn print(args: &Info, as_json: bool, task: Task<'_>) -> Result<(), PipelineError> {
-    let value = describe(args, task)?;
+pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+    let value = describe(args, registry, task)?;
     if as_json {
         say!("{value}");
     } else {
@@ -23,7 +24,7 @@ pub(crate) fn print(args: &Info, as_json: bool, task: Task<'_>) -> Result<(), Pi
     Ok(())
 }
 
-fn describe(args: &Info, task: Task<'_>) -> Result<Value, PipelineError> {
+fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let path = args.file.as_path();
     let name = path.to_string_lossy();
     if !path.exists() && presets::PRESETS.iter().any(|(preset, _)| *preset == name) {
@@ -31,7 +32,8 @@ fn describe(args: &Info, task: Task<'_>) -> Result<Value, PipelineError> {
     }
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match extension.as_str() {
-        "gltf" | "glb" => scene(path, task),
+        "gltf" | "glb" => scene(path, registry, task),
+        other if registry.importer_of(other).is_some() => scene(path, registry, task),
         "toml" => toml(path),
         _ if path.join("layers/stack.json").is_file() => run_folder(path),
         _ if path.join("stack.json").is_file() => stack(path),
@@ -42,10 +44,11 @@ fn describe(args: &Info, task: Task<'_>) -> Result<Value, PipelineError> {
     }
 }
 
-fn scene(path: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
+fn scene(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     // without the studio light: what the file itself has
     let light = LightJob { automatic: false, ..LightJob::default() };
-    let scene = load_scene(path, &light, task)?.scene;
+    let contents = scene_contents(path, &ImporterJob::default(), registry, task)?;
+    let scene = load_scene(path, &PoseJob::default(), &ImporterJob::default(), registry, &light, task)?.scene;
     let bounds = scene.bounds();
     let texels: usize = scene.images.iter().map(|image| image.width * image.height).sum();
     Ok(json!({ "scene": {
@@ -59,6 +62,8 @@ fn scene(path: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
         "emissive materials": scene.materials.iter().filter(|material| material.is_emissive()).count(),
         "environment": scene.environment.is_some(),
         "cameras": scene.cameras.iter().map(|camera| camera.name.as_str()).collect::<Vec<_>>(),
+        "animations": contents.animations.iter().map(|(name, end_s)| format!("{name} ({end_s:.2} s)")).collect::<Vec<_>>(),
+        "variants": contents.variants,
         "bounds min": bounds.min.to_array(),
         "bounds max": bounds.max.to_array(),
     }}))
@@ -178,13 +183,12 @@ fn short(value: &Value) -> String {
     }
 }
 
-pub(crate) fn print_plugins(as_json: bool) -> Result<(), PipelineError> {
+pub(crate) fn print_plugins(registry: &Registry, as_json: bool) {
     if as_json {
-        say!("{}", plugin_list()?);
+        say!("{}", plugin_list(registry));
     } else {
-        say!("{}", plugin_text()?);
+        say!("{}", plugin_text(registry));
     }
-    Ok(())
 }
 
 pub(crate) fn print_displays(as_json: bool) -> Result<(), PipelineError> {

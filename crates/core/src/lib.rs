@@ -9,6 +9,7 @@ pub mod metrics;
 pub mod seed;
 mod task;
 mod tensor;
+pub mod tone;
 
 pub use task::{Cancel, Cancelled, Collector, NoProgress, Progress, Task, Warning, Warnings};
 pub use tensor::{ShapeError, Tensor};

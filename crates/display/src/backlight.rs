@@ -2,9 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::Transfer;
+
 /// What lights the layers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", tag = "kind")]
+#[allow(clippy::large_enum_variant, reason = "a display has one")]
 pub enum Backlight {
     /// Unit radiance in all directions.
     #[default]
@@ -36,6 +39,15 @@ pub struct LensletBacklight {
     /// What a ray reads beyond the bins.
     #[serde(default)]
     pub outside_bins: OutsideBins,
+    /// From linear values to the code values of the panel behind the lenslets.
+    #[serde(default)]
+    pub transfer: Transfer,
+    /// [columns, rows] of the panel behind the lenslets.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panel_resolution: Option<[usize; 2]>,
+    /// Pitch of that panel, millimetres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panel_pitch_mm: Option<f64>,
 }
 
 impl LensletBacklight {
@@ -51,12 +63,22 @@ impl LensletBacklight {
             offset_mm: [0.0; 2],
             black_level: 0.0,
             outside_bins: OutsideBins::default(),
+            transfer: Transfer::default(),
+            panel_resolution: None,
+            panel_pitch_mm: None,
         }
     }
 
     /// [darkest, brightest] emission that the solver may ask for.
     pub fn range(&self) -> [f32; 2] {
         [self.black_level as f32, 1.0]
+    }
+
+    /// What the transfer function encodes to emit `value`: 0 for the darkest state, 1 for the brightest. Values outside the range are clamped; NaN
+    /// becomes 0.
+    pub fn drive(&self, value: f32) -> f32 {
+        let drive = (f64::from(value) - self.black_level) / (1.0 - self.black_level);
+        if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }
     }
 }
 

@@ -3,7 +3,7 @@
 use lumistack_core::config::ConfigError;
 use thiserror::Error;
 
-use crate::{Backlight, Display, GridError, Layer, LayerColour, Transfer};
+use crate::{Backlight, Display, GridError, Layer, LayerColour};
 
 /// A display file that cannot be used.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -85,9 +85,12 @@ impl Display {
                 let filter_ok = filter.iter().all(|factor| (0.0..=1.0).contains(factor));
                 check(filter_ok, &key(&format!("filters[{j}]")), "three factors in 0..1", format!("{filter:?}"))?;
             }
-            if let Transfer::Gamma(gamma) = layer.transfer {
-                positive(&key("transfer.gamma"), gamma)?;
+            if let Some((place, expected, found)) = layer.transfer.problem() {
+                check(false, &key(&format!("transfer.{place}")), expected, found)?;
             }
+            let one_curve = layer.bits.is_none() || !layer.transfer.is_per_channel();
+            let expected = "none, or a transfer function that all channels share (levels are the same for all)";
+            check(one_curve, &key("bits"), expected, format!("{:?}", layer.bits))?;
             if let Some(resolution) = layer.panel_resolution {
                 pixels(&key("panel_resolution"), resolution)?;
             }
@@ -109,6 +112,15 @@ impl Display {
             check(fov_ok, "backlight.fov_deg", "angles between 0 and 180", format!("{:?}", backlight.fov_deg))?;
             let black_ok = (0.0..1.0).contains(&backlight.black_level);
             check(black_ok, "backlight.black_level", "0 to less than 1", backlight.black_level.to_string())?;
+            if let Some((place, expected, found)) = backlight.transfer.problem() {
+                check(false, &format!("backlight.transfer.{place}"), expected, found)?;
+            }
+            if let Some(resolution) = backlight.panel_resolution {
+                pixels("backlight.panel_resolution", resolution)?;
+            }
+            if let Some(pitch_mm) = backlight.panel_pitch_mm {
+                positive("backlight.panel_pitch_mm", pitch_mm)?;
+            }
             let behind = self.layers[0].d_mm;
             let expected = format!("at most layers[0].d_mm = {behind}");
             check(backlight.d_mm <= behind, "backlight.d_mm", &expected, backlight.d_mm.to_string())?;

@@ -256,7 +256,8 @@ pitch_mm = 1.0
             "{}[[layers]]\nd_mm = 24.0\nresolution = [16, 10]\npitch_mm = 1.0\npeak = 0.8\nblack_level = 0.01\nbits = 6\n\
              transfer = {{ gamma = 2.2 }}\nblur_px = 0.5\ncrosstalk = [[0.9, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.7]]\ncolour = \"mono\"\n\
              filters = [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]\npanel_resolution = [32, 20]\npanel_pitch_mm = 0.5\n\
-             [backlight]\n{LENSLETS}black_level = 0.02\noutside_bins = \"repeat\"\n",
+             [backlight]\n{LENSLETS}black_level = 0.02\noutside_bins = \"repeat\"\ntransfer = \"linear\"\n\
+             panel_resolution = [32, 20]\npanel_pitch_mm = 0.5\n",
             SMALL.replace("frames = 2", "frames = 2\nformation = \"polarization\"\ncolour_sequence = \"field\"")
         );
         let display = Display::from_toml(&every_key).unwrap();
@@ -283,6 +284,16 @@ pitch_mm = 1.0
             (front, "d_mm = 12.0\npeak = nan", "layers[2].peak: expected above 0, at most 1, found NaN"),
             (front, "d_mm = 12.0\nbits = 0", "layers[2].bits: expected 1 to 16, found 0"),
             (front, "d_mm = 12.0\nbits = 17", "layers[2].bits: expected 1 to 16, found 17"),
+            (
+                front,
+                "d_mm = 12.0\nbits = 6\ntransfer = { gamma = [2.0, 2.2, 2.4] }",
+                "layers[2].bits: expected none, or a transfer function that all channels share",
+            ),
+            (
+                front,
+                "d_mm = 12.0\ntransfer = { table = [[0, 0], [255, 0]] }",
+                "layers[2].transfer.table: expected two or more pairs",
+            ),
             (front, "d_mm = 12.0\nblur_px = -1.0", "layers[2].blur_px: expected 0 to 8 pixels, found -1"),
             (front, "d_mm = 12.0\nblur_px = 8.5", "layers[2].blur_px: expected 0 to 8 pixels, found 8.5"),
             (
@@ -316,6 +327,9 @@ pitch_mm = 1.0
         }
         let error = Display::from_toml(&format!("{SMALL}[backlight]\n{LENSLETS}black_level = 1.0\n")).unwrap_err();
         assert_eq!(error.to_string(), "backlight.black_level: expected 0 to less than 1, found 1");
+        let error =
+            Display::from_toml(&format!("{SMALL}[backlight]\n{LENSLETS}transfer = {{ gamma = 0.0 }}\n")).unwrap_err();
+        assert_eq!(error.to_string(), "backlight.transfer.gamma: expected a number above 0, found 0");
     }
 
     /// The keys that a table takes: what the parser offers when it meets one that it does not know.

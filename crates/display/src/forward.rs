@@ -2,6 +2,9 @@
 //!
 //! Rays meet what the layers' hardware makes of the stored values ([`LayerStack::effective`]); a [`Simulator`] works that out once and then
 //! gives any number of views.
+//!
+//! The simple version reads four pixels of a layer for every ray. Departure: where the rays of a view meet single pixels one after another – nearest sampling at
+//! equal pitch, or any view along the layer's own pixels – whole lines are combined at once (`Reads::Line`), to the same bits.
 
 use std::borrow::Cow;
 
@@ -57,17 +60,16 @@ impl<'a> Simulator<'a> {
         let mut valid = vec![true; rows * cols];
         let mut met = vec![0.0f32; cols * 3];
         let mut sum = vec![0.0f64; cols * 3];
+        let reads: Vec<Reads> = map.layers.iter().map(|layer| Reads::of(layer.x.of_view(view[1]))).collect();
         for row in 0..rows {
             sum.fill(0.0);
             for frame in 0..frames {
                 met.fill(formation.neutral());
-                for (layer, values) in map.layers.iter().zip(&self.stack.layers) {
-                    let (tap_y, taps_x) = (layer.y.of_view(view[0])[row], layer.x.of_view(view[1]));
+                for ((layer, values), reads) in map.layers.iter().zip(&self.stack.layers).zip(&reads) {
+                    let tap_y = layer.y.of_view(view[0])[row];
                     match formation {
-                        Formation::Attenuating => {
-                            meet_layer(&mut met, values, frame, tap_y, taps_x, |met, v| *met *= v)
-                        }
-                        _ => meet_layer(&mut met, values, frame, tap_y, taps_x, |met, v| *met += v),
+                        Formation::Attenuating => meet_layer(&mut met, values, frame, tap_y, reads, |met, v| *met *= v),
+                        _ => meet_layer(&mut met, values, frame, tap_y, reads, |met, v| *met += v),
                     }
                 }
                 if formation == Formation::Polarization {
@@ -121,6 +123,27 @@ pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize
     layers && backlight
 }
 
+/// How the rays of a row read a layer.
+enum Reads<'a> {
+    /// Columns `first` to `end` read the single pixels from `from` on; the others miss.
+    Line { first: usize, end: usize, from: usize },
+    /// Each as its tap says.
+    Taps(&'a [Tap]),
+}
+
+impl<'a> Reads<'a> {
+    fn of(taps: &'a [Tap]) -> Self {
+        let first = taps.iter().position(|tap| !tap.is_missed()).unwrap_or(0);
+        let end = taps.iter().rposition(|tap| !tap.is_missed()).map_or(0, |last| last + 1);
+        let from = taps[first..end].first().map_or(0, |tap| tap.first as usize);
+        let is_line = taps[first..end]
+            .iter()
+            .enumerate()
+            .all(|(i, tap)| !tap.is_missed() && tap.first as usize == from + i && tap.t == 0.0);
+        if is_line { Self::Line { first, end, from } } else { Self::Taps(taps) }
+    }
+}
+
 /// Hands each `met[col][rgb]` the layer's value there. Where the ray misses, nothing happens: that is the neutral value, and a ray that does
 /// not count is set to 0 later.
 fn meet_layer(
@@ -128,7 +151,7 @@ fn meet_layer(
     values: &Tensor<4>,
     frame: usize,
     tap_y: Tap,
-    taps_x: &[Tap],
+    reads: &Reads,
     meet: impl Fn(&mut f32, f32),
 ) {
     if tap_y.is_missed() {
@@ -136,12 +159,26 @@ fn meet_layer(
     }
     let upper = values.block([frame, tap_y.first as usize]);
     let lower = values.block([frame, tap_y.second as usize]);
-    for (pixel, tap) in met.chunks_exact_mut(3).zip(taps_x).filter(|(_, tap)| !tap.is_missed()) {
-        let (left, right) = (3 * tap.first as usize, 3 * tap.second as usize);
-        for c in 0..3 {
-            let top = upper[left + c] + tap.t * (upper[right + c] - upper[left + c]);
-            let bottom = lower[left + c] + tap.t * (lower[right + c] - lower[left + c]);
-            meet(&mut pixel[c], top + tap_y.t * (bottom - top));
+    match *reads {
+        Reads::Line { first, end, from } if tap_y.t == 0.0 => {
+            let line = &upper[3 * from..3 * (from + end - first)];
+            met[3 * first..3 * end].iter_mut().zip(line).for_each(|(met, value)| meet(met, *value));
+        }
+        Reads::Line { first, end, from } => {
+            let places = 3 * from..3 * (from + end - first);
+            let lines = upper[places.clone()].iter().zip(&lower[places]);
+            let mixed = lines.map(|(top, bottom)| top + tap_y.t * (bottom - top));
+            met[3 * first..3 * end].iter_mut().zip(mixed).for_each(|(met, value)| meet(met, value));
+        }
+        Reads::Taps(taps) => {
+            for (pixel, tap) in met.chunks_exact_mut(3).zip(taps).filter(|(_, tap)| !tap.is_missed()) {
+                let (left, right) = (3 * tap.first as usize, 3 * tap.second as usize);
+                for c in 0..3 {
+                    let top = upper[left + c] + tap.t * (upper[right + c] - upper[left + c]);
+                    let bottom = lower[left + c] + tap.t * (lower[right + c] - lower[left + c]);
+                    meet(&mut pixel[c], top + tap_y.t * (bottom - top));
+                }
+            }
         }
     }
 }
@@ -231,6 +268,44 @@ mod tests {
         let clear = view_from_slope(&display, &stack, [0.14, 0.0]);
         assert!(clear.valid.iter().all(|v| *v));
         assert!(clear.radiance.data().iter().any(|v| (*v - 0.25).abs() < 1e-6), "one layer missed");
+    }
+
+    /// Lines and taps give the same bits, for both samplings, on and off the pixels' grid.
+    #[test]
+    fn whole_lines_are_read_as_single_pixels_are() {
+        let (cols, rows, mut lines, mut taps) = (13, 4, 0, 0);
+        let mut values = Tensor::zeros(["frame", "row", "col", "rgb"], [1, rows, cols, 3]);
+        values.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = (0.37 * i as f32).sin().abs());
+        for sampling in [crate::Sampling::Nearest, crate::Sampling::Bilinear] {
+            for (d_mm, pitch_mm) in [(0.0, 1.0), (30.0, 1.0), (10.0, 1.0), (0.0, 0.9), (3.0, 1.3)] {
+                let mut display = Display::uniform([13, 4], 1.0, [3, 3], [20.0, 20.0], &[d_mm], 1);
+                display.sampling = sampling;
+                display.layers[0].pitch_mm = pitch_mm;
+                let map = RayMap::new(&display, &display.geometry().unwrap());
+                for (view, row) in (0..3).flat_map(|view| (0..rows).map(move |row| (view, row))) {
+                    let (tap_y, taps_x) = (map.layers[0].y.of_view(view)[row], map.layers[0].x.of_view(view));
+                    let reads = Reads::of(taps_x);
+                    if let Reads::Line { .. } = reads {
+                        lines += 1
+                    } else {
+                        taps += 1
+                    }
+                    let met = |reads: &Reads| {
+                        let mut met = vec![0.7f32; 3 * cols];
+                        meet_layer(&mut met, &values, 0, tap_y, reads, |met, v| *met *= v);
+                        met
+                    };
+                    assert_eq!(met(&reads), met(&Reads::Taps(taps_x)), "{sampling:?} {d_mm} {pitch_mm} {view} {row}");
+                }
+            }
+        }
+        assert!(lines > 20 && taps > 20, "{lines} {taps}");
+        // a layer that no ray meets, and no ray at all
+        assert!(matches!(Reads::of(&[]), Reads::Line { end: 0, from: 0, .. }));
+        assert!(matches!(
+            Reads::of(&[Tap { first: Tap::MISSED, second: Tap::MISSED, t: 0.0 }; 3]),
+            Reads::Line { end: 0, .. }
+        ));
     }
 
     #[test]

@@ -145,6 +145,14 @@ impl ViewGrid {
         Some(Self { projection: self.projection, slope_x: middle(&self.slope_x), slope_y })
     }
 
+    /// All slopes times `factor`: views closer together, or further apart. From such views everything moves `factor` times as far as between the
+    /// original ones, as if depth were [scaled](Projection::scaled_depth); the view of slope 0 stays.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        let scaled = |slopes: &[f64]| slopes.iter().map(|slope| slope * factor).collect();
+        Self { projection: self.projection, slope_x: scaled(&self.slope_x), slope_y: scaled(&self.slope_y) }
+    }
+
     /// Width of one view's bin of slopes per axis (x, y): the mean spacing; 0 for an axis with one view.
     pub fn bin_width(&self) -> [f64; 2] {
         [&self.slope_x, &self.slope_y].map(|slopes| match slopes.as_slice() {
@@ -161,6 +169,18 @@ impl Projection {
         match self {
             Self::Oblique => view_slope,
             Self::Perspective { distance_mm } => view_slope - x_mm / distance_mm,
+        }
+    }
+
+    /// Where content at depth `z_mm` appears when its parallax is `factor` times its own: factor · z of parallel projections; of pinholes at distance D
+    /// that z' with z'/(D − z') = factor · z/(D − z).
+    pub fn scaled_depth(self, z_mm: f64, factor: f64) -> f64 {
+        match self {
+            Self::Oblique => factor * z_mm,
+            Self::Perspective { distance_mm } => {
+                let parallax = factor * z_mm / (distance_mm - z_mm);
+                distance_mm * parallax / (1.0 + parallax)
+            }
         }
     }
 }
@@ -260,6 +280,32 @@ mod tests {
         let eye_x = 600.0 * grid.slope_x[2];
         for x in [-100.0, 0.0, 33.0] {
             assert!((x + 600.0 * grid.slope_at([0, 2], [x, 0.0])[0] - eye_x).abs() < 1e-9);
+        }
+    }
+
+    /// Seen from slopes of a factor, a point moves as one at the scaled depth does from the slopes themselves, and looks the same from the middle.
+    #[test]
+    fn scaled_slopes_are_scaled_depths() {
+        for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 400.0 }] {
+            let grid = ViewGrid::uniform(projection, [5, 1], [30.0, 30.0]).unwrap();
+            let narrow = grid.scaled(0.4);
+            for z in [-90.0, 0.0, 25.0, 120.0] {
+                let shown = projection.scaled_depth(z, 0.4);
+                // where the ray to a point (x, z) crosses z = 0
+                let seen = |slope: f64, x: f64, z: f64| match projection {
+                    Projection::Oblique => x - z * slope,
+                    Projection::Perspective { distance_mm } => (x - z * slope) / (1.0 - z / distance_mm),
+                };
+                let straight = seen(0.0, 17.0, z);
+                // the point on the same straight ray at the shown depth
+                let x = match projection {
+                    Projection::Oblique => straight,
+                    Projection::Perspective { distance_mm } => straight * (1.0 - shown / distance_mm),
+                };
+                for (slope, narrow) in grid.slope_x.iter().zip(&narrow.slope_x) {
+                    assert!((seen(*narrow, 17.0, z) - seen(*slope, x, shown)).abs() < 1e-9, "{projection:?} {z}");
+                }
+            }
         }
     }
 

@@ -8,8 +8,9 @@
 //!
 //! so f lies in the box [black · peak, peak]. What rays then meet is [`Layer::response`] of the stored values.
 
-use lumistack_core::colour::{srgb_decode, srgb_encode};
 use serde::{Deserialize, Serialize};
+
+use crate::Transfer;
 
 /// One layer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,19 +73,6 @@ pub enum LayerColour {
     Mono,
 }
 
-/// A panel's transfer function.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Transfer {
-    /// IEC 61966-2-1.
-    #[default]
-    Srgb,
-    /// Codes proportional to light.
-    Linear,
-    /// Light = code^gamma.
-    Gamma(f64),
-}
-
 impl Layer {
     /// Codes per channel at most 2^this.
     pub const MAX_BITS: u32 = 16;
@@ -117,11 +105,11 @@ impl Layer {
     }
 
     /// The 2^bits values that a mask pixel can take, rising; the first and the last are those of [`range`](Self::range). `None` for a
-    /// continuous range.
+    /// continuous range. They are the same for all channels: `bits` goes with one transfer function.
     pub fn levels(&self) -> Option<Vec<f32>> {
         let codes = 1u32 << self.bits?.clamp(1, Self::MAX_BITS);
         let level = |code: u32| {
-            let light = f64::from(self.transfer.decode((f64::from(code) / f64::from(codes - 1)) as f32));
+            let light = f64::from(self.transfer.decode(0, (f64::from(code) / f64::from(codes - 1)) as f32));
             (self.peak * (self.black_level + (1.0 - self.black_level) * light)) as f32
         };
         Some((0..codes).map(level).collect())
@@ -145,27 +133,6 @@ pub fn quantize(value: f32, levels: &[f32]) -> f32 {
     }
 }
 
-impl Transfer {
-    /// The code of a linear value, both in 0..1. Values outside are clamped; NaN becomes 0.
-    pub fn encode(self, linear: f32) -> f32 {
-        let linear = if linear.is_nan() { 0.0 } else { linear.clamp(0.0, 1.0) };
-        match self {
-            Self::Srgb => srgb_encode(linear).clamp(0.0, 1.0),
-            Self::Linear => linear,
-            Self::Gamma(gamma) => f64::from(linear).powf(1.0 / gamma) as f32,
-        }
-    }
-
-    /// The linear value of a code, both in 0..1.
-    pub fn decode(self, code: f32) -> f32 {
-        match self {
-            Self::Srgb => srgb_decode(code),
-            Self::Linear => code,
-            Self::Gamma(gamma) => f64::from(code).powf(gamma) as f32,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use lumistack_core::seed::Stream;
@@ -182,9 +149,9 @@ mod tests {
     #[test]
     fn levels_rise_from_black_to_peak_through_the_transfer_function() {
         assert_eq!(limited().levels(), None);
-        for transfer in [Transfer::Srgb, Transfer::Linear, Transfer::Gamma(2.2), Transfer::Gamma(0.5)] {
+        for transfer in [Transfer::Srgb, Transfer::Linear, Transfer::gamma(2.2), Transfer::gamma(0.5)] {
             for bits in [1, 2, 4, 8, 16] {
-                let layer = Layer { bits: Some(bits), transfer, ..limited() };
+                let layer = Layer { bits: Some(bits), transfer: transfer.clone(), ..limited() };
                 let levels = layer.levels().unwrap();
                 assert_eq!(levels.len(), 1 << bits);
                 // above black, 16 bits come closer together than single precision tells apart
@@ -194,7 +161,7 @@ mod tests {
             }
         }
         // the middle code of 3 levels of light above black: 0.8 (0.02 + 0.98 · (2/3)²)
-        let layer = Layer { bits: Some(2), transfer: Transfer::Gamma(2.0), ..limited() };
+        let layer = Layer { bits: Some(2), transfer: Transfer::gamma(2.0), ..limited() };
         assert!((layer.levels().unwrap()[2] - 0.364_444_44).abs() < ROUNDING);
         assert_eq!(limited().range(), [0.016, 0.8]);
     }
@@ -217,10 +184,10 @@ mod tests {
 
     #[test]
     fn the_drive_of_a_level_is_its_code() {
-        for transfer in [Transfer::Srgb, Transfer::Linear, Transfer::Gamma(2.2)] {
-            let layer = Layer { bits: Some(5), transfer, ..limited() };
+        for transfer in [Transfer::Srgb, Transfer::Linear, Transfer::gamma(2.2)] {
+            let layer = Layer { bits: Some(5), transfer: transfer.clone(), ..limited() };
             for (code, level) in layer.levels().unwrap().into_iter().enumerate() {
-                let found = 31.0 * layer.transfer.encode(layer.drive(level));
+                let found = 31.0 * layer.transfer.encode(0, layer.drive(level));
                 assert!((found - code as f32).abs() < 0.01, "{transfer:?}: {code} became {found}");
             }
         }

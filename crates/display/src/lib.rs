@@ -14,6 +14,7 @@ mod backlight;
 mod blur;
 mod check;
 mod config;
+mod depth;
 mod field;
 mod formation;
 pub mod forward;
@@ -26,6 +27,7 @@ mod stack;
 #[cfg(test)]
 mod tests;
 mod time;
+mod transfer;
 mod weights;
 
 pub use backlight::{Backlight, LensletBacklight, OutsideBins};
@@ -35,10 +37,11 @@ pub use field::LightField;
 pub use formation::Formation;
 pub use forward::{EmittedView, Simulator};
 pub use grid::{FieldGeometry, GridError, Projection, ViewGrid};
-pub use layer::{Layer, LayerColour, Transfer, quantize};
+pub use layer::{Layer, LayerColour, quantize};
 pub use raymap::{AxisTaps, BacklightMap, BacklightTap, LayerMap, RayMap, Tap};
 pub use response::Response;
 pub use score::{Score, ViewScore, score, view_error};
 pub use stack::{LayerStack, StackError};
 pub use time::ColourSequence;
+pub use transfer::{Channels, Transfer};
 pub use weights::{EyeBox, WeightError, Weights};

@@ -167,6 +167,42 @@ pub fn factorize(
     Ok(Factorization { stack, history, settings: settings.clone(), unsettled, levels })
 }
 
+/// Whether a warm start gets nearer to the target than the start that `fresh` makes, coarse levels included. Where it is nearer already, that says so; else
+/// what an iteration of `warm_solver` makes of either: the objectives of the starts themselves mislead, since patterns of moved content
+/// are far off at first and quickly put right. The warm start must then be ahead by 1 dB. Costs a fresh start, and two iterations where it comes to
+/// that.
+///
+/// Measured on a plane of waves and on a striped card (64 × 40 pixels, 5 × 3 views, 4 frames), moved by 0 to 20 pixels: whichever was ahead by so much after
+/// one iteration was not behind by more than 1.4 dB after five.
+///
+/// # Errors
+/// If the problem, the settings or the warm start are unusable, or when cancelled.
+pub fn warm_start_pays(
+    problem: &Problem,
+    fresh: &Settings,
+    warm: &LayerStack,
+    warm_solver: &str,
+    task: Task,
+) -> Result<bool, FactorizeError> {
+    let fresh = &fresh.resolved();
+    problem.check()?;
+    warm.check(problem.display)?;
+    let start = start_from_coarse(problem, fresh, fresh.coarse_levels.unwrap_or(0), task)?;
+    // the same rule for both: the first steps of different rules do not compare
+    let rule = Settings { solver: warm_solver.into(), ..Settings::default() }.resolved().solver;
+    let mut from_warm = solver(&rule)?.start(problem, warm.clone())?;
+    let mut from_fresh = solver(&rule)?.start(problem, start)?;
+    if from_warm.objective().value <= from_fresh.objective().value {
+        return Ok(true);
+    }
+    from_warm.step(task.cancel)?;
+    from_fresh.step(task.cancel)?;
+    Ok(from_warm.objective().value * 10f64.powf(0.1 * AHEAD_DB) <= from_fresh.objective().value)
+}
+
+/// By how much a warm start must be ahead of a fresh one after an iteration, dB.
+const AHEAD_DB: f64 = 1.0;
+
 /// The start of a problem: that of its kind, or what a few iterations make of it at half the resolution, and so on for every level.
 fn start_from_coarse(
     problem: &Problem,

@@ -41,7 +41,7 @@ mod target;
 mod tests;
 
 pub use block_exact::{BlockExact, Extrapolated};
-pub use factorize::{AUTO, Factorization, Iteration, LevelsLoss, Settings, factorize};
+pub use factorize::{AUTO, Factorization, Iteration, LevelsLoss, Settings, factorize, warm_start_pays};
 pub use multiplicative::Multiplicative;
 pub use problem::{FactorizeError, Problem};
 pub use quantize::{has_levels, reoptimize_on_levels, round_to_levels};

@@ -22,6 +22,7 @@ mod folder;
 mod geometry;
 mod hci;
 pub mod npy;
+pub mod npz;
 pub mod picture;
 mod quilt;
 mod resample;

@@ -54,18 +54,28 @@ pub enum Scalar {
 /// If `data` does not have the shape's number of values.
 pub fn write(path: &Path, shape: &[usize], data: &[f32]) -> Result<(), FieldError> {
     assert_eq!(shape.iter().product::<usize>(), data.len(), "values fill the shape");
-    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
     atomic::write(path, |writer| {
-        let dtype = DType::new_scalar("<f4".parse().map_err(|_| io::Error::other("no float32 type"))?);
-        WriteOptions::new_header_only().dtype(dtype).shape(&shape).writer(&mut *writer).write_header_only()?;
-        let mut bytes = Vec::with_capacity(4 * CHUNK);
-        for chunk in data.chunks(CHUNK) {
-            bytes.clear();
-            bytes.extend(chunk.iter().flat_map(|value| value.to_le_bytes()));
-            writer.write_all(&bytes)?;
-        }
-        Ok(())
+        write_header(&mut *writer, shape)?;
+        write_values(writer, data)
     })
+}
+
+/// The header of a row-major array of little-endian `float32`.
+pub(crate) fn write_header(writer: impl Write, shape: &[usize]) -> io::Result<()> {
+    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
+    let dtype = DType::new_scalar("<f4".parse().map_err(|_| io::Error::other("no float32 type"))?);
+    WriteOptions::new_header_only().dtype(dtype).shape(&shape).writer(writer).write_header_only().map(drop)
+}
+
+/// Values after a header.
+pub(crate) fn write_values(mut writer: impl Write, data: &[f32]) -> io::Result<()> {
+    let mut bytes = Vec::with_capacity(4 * CHUNK);
+    for chunk in data.chunks(CHUNK) {
+        bytes.clear();
+        bytes.extend(chunk.iter().flat_map(|value| value.to_le_bytes()));
+        writer.write_all(&bytes)?;
+    }
+    Ok(())
 }
 
 /// Reads a whole array as `f32`, with its shape.

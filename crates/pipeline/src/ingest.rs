@@ -1,22 +1,22 @@
 //! Scene file to a lit [`Scene`] and the [`Window`] through which the display looks at it.
 
-use std::cell::RefCell;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use glam::{DVec3, Vec3};
 use lumistack_core::{Task, Tensor};
 use lumistack_display::{FieldGeometry, ViewGrid};
-use lumistack_gltf::AssetResolver;
+use lumistack_gltf::{AssetResolver, Contents, LoadOptions};
 use lumistack_pathtracer::Renderer;
+use lumistack_plugin_host::{Origin, PluginError, PluginKind, Registry};
 use lumistack_scene::{Camera, Scene, Similarity, Window};
 
 use crate::cache::KeyBuilder;
 use crate::error::{PipelineError, read};
-use crate::job::{LightJob, WindowFrom, WindowJob};
+use crate::job::{ImporterJob, LightJob, PoseJob, WindowFrom, WindowJob};
 use crate::light;
 use crate::render::render_error;
-use crate::run::write;
+use crate::run::{host_error, write};
 
 /// Share of an automatic window that the scene should cover at least.
 const COVERAGE: f64 = 0.26;
@@ -31,31 +31,95 @@ pub struct Ingested {
     pub scene: Arc<Scene>,
     /// Every file that was read, with a hash of its content.
     pub files: Vec<(PathBuf, String)>,
+    /// What was taken of them.
+    pub pose: PoseJob,
+    renderer: OnceLock<Renderer>,
 }
 
 impl Ingested {
+    /// The scene prepared for rendering, once for everything that traces it.
+    ///
+    /// # Errors
+    /// When it cannot be rendered, or when cancelled.
+    pub(crate) fn renderer(&self, task: Task<'_>) -> Result<&Renderer, PipelineError> {
+        if let Some(renderer) = self.renderer.get() {
+            return Ok(renderer);
+        }
+        let renderer = Renderer::new(self.scene.clone(), task).map_err(render_error)?;
+        Ok(self.renderer.get_or_init(|| renderer))
+    }
+
     /// Adds everything the scene was made from.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         for (path, content) in &self.files {
             key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
         }
+        key.add_json("pose", &self.pose);
     }
 }
 
-/// Loads a scene, replaces its environment where the job says so, and lights it where it has no light.
+/// Lists the animations and variants of a scene.
 ///
 /// # Errors
-/// When a file cannot be read or the scene cannot be rendered.
-pub fn load_scene(path: &Path, light_job: &LightJob, task: Task<'_>) -> Result<Ingested, PipelineError> {
-    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    if !matches!(extension.as_str(), "gltf" | "glb") {
-        return Err(PipelineError::value(path, "scene", "a .gltf or .glb file", format!("extension `{extension}`")));
+/// When a file cannot be read or is broken.
+pub fn scene_contents(
+    path: &Path,
+    importer: &ImporterJob,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<Contents, PipelineError> {
+    let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
+    let bytes = gltf_bytes(path, importer, registry, &resolver, task)?;
+    Ok(lumistack_gltf::contents(&path.display().to_string(), &bytes, &resolver, task)?)
+}
+
+/// The scene as glTF: the file itself, or what an importer makes of it.
+fn gltf_bytes(
+    path: &Path,
+    importer: &ImporterJob,
+    registry: &Registry,
+    resolver: &Files<'_>,
+    task: Task<'_>,
+) -> Result<Vec<u8>, PipelineError> {
+    let Some(id) = importer_of(path, importer, registry)? else {
+        let bytes = read(path)?;
+        resolver.remember(path.to_owned(), &bytes);
+        return Ok(bytes);
+    };
+    // so that a missing file is told like any other
+    std::fs::metadata(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
+    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    let read = |name: &str| {
+        resolver
+            .read(name)
+            .map_err(|error| PluginError::Failed(format!("{}: {error}", resolver.base.join(name).display())))
+    };
+    let params = importer.params.clone().into();
+    lumistack_plugin_host::import_scene(registry, &id, &params, &file, &read, task).map_err(host_error)
+}
+
+/// Loads a scene in its pose, replaces its environment where the job says so, and lights it where it has no light. What is not glTF goes
+/// through an importer.
+///
+/// # Errors
+/// When a file cannot be read, no importer takes it, or the scene cannot be rendered.
+pub fn load_scene(
+    path: &Path,
+    pose: &PoseJob,
+    importer: &ImporterJob,
+    registry: &Registry,
+    light_job: &LightJob,
+    task: Task<'_>,
+) -> Result<Ingested, PipelineError> {
+    let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
+    let bytes = gltf_bytes(path, importer, registry, &resolver, task)?;
+    let PoseJob { time_s, animation, variant } = pose.clone();
+    let options = LoadOptions { time_s, animation, variant, ..LoadOptions::default() };
+    let mut scene = lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?;
+    let mut files = resolver.read.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if let Some(id) = importer_of(path, importer, registry)? {
+        files.push((id.clone().into(), plugin_key(registry, &id, &importer.params)?));
     }
-    let bytes = read(path)?;
-    let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: RefCell::default() };
-    let mut scene = lumistack_gltf::load(&path.display().to_string(), &bytes, &resolver, task)?;
-    let mut files = vec![(path.to_owned(), hash(&bytes))];
-    files.append(&mut resolver.read.borrow_mut());
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));
         scene = light::edited(scene, task, |parts| {
@@ -80,7 +144,7 @@ pub fn load_scene(path: &Path, light_job: &LightJob, task: Task<'_>) -> Result<I
             Ok(())
         })?;
     }
-    Ok(Ingested { scene: Arc::new(scene), files })
+    Ok(Ingested { scene: Arc::new(scene), files, pose: pose.clone(), renderer: OnceLock::new() })
 }
 
 /// Places the display in the scene.
@@ -151,7 +215,7 @@ fn close_up(
         let map = Similarity { translation: centre.into(), scale, ..window.scene_from_display };
         return Ok(Window { scene_from_display: map, ..window });
     }
-    let renderer = Renderer::new(ingested.scene.clone(), task).map_err(render_error)?;
+    let renderer = ingested.renderer(task)?;
     // a coarse straight view is enough to measure an area
     let cols = geometry.cols.min(PROBE_COLS);
     let pitch_mm = window.size_mm[0] / cols as f64;
@@ -219,17 +283,61 @@ fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, Pipelin
     })
 }
 
-/// Reads what a glTF file refers to, and remembers it.
+/// The importer of a file, if it needs one.
+fn importer_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result<Option<String>, PipelineError> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    if let Some(id) = &importer.plugin {
+        registry.get_kind(id, PluginKind::Importer).map_err(PipelineError::Output)?;
+        return Ok(Some(id.clone()));
+    }
+    if matches!(extension.as_str(), "gltf" | "glb") {
+        return Ok(None);
+    }
+    let found = registry.importer_of(&extension).map(|info| info.id.clone());
+    found.map(Some).ok_or_else(|| {
+        let known = registry.infos().flat_map(|info| info.extensions.iter().map(|extension| format!(", .{extension}")));
+        let expected = format!("a file .gltf, .glb{}", known.collect::<String>());
+        PipelineError::value(path, "scene", expected, format!("extension `{extension}`"))
+    })
+}
+
+/// What the work of a plugin depends on, besides what it is given: its version, its parameters, and the library's content, which changes while
+/// somebody writes it.
+pub(crate) fn plugin_key(
+    registry: &Registry,
+    id: &str,
+    params: &serde_json::Map<String, serde_json::Value>,
+) -> Result<String, PipelineError> {
+    let mut key = KeyBuilder::new(&format!("plugin {id}"), 1);
+    key.add("version", registry.get(id).map_err(PipelineError::Output)?.info().version.as_bytes());
+    key.add_json("params", params);
+    if let Some(Origin::Library(library)) = registry.origin(id) {
+        key.add("library", hash(&read(library)?).as_bytes());
+    }
+    Ok(key.finish())
+}
+
+/// Reads what a scene's file refers to, and remembers it.
 struct Files<'a> {
     base: &'a Path,
-    read: RefCell<Vec<(PathBuf, String)>>,
+    read: Mutex<Vec<(PathBuf, String)>>,
+}
+
+impl Files<'_> {
+    fn remember(&self, path: PathBuf, bytes: &[u8]) {
+        let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
+        let entry = (path, hash(bytes));
+        if !read.contains(&entry) {
+            read.push(entry);
+        }
+    }
 }
 
 impl AssetResolver for Files<'_> {
     fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
         let path = self.base.join(uri);
         let bytes = std::fs::read(&path).map_err(|error| error.to_string())?;
-        self.read.borrow_mut().push((path, hash(&bytes)));
+        self.remember(path, &bytes);
         Ok(bytes)
     }
 }

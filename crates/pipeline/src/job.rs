@@ -5,6 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::config;
+use lumistack_core::tone::ToneCurve;
 use lumistack_display::{Display, Missing, Sampling};
 use lumistack_field_io::GeometryFlags;
 use serde::{Deserialize, Serialize};
@@ -42,6 +43,9 @@ pub struct Job {
     /// Where the display stands in the scene.
     #[serde(default)]
     pub window: WindowJob,
+    /// The scene's animation and variant.
+    #[serde(default)]
+    pub pose: PoseJob,
     /// Light and exposure.
     #[serde(default)]
     pub light: LightJob,
@@ -57,9 +61,47 @@ pub struct Job {
     /// Report.
     #[serde(default)]
     pub report: ReportJob,
+    /// Importer of a scene that is not glTF, and its parameters.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub importer: ImporterJob,
+    /// Displays that are fed from one light field; without any, the one display of the job.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub nodes: Vec<NodeJob>,
     /// Output plugins; default: `images`.
     #[serde(default = "default_outputs")]
     pub outputs: Vec<OutputJob>,
+}
+
+/// Which plugin reads the scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImporterJob {
+    /// Id of the plugin; default: the one that takes files of this extension.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plugin: Option<String>,
+    /// Its parameters.
+    #[serde(default)]
+    pub params: serde_json::Map<String, serde_json::Value>,
+}
+
+/// What makes a layer stack from the light field.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NodeJob {
+    /// Name, unique in the job; also that of its folder.
+    pub id: String,
+    /// `tensor-display`, the factorizer, or the id of a node plugin.
+    #[serde(default = "default_node")]
+    pub plugin: String,
+    /// Its display, which takes the light field's resolution and views; default: the job's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub display: Option<DisplayJob>,
+    /// Factorizer of `tensor-display`; default: the job's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub factorize: Option<FactorizeJob>,
+    /// Parameters of a node plugin.
+    #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
+    pub params: serde_json::Map<String, serde_json::Value>,
 }
 
 /// Which display, and what to change about it.
@@ -96,7 +138,7 @@ pub struct DisplayJob {
 }
 
 /// Where the display stands in the scene.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WindowJob {
     /// `auto`: the first camera's plane of focus, or framed on the bounds when there is none; `camera`; `bounds`; `given`.
@@ -120,6 +162,25 @@ pub struct WindowJob {
     /// `given`: width in scene units.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub width: Option<f64>,
+    /// Whether the window is moved, or depth compressed as well, so that the scene lies in the display's depth of field.
+    #[serde(default)]
+    pub fit_depth: FitDepth,
+    /// Factor on the parallax between views, and so on depth: views are traced at slopes this much smaller. The central view stays.
+    #[serde(default = "default_depth_scale")]
+    pub depth_scale: f64,
+}
+
+/// How the scene is brought into the display's depth of field.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FitDepth {
+    /// The window stays where it is.
+    #[default]
+    Off,
+    /// The window moves along its normal.
+    Move,
+    /// It moves, and depth is compressed where it still does not fit.
+    Compress,
 }
 
 /// How the window is found.
@@ -135,6 +196,22 @@ pub enum WindowFrom {
     Bounds,
     /// `centre`, `forward`, `up`, `width`.
     Given,
+}
+
+/// What to take of a scene that has a choice.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseJob {
+    /// Time at which animations are sampled, seconds; they hold beyond their ends. Without it the scene as its nodes stand, or, with
+    /// `animation`, time 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_s: Option<f64>,
+    /// Name or number of the animation; without it all of them together where no two move the same thing, otherwise the first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub animation: Option<String>,
+    /// Name or number of the material variant.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub variant: Option<String>,
 }
 
 /// Light and exposure.
@@ -156,6 +233,34 @@ pub struct LightJob {
     /// Whether exposure follows the brightness of all views together.
     #[serde(default = "yes")]
     pub automatic_exposure: bool,
+    /// Curve from exposed radiance to what the display shows; one for all views.
+    #[serde(default)]
+    pub tone: Tone,
+}
+
+/// Tone curve of all views.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Tone {
+    /// `linear` where next to nothing is brighter than white, else `khronos-neutral`.
+    #[default]
+    Auto,
+    /// Clips what is brighter than white.
+    Linear,
+    /// Khronos PBR Neutral.
+    KhronosNeutral,
+    /// AgX base look.
+    Agx,
+}
+
+impl From<ToneCurve> for Tone {
+    fn from(curve: ToneCurve) -> Self {
+        match curve {
+            ToneCurve::Linear => Self::Linear,
+            ToneCurve::KhronosNeutral => Self::KhronosNeutral,
+            ToneCurve::Agx => Self::Agx,
+        }
+    }
 }
 
 /// Path tracer settings.
@@ -168,9 +273,15 @@ pub struct RenderJob {
     /// Bounces after the first hit.
     #[serde(default = "default_bounces")]
     pub max_bounces: u32,
+    /// Largest value of a single path, which dims brighter ones and so loses light; none keeps all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clamp: Option<f32>,
     /// `point`: rays at the view's slope; `bin`: spread over the view's bin.
     #[serde(default)]
     pub angular_filter: AngularFilter,
+    /// Full angle under which a lens focused on the window is seen from it, degrees; 0 for a pinhole. Instead of `angular_filter`.
+    #[serde(default)]
+    pub lens_deg: f64,
     /// In-between views per axis that are rendered for the report only; 0 for none.
     #[serde(default = "default_held_out")]
     pub held_out: usize,
@@ -255,6 +366,9 @@ pub struct SequenceJob {
     /// [right, up, to the viewer] by which the window moves from the first time to the last, millimetres of display space at the first time.
     #[serde(default)]
     pub shift_mm: [f64; 3],
+    /// Time of the scene's animations from the first time to the last, seconds; the first is `pose.time_s`, or 0.
+    #[serde(default)]
+    pub duration_s: f64,
     /// Whether every time gets a whole report of its own; the sequence's is always written.
     #[serde(default)]
     pub reports: bool,
@@ -275,9 +389,39 @@ pub struct ReportJob {
 pub struct OutputJob {
     /// Id of the plugin; see `lumistack plugins`.
     pub plugin: String,
+    /// Name of its folder; default: the plugin's id.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// What it takes: `light_field`, or a node; default: the one node.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from: Option<String>,
     /// Its parameters.
     #[serde(default)]
     pub params: serde_json::Map<String, serde_json::Value>,
+}
+
+impl OutputJob {
+    /// `from` of an output that takes the light field itself.
+    pub const LIGHT_FIELD: &'static str = "light_field";
+
+    /// An output with default parameters.
+    pub fn new(plugin: &str) -> Self {
+        Self { plugin: plugin.into(), name: None, from: None, params: serde_json::Map::new() }
+    }
+
+    /// Name of its folder.
+    pub fn name(&self) -> &str {
+        self.name.as_deref().unwrap_or(&self.plugin)
+    }
+}
+
+impl NodeJob {
+    /// The factorizer, which is no plugin.
+    pub const TENSOR_DISPLAY: &'static str = "tensor-display";
+}
+
+fn default_node() -> String {
+    NodeJob::TENSOR_DISPLAY.into()
 }
 
 fn schema() -> String {
@@ -293,6 +437,10 @@ fn default_seed() -> u64 {
 }
 
 fn one() -> f32 {
+    1.0
+}
+
+fn default_depth_scale() -> f64 {
     1.0
 }
 
@@ -353,11 +501,32 @@ fn default_start() -> String {
 }
 
 fn default_outputs() -> Vec<OutputJob> {
-    vec![OutputJob { plugin: "images".into(), params: serde_json::Map::new() }]
+    vec![OutputJob::new("images")]
+}
+
+/// Whether a text can be a folder on every system.
+fn is_folder_name(name: &str) -> bool {
+    !name.is_empty() && name.len() <= 100 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
 }
 
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
+}
+
+impl Default for WindowJob {
+    fn default() -> Self {
+        Self {
+            from: WindowFrom::Auto,
+            camera: None,
+            focus_distance: None,
+            centre: None,
+            forward: None,
+            up: None,
+            width: None,
+            fit_depth: FitDepth::Off,
+            depth_scale: default_depth_scale(),
+        }
+    }
 }
 
 impl Default for LightJob {
@@ -368,6 +537,7 @@ impl Default for LightJob {
             automatic: true,
             exposure_ev: 0.0,
             automatic_exposure: true,
+            tone: Tone::Auto,
         }
     }
 }
@@ -377,7 +547,9 @@ impl Default for RenderJob {
         Self {
             samples: default_samples(),
             max_bounces: default_bounces(),
+            clamp: None,
             angular_filter: AngularFilter::Point,
+            lens_deg: 0.0,
             held_out: default_held_out(),
             outside: default_outside(),
         }
@@ -391,6 +563,7 @@ impl Default for SequenceJob {
             iterations: default_sequence_iterations(),
             turn_deg: 0.0,
             shift_mm: [0.0; 3],
+            duration_s: 0.0,
             reports: false,
         }
     }
@@ -435,11 +608,14 @@ impl Job {
             geometry: GeometryFlags::default(),
             display,
             window: WindowJob::default(),
+            pose: PoseJob::default(),
             light: LightJob::default(),
             render: RenderJob::default(),
             factorize: FactorizeJob::default(),
             sequence: None,
             report: ReportJob::default(),
+            importer: ImporterJob::default(),
+            nodes: Vec::new(),
             outputs: default_outputs(),
         }
     }
@@ -481,16 +657,19 @@ impl Job {
 
     /// Every path in the job.
     pub fn paths_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
-        [
+        let own = [
             &mut self.scene,
             &mut self.light_field,
             &mut self.display.file,
             &mut self.light.environment,
             &mut self.factorize.warm_start,
             &mut self.factorize.weights,
-        ]
-        .into_iter()
-        .flatten()
+        ];
+        let of_nodes = self.nodes.iter_mut().flat_map(|node| {
+            let display = node.display.iter_mut().map(|display| &mut display.file);
+            display.chain(node.factorize.iter_mut().flat_map(|job| [&mut job.warm_start, &mut job.weights]))
+        });
+        own.into_iter().chain(of_nodes).flatten()
     }
 
     /// The display that the job asks for.
@@ -498,7 +677,131 @@ impl Job {
     /// # Errors
     /// When the preset is unknown, the file does not parse, or a changed value is out of range.
     pub fn resolve_display(&self) -> Result<Display, PipelineError> {
-        let job = &self.display;
+        self.display.resolve()
+    }
+
+    /// Checks values that no parser checks.
+    ///
+    /// # Errors
+    /// On the first value that makes no sense.
+    pub fn check(&self) -> Result<(), PipelineError> {
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+        match (&self.scene, &self.light_field) {
+            (Some(_), None) | (None, Some(_)) => {}
+            (Some(_), Some(_)) => return fail("scene", "either `scene` or `light_field`", "both".into()),
+            (None, None) => return fail("scene", "either `scene` or `light_field`", "neither".into()),
+        }
+        if !(1..=65536).contains(&self.render.samples) {
+            return fail("render.samples", "1 to 65536", self.render.samples.to_string());
+        }
+        if self.render.max_bounces > 1024 {
+            return fail("render.max_bounces", "0 to 1024", self.render.max_bounces.to_string());
+        }
+        if !(0.0..=90.0).contains(&self.render.lens_deg) {
+            return fail("render.lens_deg", "0 to 90", self.render.lens_deg.to_string());
+        }
+        if self.render.lens_deg > 0.0 && self.render.angular_filter == AngularFilter::Bin {
+            return fail("render.lens_deg", "either a lens or `angular_filter = \"bin\"`", "both".into());
+        }
+        if !(1e-3..=10.0).contains(&self.window.depth_scale) {
+            return fail("window.depth_scale", "0.001 to 10", self.window.depth_scale.to_string());
+        }
+        if let Some(limit) = self.render.clamp.filter(|limit| !(*limit > 0.0 && limit.is_finite())) {
+            return fail("render.clamp", "a number above 0", limit.to_string());
+        }
+        for (key, count) in [("render.held_out", self.render.held_out), ("render.outside", self.render.outside)] {
+            if count > 64 {
+                return fail(key, "0 to 64", count.to_string());
+            }
+        }
+        if !(1.0..=1000.0).contains(&self.report.pixels_per_degree) {
+            return fail("report.pixels_per_degree", "1 to 1000", self.report.pixels_per_degree.to_string());
+        }
+        if self.pose != PoseJob::default() && self.scene.is_none() {
+            return fail("pose", "a scene to pose", "a light field".into());
+        }
+        if let Some(time_s) = self.pose.time_s.filter(|time_s| !time_s.is_finite()) {
+            return fail("pose.time_s", "a finite time", time_s.to_string());
+        }
+        if !(self.light.exposure_ev.is_finite() && self.light.exposure_ev.abs() <= 100.0) {
+            return fail("light.exposure_ev", "-100 to 100", self.light.exposure_ev.to_string());
+        }
+        if !(self.light.environment_strength.is_finite() && self.light.environment_strength >= 0.0) {
+            return fail("light.environment_strength", "a number ≥ 0", self.light.environment_strength.to_string());
+        }
+        self.check_graph()?;
+        self.sequence.as_ref().map_or(Ok(()), |sequence| sequence.check(self.scene.is_some()))
+    }
+
+    /// Checks that nodes and outputs have names of their own, and that every output takes something that is there.
+    fn check_graph(&self) -> Result<(), PipelineError> {
+        let fail = |key: String, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+        if !self.nodes.is_empty() && self.sequence.is_some() {
+            return fail("nodes".into(), "either `nodes` or `sequence`", "both".into());
+        }
+        let mut ids: Vec<&str> = Vec::new();
+        for (i, node) in self.nodes.iter().enumerate() {
+            if !is_folder_name(&node.id) || node.id == OutputJob::LIGHT_FIELD || ids.contains(&node.id.as_str()) {
+                let expected = "a name of its own: letters, digits, `-` and `_`, and not `light_field`";
+                return fail(format!("nodes[{i}].id"), expected, format!("`{}`", node.id));
+            }
+            ids.push(&node.id);
+            let (unused, owner) = match (node.plugin == NodeJob::TENSOR_DISPLAY, &node.factorize) {
+                (true, _) if !node.params.is_empty() => ("params", "a node plugin"),
+                (false, Some(_)) => ("factorize", "`tensor-display`"),
+                _ => continue,
+            };
+            return fail(format!("nodes[{i}].{unused}"), &format!("nothing, as only {owner} has it"), "a table".into());
+        }
+        if self.nodes.is_empty() {
+            ids.push(NodeJob::TENSOR_DISPLAY);
+        }
+        let mut taken: Vec<(&str, &str)> = Vec::new();
+        for (i, output) in self.outputs.iter().enumerate() {
+            let known = || format!("`{}` or one of {}", OutputJob::LIGHT_FIELD, ids.join(", "));
+            let from = match (&output.from, ids.as_slice()) {
+                (Some(from), _) if from == OutputJob::LIGHT_FIELD || ids.contains(&from.as_str()) => from.as_str(),
+                (Some(from), _) => return fail(format!("outputs[{i}].from"), &known(), format!("`{from}`")),
+                (None, [only]) => only,
+                (None, _) => return fail(format!("outputs[{i}].from"), &known(), "nothing".into()),
+            };
+            if !is_folder_name(output.name()) {
+                return fail(
+                    format!("outputs[{i}].name"),
+                    "letters, digits, `-` and `_`",
+                    format!("`{}`", output.name()),
+                );
+            }
+            if taken.contains(&(from, output.name())) {
+                let expected = "a `name` of its own beside another of the same plugin";
+                return fail(format!("outputs[{i}]"), expected, format!("`{}` twice", output.name()));
+            }
+            taken.push((from, output.name()));
+        }
+        Ok(())
+    }
+
+    /// The outputs that take what `from` makes.
+    pub(crate) fn outputs_of(&self, from: &str) -> impl Iterator<Item = &OutputJob> {
+        let only = self.nodes.len() < 2;
+        self.outputs
+            .iter()
+            .filter(move |output| output.from.as_deref().map_or(only && from != OutputJob::LIGHT_FIELD, |f| f == from))
+    }
+
+    /// The job as a file, every default written out.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a job holds nothing that TOML cannot")
+    }
+}
+
+impl DisplayJob {
+    /// The display that is asked for.
+    ///
+    /// # Errors
+    /// As [`Job::resolve_display`].
+    pub fn resolve(&self) -> Result<Display, PipelineError> {
+        let job = self;
         let (place, mut display) = match (&job.preset, &job.file) {
             (Some(name), None) => (PathBuf::from(name), presets::load(name)?),
             (None, Some(path)) => (path.clone(), presets::load_file(path)?),
@@ -527,45 +830,6 @@ impl Job {
         display.check().map_err(|source| PipelineError::Display { path: place, text: String::new(), source })?;
         Ok(display)
     }
-
-    /// Checks values that no parser checks.
-    ///
-    /// # Errors
-    /// On the first value that makes no sense.
-    pub fn check(&self) -> Result<(), PipelineError> {
-        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
-        match (&self.scene, &self.light_field) {
-            (Some(_), None) | (None, Some(_)) => {}
-            (Some(_), Some(_)) => return fail("scene", "either `scene` or `light_field`", "both".into()),
-            (None, None) => return fail("scene", "either `scene` or `light_field`", "neither".into()),
-        }
-        if !(1..=65536).contains(&self.render.samples) {
-            return fail("render.samples", "1 to 65536", self.render.samples.to_string());
-        }
-        if self.render.max_bounces > 1024 {
-            return fail("render.max_bounces", "0 to 1024", self.render.max_bounces.to_string());
-        }
-        for (key, count) in [("render.held_out", self.render.held_out), ("render.outside", self.render.outside)] {
-            if count > 64 {
-                return fail(key, "0 to 64", count.to_string());
-            }
-        }
-        if !(1.0..=1000.0).contains(&self.report.pixels_per_degree) {
-            return fail("report.pixels_per_degree", "1 to 1000", self.report.pixels_per_degree.to_string());
-        }
-        if !(self.light.exposure_ev.is_finite() && self.light.exposure_ev.abs() <= 100.0) {
-            return fail("light.exposure_ev", "-100 to 100", self.light.exposure_ev.to_string());
-        }
-        if !(self.light.environment_strength.is_finite() && self.light.environment_strength >= 0.0) {
-            return fail("light.environment_strength", "a number ≥ 0", self.light.environment_strength.to_string());
-        }
-        self.sequence.as_ref().map_or(Ok(()), |sequence| sequence.check(self.scene.is_some()))
-    }
-
-    /// The job as a file, every default written out.
-    pub fn to_toml(&self) -> String {
-        toml::to_string(self).expect("a job holds nothing that TOML cannot")
-    }
 }
 
 impl SequenceJob {
@@ -583,9 +847,13 @@ impl SequenceJob {
             }
             _ => {}
         }
-        let moves = self.turn_deg != 0.0 || self.shift_mm != [0.0; 3];
+        let moves = self.turn_deg != 0.0 || self.shift_mm != [0.0; 3] || self.duration_s != 0.0;
         if moves && !of_scene {
-            return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "them with light fields".into());
+            let expected = "`turn_deg`, `shift_mm` and `duration_s` for a scene only";
+            return fail("sequence", expected, "them with light fields".into());
+        }
+        if !self.duration_s.is_finite() {
+            return fail("sequence.duration_s", "a finite time", self.duration_s.to_string());
         }
         if !self.turn_deg.is_finite() {
             return fail("sequence.turn_deg", "a finite angle", self.turn_deg.to_string());
@@ -616,12 +884,15 @@ mod tests {
         let tables = [
             keys::<DisplayJob>(),
             keys::<WindowJob>(),
+            keys::<PoseJob>(),
             keys::<LightJob>(),
             keys::<RenderJob>(),
             keys::<FactorizeJob>(),
             keys::<SequenceJob>(),
             keys::<ReportJob>(),
             keys::<OutputJob>(),
+            keys::<ImporterJob>(),
+            keys::<NodeJob>(),
             keys::<GeometryFlags>(),
             keys::<lumistack_display::Layer>(),
             keys::<lumistack_display::FieldConfig>(),
@@ -640,6 +911,41 @@ mod tests {
         let job =
             Job { scene: Some("a.glb".into()), name: "a".into(), ..Job::new(presets::by_name_or_path("fig7-uniform")) };
         assert_eq!(config::parse::<Job>(&job.to_toml()).unwrap(), job);
+    }
+
+    #[test]
+    fn a_graph_names_what_it_joins() {
+        let job = |text: &str| {
+            let job: Job = config::parse(&format!("scene = \"a.glb\"\n{text}")).unwrap();
+            job.check().map(|()| job).map_err(|error| error.to_string())
+        };
+        let display = "[display]\npreset = \"fig7-uniform\"\n";
+        let nodes = format!("{display}[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\nplugin = \"parallax_barrier\"\n");
+        let output = |keys: &str| format!("[[outputs]]\nplugin = \"images\"\n{keys}\n");
+        let graph = job(&format!("{nodes}{}{}", output("from = \"a\""), output("from = \"light_field\""))).unwrap();
+        assert_eq!(["a", "b", "light_field"].map(|from| graph.outputs_of(from).count()), [1, 0, 1]);
+        assert_eq!(config::parse::<Job>(&graph.to_toml()).unwrap(), graph);
+        let plain = job(&format!("{display}{}", output("name = \"other\""))).unwrap();
+        assert_eq!(["tensor-display", "light_field"].map(|from| plain.outputs_of(from).count()), [1, 0]);
+        for (text, message) in [
+            (format!("{nodes}{}", output("")), "outputs[0].from: expected `light_field` or one of a, b, found nothing"),
+            (
+                format!("{nodes}{}", output("from = \"c\"")),
+                "outputs[0].from: expected `light_field` or one of a, b, found `c`",
+            ),
+            (format!("{nodes}[[nodes]]\nid = \"a\"\n"), "nodes[2].id: expected a name of its own"),
+            (format!("{nodes}[[nodes]]\nid = \"../a\"\n"), "nodes[2].id: expected a name of its own"),
+            (
+                format!("{nodes}params = {{ x = 1 }}\nfactorize = {{ }}\n"),
+                "nodes[1].factorize: expected nothing, as only `tensor-display` has it",
+            ),
+            (format!("{display}{}{}", output(""), output("")), "outputs[1]: expected a `name` of its own"),
+            (format!("{display}{}", output("name = \"a/b\"")), "outputs[0].name: expected letters"),
+            (format!("{nodes}[sequence]\ntimes = 2\n"), "nodes: expected either `nodes` or `sequence`, found both"),
+        ] {
+            let error = job(&text).unwrap_err();
+            assert!(error.contains(message), "{error}\n{message}");
+        }
     }
 
     #[test]

@@ -5,15 +5,21 @@
 //!                        (or a light field that somebody else rendered)
 //! ```
 //!
+//! A job with `[[nodes]]` feeds several displays from one light field; each has its patterns and its report in `nodes/ID/`.
+//!
 //! A sequence goes this way once for every time, each factorized from the patterns of the time before.
 
 mod cache;
+mod depth;
 mod error;
+mod fit;
 mod flicker;
+mod graph;
 mod ingest;
 mod inspect;
 mod job;
 mod light;
+mod look;
 pub mod presets;
 mod render;
 mod run;
@@ -22,12 +28,14 @@ mod simulate;
 
 pub use cache::{KeyBuilder, Stamps};
 pub use error::PipelineError;
-pub use ingest::{Ingested, load_scene, place_window};
-pub use inspect::{describe_light_field, plugin_list, plugin_text};
+pub use graph::NodeSummary;
+pub use ingest::{Ingested, load_scene, place_window, scene_contents};
+pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
-    AngularFilter, DisplayJob, FactorizeJob, Job, LightJob, OutputJob, RenderJob, ReportJob, SequenceJob, WindowFrom,
-    WindowJob,
+    AngularFilter, DisplayJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob, OutputJob, PoseJob,
+    RenderJob, ReportJob, SequenceJob, Tone, WindowFrom, WindowJob,
 };
+pub use lumistack_plugin_host::Registry;
 pub use run::{Summary, render_only, run};
 pub use sequence::SequenceSummary;
 pub use simulate::{RunFolder, Viewpoint, simulate_to_file};

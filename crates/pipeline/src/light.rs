@@ -1,9 +1,8 @@
-//! Light for scenes that bring none, environment maps from files, and the exposure of all views together.
+//! Light for scenes that bring none, and environment maps from files.
 
 use std::path::Path;
 
 use glam::{Quat, Vec3};
-use lumistack_core::metrics::percentile;
 use lumistack_field_io::picture::Picture;
 use lumistack_scene::{Environment, Image, Pixels, Scene, SceneError, SceneParts};
 
@@ -35,11 +34,8 @@ pub fn add_studio_light(parts: &mut SceneParts) {
             texels.push(radiance.to_array());
         }
     }
-    set_environment(
-        parts,
-        Image { name: "studio light".into(), width, height, pixels: Pixels::RgbF32(texels) },
-        Vec3::ONE,
-    );
+    let image = Image { name: "studio light".into(), width, height, pixels: Pixels::RgbF32(texels) };
+    set_environment(parts, image, Vec3::ONE, Quat::IDENTITY);
 }
 
 /// Replaces the scene's environment by a Radiance HDR or EXR file.
@@ -63,14 +59,19 @@ pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> R
         (width as usize, height as usize, picture.pixels().map(|p| p.0).collect())
     };
     let image = Image { name: path.display().to_string(), width, height, pixels: Pixels::RgbF32(texels) };
-    set_environment(parts, image, Vec3::splat(strength));
+    set_environment(parts, image, Vec3::splat(strength), as_in_blender());
     Ok(())
 }
 
-fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3) {
+/// Turns an environment, whose middle column is −z in its own space, to where Blender and three.js put it: the middle column towards +x, and the column a
+/// quarter from the left towards −z.
+fn as_in_blender() -> Quat {
+    Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2)
+}
+
+fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, scene_from_environment: Quat) {
     parts.images.push(image);
-    parts.environment =
-        Some(Environment { image: parts.images.len() - 1, strength, scene_from_environment: Quat::IDENTITY });
+    parts.environment = Some(Environment { image: parts.images.len() - 1, strength, scene_from_environment });
 }
 
 /// Applies `change` to the parts of a scene and validates again.
@@ -88,39 +89,20 @@ pub fn edited(
     parts.validate(task).map_err(|source: SceneError| PipelineError::Scene { name, source })
 }
 
-/// Factor from scene-linear to display-referred radiance, one for all views.
-///
-/// The 99th percentile of the brightest channel is brought to 0.95. Where a few lamps would leave everything else dark, the median is
-/// brought to 0.22 instead, as long as no more than 5 % of the pixels clip.
-pub fn automatic_exposure(brightest_channel: &mut [f32]) -> f64 {
-    let p = |values: &mut [f32], share: f64| f64::from(percentile(values, share));
-    let (p50, p95, p99) = (p(brightest_channel, 0.50), p(brightest_channel, 0.95), p(brightest_channel, 0.99));
-    let inverse = |value: f64, level: f64| if value > 0.0 { level / value } else { 0.0 };
-    let factor = inverse(p99, 0.95).max(inverse(p50, 0.22).min(inverse(p95, 0.95)));
-    if factor.is_finite() && factor > 0.0 { factor } else { 1.0 }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Blender 4.5 shows a camera of an imported glTF file that looks along −z the column at 0.25 of the width, to its right larger ones.
     #[test]
-    fn exposure_brings_the_brightest_percent_to_white() {
-        let mut values: Vec<f32> = (0..10_000).map(|i| i as f32 / 100.0).collect();
-        let factor = automatic_exposure(&mut values);
-        assert!((factor * 99.0 - 0.95).abs() < 0.01, "{factor}");
-    }
-
-    #[test]
-    fn a_lamp_in_the_picture_does_not_darken_the_rest() {
-        let mut values = vec![0.5f32; 9_700];
-        values.extend([100.0; 300]);
-        assert!((automatic_exposure(&mut values) * 0.5 - 0.22).abs() < 0.01);
-    }
-
-    #[test]
-    fn black_pictures_get_a_finite_factor() {
-        assert_eq!(automatic_exposure(&mut [0.0; 10]), 1.0);
-        assert_eq!(automatic_exposure(&mut []), 1.0);
+    fn environment_files_lie_as_in_blender() {
+        // columns of the map in its own space: the middle is −z, to the right comes +x
+        let column = |u: f32| {
+            let azimuth = (u - 0.5) * std::f32::consts::TAU;
+            as_in_blender() * Vec3::new(azimuth.sin(), 0.0, -azimuth.cos())
+        };
+        assert!((column(0.25) - Vec3::NEG_Z).length() < 1e-6);
+        assert!((column(0.5) - Vec3::X).length() < 1e-6);
+        assert!(column(0.3).x > 0.1, "to the right of it lies what is right");
     }
 }

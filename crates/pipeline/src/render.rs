@@ -9,14 +9,18 @@ use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_scene::Window;
 
 use crate::cache::KeyBuilder;
+use crate::depth::Depths;
 use crate::error::PipelineError;
+use crate::fit::Placement;
 use crate::ingest::Ingested;
 use crate::job::{AngularFilter, Job};
-use crate::light::automatic_exposure;
+use crate::look::Look;
 use crate::run::field_error;
 
+/// Rays that decide about exposure and tone curve, at most.
+const MOST_RAYS: usize = 4_000_000;
 /// Changes whenever the path tracer gives other pixels.
-const RENDER_VERSION: u32 = 1;
+const RENDER_VERSION: u32 = 2;
 
 /// The rendered light fields of a run.
 pub struct Rendered {
@@ -26,8 +30,10 @@ pub struct Rendered {
     pub held_out: Option<LightField>,
     /// Views beyond the outermost ones, which it does not see either.
     pub outside: Option<LightField>,
-    /// Factor from scene-linear to display-referred radiance.
-    pub exposure: f64,
+    /// How scene-linear radiance became display-referred.
+    pub(crate) look: Look,
+    /// What the target's views see how deep, as traced.
+    pub(crate) depths: Depths,
     /// Share of the window where the middle view sees a surface, 0..1.
     pub coverage: f64,
     /// Whether no view had to be traced.
@@ -47,23 +53,30 @@ pub fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid> {
     Some(ViewGrid { projection: grid.projection, slope_x: pick(&midpoints.slope_x), slope_y: pick(&midpoints.slope_y) })
 }
 
-/// Traces all views that the cache does not hold.
+/// Traces all views that the cache does not hold. With a depth scale they are traced at slopes that much smaller than those of `geometry`.
 ///
 /// # Errors
 /// When rendering fails or is cancelled, or a view cannot be stored.
-pub fn render(
+pub(crate) fn render(
     job: &Job,
     ingested: &Ingested,
-    window: &Window,
+    placement: &Placement,
     geometry: &FieldGeometry,
     cache_dir: &Path,
     task: Task<'_>,
 ) -> Result<Rendered, PipelineError> {
+    let window = &placement.window;
+    let traced = |geometry: &FieldGeometry| geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
     let settings = Settings {
         samples: job.render.samples,
         max_bounces: job.render.max_bounces,
         seed: job.seed,
+        clamp: job.render.clamp,
         angular_filter: match job.render.angular_filter {
+            _ if job.render.lens_deg > 0.0 => {
+                let diameter = 2.0 * (0.5 * job.render.lens_deg.to_radians()).tan();
+                lumistack_pathtracer::AngularFilter::Lens(placement.depth_scale * diameter)
+            }
             AngularFilter::Point => lumistack_pathtracer::AngularFilter::Point,
             AngularFilter::Bin => lumistack_pathtracer::AngularFilter::Bin,
         },
@@ -73,7 +86,7 @@ pub fn render(
     let settings_of_others = Settings {
         angular_filter: match settings.angular_filter {
             lumistack_pathtracer::AngularFilter::Bin => {
-                lumistack_pathtracer::AngularFilter::Width(geometry.grid.bin_width())
+                lumistack_pathtracer::AngularFilter::Width(traced(geometry).grid.bin_width())
             }
             other => other,
         },
@@ -85,18 +98,23 @@ pub fn render(
     ];
     let others = others.map(|(name, stream, grid)| {
         let geometry = geometry.with_grid(grid?);
-        Some(FieldJob { name, stream, geometry, settings: settings_of_others, folder: PathBuf::new() })
+        let (traced, folder) = (traced(&geometry), PathBuf::new());
+        Some(FieldJob { name, stream, geometry, traced, settings: settings_of_others, folder })
     });
-    let target = FieldJob { name: "target", stream: 0, geometry: geometry.clone(), settings, folder: PathBuf::new() };
+    let folder = PathBuf::new();
+    let target =
+        FieldJob { name: "target", stream: 0, geometry: geometry.clone(), traced: traced(geometry), settings, folder };
     let mut fields: Vec<FieldJob> = std::iter::once(Some(target)).chain(others).flatten().collect();
     let mut key = KeyBuilder::new("render", RENDER_VERSION);
     ingested.add_to(&mut key);
-    key.add_json("light", &job.light).add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
+    // what a view is before it is exposed
+    key.add_json("light", &(job.light.environment_strength, job.light.automatic))
+        .add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
     key.add("settings", format!("{settings:?}").as_bytes()).add("window", format!("{window:?}").as_bytes());
     let mut todo = Vec::new();
     for (i, field) in fields.iter_mut().enumerate() {
         let mut key = key.clone();
-        key.add("geometry", format!("{:?}", field.geometry).as_bytes());
+        key.add("geometry", format!("{:?}", field.traced).as_bytes());
         if field.settings != settings {
             key.add("filter", format!("{:?}", field.settings.angular_filter).as_bytes());
         }
@@ -109,17 +127,16 @@ pub fn render(
             }
         }
     }
-    let coverage_path = fields[0].folder.join("coverage.json");
-    let read_coverage = || serde_json::from_slice::<f64>(&std::fs::read(&coverage_path).ok()?).ok();
-    let cached = todo.is_empty() && read_coverage().is_some();
-    if !cached {
-        let renderer = Renderer::new(ingested.scene.clone(), task).map_err(render_error)?;
-        let middle = geometry.grid.views().map(|count| count / 2);
-        let coverage = renderer.coverage(window, geometry, middle, task).map_err(render_error)?;
-        crate::run::write(&coverage_path, &serde_json::to_vec(&coverage).expect("numbers serialize"))?;
-        trace(&renderer, &todo, &fields, window, task)?;
+    let kept = Depths::read(&fields[0].folder, &fields[0].traced);
+    let cached = todo.is_empty() && kept.is_some();
+    let depths = match kept {
+        Some(depths) => depths,
+        None => Depths::trace(ingested.renderer(task)?, window, &fields[0].traced, &fields[0].folder, task)?,
+    };
+    if !todo.is_empty() {
+        trace(ingested.renderer(task)?, &todo, &fields, window, task)?;
     }
-    let coverage = read_coverage().unwrap_or(f64::NAN);
+    let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
     let mut radiance = Vec::new();
     for FieldJob { geometry, folder, .. } in &fields {
         let mut field = LightField::black(geometry.clone())?;
@@ -132,18 +149,15 @@ pub fn render(
         }
         radiance.push(field);
     }
-    let stops = 2f64.powf(job.light.exposure_ev);
-    let exposure = stops * if job.light.automatic_exposure { exposure_of(&radiance[0]) } else { 1.0 };
+    let look = Look::choose(&job.light, &ingested.scene, &brightest(&radiance[0], &depths));
     let mut exposed = radiance.into_iter().map(|mut field| {
-        for value in field.radiance_mut().data_mut() {
-            *value = (f64::from(*value) * exposure).clamp(0.0, 1.0) as f32;
-        }
+        look.apply(&mut field);
         lumistack_field_io::round_to_half(&mut field);
         field
     });
     let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
     let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
-    Ok(Rendered { target, held_out: other("held-out"), outside: other("outside"), exposure, coverage, cached })
+    Ok(Rendered { target, held_out: other("held-out"), outside: other("outside"), look, depths, coverage, cached })
 }
 
 /// One light field to render.
@@ -151,7 +165,10 @@ struct FieldJob {
     name: &'static str,
     /// Of random numbers.
     stream: u64,
+    /// Of the display.
     geometry: FieldGeometry,
+    /// The same in the scene: with the slopes at which it is traced.
+    traced: FieldGeometry,
     settings: Settings,
     /// Where its finished views lie.
     folder: PathBuf,
@@ -167,9 +184,9 @@ fn trace(
     let steps: u64 = todo.iter().map(|(field, ..)| Renderer::steps_per_view(&fields[*field].geometry)).sum();
     task.progress.begin("render", steps, "tiles");
     let result = todo.iter().enumerate().try_for_each(|(number, (field, view, path))| {
-        let FieldJob { stream, geometry, settings, .. } = &fields[*field];
+        let FieldJob { stream, traced, settings, .. } = &fields[*field];
         let settings = Settings { seed: lumistack_core::seed::derive(settings.seed, &[*stream]), ..*settings };
-        let picture = renderer.render_view(window, geometry, *view, &settings, task).map_err(render_error)?;
+        let picture = renderer.render_view(window, traced, *view, &settings, task).map_err(render_error)?;
         let [rows, cols, _] = picture.shape();
         picture::write_exr(path, [cols, rows], picture.data(), Precision::Float).map_err(field_error)?;
         task.progress.advance(0, &format!("tiles, view {} of {}", number + 1, todo.len()));
@@ -195,11 +212,22 @@ fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
     (picture.size() == [geometry.cols, geometry.rows]).then(|| picture.into_linear())
 }
 
-/// One exposure for all views, from the brightest channel of every pixel.
-fn exposure_of(field: &LightField) -> f64 {
-    let mut brightest: Vec<f32> =
-        field.radiance().data().chunks_exact(3).map(|rgb| rgb[0].max(rgb[1]).max(rgb[2])).collect();
-    automatic_exposure(&mut brightest)
+/// The brightest channel of evenly spread rays of all views, and whether they meet a surface.
+fn brightest(field: &LightField, depths: &Depths) -> Vec<(f32, bool)> {
+    let geometry = field.geometry();
+    let all = field.radiance().data().len() / 3;
+    let every = all.div_ceil(MOST_RAYS).max(1);
+    let size = geometry.rows * geometry.cols;
+    let mut rays = Vec::with_capacity(all / every + 1);
+    for (number, view) in geometry.grid.iter().enumerate() {
+        // goes on in the next view where it left off
+        let first = (every - number * size % every) % every;
+        rays.extend(field.view(view).chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
+            let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);
+            (rgb[0].max(rgb[1]).max(rgb[2]), surface)
+        }));
+    }
+    rays
 }
 
 #[cfg(test)]

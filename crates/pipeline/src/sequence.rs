@@ -5,7 +5,7 @@
 //!          └──────────────── error, flicker ──────────────▶ report.html, report.json
 //! ```
 //!
-//! What a time is stands in one place, [`Times::job`]. Two times are in memory at once, since flicker compares them.
+//! A time for which those are no start, as after a cut, starts fresh. What a time is stands in one place, [`Times::job`]. Two times are in memory at once, since flicker compares them.
 
 mod times;
 
@@ -14,7 +14,8 @@ use std::time::Instant;
 
 use lumistack_core::metrics::SquaredError;
 use lumistack_core::{Collector, Progress, Task};
-use lumistack_display::{FieldGeometry, Projection, RayMap, Simulator, Weights};
+use lumistack_display::{FieldGeometry, Projection, RayMap, Simulator};
+use lumistack_plugin_host::Registry;
 use lumistack_report::{SequenceInput, SequenceTime, Thumbnail};
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +23,10 @@ use crate::cache::KeyBuilder;
 use crate::error::PipelineError;
 use crate::flicker::{self, Shown, TimeError};
 use crate::job::{Job, SequenceJob};
-use crate::run::{Made, Moment, Run, Summary, Tee, remove_reports, write, write_job, write_report};
+use crate::look::Look;
+use crate::run::{
+    Made, Moment, Run, Summary, Tee, add_stack, add_weights, remove_reports, write, write_job, write_report,
+};
 use times::Times;
 
 /// Changes whenever the figures of a time are measured differently.
@@ -47,6 +51,7 @@ pub(crate) fn run(
     job: &Job,
     sequence: &SequenceJob,
     dir: &Path,
+    registry: &Registry,
     command: Option<&str>,
     task: Task<'_>,
 ) -> Result<Summary, PipelineError> {
@@ -55,13 +60,13 @@ pub(crate) fn run(
     let task = Task { warnings: &warnings, ..task };
     job.check()?;
     // found out before an hour of rendering, not after
-    Run::open(job, dir)?;
-    let times = Times::find(job, sequence, &dir.join(name(0)).join("cache"), task)?;
+    Run::open(job, dir, registry)?;
+    let times = Times::find(job, sequence, &dir.join(name(0)).join("cache"), registry, task)?;
     let (mut list, mut last): (Vec<SequenceTime>, Option<Last>) = (Vec::new(), None);
     for time in 0..times.count() {
         task.cancel.check()?;
         let job = times.job(time, last.as_ref());
-        let (entry, this) = run_time(&times, time, &job, dir, last.as_ref(), command, task)?;
+        let (entry, this) = run_time(&times, time, &job, dir, registry, last.as_ref(), command, task)?;
         list.push(entry);
         last = Some(this);
     }
@@ -84,6 +89,9 @@ pub(crate) fn run(
         psnr_raw: report.psnr_raw,
         psnr_held_out: None,
         psnr_outside: None,
+        nodes: Vec::new(),
+        depth: None,
+        depth_sentence: None,
         sequence: Some(SequenceSummary {
             times: list.len(),
             psnr_change: report.psnr_change,
@@ -101,7 +109,7 @@ struct Last {
     /// Where its light field came from, for people.
     source: String,
     /// Of the first time.
-    exposure: Option<f64>,
+    look: Option<Look>,
 }
 
 impl Made {
@@ -120,6 +128,7 @@ fn run_time(
     time: usize,
     job: &Job,
     dir: &Path,
+    registry: &Registry,
     last: Option<&Last>,
     command: Option<&str>,
     task: Task<'_>,
@@ -128,11 +137,13 @@ fn run_time(
     let warnings = Tee { list: Collector::default(), next: task.warnings };
     let task = Task { progress: &progress, warnings: &warnings, ..task };
     let folder = dir.join(name(time));
+    let fresh = last.map(|_| times.fresh());
     let moment = Moment {
         ingested: times.ingested(),
         geometry: last.map(|last| (last.made.input.target.geometry(), last.source.as_str())),
+        fresh: fresh.as_ref(),
     };
-    let (mut run, made) = Run::make(job, &folder, &moment, task)?;
+    let (mut run, made) = Run::make(job, &folder, registry, &moment, task)?;
     let cached = run.stages.iter().any(|stage| stage.name == "factorize" && stage.cached);
     if !cached {
         // of older patterns
@@ -156,6 +167,7 @@ fn run_time(
         error: error.error,
         change: compared(error.change),
         still: compared(error.still),
+        start: made.solution.as_ref().map_or_else(String::new, |solution| solution.start.clone()),
         psnr_start: steps.first().map_or(f64::NAN, |step| step.psnr_view),
         iterations: steps.last().map_or(0, |step| step.iteration),
         seconds: steps.last().map_or(f64::NAN, |step| step.seconds),
@@ -163,31 +175,18 @@ fn run_time(
         wanted,
         shown,
     };
-    let exposure = last.and_then(|last| last.exposure).or(made.input.exposure);
-    Ok((entry, Last { made, layers: folder.join("layers"), source: times.source(time), exposure }))
+    let look = last.and_then(|last| last.look).or(made.input.look);
+    Ok((entry, Last { made, layers: folder.join("layers"), source: times.source(time), look }))
 }
 
 /// Everything that the figures of a time depend on.
 fn key(run: &Run<'_>, made: &Made, last: Option<&Last>) -> String {
     let mut key = KeyBuilder::new("measure", MEASURE_VERSION);
     key.add("display", run.display.to_toml().as_bytes());
-    match &made.weights {
-        Weights::Uniform => {}
-        Weights::PerView(t) => {
-            key.add_f32("weights per view", t.data());
-        }
-        Weights::PerRay(t) => {
-            key.add_f32("weights per ray", t.data());
-        }
-    }
+    add_weights(&mut key, &made.weights);
     for Made { input, stack, .. } in last.map(|last| &last.made).into_iter().chain([made]) {
         key.add_f32("target", input.target.radiance().data());
-        for layer in &stack.layers {
-            key.add_f32("layer", layer.data());
-        }
-        if let Some(emission) = &stack.emission {
-            key.add_f32("emission", emission.data());
-        }
+        add_stack(&mut key, stack);
     }
     key.finish()
 }
@@ -229,7 +228,7 @@ fn measure(
 }
 
 /// The central view as it should be and as it is shown.
-fn thumbnails(run: &Run<'_>, made: &Made) -> [Thumbnail; 2] {
+pub(crate) fn thumbnails(run: &Run<'_>, made: &Made) -> [Thumbnail; 2] {
     let geometry = made.input.target.geometry();
     let middle = geometry.grid.views().map(|count| count / 2);
     let map = RayMap::new(&run.display, geometry);

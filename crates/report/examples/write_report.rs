@@ -79,6 +79,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             stages: &stages,
             settings: &settings,
             scene: None,
+            depth: None,
             warnings: &warnings.take(),
             outputs: &[Output { label: "Patterns as arrays".into(), path: "layers/".into() }],
             command: Some(&format!("write_report {}", args.join(" "))),

@@ -4,6 +4,7 @@ use lumistack_display::Projection;
 use serde_json::{Value, json};
 
 use crate::convergence::reached;
+use crate::depth::DepthBudget;
 use crate::measure::{FieldScore, Measured};
 use crate::{Found, ReportError, ReportInput};
 
@@ -47,6 +48,7 @@ pub(crate) fn report(input: &ReportInput, measured: &Measured, found: &Found) ->
             "text": limit.text,
             "figures": limit.figures,
         })).collect::<Vec<_>>(),
+        "depth": input.depth.map(DepthBudget::to_json),
         "solution": input.solution.map(|solution| json!({
             "solver": solution.solver,
             "start": solution.start,

@@ -10,7 +10,7 @@
 //!                                       patterns pictures of the masks
 //! ```
 //!
-//! A sequence of times has a report of its own, [`sequence()`].
+//! A sequence of times has a report of its own, [`sequence()`], and so has a job that feeds several displays, [`graph()`].
 //!
 //! PSNR is the display crate's: peak 1, linear light, over all rays with w > 0 that meet the display, and all channels. `psnr_view` compares
 //! L̃/β with L, `psnr_raw` compares L̃ with βL and is higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
@@ -31,6 +31,7 @@
 //! | `views` | of the target: `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`, and `[view_y][view_x]` arrays `psnr_view` (dB), `ssim`, `flip` and `counted_share` (share of rays that count, 0..1) |
 //! | `held_out`, `outside` | null, or the same keys as `views` for views that were not optimized, in between and beyond the zone, with `overall_psnr_view`, `overall_psnr_raw`, `overall_ssim` and `overall_flip` |
 //! | `limits` | list, the largest first, of `name`, `decibels` (how much better psnr_view would be without it; null where one run cannot tell), `text` and the `figures` behind it |
+//! | `depth` | null, or of the rays of all views that meet a surface: `depth_of_field_mm` ([low, high] or null), shares `inside` it, `inside_middle` (of the middle view), `beyond_a_pixel`, percentiles `depth_mm` and `disparity_px` (between neighbouring views), `window_moved_back_mm`, `depth_scale`, and two histograms |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
 //! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by then |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
@@ -41,7 +42,9 @@
 //! `str::parse::<f64>` of Rust all read; a figure without any counted ray is `null`.
 
 mod convergence;
+mod depth;
 mod format;
+mod graph;
 mod json;
 mod light;
 mod limits;
@@ -56,6 +59,8 @@ use lumistack_core::{Cancelled, Task, Warning};
 use lumistack_display::{Display, LayerStack, LightField, StackError, WeightError, Weights};
 use thiserror::Error;
 
+pub use depth::DepthBudget;
+pub use graph::{GraphInput, GraphNode, graph};
 pub use sequence::{SequenceInput, SequenceReport, SequenceTime, Thumbnail, sequence};
 
 /// One iteration of the solver, as the pipeline recorded it.
@@ -138,6 +143,8 @@ pub struct ReportInput<'a> {
     pub settings: &'a serde_json::Value,
     /// Facts about the scene (name, triangles, ...), where there is one.
     pub scene: Option<&'a serde_json::Value>,
+    /// What the scene's depth asks of the display, where a scene was rendered.
+    pub depth: Option<&'a DepthBudget>,
     /// Warnings of all stages.
     pub warnings: &'a [Warning],
     /// What else the run wrote.

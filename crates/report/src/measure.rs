@@ -36,10 +36,10 @@ pub(crate) struct Measured {
     pub(crate) has_dropped_rays: bool,
 }
 
-/// Pixels of the headline's three pictures together.
-const HEADLINE_BUDGET: usize = 1_500_000;
+/// Pixels of the headline's four pictures together.
+const HEADLINE_BUDGET: usize = 2_000_000;
 /// Pixels of all other comparisons together.
-const ROWS_BUDGET: usize = 3_000_000;
+const ROWS_BUDGET: usize = 4_000_000;
 
 pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, ReportError> {
     let grid = &input.target.geometry().grid;
@@ -71,9 +71,9 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
     // held-out views are often far worse: on one scale the target views' differences would vanish
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
-    let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 3]).collect();
+    let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =
-        (picture::shrink_factor(&sizes[..3], HEADLINE_BUDGET), picture::shrink_factor(&sizes, ROWS_BUDGET));
+        (picture::shrink_factor(&sizes[..4], HEADLINE_BUDGET), picture::shrink_factor(&sizes, ROWS_BUDGET));
     let rows = shown.iter().enumerate().map(|(i, view)| {
         let amplification = if i < targets { amplification } else { other_amplification };
         view.compare(amplification, rows_shrunk, shown.len())

@@ -1,6 +1,8 @@
 //! report.html: pictures first, then figures, then settings. maud escapes every text.
 
+mod depth;
 mod figures;
+pub(crate) mod graph;
 pub(crate) mod sequence;
 mod settings;
 mod views;
@@ -34,6 +36,7 @@ pub(crate) fn render(
         (settings::warnings(input.warnings))
         nav {
             a href="#views" { "Views" }
+            @if input.depth.is_some() { a href="#depth" { "Depth" } }
             a href="#limits" { "Limits" }
             a href="#layers" { "Layers" }
             a href="#quality" { "Quality per view" }
@@ -46,6 +49,7 @@ pub(crate) fn render(
         (views::headline(measured))
         (views::look_around(measured))
         (views::comparisons(input, measured))
+        @if let Some(budget) = input.depth { (depth::section(budget)?) }
         (figures::limits(input, found))
         (layers::patterns(input, patterns))
         (figures::quality(input, measured))
@@ -103,7 +107,7 @@ fn figure(embedded: &Embedded, description: &str, caption: &str) -> Markup {
 }
 
 /// A bar of colours with its ends named.
-fn legend(anchors: [[u8; 3]; 5], labels: &[String]) -> Markup {
+fn legend(anchors: &[[u8; 3]], labels: &[String]) -> Markup {
     let stops: Vec<String> = anchors.iter().map(|[r, g, b]| format!("rgb({r} {g} {b})")).collect();
     html! {
         div class="legend" {

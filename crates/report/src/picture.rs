@@ -142,10 +142,24 @@ pub(crate) const DIVERGING: [[u8; 3]; 5] =
 pub(crate) const SEQUENTIAL: [[u8; 3]; 5] =
     [[60, 16, 88], [62, 78, 140], [38, 140, 140], [96, 196, 100], [250, 228, 60]];
 
+/// Colours of a FLIP map, from no difference to the largest: matplotlib's magma at equal steps, as FLIP's authors draw theirs.
+pub(crate) const MAGMA: [[u8; 3]; 9] = [
+    [0, 0, 4],
+    [28, 16, 68],
+    [79, 18, 123],
+    [129, 37, 129],
+    [181, 54, 122],
+    [229, 80, 100],
+    [251, 135, 97],
+    [254, 194, 135],
+    [252, 253, 191],
+];
+
 /// A colour of a map; `t` in 0..1 is clamped, NaN gives the middle.
-pub(crate) fn map_colour(anchors: [[u8; 3]; 5], t: f32) -> [u8; 3] {
-    let position = if t.is_nan() { 2.0 } else { t.clamp(0.0, 1.0) * 4.0 };
-    let first = (position as usize).min(3);
+pub(crate) fn map_colour(anchors: &[[u8; 3]], t: f32) -> [u8; 3] {
+    let steps = anchors.len() - 1;
+    let position = if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) } * steps as f32;
+    let first = (position as usize).min(steps - 1);
     let part = position - first as f32;
     [0, 1, 2].map(|c| {
         let (a, b) = (f32::from(anchors[first][c]), f32::from(anchors[first + 1][c]));
@@ -153,10 +167,26 @@ pub(crate) fn map_colour(anchors: [[u8; 3]; 5], t: f32) -> [u8; 3] {
     })
 }
 
-/// Draws [`signed_error`] times `amplification`; rays that do not count become a grey checkerboard.
+/// Draws [`signed_error`] times `amplification`.
 pub(crate) fn difference(rows: usize, cols: usize, errors: &[Option<f32>], amplification: u32) -> Picture {
-    let rgb = errors.iter().enumerate().flat_map(|(i, error)| match error {
-        Some(error) => map_colour(DIVERGING, 0.5 + 0.5 * error * amplification as f32),
+    mapped(rows, cols, errors, &DIVERGING, |error| 0.5 + 0.5 * error * amplification as f32)
+}
+
+/// Draws FLIP errors, 0..1.
+pub(crate) fn flip_map(rows: usize, cols: usize, errors: &[Option<f32>]) -> Picture {
+    mapped(rows, cols, errors, &MAGMA, |error| error)
+}
+
+/// Values in the colours of a map; rays that do not count become a grey checkerboard.
+fn mapped(
+    rows: usize,
+    cols: usize,
+    values: &[Option<f32>],
+    anchors: &[[u8; 3]],
+    place: impl Fn(f32) -> f32,
+) -> Picture {
+    let rgb = values.iter().enumerate().flat_map(|(i, value)| match value {
+        Some(value) => map_colour(anchors, place(*value)),
         None => [if (i / cols / 2 + i % cols / 2).is_multiple_of(2) { 128 } else { 148 }; 3],
     });
     Picture { rows, cols, rgb: rgb.collect() }
@@ -236,6 +266,16 @@ mod tests {
         assert!(picture.rgb[0] > picture.rgb[2], "too bright is red");
         assert!(picture.rgb[3] < picture.rgb[5], "too dark is blue");
         assert_eq!(difference(1, 1, &[Some(0.0)], 5).rgb, DIVERGING[2]);
+    }
+
+    #[test]
+    fn a_flip_map_gets_lighter_with_the_error() {
+        let errors: Vec<_> = (0..=100).map(|i| Some(i as f32 / 100.0)).chain([None]).collect();
+        let map = flip_map(1, errors.len(), &errors);
+        let light = |i: usize| map.rgb[3 * i..3 * i + 3].iter().map(|v| u32::from(*v)).sum::<u32>();
+        assert!((1..=100).all(|i| light(i) + 2 >= light(i - 1)) && light(100) > light(0) + 600);
+        assert_eq!((map.rgb[..3].to_vec(), map.rgb[300..303].to_vec()), (MAGMA[0].to_vec(), MAGMA[8].to_vec()));
+        assert_eq!(map.rgb[303], map.rgb[305], "a ray that does not count is grey");
     }
 
     #[test]

@@ -12,7 +12,7 @@
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_view`, `psnr_raw`, `psnr_change`, `psnr_still` | dB over all times together; null where nothing was compared |
 //! | `brightness` | β |
-//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `psnr_start` (before the first iteration: from the second time on, with the patterns of the time before), `psnr_change`, `psnr_still`, `still_share` (share of rays that stand still; these three null at the first time), `iterations`, `seconds` of the solver, `cached` |
+//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start` (`"warm"` from the patterns of the time before, else the fresh start that was taken), `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (share of rays that stand still; these three null at the first time), `iterations`, `seconds` of the solver, `cached` |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
 use lumistack_core::Warning;
@@ -60,6 +60,8 @@ pub struct SequenceTime {
     pub change: Option<SquaredError>,
     /// The same over the rays whose target stands still, where there are any.
     pub still: Option<SquaredError>,
+    /// How its patterns started: "warm" from those of the time before, else the name of a fresh start.
+    pub start: String,
     /// PSNR before the first iteration, dB; NaN where unknown.
     pub psnr_start: f64,
     /// Iterations of the solver.
@@ -162,6 +164,7 @@ fn to_json(input: &SequenceInput, report: &SequenceReport) -> Value {
             "name": time.name,
             "source": time.source,
             "psnr_view": figure(time.error.psnr()),
+            "start": time.start,
             "psnr_start": figure(time.psnr_start),
             "psnr_change": figure(time.psnr_change()),
             "psnr_still": figure(time.psnr_still()),
@@ -188,6 +191,7 @@ mod tests {
             error: of(error, 100),
             change: change.map(|change| of(change, 100)),
             still: change.map(|change| of(change / 10.0, 25)),
+            start: "warm".into(),
             psnr_start: 12.0,
             iterations: 5,
             seconds: 0.25,

@@ -64,6 +64,7 @@ fn plain<'a>(display: &'a Display, stack: &'a LayerStack, target: &'a LightField
         stages: &[],
         settings: &Value::Null,
         scene: None,
+        depth: None,
         warnings: &[],
         outputs: &[],
         command: None,

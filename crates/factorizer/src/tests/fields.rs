@@ -54,6 +54,9 @@ fn directional(frames: usize, brightness: f64) -> Display {
         offset_mm: [0.0; 2],
         black_level: 0.0,
         outside_bins: OutsideBins::Dark,
+        transfer: Default::default(),
+        panel_resolution: None,
+        panel_pitch_mm: None,
     });
     Display { backlight, ..display(5, 1, frames, brightness) }
 }

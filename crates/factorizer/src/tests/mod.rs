@@ -6,4 +6,5 @@ mod fields;
 mod hardware;
 mod oracle;
 mod problems;
+mod starts;
 mod updates;

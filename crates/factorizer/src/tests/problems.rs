@@ -207,6 +207,9 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
             offset_mm: [unit() - 0.5, unit() - 0.5],
             black_level: 0.0,
             outside_bins: if repeat { OutsideBins::Repeat } else { OutsideBins::Dark },
+            transfer: Default::default(),
+            panel_resolution: None,
+            panel_pitch_mm: None,
         });
     }
     let mut owned = Owned::constant(display, 0.0);

@@ -7,7 +7,7 @@ use std::path::Path;
 use exr::meta::MetaData;
 use exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
-    ReadChannels, ReadLayers, WritableImage, f16, read as read_exr,
+    ReadChannels, ReadLayers, SmallVec, Text, WritableImage, f16, read as read_exr,
 };
 
 use super::{PIXEL_LIMIT, Picture, Samples};
@@ -50,24 +50,77 @@ pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Res
 }
 
 fn encode(writer: impl io::Write + io::Seek, size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Result<()> {
+    let layer = LayerAttributes::default();
+    write_layer(writer, size, layer, channels("", size, rgb, precision).into_iter().collect())
+}
+
+/// B, G and R of a picture, their names after a prefix.
+fn channels(prefix: &str, size: [usize; 2], rgb: &[f32], precision: Precision) -> [AnyChannel<FlatSamples>; 3] {
     assert_eq!(rgb.len(), 3 * size[0] * size[1], "values fill the picture");
-    let channel = |name: &str, index: usize| {
+    [("B", 2), ("G", 1), ("R", 0)].map(|(name, index)| {
         let values = rgb.iter().skip(index).step_by(3).copied();
         let samples = match precision {
             Precision::Half => FlatSamples::F16(values.map(f16::from_f32).collect()),
             Precision::Float => FlatSamples::F32(values.collect()),
         };
-        AnyChannel::new(name, samples)
-    };
-    let channels = AnyChannels::sort([channel("R", 0), channel("G", 1), channel("B", 2)].into_iter().collect());
+        AnyChannel::new(format!("{prefix}{name}").as_str(), samples)
+    })
+}
+
+fn write_layer(
+    writer: impl io::Write + io::Seek,
+    size: [usize; 2],
+    attributes: LayerAttributes,
+    channels: SmallVec<[AnyChannel<FlatSamples>; 4]>,
+) -> io::Result<()> {
     // On grainy pictures PIZ takes half the time and half the space of ZIP.
     let encoding =
         Encoding { compression: Compression::PIZ, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
-    let layer = Layer::new((size[0], size[1]), LayerAttributes::default(), encoding, channels);
+    let layer = Layer::new((size[0], size[1]), attributes, encoding, AnyChannels::sort(channels));
     Image::from_layer(layer).write().non_parallel().to_buffered(writer).map_err(|error| match error {
         exr::error::Error::Io(error) => error,
         other => io::Error::other(other),
     })
+}
+
+/// One OpenEXR picture with several views: the header's `multiView` lists their names; the first is the default view, whose channels have no
+/// prefix, the others' are `name.R`, `name.G`, `name.B`.
+#[derive(Debug)]
+pub struct MultiView {
+    size: [usize; 2],
+    precision: Precision,
+    names: Vec<Text>,
+    channels: SmallVec<[AnyChannel<FlatSamples>; 4]>,
+}
+
+impl MultiView {
+    /// A picture of `size` = [columns, rows] without a view.
+    pub fn new(size: [usize; 2], precision: Precision) -> Self {
+        Self { size, precision, names: Vec::new(), channels: SmallVec::new() }
+    }
+
+    /// Adds a view, `[row][col][rgb]` linear.
+    ///
+    /// # Panics
+    /// If `rgb` does not hold the size's number of values, or the name has a dot or was given before.
+    pub fn push(&mut self, name: &str, rgb: &[f32]) {
+        let text = Text::from(name);
+        assert!(!name.contains('.') && !self.names.contains(&text), "view names are different and hold no dots");
+        let prefix = if self.names.is_empty() { String::new() } else { format!("{name}.") };
+        self.channels.extend(channels(&prefix, self.size, rgb, self.precision));
+        self.names.push(text);
+    }
+
+    /// The file's bytes.
+    ///
+    /// # Errors
+    /// If the picture has no view or is larger than the format allows.
+    pub fn into_bytes(self) -> io::Result<Vec<u8>> {
+        let attributes = LayerAttributes { multi_view_names: Some(self.names), ..LayerAttributes::default() };
+        let mut bytes = Vec::new();
+        write_layer(io::Cursor::new(&mut bytes), self.size, attributes, self.channels)?;
+        Ok(bytes)
+    }
 }
 
 /// [columns, rows] of the first layer, after checking that the file can hold what its header claims.
@@ -149,8 +202,6 @@ fn damaged(path: &Path, error: &exr::error::Error) -> FieldError {
 
 #[cfg(test)]
 mod tests {
-    use exr::prelude::SmallVec;
-
     use super::*;
 
     #[test]
@@ -168,6 +219,22 @@ mod tests {
             assert_eq!(picture.size(), [7, 5]);
             assert_eq!(picture.into_linear(), rgb);
         }
+    }
+
+    #[test]
+    fn the_first_of_several_views_is_the_one_that_plain_readers_see() {
+        let rgb = |view: usize| -> Vec<f32> { (0..3 * 6).map(|i| (100 * view + i) as f32).collect() };
+        let mut picture = MultiView::new([3, 2], Precision::Half);
+        ["centre", "left", "right"].iter().enumerate().for_each(|(view, name)| picture.push(name, &rgb(view)));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        std::fs::write(&path, picture.into_bytes().unwrap()).unwrap();
+        let read = Picture::read(&path).unwrap();
+        assert_eq!((read.size(), read.into_linear()), ([3, 2], rgb(0)));
+        let header = MetaData::read_from_file(&path, false).unwrap().headers.remove(0);
+        assert_eq!(header.own_attributes.multi_view_names.unwrap(), ["centre", "left", "right"].map(Text::from));
+        let names: Vec<String> = header.channels.list.iter().map(|channel| channel.name.to_string()).collect();
+        assert_eq!(names, ["B", "G", "R", "left.B", "left.G", "left.R", "right.B", "right.G", "right.R"]);
     }
 
     #[test]

@@ -1,18 +1,20 @@
 //! What a time of a sequence is: the plain job that makes it.
 //!
-//! Light fields differ in the file that is read, a moving window in where the display stands; a scene with animation will differ in the scene.
+//! Light fields differ in the file that is read, a moving window in where the display stands, an animated scene in its pose.
 
 use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3};
 use lumistack_core::Task;
 use lumistack_factorizer::AUTO;
+use lumistack_plugin_host::Registry;
 use lumistack_scene::{Similarity, Window};
 
 use super::{Last, name};
 use crate::error::PipelineError;
+use crate::fit::{self, Placement};
 use crate::ingest::{self, Ingested};
-use crate::job::{Job, SequenceJob, WindowFrom, WindowJob};
+use crate::job::{FactorizeJob, Job, PoseJob, SequenceJob, WindowFrom, WindowJob};
 use crate::run::display_error;
 
 /// What `auto` takes after the first time. Extrapolating along a few iterations from patterns of another target overshoots. Measured with content that moves
@@ -31,8 +33,8 @@ pub(super) struct Times<'a> {
 enum Source {
     /// One light field per time.
     Fields(Vec<PathBuf>),
-    /// The window of the first time, and how many times there are.
-    MovingWindow { ingested: Ingested, window: Window, count: usize },
+    /// The scene and its placement at the first time, and how many times there are.
+    Scene { ingested: Box<Ingested>, placement: Placement, count: usize },
 }
 
 impl<'a> Times<'a> {
@@ -44,14 +46,17 @@ impl<'a> Times<'a> {
         job: &'a Job,
         sequence: &'a SequenceJob,
         cache_dir: &Path,
+        registry: &Registry,
         task: Task<'_>,
     ) -> Result<Self, PipelineError> {
         let source = match (&job.scene, &job.light_field) {
             (Some(scene), _) => {
-                let geometry = job.resolve_display()?.geometry().map_err(|source| display_error(source, "field"))?;
-                let ingested = ingest::load_scene(scene, &job.light, task)?;
-                let window = ingest::place_window(&ingested, &job.window, &geometry, cache_dir, task)?;
-                Source::MovingWindow { ingested, window, count: sequence.times.unwrap_or(1) }
+                let display = job.resolve_display()?;
+                let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+                let pose = pose_at(job, sequence, 0.0);
+                let ingested = ingest::load_scene(scene, &pose, &job.importer, registry, &job.light, task)?;
+                let placement = fit::place(&ingested, &job.window, &display, &geometry, cache_dir, task)?;
+                Source::Scene { ingested: Box::new(ingested), placement, count: sequence.times.unwrap_or(1) }
             }
             (None, Some(folder)) => Source::Fields(light_fields(folder, sequence.times)?),
             (None, None) => {
@@ -64,7 +69,7 @@ impl<'a> Times<'a> {
     pub(super) fn count(&self) -> usize {
         match &self.source {
             Source::Fields(paths) => paths.len(),
-            Source::MovingWindow { count, .. } => *count,
+            Source::Scene { count, .. } => *count,
         }
     }
 
@@ -72,17 +77,19 @@ impl<'a> Times<'a> {
     pub(super) fn ingested(&self) -> Option<&Ingested> {
         match &self.source {
             Source::Fields(_) => None,
-            Source::MovingWindow { ingested, .. } => Some(ingested),
+            Source::Scene { ingested, .. } => (self.sequence.duration_s == 0.0).then_some(ingested),
         }
     }
 
-    /// The job of a time. After the first one it starts from the patterns, and takes the exposure, of the times before.
+    /// The job of a time. After the first one it starts from the patterns, and takes the exposure and the tone curve, of the times before.
     pub(super) fn job(&self, time: usize, last: Option<&Last>) -> Job {
         let mut job = Job { sequence: None, name: format!("{} {}", self.job.name, name(time)), ..self.job.clone() };
         match &self.source {
             Source::Fields(paths) => job.light_field = Some(paths[time].clone()),
-            Source::MovingWindow { window, .. } => {
-                job.window = given(&moved(window, self.sequence, self.share(time)));
+            Source::Scene { placement, .. } => {
+                let window = moved(&placement.window, self.sequence, self.share(time));
+                job.window = WindowJob { depth_scale: placement.depth_scale, ..given(&window) };
+                job.pose = pose_at(self.job, self.sequence, self.share(time));
                 if !self.sequence.reports {
                     // only reports show them
                     (job.render.held_out, job.render.outside) = (0, 0);
@@ -96,22 +103,30 @@ impl<'a> Times<'a> {
             if job.factorize.solver == AUTO {
                 job.factorize.solver = WARM_SOLVER.into();
             }
-            if let Some(exposure) = last.exposure.filter(|exposure| *exposure > 0.0) {
-                (job.light.automatic_exposure, job.light.exposure_ev) = (false, exposure.log2());
+            if let Some(look) = last.look.filter(|look| look.exposure > 0.0) {
+                (job.light.automatic_exposure, job.light.exposure_ev) = (false, look.exposure.log2());
+                job.light.tone = look.curve.into();
             }
         }
         job
+    }
+
+    /// How a time is factorized for which the patterns of the time before are no start.
+    pub(super) fn fresh(&self) -> FactorizeJob {
+        FactorizeJob { warm_start: None, iterations: self.sequence.iterations, ..self.job.factorize.clone() }
     }
 
     /// Where the light field of a time comes from, for people.
     pub(super) fn source(&self, time: usize) -> String {
         match &self.source {
             Source::Fields(paths) => paths[time].display().to_string(),
-            Source::MovingWindow { .. } => {
+            Source::Scene { .. } => {
                 let (share, [x, y, z]) = (self.share(time), self.sequence.shift_mm);
                 let turn = share * self.sequence.turn_deg;
                 let shift = [x, y, z].map(|shift| format!("{:.1}", share * shift)).join(", ");
-                format!("window turned by {turn:.1}°, moved by ({shift}) mm")
+                let pose_s = pose_at(self.job, self.sequence, share).time_s;
+                let at = pose_s.map_or(String::new(), |time_s| format!("at {time_s:.3} s, "));
+                format!("{at}window turned by {turn:.1}°, moved by ({shift}) mm")
             }
         }
     }
@@ -134,17 +149,25 @@ fn moved(window: &Window, sequence: &SequenceJob, share: f64) -> Window {
     Window { scene_from_display, ..*window }
 }
 
+/// The pose after a share of the sequence's duration.
+fn pose_at(job: &Job, sequence: &SequenceJob, share: f64) -> PoseJob {
+    let mut pose = job.pose.clone();
+    if sequence.duration_s != 0.0 {
+        pose.time_s = Some(pose.time_s.unwrap_or_default() + share * sequence.duration_s);
+    }
+    pose
+}
+
 /// A window as a job gives it.
 fn given(window: &Window) -> WindowJob {
     let map = window.scene_from_display;
     WindowJob {
         from: WindowFrom::Given,
-        camera: None,
-        focus_distance: None,
         centre: Some(map.translation.to_array()),
         forward: Some((map.rotation * DVec3::NEG_Z).to_array()),
         up: Some((map.rotation * DVec3::Y).to_array()),
         width: Some(map.scale * window.size_mm[0]),
+        ..WindowJob::default()
     }
 }
 
@@ -230,6 +253,19 @@ mod tests {
         assert!(list(Some(3)).unwrap_err().to_string().contains("at least 3 light fields"));
         std::fs::create_dir(folder.path().join("t1")).unwrap();
         assert_eq!(list(None).unwrap(), ["t1"]);
+    }
+
+    #[test]
+    fn the_pose_goes_from_its_own_time_over_the_duration() {
+        let job = Job {
+            pose: PoseJob { time_s: Some(0.5), ..PoseJob::default() },
+            ..Job::new(crate::presets::by_name_or_path("fig7-uniform"))
+        };
+        let sequence = SequenceJob { duration_s: 2.0, ..SequenceJob::default() };
+        assert_eq!([0.0, 0.25, 1.0].map(|share| pose_at(&job, &sequence, share).time_s), [0.5, 1.0, 2.5].map(Some));
+        let still = Job { pose: PoseJob::default(), ..job };
+        assert_eq!(pose_at(&still, &sequence, 0.5).time_s, Some(1.0));
+        assert_eq!(pose_at(&still, &SequenceJob::default(), 0.5).time_s, None);
     }
 
     #[test]

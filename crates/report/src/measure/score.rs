@@ -109,7 +109,7 @@ pub(crate) fn counting(
 }
 
 /// L̃/β; where rays do not count the target, so that they are no error and no edge.
-fn seen(emitted: &EmittedView, target: &[f32], brightness: f64, counts: &[bool]) -> Vec<f32> {
+pub(super) fn seen(emitted: &EmittedView, target: &[f32], brightness: f64, counts: &[bool]) -> Vec<f32> {
     let scale = (1.0 / brightness) as f32;
     let pixels = emitted.radiance.data().chunks_exact(3).zip(target.chunks_exact(3)).zip(counts);
     pixels

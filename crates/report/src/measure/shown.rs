@@ -1,9 +1,10 @@
-//! Views that the page shows.
+//! Views that the page shows: target, simulated, difference and FLIP error.
 
+use lumistack_core::metrics::Flip;
 use lumistack_display::{EmittedView, FieldGeometry, LightField, Weights};
 
 use super::names::title;
-use super::score::{ViewFigures, counting};
+use super::score::{ViewFigures, counting, seen};
 use crate::picture::{self, Embedded, Encoding, Linear};
 use crate::{ReportError, ReportInput, format};
 
@@ -22,6 +23,8 @@ pub(crate) struct Comparison {
     pub(crate) difference: Option<Embedded>,
     /// Of the difference.
     pub(crate) amplification: u32,
+    /// FLIP error.
+    pub(crate) flip: Option<Embedded>,
 }
 
 /// A view at full precision, before it is encoded.
@@ -36,6 +39,8 @@ pub(super) struct Shown {
     pub(super) simulated: Linear,
     /// See [`picture::signed_error`].
     pub(super) errors: Option<Vec<Option<f32>>>,
+    /// FLIP error of every pixel; `None` where the ray does not count.
+    flip: Option<Vec<Option<f32>>>,
 }
 
 impl Shown {
@@ -50,8 +55,15 @@ impl Shown {
         let geometry = field.geometry();
         let target = field.view(view);
         let counts = counting(&emitted, geometry, weights, view);
+        let flip = Flip::new(input.pixels_per_degree).compare(
+            target,
+            &seen(&emitted, target, input.stack.brightness, &counts),
+            [geometry.rows, geometry.cols],
+        );
+        let flip = flip.values.iter().zip(&counts).map(|(flip, counts)| counts.then_some(*flip)).collect();
         let shown = Self::without_target(input, geometry, view, emitted);
         Self {
+            flip: Some(flip),
             figures: Some(*figures),
             counted_share: figures.error.count as f64 / target.len() as f64,
             errors: Some(picture::signed_error(&shown.simulated.data, target, |i| counts[i])),
@@ -81,6 +93,7 @@ impl Shown {
             target: None,
             simulated: Linear::new(geometry.rows, geometry.cols, emitted.radiance.data(), scale),
             errors: None,
+            flip: None,
         }
     }
 
@@ -88,12 +101,13 @@ impl Shown {
     pub(super) fn compare(&self, amplification: u32, factor: usize, count: usize) -> Result<Comparison, ReportError> {
         let simulated = self.simulated.shrunk(factor).encoded();
         let (rows, cols) = (self.simulated.rows, self.simulated.cols);
-        let encoding = Encoding::for_pixels(3 * count * simulated.rows * simulated.cols);
+        let encoding = Encoding::for_pixels(4 * count * simulated.rows * simulated.cols);
         let target = self.target.as_ref().map(|target| target.shrunk(factor).encoded().embedded(encoding));
         let difference = self
             .errors
             .as_ref()
             .map(|errors| picture::difference(rows, cols, errors, amplification).shrunk(factor).embedded(encoding));
+        let flip = self.flip.as_ref().map(|flip| picture::flip_map(rows, cols, flip).shrunk(factor).embedded(encoding));
         Ok(Comparison {
             title: self.title.clone(),
             direction: self.direction.clone(),
@@ -103,6 +117,7 @@ impl Shown {
             simulated: simulated.embedded(encoding)?,
             difference: difference.transpose()?,
             amplification,
+            flip: flip.transpose()?,
         })
     }
 }

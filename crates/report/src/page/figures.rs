@@ -141,7 +141,7 @@ impl Heat {
             h3 { (self.heading) }
             p { (self.explanation) }
             div class="grids" { @for (score, name) in fields { (self.grid(score, name, (low, high))) } }
-            (legend(SEQUENTIAL, &if self.larger_is_better { ends } else { let [low, high] = ends; [high, low] }))
+            (legend(&SEQUENTIAL, &if self.larger_is_better { ends } else { let [low, high] = ends; [high, low] }))
         }
     }
 
@@ -171,7 +171,7 @@ impl Heat {
             return html! { td { "–" } };
         }
         let t = ((value - low) / (high - low)) as f32;
-        let [r, g, b] = map_colour(SEQUENTIAL, if self.larger_is_better { t } else { 1.0 - t });
+        let [r, g, b] = map_colour(&SEQUENTIAL, if self.larger_is_better { t } else { 1.0 - t });
         let light = 299 * u32::from(r) + 587 * u32::from(g) + 114 * u32::from(b) > 128_000;
         let style = format!("background:rgb({r} {g} {b});color:{}", if light { "#000" } else { "#fff" });
         html! { td style=(style) { ((self.text)(value)) } }

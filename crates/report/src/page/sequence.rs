@@ -34,7 +34,11 @@ fn key_figures(input: &SequenceInput, report: &SequenceReport) -> Markup {
     let iterations: u32 = input.times.iter().map(|time| time.iterations).sum();
     let iterations = format!("{iterations} iterations");
     let figures = [
-        ("Times", input.times.len().to_string(), "each starts from the patterns of the one before"),
+        (
+            "Times",
+            input.times.len().to_string(),
+            "each starts from the patterns of the one before, unless everything changes",
+        ),
         ("PSNR of the views", db(Some(report.psnr_view)), "psnr_view of all times together"),
         ("PSNR of raw light", db(Some(report.psnr_raw)), "psnr_raw: emitted light, L̃ against βL"),
         (
@@ -112,6 +116,7 @@ fn plots(times: &[SequenceTime]) -> Result<Markup, ReportError> {
 fn table(times: &[SequenceTime]) -> Markup {
     let names = [
         "time",
+        "start",
         "start, dB",
         "psnr_view, dB",
         "psnr_change, dB",
@@ -128,7 +133,10 @@ fn table(times: &[SequenceTime]) -> Markup {
     html! {
         section id="times" {
             h2 { "Every time" }
-            p { "\"start\" is the PSNR before the first iteration: from the second time on, that of the patterns of the time before." }
+            p {
+                "A \"warm\" start takes the patterns of the time before. Where a fresh start comes nearer to the target within an iteration, as after a cut, the time starts fresh. "
+                "\"start, dB\" is the PSNR before the first iteration."
+            }
             details open[times.len() <= 60] {
                 summary { (format::counted(times.len(), "time")) }
                 div class="scroll" {
@@ -138,6 +146,7 @@ fn table(times: &[SequenceTime]) -> Markup {
                             @for time in times {
                                 tr {
                                     td { @match &time.report { Some(path) => a href=(format::relative_href(path)) { (time.name) }, None => (time.name) } }
+                                    td { (time.start) }
                                     td { (format::decibels(time.psnr_start)) }
                                     td { (format::decibels(time.error.psnr())) }
                                     td { (format::decibels(time.psnr_change())) }

@@ -58,7 +58,7 @@ fn display(input: &ReportInput) -> Markup {
                             td { (format::number(layer.offset_mm[0])) ", " (format::number(layer.offset_mm[1])) }
                             td { @let [low, high] = layer.range(); (format::number(low.into())) " to " (format::number(high.into())) }
                             td { @match layer.bits { Some(bits) => (bits), None => "–" } }
-                            td { @match layer.transfer { Transfer::Srgb => "sRGB", Transfer::Linear => "linear", Transfer::Gamma(gamma) => { "gamma " (format::number(gamma)) } } }
+                            td { @match &layer.transfer { Transfer::Srgb => "sRGB", Transfer::Linear => "linear", Transfer::Gamma(gamma) => { "gamma " (gamma.iter().map(|gamma| format::number(*gamma)).collect::<Vec<_>>().join(", ")) }, Transfer::Table(_) => "measured" } }
                             td { (format::number(layer.blur_px)) }
                             td { (colour(layer)) }
                         }

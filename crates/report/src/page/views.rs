@@ -1,10 +1,10 @@
-//! Target, simulated and difference views.
+//! Target, simulated and difference views, and where an eye sees the difference.
 
 use maud::{Markup, html};
 
 use super::{figure, legend, shrunk_note};
 use crate::measure::{Comparison, Measured};
-use crate::picture::{DIVERGING, Embedded};
+use crate::picture::{DIVERGING, Embedded, MAGMA};
 use crate::{ReportInput, format};
 
 /// The central view, large.
@@ -12,16 +12,17 @@ pub(super) fn headline(measured: &Measured) -> Markup {
     let k = measured.headline.amplification;
     html! {
         section id="views" class="headline" {
-            div class="compare group" { (three(&measured.headline)) }
+            div class="compare group" { (pictures(&measured.headline)) }
             div class="beside" {
                 p {
                     "The view from straight ahead. A good display shows the target's picture again, and its difference is almost white: red is too bright, blue too dark, and the error is "
                     "amplified " strong { "× " (k) } " (of the colour channel that is furthest off, in linear light)."
                     @if measured.has_dropped_rays { " Grey squares are rays that leave a layer or have weight 0; they do not count, and the display may show black there." }
                     " Views are divided by the brightness β, clamped to 0..1 and sRGB-encoded." (shrunk_note(measured.headline_shrunk))
-                    " Click a picture for full size; there the arrow keys flip between target, simulated and difference in place."
+                    " Click a picture for full size; there the arrow keys flip between target, simulated, difference and FLIP error in place. FLIP says where an eye sees a difference when it flips between "
+                    "target and display, the lighter the more."
                 }
-                (difference_legend(k))
+                div { (difference_legend(k)) (flip_legend()) }
             }
         }
     }
@@ -97,7 +98,7 @@ pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
                 @if i == 0 || row.amplification != with_target[i - 1].amplification { (difference_legend(row.amplification)) }
                 div class="row" {
                     h3 { (row.title) span { (facts(row)) } }
-                    div class="compare group" { (three(row)) }
+                    div class="compare group" { (pictures(row)) }
                 }
             }
             @if simulated_only.clone().next().is_some() {
@@ -128,8 +129,8 @@ fn facts(view: &Comparison) -> String {
     facts
 }
 
-/// Target, simulated and difference, as far as there is a target.
-fn three(view: &Comparison) -> Markup {
+/// Target, simulated, difference and FLIP error, as far as there is a target.
+fn pictures(view: &Comparison) -> Markup {
     let amplification = view.amplification;
     let name = |what: &str| format!("{what}: {}, {}", view.title, view.direction);
     html! {
@@ -138,12 +139,17 @@ fn three(view: &Comparison) -> Markup {
         @if let Some(difference) = &view.difference {
             (figure(difference, &name(&format!("Difference × {amplification}")), &format!("Simulated − target, × {amplification}")))
         }
+        @if let Some(flip) = &view.flip { (figure(flip, &name("FLIP error"), "FLIP error, 0 to 1")) }
     }
+}
+
+fn flip_legend() -> Markup {
+    legend(&MAGMA, &["0 no FLIP error".into(), "0.5".into(), "1 largest".into()])
 }
 
 fn difference_legend(amplification: u32) -> Markup {
     let end = 1.0 / f64::from(amplification);
     let end = format::number(end);
     let labels = [format!("≤ −{end} too dark"), "0".into(), format!("≥ +{end} too bright")];
-    legend(DIVERGING, &labels)
+    legend(&DIVERGING, &labels)
 }

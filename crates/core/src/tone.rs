@@ -1,0 +1,319 @@
+//! Tone curves: from exposed scene-linear radiance to what a display can show, linear light in 0..1 on both sides.
+//!
+//! One curve serves all views of a shot, since it acts on a ray's radiance alone: the same point of the scene keeps its colour from view to view.
+//!
+//! * [`ToneCurve::Linear`]: min(x, 1), channel by channel.
+//! * [`ToneCurve::KhronosNeutral`]: Khronos PBR Neutral (Khronos Group, 2024, specification and sample in `KhronosGroup/ToneMapping`). With F = 0.04,
+//!   the reflection that a dielectric adds to its base colour, K_s = 0.8 − F and K_d = 0.15:
+//!
+//! ```text
+//! x = min(R, G, B),   f = x − x²/4F for x ≤ 2F, else F
+//! p = max(R, G, B) − f;   for p ≤ K_s: c − f, else
+//! p_n = 1 − (1 − K_s)²/(p + 1 − 2K_s),   g = 1/(K_d (p − p_n) + 1):   (c − f) p_n/p · g + p_n (1 − g)
+//! ```
+//!
+//! * [`ToneCurve::Agx`]: the base look of AgX (Troy Sobotka; matrices and curve as in Eary Chow's `AgX_LUT_Gen`, from which Blender's table is made). In
+//!   Rec. 2020 colours are drawn together by an inset matrix, pass a sigmoid of log₂ exposure around middle grey 0.18 from −10 to +6.5 stops, keep
+//!   60 % of the hue that they had before it, and are spread again by an outset matrix. What falls below 0 in BT.709 is raised to 0 at equal
+//!   luminance. The result is within 0.03 of Blender's table, whose rails against colours outside the gamut are more elaborate.
+
+use crate::colour::luminance;
+
+/// A curve that every view of a shot passes through.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ToneCurve {
+    /// Clips at 1.
+    #[default]
+    Linear,
+    /// Khronos PBR Neutral: base colours stay as they are, highlights are compressed.
+    KhronosNeutral,
+    /// AgX base look: soft contrast, bright colours turn to white.
+    Agx,
+}
+
+/// Reflection at normal incidence that the Khronos curve takes away.
+const F90: f32 = 0.04;
+/// Where its compression starts.
+const START: f32 = 0.8 - F90;
+/// How fast its highlights lose colour.
+const DESATURATION: f32 = 0.15;
+
+/// Middle grey, which AgX keeps.
+const MIDDLE_GREY: f32 = 0.18;
+/// Stops around middle grey that AgX shows.
+const STOPS: [f32; 2] = [-10.0, 6.5];
+/// Slope of its sigmoid at middle grey, and the power of toe and shoulder.
+const SLOPE: f32 = 2.4;
+const POWER: f32 = 1.5;
+/// Exponent from the sigmoid's values to linear light.
+const GAMMA: f32 = 2.4;
+/// Share of the hue after the sigmoid in the result.
+const HUE_AFTER: f32 = 0.4;
+
+type Matrix = [[f32; 3]; 3];
+
+/// BT.709 to BT.2020 primaries (ITU-R BT.2087).
+const REC2020_FROM_BT709: Matrix =
+    [[0.627_404, 0.329_283, 0.043_313], [0.069_097, 0.919_54, 0.011_362], [0.016_391, 0.088_013, 0.895_595]];
+/// The way back.
+const BT709_FROM_REC2020: Matrix =
+    [[1.660_491, -0.587_641, -0.072_85], [-0.124_55, 1.132_9, -0.008_349], [-0.018_151, -0.100_579, 1.118_73]];
+/// AgX's inset.
+const INSET: Matrix = [
+    [0.856_627_15, 0.095_121_24, 0.048_251_606],
+    [0.137_318_97, 0.761_242, 0.101_439_04],
+    [0.111_898_21, 0.076_799_42, 0.811_302_4],
+];
+/// AgX's outset: the inverse of an inset of its own.
+const OUTSET: Matrix = [
+    [1.127_100_6, -0.110_606_64, -0.016_493_94],
+    [-0.141_329_76, 1.157_823_7, -0.016_493_94],
+    [-0.141_329_76, -0.110_606_64, 1.251_936_4],
+];
+
+impl ToneCurve {
+    /// Every curve with the name that job files use.
+    pub const ALL: [(&'static str, Self); 3] =
+        [("linear", Self::Linear), ("khronos-neutral", Self::KhronosNeutral), ("agx", Self::Agx)];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        Self::ALL.iter().find(|(_, curve)| *curve == self).map_or("", |(name, _)| name)
+    }
+
+    /// What the display shows for exposed radiance `rgb`; negative values and NaN count as 0, infinite ones as very bright.
+    pub fn apply(self, rgb: [f32; 3]) -> [f32; 3] {
+        let rgb = rgb.map(|value| if value.is_nan() { 0.0 } else { value.clamp(0.0, 1e6) });
+        let shown = match self {
+            Self::Linear => rgb,
+            Self::KhronosNeutral => khronos_neutral(rgb),
+            Self::Agx => agx(rgb),
+        };
+        shown.map(|value| value.clamp(0.0, 1.0))
+    }
+
+    /// Exposed radiance of the grey that is shown as `level`, 0 < `level` < 1.
+    pub fn grey_shown_as(self, level: f32) -> f32 {
+        let (mut low, mut high) = (0.0f32, 1e4f32);
+        // the curves are monotone on greys
+        for _ in 0..100 {
+            let middle = 0.5 * (low + high);
+            if self.apply([middle; 3])[1] < level { low = middle } else { high = middle }
+        }
+        high
+    }
+}
+
+fn khronos_neutral(rgb: [f32; 3]) -> [f32; 3] {
+    let least = rgb[0].min(rgb[1]).min(rgb[2]);
+    let offset = if least <= 2.0 * F90 { least - least * least / (4.0 * F90) } else { F90 };
+    let rgb = rgb.map(|value| value - offset);
+    let peak = rgb[0].max(rgb[1]).max(rgb[2]);
+    if peak <= START {
+        return rgb;
+    }
+    let room = 1.0 - START;
+    let new_peak = 1.0 - room * room / (peak + room - START);
+    let colour = 1.0 / (DESATURATION * (peak - new_peak) + 1.0);
+    rgb.map(|value| value * (new_peak / peak) * colour + new_peak * (1.0 - colour))
+}
+
+fn agx(rgb: [f32; 3]) -> [f32; 3] {
+    let inset = times(&INSET, times(&REC2020_FROM_BT709, rgb));
+    let formed = inset.map(|value| sigmoid(stops(value)).max(0.0).powf(GAMMA));
+    let formed = with_hue_of(formed, inset);
+    let shown = times(&BT709_FROM_REC2020, times(&OUTSET, formed));
+    raised(shown)
+}
+
+fn times(matrix: &Matrix, [r, g, b]: [f32; 3]) -> [f32; 3] {
+    matrix.map(|row| row[0] * r + row[1] * g + row[2] * b)
+}
+
+/// Place of a value in the range of stops, 0..1.
+fn stops(value: f32) -> f32 {
+    (((value.max(1e-10) / MIDDLE_GREY).log2() - STOPS[0]) / (STOPS[1] - STOPS[0])).clamp(0.0, 1.0)
+}
+
+/// s·h(SLOPE (x − x₀)/s) + y₀ with h(t) = t/(1 + |t|^POWER)^(1/POWER): straight at middle grey (x₀, y₀), and s such that 0 becomes 0 and 1 becomes 1.
+fn sigmoid(x: f32) -> f32 {
+    let (x0, y0) = (-STOPS[0] / (STOPS[1] - STOPS[0]), MIDDLE_GREY.powf(1.0 / GAMMA));
+    let (run, rise) = if x < x0 { (x0, y0) } else { (1.0 - x0, 1.0 - y0) };
+    let scale = ((rise.powf(-POWER)) - (SLOPE * run).powf(-POWER)).powf(-1.0 / POWER);
+    let t = SLOPE * (x - x0) / scale;
+    scale * t / (1.0 + t.abs().powf(POWER)).powf(1.0 / POWER) + y0
+}
+
+/// `rgb` with its hue (of the hexcone) turned by 1 − [`HUE_AFTER`] towards that of `before`.
+fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
+    let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));
+    let (Some(after), Some(before)) = (hue(rgb), hue(before)) else { return rgb };
+    // the shorter way round
+    let turn = (before - after + 9.0).rem_euclid(6.0) - 3.0;
+    let hue = (after + (1.0 - HUE_AFTER) * turn).rem_euclid(6.0);
+    // a channel's share of the range falls from 1 to 0 between 1 and 2 sextants from its own hue
+    [0.0, 2.0, 4.0].map(|own: f32| {
+        let distance = ((hue - own + 9.0).rem_euclid(6.0) - 3.0).abs();
+        low + (high - low) * (2.0 - distance).clamp(0.0, 1.0)
+    })
+}
+
+/// Hue in sextants, 0..6 from red through green and blue; `None` of a grey.
+fn hue([r, g, b]: [f32; 3]) -> Option<f32> {
+    let (low, high) = (r.min(g).min(b), r.max(g).max(b));
+    let range = high - low;
+    if range <= 1e-7 * high || range <= 0.0 {
+        return None;
+    }
+    let hue = if high == r {
+        (g - b) / range
+    } else if high == g {
+        2.0 + (b - r) / range
+    } else {
+        4.0 + (r - g) / range
+    };
+    Some(hue.rem_euclid(6.0))
+}
+
+/// Raises all channels until none is below 0, then scales back to the luminance.
+fn raised(rgb: [f32; 3]) -> [f32; 3] {
+    let least = rgb[0].min(rgb[1]).min(rgb[2]);
+    if least >= 0.0 {
+        return rgb;
+    }
+    let lifted = rgb.map(|value| value - least);
+    let scale = luminance(rgb).max(0.0) / luminance(lifted);
+    lifted.map(|value| value * scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::seed::Stream;
+
+    /// Against values of 4 decimals.
+    const ROUNDED: f32 = 1e-4;
+    /// Blender's table beside the equations: greys, where only its interpolation differs, and colours, where its gamut rails do too.
+    const TABLE_GREY: f32 = 1e-3;
+    const TABLE_COLOUR: f32 = 0.03;
+
+    /// Exposed colours and what OpenColorIO 2 shows of them with the colour configuration of Blender 4.5, display sRGB, view AgX, decoded to linear light.
+    const BLENDER_AGX: [([f32; 3], [f32; 3]); 22] = [
+        ([0.001; 3], [0.0003; 3]),
+        ([0.01; 3], [0.0063; 3]),
+        ([0.05; 3], [0.0422; 3]),
+        ([0.18; 3], [0.18; 3]),
+        ([0.5; 3], [0.4; 3]),
+        ([1.0; 3], [0.5558; 3]),
+        ([2.0; 3], [0.6953; 3]),
+        ([5.0; 3], [0.8493; 3]),
+        ([12.0; 3], [0.9655; 3]),
+        ([0.5, 0.1, 0.1], [0.438, 0.1106, 0.1012]),
+        ([0.1, 0.5, 0.1], [0.1475, 0.3889, 0.1175]),
+        ([0.1, 0.1, 0.5], [0.098, 0.1357, 0.4299]),
+        ([1.0, 0.0, 0.0], [0.7069, 0.0411, 0.0152]),
+        ([0.0, 1.0, 0.0], [0.1568, 0.5585, 0.0827]),
+        ([0.0, 0.0, 1.0], [0.0071, 0.0932, 0.6408]),
+        ([4.0, 0.2, 0.2], [0.9671, 0.3909, 0.3557]),
+        ([0.2, 4.0, 0.2], [0.5177, 0.8206, 0.4528]),
+        ([0.2, 0.2, 4.0], [0.3427, 0.4242, 0.9071]),
+        ([1.0, 0.8, 0.2], [0.5686, 0.4863, 0.2681]),
+        ([3.0, 2.0, 0.1], [0.8015, 0.6625, 0.3875]),
+        ([0.8, 0.45, 0.3], [0.5201, 0.3695, 0.2988]),
+        ([0.05, 0.2, 0.35], [0.0508, 0.2068, 0.3289]),
+    ];
+
+    #[test]
+    fn agx_is_what_blender_shows() {
+        for (exposed, expected) in BLENDER_AGX {
+            let shown = ToneCurve::Agx.apply(exposed);
+            let tolerance =
+                if exposed[0] == exposed[1] && exposed[1] == exposed[2] { TABLE_GREY } else { TABLE_COLOUR };
+            for c in 0..3 {
+                assert!((shown[c] - expected[c]).abs() <= tolerance, "{exposed:?}: {shown:?}, Blender {expected:?}");
+            }
+        }
+    }
+
+    /// The specification worked through by hand for one colour of each branch.
+    #[test]
+    fn khronos_neutral_follows_its_specification() {
+        let cases = [
+            // x = 0.02: f = 0.02 − 0.0025
+            ([0.02, 0.5, 0.3], [0.0025, 0.4825, 0.2825]),
+            ([0.2, 0.5, 0.3], [0.16, 0.46, 0.26]),
+            // p = 1.96, p_n = 1 − 0.0576/1.44 = 0.96, g = 1/1.15: c = (c − f) · 0.48979592 · 0.86956522 + 0.96 · 0.13043478
+            ([2.0, 1.0, 0.5], [0.96, 0.534_086_6, 0.321_135_8]),
+            // grey keeps its colour: p = 3.96, p_n = 1 − 0.0576/3.44
+            ([4.0; 3], [0.983_256; 3]),
+        ];
+        for (exposed, expected) in cases {
+            let shown = ToneCurve::KhronosNeutral.apply(exposed);
+            for c in 0..3 {
+                assert!((shown[c] - expected[c]).abs() < ROUNDED, "{exposed:?}: {shown:?} instead of {expected:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn brighter_greys_are_shown_brighter_and_without_steps() {
+        for (name, curve) in ToneCurve::ALL {
+            let mut last = curve.apply([0.0; 3]);
+            assert_eq!(last, [0.0; 3], "{name}: black stays black");
+            for i in 1..=60_000 {
+                let exposed = i as f32 / 10_000.0;
+                let shown = curve.apply([exposed; 3]);
+                // never steeper than 2
+                let step = shown[1] - last[1];
+                assert!((-1e-6..=2.1e-4).contains(&step), "{name}: from {last:?} to {shown:?} at {exposed}");
+                assert!(shown.iter().all(|v| (v - shown[1]).abs() < 2e-3), "{name}: a grey stays grey: {shown:?}");
+                last = shown;
+            }
+            assert!(curve.apply([100.0; 3])[1] > 0.98);
+            let grey = curve.grey_shown_as(0.5);
+            assert!((curve.apply([grey; 3])[1] - 0.5).abs() < 1e-4, "{name}: {grey}");
+        }
+    }
+
+    #[test]
+    fn colours_change_without_steps_and_stay_in_range() {
+        let mut stream = Stream::new(5);
+        for (name, curve) in ToneCurve::ALL {
+            for _ in 0..20_000 {
+                let exposed = [0; 3].map(|_| 3.0 * stream.next_f32().powi(3));
+                let near = exposed.map(|value| value * 1.001 + 1e-4);
+                let (shown, moved) = (curve.apply(exposed), curve.apply(near));
+                for c in 0..3 {
+                    assert!((0.0..=1.0).contains(&shown[c]));
+                    assert!((shown[c] - moved[c]).abs() < 0.02, "{name}: {exposed:?} {shown:?}, beside it {moved:?}");
+                }
+            }
+            for exposed in [[f32::NAN; 3], [f32::INFINITY, 0.0, 1.0], [-1.0, 0.2, 0.1], [1e30; 3], [1e-30; 3]] {
+                assert!(curve.apply(exposed).iter().all(|value| (0.0..=1.0).contains(value)), "{name}: {exposed:?}");
+            }
+        }
+    }
+
+    /// Hue of the hexcone in degrees: the neutral curve keeps it exactly (it scales and mixes with grey), AgX within what Blender's does.
+    #[test]
+    fn hues_stay() {
+        let mut stream = Stream::new(6);
+        for (curve, most) in [(ToneCurve::KhronosNeutral, 0.1), (ToneCurve::Agx, 45.0)] {
+            for _ in 0..20_000 {
+                let exposed = [0; 3].map(|_| 4.0 * stream.next_f32());
+                let shown = curve.apply(exposed);
+                let range =
+                    shown.iter().copied().fold(f32::MIN, f32::max) - shown.iter().copied().fold(f32::MAX, f32::min);
+                if let (Some(before), Some(after)) = (hue(exposed), hue(shown))
+                    && range > 0.02
+                {
+                    let turn = 60.0 * ((after - before + 9.0).rem_euclid(6.0) - 3.0).abs();
+                    assert!(turn <= most, "{curve:?}: {exposed:?} {shown:?} turns by {turn}°");
+                }
+            }
+        }
+        // where nothing is compressed base colours come out as they are, less what a dielectric's surface adds
+        let [r, g, b] = ToneCurve::KhronosNeutral.apply([0.64, 0.24, 0.14]);
+        assert!((r - 0.6).abs() < ROUNDED && (g - 0.2).abs() < ROUNDED && (b - 0.1).abs() < ROUNDED);
+    }
+}

@@ -1,0 +1,115 @@
+//! Warm against fresh: whether what is told beforehand is what five iterations make of either.
+
+use lumistack_core::{Cancel, Collector, Task};
+use lumistack_display::{LightField, Weights};
+
+use super::problems::{Owned, display};
+use crate::{Settings, factorize, warm_start_pays};
+
+/// A wall of waves behind the display and a striped card before it that moved by `shift` pixels; of another `scene` everything is different.
+fn card(shift: f64, scene: f64) -> Owned {
+    let display = display([64, 40], [5, 3], &[-8.0, 0.0, 8.0], 4);
+    let geometry = display.geometry().unwrap();
+    let mut target = LightField::black(geometry.clone()).unwrap();
+    for view in geometry.grid.iter() {
+        for (i, pixel) in target.view_mut(view).chunks_exact_mut(3).enumerate() {
+            let point = [geometry.x_mm(i % geometry.cols), geometry.y_mm(i / geometry.cols)];
+            let slope = geometry.grid.slope_at(view, point);
+            let at = |z: f64| [point[0] - shift + z * slope[0], point[1] + z * slope[1]];
+            let ([x, y], [u, v]) = (at(-12.0), at(6.0));
+            let on_card = u.abs() < 14.0 && v.abs() < 9.0;
+            for (c, value) in pixel.iter_mut().enumerate() {
+                let k = 1.0 + 0.3 * c as f64 + 0.7 * scene;
+                let wall = 0.45 + 0.3 * (0.4 * k * x + 3.0 * scene).sin() * (0.35 * k * y).cos();
+                let stripes = 0.5 + 0.4 * (0.9 * u + k * 0.2 * v + scene).sin();
+                *value = if on_card { stripes } else { wall } as f32;
+            }
+        }
+    }
+    Owned { display, target, weights: Weights::Uniform }
+}
+
+fn settings(solver: &str, iterations: u32) -> Settings {
+    Settings { solver: solver.into(), iterations, ..Settings::default() }
+}
+
+/// A plane of smooth waves behind the display.
+fn plane(shift: f64, scene: f64, brightness: f64) -> Owned {
+    let mut display = display([64, 40], [5, 3], &[-13.3, 0.0, 13.3], 4);
+    display.brightness = brightness;
+    let geometry = display.geometry().unwrap();
+    let mut target = LightField::black(geometry.clone()).unwrap();
+    for view in geometry.grid.iter() {
+        for (i, pixel) in target.view_mut(view).chunks_exact_mut(3).enumerate() {
+            let point = [geometry.x_mm(i % geometry.cols), geometry.y_mm(i / geometry.cols)];
+            let slope = geometry.grid.slope_at(view, point);
+            let (x, y) = (point[0] - shift - 10.0 * slope[0], point[1] - 10.0 * slope[1]);
+            let wave = |k: f64, phase: f64| {
+                (0.16 * k * x + phase).sin() * (0.14 * k * y - phase).cos()
+                    + 0.5 * (0.35 * x - 0.23 * k * y + phase).sin()
+            };
+            for (value, k) in pixel.iter_mut().zip([1.0, 1.3, 1.7]) {
+                *value = (0.45 + 0.25 * wave(k, 2.0 * k + scene)) as f32;
+            }
+        }
+    }
+    Owned { display, target, weights: Weights::Uniform }
+}
+
+/// How much worse the start that is taken may turn out after five iterations than the other, dB.
+const AMISS_DB: f64 = 1.5;
+
+#[test]
+fn the_start_that_is_taken_is_not_the_worse_one() {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    type Make = fn(f64, f64) -> Owned;
+    let cases: [(Make, [(f64, f64, Option<bool>); 5]); 3] = [
+        (
+            |shift, scene| plane(shift, scene, 0.2),
+            [
+                (0.0, 0.0, Some(true)),
+                (1.0, 0.0, Some(true)),
+                (4.0, 0.0, Some(true)),
+                (8.0, 0.0, None),
+                (0.0, 1.0, None),
+            ],
+        ),
+        (
+            |shift, scene| plane(shift, scene, 1.0),
+            [
+                (0.0, 0.0, Some(true)),
+                (1.0, 0.0, Some(true)),
+                (4.0, 0.0, Some(true)),
+                (8.0, 0.0, None),
+                (20.0, 0.0, None),
+            ],
+        ),
+        (
+            card,
+            [
+                (0.0, 0.0, Some(true)),
+                (0.5, 0.0, Some(true)),
+                (2.0, 0.0, Some(false)),
+                (8.0, 0.0, Some(false)),
+                (0.0, 1.0, Some(false)),
+            ],
+        ),
+    ];
+    for (number, (make, moves)) in cases.into_iter().enumerate() {
+        let before = make(0.0, 0.0);
+        let warm = factorize(&before.problem(), &settings("auto", 30), None, task, &mut |_| ()).unwrap().stack;
+        for (shift, scene, expected) in moves {
+            let now = make(shift, scene);
+            let pays = warm_start_pays(&now.problem(), &settings("auto", 5), &warm, "block-exact", task).unwrap();
+            assert!(expected.is_none_or(|expected| expected == pays), "case {number}, {shift} {scene}: {pays}");
+            let after = |solver, warm| {
+                let result = factorize(&now.problem(), &settings(solver, 5), warm, task, &mut |_| ()).unwrap();
+                result.history.last().unwrap().psnr_view
+            };
+            let (from_warm, from_fresh) = (after("block-exact", Some(&warm)), after("block-exact", None));
+            let (taken, other) = if pays { (from_warm, from_fresh) } else { (from_fresh, from_warm) };
+            assert!(taken > other - AMISS_DB, "case {number}, {shift} {scene}: warm {from_warm}, fresh {from_fresh}");
+        }
+    }
+}

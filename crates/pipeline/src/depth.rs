@@ -1,0 +1,92 @@
+//! How deep the views see, kept in the cache beside them.
+
+use std::path::Path;
+
+use lumistack_core::Task;
+use lumistack_display::{Display, FieldGeometry};
+use lumistack_pathtracer::Renderer;
+use lumistack_report::DepthBudget;
+use lumistack_scene::Window;
+
+use crate::error::PipelineError;
+use crate::fit::{Placement, probe};
+use crate::render::render_error;
+use crate::run::field_error;
+
+/// Columns at which depth is kept: enough for shares and percentiles.
+const MOST_COLS: usize = 240;
+/// Its file beside the views.
+const FILE: &str = "depth.npy";
+
+/// z of the first surface along rays of all views, in the display space of the window.
+#[derive(Clone, Debug)]
+pub(crate) struct Depths {
+    /// Its grid is that at which the views are traced.
+    pub(crate) geometry: FieldGeometry,
+    /// `[view_y][view_x][row][col]`, millimetres towards the viewer, NaN where a ray meets nothing.
+    z_mm: Vec<f32>,
+}
+
+impl Depths {
+    /// Reads what was kept for the views of a geometry.
+    pub(crate) fn read(folder: &Path, geometry: &FieldGeometry) -> Option<Self> {
+        let geometry = probe(geometry, geometry.grid.clone(), MOST_COLS);
+        let [view_rows, view_cols] = geometry.grid.views();
+        let (shape, z_mm) = lumistack_field_io::npy::read(&folder.join(FILE)).ok()?;
+        (shape == [view_rows, view_cols, geometry.rows, geometry.cols]).then_some(Self { geometry, z_mm })
+    }
+
+    /// Traces the central rays of coarser pixels and keeps what they meet.
+    ///
+    /// # Errors
+    /// When cancelled, or the file cannot be written.
+    pub(crate) fn trace(
+        renderer: &Renderer,
+        window: &Window,
+        geometry: &FieldGeometry,
+        folder: &Path,
+        task: Task<'_>,
+    ) -> Result<Self, PipelineError> {
+        let geometry = probe(geometry, geometry.grid.clone(), MOST_COLS);
+        let mut z_mm = Vec::new();
+        for view in geometry.grid.iter() {
+            z_mm.extend_from_slice(renderer.depth(window, &geometry, view, task).map_err(render_error)?.data());
+        }
+        let [view_rows, view_cols] = geometry.grid.views();
+        let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
+        lumistack_field_io::npy::write(&folder.join(FILE), &shape, &z_mm).map_err(field_error)?;
+        Ok(Self { geometry, z_mm })
+    }
+
+    /// Of one view, `[row][col]`.
+    pub(crate) fn view(&self, [y, x]: [usize; 2]) -> &[f32] {
+        let size = self.geometry.rows * self.geometry.cols;
+        &self.z_mm[(y * self.geometry.grid.views()[1] + x) * size..][..size]
+    }
+
+    /// Share of a view, 0..1, where it sees a surface.
+    pub(crate) fn coverage(&self, view: [usize; 2]) -> f64 {
+        let depth = self.view(view);
+        depth.iter().filter(|z| z.is_finite()).count() as f64 / depth.len() as f64
+    }
+
+    /// What they ask of a display that shows the views at the slopes of `shown`, with depth scaled as the placement says.
+    pub(crate) fn budget(&self, display: &Display, shown: &FieldGeometry, placement: &Placement) -> DepthBudget {
+        let projection = shown.grid.projection;
+        let z_mm: Vec<f32> =
+            self.z_mm.iter().map(|z| projection.scaled_depth(f64::from(*z), placement.depth_scale) as f32).collect();
+        let views = shown.grid.views();
+        let size = self.geometry.rows * self.geometry.cols;
+        let first = (views[0] / 2 * views[1] + views[1] / 2) * size;
+        let mut budget = DepthBudget::measure(display, shown, &z_mm, &z_mm[first..first + size]);
+        (budget.moved_back_mm, budget.depth_scale) = (placement.moved_back_mm, placement.depth_scale);
+        budget
+    }
+
+    /// Whether the ray through a pixel of a finer geometry of the same size meets a surface.
+    pub(crate) fn is_surface(&self, view: [usize; 2], row: usize, col: usize, of: &FieldGeometry) -> bool {
+        let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to - 1);
+        let (row, col) = (place(row, of.rows, self.geometry.rows), place(col, of.cols, self.geometry.cols));
+        self.view(view)[row * self.geometry.cols + col].is_finite()
+    }
+}

@@ -1,0 +1,201 @@
+//! From scene-linear to display-referred radiance: one exposure and one tone curve for every ray of every view.
+//!
+//! ```text
+//! L = curve(exposure · radiance)        0..1, linear light
+//! ```
+//!
+//! Both are chosen once, from all views together. Choosing per view would give the same point of the scene another brightness in every view, which no
+//! diffuse surface has.
+
+use lumistack_core::metrics::percentile;
+use lumistack_core::tone::ToneCurve;
+use lumistack_display::LightField;
+use lumistack_scene::Scene;
+use rayon::prelude::*;
+
+use crate::job::{LightJob, Tone};
+
+/// What the brightest hundredth of the surfaces is shown as, at least.
+const WHITE: f32 = 0.95;
+/// What half of the surfaces is shown above, where a few lamps would leave all else dark.
+const MIDDLE: f32 = 0.22;
+/// More than this share of rays above white makes `auto` compress highlights instead of clipping them.
+const HIGHLIGHTS: f64 = 2e-3;
+/// Surfaces that fill less than this share of the views do not decide alone.
+const LEAST_SURFACE: f64 = 0.05;
+
+/// One exposure and one curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Look {
+    /// Factor on scene-linear radiance.
+    pub(crate) exposure: f64,
+    pub(crate) curve: ToneCurve,
+}
+
+impl Look {
+    /// The look of a shot. `brightest` holds the brightest channel of rays from all views, and whether the ray meets a surface.
+    pub(crate) fn choose(job: &LightJob, scene: &Scene, brightest: &[(f32, bool)]) -> Self {
+        let stops = 2f64.powf(job.exposure_ev);
+        let exposure = |curve| {
+            if !job.automatic_exposure || is_unlit(scene) { stops } else { stops * exposure_of(brightest, curve) }
+        };
+        let fixed = |curve| Self { exposure: exposure(curve), curve };
+        match job.tone {
+            Tone::Linear => fixed(ToneCurve::Linear),
+            Tone::KhronosNeutral => fixed(ToneCurve::KhronosNeutral),
+            Tone::Agx => fixed(ToneCurve::Agx),
+            Tone::Auto => {
+                let linear = fixed(ToneCurve::Linear);
+                let clipped = brightest.iter().filter(|(value, _)| f64::from(*value) * linear.exposure > 1.0).count();
+                if clipped as f64 > HIGHLIGHTS * brightest.len() as f64 {
+                    fixed(ToneCurve::KhronosNeutral)
+                } else {
+                    linear
+                }
+            }
+        }
+    }
+
+    /// Makes a field of scene-linear radiance display-referred.
+    pub(crate) fn apply(self, field: &mut LightField) {
+        let exposure = self.exposure as f32;
+        // by pixels; threads do not matter
+        field.radiance_mut().data_mut().par_chunks_mut(3 * 4096).for_each(|pixels| {
+            for rgb in pixels.chunks_exact_mut(3) {
+                let shown = self.curve.apply([0, 1, 2].map(|c| rgb[c] * exposure));
+                rgb.copy_from_slice(&shown);
+            }
+        });
+    }
+}
+
+/// Whether every surface shows its base colour whatever the light: then radiance is display-referred as it is.
+fn is_unlit(scene: &Scene) -> bool {
+    let material = |mesh: usize| &scene.materials[scene.meshes[mesh].material];
+    !scene.instances.is_empty() && scene.instances.iter().all(|instance| material(instance.mesh).unlit)
+}
+
+/// Factor that brings the brightest hundredth of the surfaces to [`WHITE`]. Where that leaves most of them dark, half of them are brought above
+/// [`MIDDLE`] instead, as long as no more than a twentieth is shown above [`WHITE`]. Percentiles leave single bright samples out, and what is
+/// seen past the scene does not count.
+fn exposure_of(brightest: &[(f32, bool)], curve: ToneCurve) -> f64 {
+    let surfaces = brightest.iter().filter(|(_, surface)| *surface).count();
+    let of_surfaces = surfaces as f64 >= LEAST_SURFACE * brightest.len() as f64;
+    let chosen = brightest.iter().filter(|(_, surface)| *surface || !of_surfaces);
+    let mut values: Vec<f32> = chosen.map(|(value, _)| *value).filter(|value| value.is_finite()).collect();
+    let [p50, p95, p99] = [0.50, 0.95, 0.99].map(|share| f64::from(percentile(&mut values, share)));
+    let to = |value: f64, level: f32| if value > 0.0 { f64::from(level) / value } else { 0.0 };
+    // radiance after exposure that the curve shows as white and as middle
+    let (white, middle) = (curve.grey_shown_as(WHITE), curve.grey_shown_as(MIDDLE));
+    let factor = to(p99, WHITE).max(to(p50, middle).min(to(p95, white)));
+    if factor.is_finite() && factor > 0.0 { factor } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lumistack_core::{Cancel, Collector, Task};
+    use lumistack_display::{FieldGeometry, Projection, ViewGrid};
+    use lumistack_scene::{Instance, Material, Mesh, SceneParts};
+
+    fn surfaces(values: &[f32]) -> Vec<(f32, bool)> {
+        values.iter().map(|value| (*value, true)).collect()
+    }
+
+    fn scene(unlit: bool) -> Scene {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let parts = SceneParts {
+            meshes: vec![Mesh {
+                positions: vec![glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y],
+                triangles: vec![[0, 1, 2]],
+                ..Mesh::default()
+            }],
+            instances: vec![Instance { mesh: 0, scene_from_mesh: glam::Affine3A::IDENTITY }],
+            materials: vec![Material { unlit, ..Material::default() }],
+            ..SceneParts::default()
+        };
+        parts.validate(Task::quiet(&warnings, &cancel)).unwrap()
+    }
+
+    #[test]
+    fn exposure_brings_the_brightest_percent_to_white() {
+        let values: Vec<f32> = (0..10_000).map(|i| i as f32 / 100.0).collect();
+        let factor = exposure_of(&surfaces(&values), ToneCurve::Linear);
+        assert!((factor * 99.0 - 0.95).abs() < 0.01, "{factor}");
+    }
+
+    #[test]
+    fn a_lamp_in_the_picture_does_not_darken_the_rest() {
+        let mut values = vec![0.5f32; 9_700];
+        values.extend([100.0; 300]);
+        for (_, curve) in ToneCurve::ALL {
+            let shown = curve.apply([(exposure_of(&surfaces(&values), curve) * 0.5) as f32; 3]);
+            assert!((shown[1] - 0.22).abs() < 0.01, "{curve:?}: {shown:?}");
+        }
+    }
+
+    #[test]
+    fn neither_fireflies_nor_a_bright_sky_change_the_exposure() {
+        let values: Vec<f32> = (0..10_000).map(|i| i as f32 / 10_000.0).collect();
+        let plain = exposure_of(&surfaces(&values), ToneCurve::Linear);
+        let mut with = surfaces(&values);
+        with.extend([(1e6, true); 3]);
+        assert!((exposure_of(&with, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
+        with.extend(vec![(50.0, false); 40_000]);
+        assert!((exposure_of(&with, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
+        // a speck before the sky does not decide
+        let mut speck = surfaces(&[0.01; 10]);
+        speck.extend(vec![(2.0, false); 10_000]);
+        assert!((exposure_of(&speck, ToneCurve::Linear) * 2.0 - 0.95).abs() < 1e-3);
+    }
+
+    #[test]
+    fn black_pictures_get_a_finite_factor() {
+        for (_, curve) in ToneCurve::ALL {
+            for values in [vec![0.0; 10], Vec::new(), vec![f32::NAN; 3], vec![f32::INFINITY]] {
+                assert_eq!(exposure_of(&surfaces(&values), curve), 1.0);
+            }
+        }
+    }
+
+    #[test]
+    fn highlights_are_compressed_and_everything_else_is_left_alone() {
+        let job = LightJob::default();
+        let mut values = vec![0.3f32; 10_000];
+        let plain = Look::choose(&job, &scene(false), &surfaces(&values));
+        assert_eq!(plain.curve, ToneCurve::Linear);
+        values[..60].fill(40.0);
+        let highlights = Look::choose(&job, &scene(false), &surfaces(&values));
+        assert_eq!(highlights.curve, ToneCurve::KhronosNeutral);
+        let fixed = LightJob { automatic_exposure: false, exposure_ev: -1.0, tone: Tone::Agx, ..LightJob::default() };
+        let look = Look::choose(&fixed, &scene(false), &surfaces(&values));
+        assert_eq!(look, Look { exposure: 0.5, curve: ToneCurve::Agx });
+    }
+
+    #[test]
+    fn unlit_surfaces_keep_their_colours() {
+        let dark = surfaces(&[0.1; 1000]);
+        let look = Look::choose(&LightJob::default(), &scene(true), &dark);
+        assert_eq!(look, Look { exposure: 1.0, curve: ToneCurve::Linear });
+        assert!(Look::choose(&LightJob::default(), &scene(false), &dark).exposure > 2.0);
+    }
+
+    /// What a diffuse point looks like must not depend on what else a view shows: equal radiance in, equal out, whatever the view.
+    #[test]
+    fn equal_radiance_looks_the_same_in_every_view() {
+        let grid = ViewGrid::uniform(Projection::Oblique, [4, 1], [20.0, 1.0]).unwrap();
+        let geometry = FieldGeometry { rows: 5, cols: 7, pitch_mm: 1.0, grid };
+        for (_, curve) in ToneCurve::ALL {
+            let mut field = LightField::black(geometry.clone()).unwrap();
+            for (number, view) in geometry.grid.iter().enumerate() {
+                // every view has another brightness around the point
+                field.view_mut(view).fill(4f32.powi(number as i32));
+                field.view_mut(view)[3 * 10..][..3].copy_from_slice(&[0.7, 0.3, 0.1]);
+            }
+            Look { exposure: 1.7, curve }.apply(&mut field);
+            let point = |view: [usize; 2]| field.view(view)[3 * 10..][..3].to_vec();
+            assert!(geometry.grid.iter().all(|view| point(view) == point([0, 0])), "{curve:?}");
+            assert_eq!(point([0, 0]), curve.apply([0.7, 0.3, 0.1].map(|v: f32| v * 1.7)).to_vec());
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! The depth budget: how much of what is seen lies where the display can show it, and how far it moves from view to view.
+
+use lumistack_core::metrics::percentile;
+use lumistack_display::{Display, FieldGeometry};
+use serde_json::{Value, json};
+
+use crate::format;
+use crate::json::figure;
+
+/// Bars of a histogram.
+const BARS: usize = 60;
+/// Points of the curve of the bound.
+const CURVE_POINTS: usize = 241;
+/// Depths that histograms leave out at either end.
+const STRAY: f64 = 0.005;
+/// With less of the scene in the depth of field than this, the display is the wrong one for the scene, or the window stands in the wrong place.
+const FEW: f64 = 0.75;
+
+/// What a scene's depth asks of a display. Shares are of the rays that meet a surface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthBudget {
+    /// [low, high] depths at which the display shows the finest detail of the light field's pixels, millimetres; `None` where there are none.
+    pub depth_of_field_mm: Option<[f64; 2]>,
+    /// Share within, over all views, 0..1; NaN where nothing is seen.
+    pub inside: f64,
+    /// Share within, in the middle view.
+    pub inside_middle: f64,
+    /// 2nd, 25th, 50th, 75th and 98th percentile of the depth, millimetres towards the viewer.
+    pub depth_mm: [f64; 5],
+    /// Median, 98th percentile and largest displacement between neighbouring views, pixels.
+    pub disparity_px: [f64; 3],
+    /// Share that moves by more than a pixel between neighbouring views.
+    pub beyond_a_pixel: f64,
+    /// How far the window was moved back to fit, millimetres.
+    pub moved_back_mm: f64,
+    /// Factor on parallax; 1 for the scene as it is.
+    pub depth_scale: f64,
+    /// Shares of rays by depth, and by displacement in pixels.
+    pub(crate) by_depth: Histogram,
+    pub(crate) by_disparity: Histogram,
+    /// (z in millimetres, highest spatial frequency relative to the light field's own).
+    pub(crate) bound: Vec<(f64, f64)>,
+    /// Distances of the layers, millimetres.
+    pub(crate) layers_mm: Vec<f64>,
+}
+
+/// Shares per bar of equal width.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Histogram {
+    pub(crate) low: f64,
+    pub(crate) width: f64,
+    pub(crate) shares: Vec<f64>,
+}
+
+impl DepthBudget {
+    /// Measures depths in the display space of a display: `z_mm` of all views' rays, NaN where a ray meets nothing, and those of the middle view.
+    pub fn measure(display: &Display, geometry: &FieldGeometry, z_mm: &[f32], middle: &[f32]) -> Self {
+        let depth_of_field_mm = display.depth_of_field(geometry.pitch_mm);
+        let seen = |z_mm: &[f32]| -> Vec<f32> { z_mm.iter().copied().filter(|z| z.is_finite()).collect() };
+        let share = |z_mm: &[f32], which: &dyn Fn(f64) -> bool| {
+            z_mm.iter().filter(|z| which(f64::from(**z))).count() as f64 / z_mm.len() as f64
+        };
+        let inside = |z: f64| depth_of_field_mm.is_some_and(|[low, high]| (low..=high).contains(&z));
+        let (mut all, middle) = (seen(z_mm), seen(middle));
+        let step = geometry.grid.bin_width().into_iter().fold(0.0, f64::max);
+        let moves = |z: f64| geometry.disparity_px(z, step).abs();
+        let mut moved: Vec<f32> = all.iter().map(|z| moves(f64::from(*z)) as f32).collect();
+        let at = |values: &mut [f32], share: f64| {
+            if values.is_empty() { f64::NAN } else { f64::from(percentile(values, share)) }
+        };
+        let (stray_low, stray_high) = (at(&mut all, STRAY), at(&mut all, 1.0 - STRAY));
+        let layers_mm: Vec<f64> = display.layers.iter().map(|layer| layer.d_mm).collect();
+        let shown = layers_mm.iter().copied().chain(depth_of_field_mm.into_iter().flatten());
+        let ends = |low: f64, high: f64| {
+            let (low, high) = shown.clone().fold((low, high), |(low, high), z| (low.min(z), high.max(z)));
+            let margin = (0.03 * (high - low)).max(1e-6);
+            (low - margin, high + margin)
+        };
+        let (low, high) = ends(stray_low.min(f64::MAX), stray_high.max(f64::MIN));
+        let most = at(&mut moved, 1.0 - STRAY).max(1.2);
+        let own = 0.5 / geometry.pitch_mm;
+        let z_at = |i: usize| low + (high - low) * i as f64 / (CURVE_POINTS - 1) as f64;
+        let bound = (0..CURVE_POINTS).map(z_at).map(|z| (z, display.spatial_cutoff(z) / own));
+        Self {
+            depth_of_field_mm,
+            inside: share(&all, &inside),
+            inside_middle: share(&middle, &inside),
+            depth_mm: [0.02, 0.25, 0.5, 0.75, 0.98].map(|share| at(&mut all, share)),
+            disparity_px: [0.5, 0.98, 1.0].map(|share| at(&mut moved, share)),
+            beyond_a_pixel: share(&all, &|z| moves(z) > 1.0),
+            moved_back_mm: 0.0,
+            depth_scale: 1.0,
+            by_depth: Histogram::of(&all, low, high),
+            by_disparity: Histogram::of(&moved, 0.0, most),
+            bound: bound.collect(),
+            layers_mm,
+        }
+    }
+
+    /// Whether any surface is seen.
+    pub(crate) fn is_seen(&self) -> bool {
+        !self.inside.is_nan()
+    }
+
+    /// The budget in one line.
+    pub fn sentence(&self) -> String {
+        if !self.is_seen() {
+            return "no surface is seen".into();
+        }
+        let [_, most, largest] = self.disparity_px.map(format::number_short);
+        let lies = match self.depth_of_field_mm {
+            None => "the display shows its own pixels sharply at no depth".into(),
+            Some([low, high]) => {
+                let [low, high] = [low, high].map(|z| format::number(z.round()));
+                format!(
+                    "{} of what is seen lies in the depth of field, {low} to {high} mm",
+                    format::percent(self.inside)
+                )
+            }
+        };
+        format!("{lies}; between neighbouring views it moves by up to {most} px (98 %), {largest} px at most")
+    }
+
+    /// What to do about a scene that does not fit.
+    pub fn advice(&self) -> Option<String> {
+        if !self.is_seen() || self.inside >= FEW {
+            return None;
+        }
+        let share = format::percent(self.inside);
+        Some(format!(
+            "only {share} of what is seen lies in the display's depth of field: the rest loses detail. --fit-depth moves the window to where most of the \
+             scene fits, --fit-depth=compress flattens its depth as well"
+        ))
+    }
+
+    /// For report.json and for machines.
+    pub fn to_json(&self) -> Value {
+        let [p2, p25, p50, p75, p98] = self.depth_mm.map(figure);
+        let [median, most, largest] = self.disparity_px.map(figure);
+        let histogram = |histogram: &Histogram| json!({ "low": figure(histogram.low), "width": figure(histogram.width), "shares": histogram.shares });
+        json!({
+            "depth_of_field_mm": self.depth_of_field_mm,
+            "inside": figure(self.inside),
+            "inside_middle": figure(self.inside_middle),
+            "depth_mm": { "p2": p2, "p25": p25, "p50": p50, "p75": p75, "p98": p98 },
+            "disparity_px": { "p50": median, "p98": most, "max": largest },
+            "beyond_a_pixel": figure(self.beyond_a_pixel),
+            "window_moved_back_mm": self.moved_back_mm,
+            "depth_scale": self.depth_scale,
+            "depth_histogram": histogram(&self.by_depth),
+            "disparity_histogram": histogram(&self.by_disparity),
+        })
+    }
+}
+
+impl Histogram {
+    fn of(values: &[f32], low: f64, high: f64) -> Self {
+        let width = (high - low) / BARS as f64;
+        let mut counts = vec![0u64; BARS];
+        for value in values {
+            let bar = ((f64::from(*value) - low) / width).floor();
+            if (0.0..BARS as f64).contains(&bar) {
+                counts[bar as usize] += 1;
+            }
+        }
+        let all = values.len().max(1) as f64;
+        Self { low, width, shares: counts.into_iter().map(|count| count as f64 / all).collect() }
+    }
+
+    /// Left end, right end and share of every bar.
+    pub(crate) fn bars(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
+        self.shares.iter().enumerate().map(|(i, share)| {
+            let left = self.low + i as f64 * self.width;
+            (left, left + self.width, *share)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three layers 40 mm apart; 5 views over 20° are 0.0705 apart in slope.
+    fn display() -> Display {
+        Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2)
+    }
+
+    #[test]
+    fn shares_and_displacements_are_counted() {
+        let display = display();
+        let geometry = display.geometry().unwrap();
+        // a quarter each at −100, −10, 10 and 79 mm, and rays that meet nothing
+        let mut z_mm = vec![f32::NAN; 50];
+        [-100.0, -10.0, 10.0, 79.0].into_iter().for_each(|z| z_mm.extend([z; 25]));
+        let budget = DepthBudget::measure(&display, &geometry, &z_mm, &[10.0, f32::NAN]);
+        let [low, high] = budget.depth_of_field_mm.unwrap();
+        assert!((low + 80.0).abs() < 1e-6 && (high - 80.0).abs() < 1e-6, "twice the gap on either side");
+        assert_eq!((budget.inside, budget.inside_middle), (0.75, 1.0));
+        let step = 0.4 * 10f64.to_radians().tan();
+        let [median, most, largest] = budget.disparity_px;
+        assert!((median - 79.0 * step).abs() < 1e-3 || (median - 10.0 * step).abs() < 1e-3, "{median}");
+        assert!((most - 100.0 * step).abs() < 1e-3 && (largest - 100.0 * step).abs() < 1e-3);
+        assert_eq!(budget.beyond_a_pixel, 0.5);
+        assert!((budget.by_depth.shares.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+        let at_79 = budget.by_depth.bars().find(|(left, right, _)| (*left..*right).contains(&79.0)).unwrap();
+        assert_eq!(at_79.2, 0.25);
+        assert_eq!(budget.advice(), None);
+        assert!(budget.sentence().starts_with("75.0 % of what is seen lies in the depth of field, −80 to 80 mm;"));
+        let few = DepthBudget::measure(&display, &geometry, &[-100.0, 100.0, 0.0], &[0.0]);
+        assert!(few.advice().unwrap().contains("only 33.3 %"));
+    }
+
+    #[test]
+    fn nothing_seen_and_a_single_depth_are_fine() {
+        let display = display();
+        let geometry = display.geometry().unwrap();
+        let none = DepthBudget::measure(&display, &geometry, &[f32::NAN; 5], &[]);
+        assert!(!none.is_seen() && none.advice().is_none() && none.sentence() == "no surface is seen");
+        assert!(none.by_depth.low.is_finite() && none.to_json()["inside"].is_null());
+        let flat = DepthBudget::measure(&display, &geometry, &[0.0; 5], &[0.0]);
+        assert_eq!((flat.inside, flat.disparity_px, flat.beyond_a_pixel), (1.0, [0.0; 3], 0.0));
+    }
+}

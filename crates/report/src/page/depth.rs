@@ -1,0 +1,53 @@
+//! What the scene's depth asks of the display.
+
+use maud::{Markup, PreEscaped, html};
+
+use crate::depth::DepthBudget;
+use crate::{ReportError, format, plot};
+
+pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
+    let of_field = budget.depth_of_field_mm.map(|range| range.map(|z| format::number(z.round())));
+    let mm = |z: f64| format::number(z.round());
+    let [p2, p25, _, p75, p98] = budget.depth_mm.map(mm);
+    let [median, most, largest] = budget.disparity_px.map(format::number_short);
+    let plots = if budget.is_seen() {
+        vec![plot::depths(budget)?, plot::disparities(budget)?, plot::bound(budget)?]
+    } else {
+        Vec::new()
+    };
+    Ok(html! {
+        section id="depth" {
+            h2 { "Depth" }
+            @if !budget.is_seen() { p class="quiet" { "The views see no surface." } } @else {
+                p {
+                    @match &of_field {
+                        Some([low, high]) => {
+                            "The display can show the finest detail of its pixels from " (low) " to " (high) " mm (towards the viewer is positive). "
+                            strong { (format::percent(budget.inside)) } " of what all views see lies there, " (format::percent(budget.inside_middle)) " of what the middle view sees. "
+                        }
+                        None => "The display shows the finest detail of the light field's pixels at no depth. ",
+                    }
+                    "Half of what is seen lies between " (p25) " and " (p75) " mm, 96 % between " (p2) " and " (p98) " mm."
+                }
+                p {
+                    "From one view to the next it moves by " (median) " pixels (median), " (most) " (98 %), at most " (largest) ". "
+                    (format::percent(budget.beyond_a_pixel)) " moves by more than a pixel: there an eye that moves sees steps, and in-between views double."
+                }
+                @if budget.moved_back_mm != 0.0 || budget.depth_scale != 1.0 {
+                    p {
+                        @if budget.moved_back_mm != 0.0 {
+                            "To fit, the window was moved " @if budget.moved_back_mm > 0.0 { "back" } @else { "forward" } " by " (mm(budget.moved_back_mm.abs())) " mm. "
+                        }
+                        @if budget.depth_scale != 1.0 {
+                            "Parallax, and so depth, is " (format::percent(budget.depth_scale)) " of the scene's; depths here are as shown."
+                        }
+                    }
+                }
+                div class="plots" { @for svg in &plots { (PreEscaped(svg)) } }
+                p class="quiet" {
+                    "Depths are those of the first surface along a ray, also where it is glass or a mirror. The bound on detail holds for continuous layers and many frames; pixels and few frames fall short of it."
+                }
+            }
+        }
+    })
+}

@@ -1,0 +1,103 @@
+//! What makes a scene look right: tone curves, depth budget, depth that fits the display.
+
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+
+use common::{fail, files, lumistack, number, report, root, succeed};
+use serde_json::Value;
+
+const SMALL: [&str; 10] =
+    ["--resolution", "84x52", "--frames", "3", "--samples", "4", "--iterations", "15", "--max-bounces", "3"];
+
+fn still_life(command: &str, folder: &Path) -> Command {
+    let mut command_line = lumistack();
+    command_line.arg(command).arg(root().join("scenes/still-life/still-life.gltf")).arg("-o").arg(folder);
+    command_line
+}
+
+fn index(folder: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(folder.join("lightfield.json")).unwrap()).unwrap()
+}
+
+fn info(folder: &Path, key: &str) -> Value {
+    let index = index(folder);
+    if index[key].is_null() { index["info"][key].clone() } else { index[key].clone() }
+}
+
+#[test]
+fn the_curve_is_stated_and_another_one_renders_nothing_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let views = folder.path().join("views");
+    let small = ["--resolution", "42x26", "--samples", "2", "--max-bounces", "2"];
+    let mut pictures = Vec::new();
+    let mut last_written = None;
+    for tone in ["linear", "khronos-neutral", "agx"] {
+        let text = succeed(still_life("render", &views).args(small).args(["--tone", tone]));
+        assert!(text.contains("Depth: ") && text.contains("depth of field"), "{text}");
+        assert_eq!(info(&views, "tone"), tone);
+        let written = newest(&views.join("cache"));
+        assert!(last_written.is_none_or(|last| last == written), "{tone}: views were traced again");
+        last_written = Some(written);
+        let shown = files(&views);
+        assert!(pictures.iter().all(|other| other != &shown), "{tone} looks like another curve");
+        pictures.push(shown);
+    }
+    assert!(fail(lumistack().args(["run", "nothing.gltf"])).contains("nothing.gltf"));
+}
+
+/// When the last file below a folder was written.
+fn newest(folder: &Path) -> std::time::SystemTime {
+    let mut last = std::time::SystemTime::UNIX_EPOCH;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let time = if path.is_dir() { newest(&path) } else { std::fs::metadata(&path).unwrap().modified().unwrap() };
+        last = last.max(time);
+    }
+    last
+}
+
+/// A window that stands far before the scene: nothing of it lies in the depth of field. Moved, some does; compressed, nearly all, and the patterns come closer to
+/// what they should show.
+#[test]
+fn depth_that_is_fitted_is_shown_better() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = root().join("scenes/still-life/still-life.gltf");
+    let job = folder.path().join("job.toml");
+    // its own camera's window, 350 mm nearer to the viewer
+    let place = "centre = [0.0, 0.142, 0.32]\nforward = [0.0, -0.4067, -0.9135]\nup = [0.0, 1.0, 0.0]\nwidth = 0.475";
+    let window = format!("from = \"given\"\n{place}");
+    let text = format!(
+        "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-three-layer\"\n[window]\n{window}\n[render]\nheld_out = 0\noutside = 0\n"
+    );
+    std::fs::write(&job, text).unwrap();
+    let run = |name: &str, flags: &[&str]| {
+        let run = folder.path().join(name);
+        succeed(lumistack().arg("run").arg(&job).arg("-o").arg(&run).args(SMALL).args(flags));
+        report(&run)
+    };
+    let off = run("off", &[]);
+    let moved = run("moved", &["--fit-depth"]);
+    let compressed = run("compressed", &["--fit-depth=compress"]);
+    let inside = |report: &Value| number(&report["depth"], "inside");
+    let psnr = |report: &Value| number(report, "psnr_view");
+    for report in [&off, &moved, &compressed] {
+        println!(
+            "inside {:.3}, 98 % within {:.2} px, {:.2} dB, moved back {:.0} mm, depth {:.3}",
+            inside(report),
+            number(&report["depth"]["disparity_px"], "p98"),
+            psnr(report),
+            number(&report["depth"], "window_moved_back_mm"),
+            number(&report["depth"], "depth_scale"),
+        );
+    }
+    assert!(inside(&off) < 0.2 && inside(&moved) > inside(&off) + 0.1 && inside(&compressed) > 0.85);
+    assert!(psnr(&moved) > psnr(&off) + 1.0 && psnr(&compressed) > psnr(&moved) + 1.0);
+    assert!(number(&compressed["depth"], "depth_scale") < 0.9 && number(&moved["depth"], "depth_scale") == 1.0);
+    let warned = |report: &Value| {
+        let warnings = report["warnings"].as_array().unwrap();
+        warnings.iter().any(|warning| warning["message"].as_str().unwrap().contains("--fit-depth"))
+    };
+    assert!(warned(&off) && !warned(&compressed));
+}
