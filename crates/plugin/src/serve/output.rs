@@ -2,6 +2,7 @@
 
 use std::ffi::c_void;
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 use lumistack_display::Display;
 use lumistack_plugin_abi::{ErrorSink, HostServices, OutputVtable, Status, Str};
@@ -22,7 +23,7 @@ pub struct Output<'a> {
     ports: Vec<Port>,
     display: &'a Display,
     /// The plugin keeps a pointer to it.
-    _table: Box<HostServices>,
+    _table: Arc<HostServices>,
     _services: PhantomData<&'a ()>,
 }
 
@@ -57,12 +58,15 @@ impl<'a> Output<'a> {
         display: &'a Display,
     ) -> Result<Self, PluginError> {
         let display_json = serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))?;
-        let table = Box::new(table(services));
+        // not a `Box`: moving one would invalidate the plugin's pointer
+        let table = Arc::new(table(services));
         let Vtable::Output(vtable) = plugin.vtable else { return Err(plugin.is_no("output")) };
         let open = function(vtable.open)?;
         let mut instance = std::ptr::null_mut();
         // SAFETY: the table lives until `close` has returned (fields are dropped after `drop`); the rest is lent for the call.
-        call(|error| unsafe { open(&*table, Str::new(params_json), Str::new(&display_json), &mut instance, error) })?;
+        call(|error| unsafe {
+            open(Arc::as_ptr(&table), Str::new(params_json), Str::new(&display_json), &mut instance, error)
+        })?;
         Ok(Self {
             vtable,
             instance,
