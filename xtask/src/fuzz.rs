@@ -36,7 +36,12 @@ pub fn run(minutes: u64) -> Outcome {
     for variable in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN", "RUSTFLAGS", "CARGO_TARGET_DIR"] {
         fuzzer.env_remove(variable);
     }
-    fuzzer.args(["run", "nightly"]).arg(cargo_fuzz).args(["run", "--sanitizer", "none", "--target-dir"]).arg(&work);
+    // -O: the checks are those of the profile in fuzz/Cargo.toml, which excepts a library
+    fuzzer
+        .args(["run", "nightly"])
+        .arg(cargo_fuzz)
+        .args(["run", "-O", "--sanitizer", "none", "--target-dir"])
+        .arg(&work);
     fuzzer.arg("load").arg(&corpus).arg(&seeds).arg("--");
     fuzzer.arg(format!("-max_total_time={}", 60 * minutes)).arg(format!("-artifact_prefix={}/", found.display()));
     // a file of this size takes milliseconds, and may take 64 MiB
