@@ -13,7 +13,7 @@ use percent_encoding::percent_decode_str;
 use serde_json::Value;
 
 use crate::container::Container;
-use crate::error::Fault;
+use crate::error::{Fault, contained};
 use crate::{AssetResolver, meshopt};
 
 /// Longest quotation from the file in a message.
@@ -118,7 +118,7 @@ impl<'a> Document<'a> {
         let bytes = match (cell.get(), meshopt::Packed::of(self, view, &place)?) {
             (Some(bytes), _) => bytes,
             (None, Some(packed)) => {
-                let bytes = packed.unpack(self)?;
+                let bytes = contained(&place, "a sound meshopt stream", || packed.unpack(self))?;
                 cell.get_or_init(|| bytes)
             }
             (None, None) => {

@@ -9,7 +9,7 @@ use gltf::json::accessor::ComponentType;
 use serde_json::Value;
 
 use crate::document::{Document, quote};
-use crate::error::Fault;
+use crate::error::{Fault, contained};
 use crate::fields::Fields;
 
 /// Memory that the decoder may take for one primitive.
@@ -45,7 +45,9 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
     let mut mesh = Mesh::new();
     let mut buffer = DecoderBuffer::new(stream).with_limits(limits);
     let broken = |found: String| Fault::new(&stream_place, "a sound Draco mesh", found);
-    MeshDecoder::new().decode(&mut buffer, &mut mesh).map_err(|error| broken(error.to_string()))?;
+    contained(&stream_place, "a sound Draco mesh", || {
+        MeshDecoder::new().decode(&mut buffer, &mut mesh).map_err(|error| broken(error.to_string()))
+    })?;
 
     let vertices = mesh.num_points();
     document.spend(&stream_place, mesh.num_faces(), size_of::<[u32; 3]>())?;

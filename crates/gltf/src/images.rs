@@ -11,7 +11,7 @@ use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageFormat, Imag
 use lumistack_scene::{Image, Pixels};
 
 use crate::document::Document;
-use crate::error::Fault;
+use crate::error::{Fault, contained};
 use crate::ktx2;
 
 /// Largest side of a picture in texels.
@@ -57,11 +57,10 @@ impl Images {
         let number = index.value();
         let name = uri.or(image.name.as_ref());
         let name = name.map_or(format!("/images/{number}"), |name| format!("/images/{number} ({name})"));
-        let decoded = if bytes.starts_with(ktx2::MAGIC) {
-            ktx2::decode(document, bytes, &place, name)?
-        } else {
-            codes(document, bytes, &place, name)?
-        };
+        let decoded = contained(&place, "a sound picture", || match bytes.starts_with(ktx2::MAGIC) {
+            true => ktx2::decode(document, bytes, &place, name),
+            false => codes(document, bytes, &place, name),
+        })?;
         self.position.insert(number, self.decoded.len());
         self.decoded.push(decoded);
         Ok(self.decoded.len() - 1)

@@ -4,6 +4,8 @@
 //! tracer makes its own pyramid. Sources: KTX 2.0 specification, sections 3 and 5; KHR_texture_basisu, "KTX v2 Images with Basis
 //! Universal Supercompression".
 
+use std::ops::Range;
+
 use basisu::{DecodeFlags, TargetFormat, Transcoder};
 use lumistack_scene::{Image, Pixels};
 
@@ -17,6 +19,8 @@ pub(crate) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 /// Bytes of the header before the list of levels, and of one level's entry there.
 const HEADER_BYTES: usize = 80;
 const LEVEL_BYTES: usize = 24;
+/// Where the header has offset and length of the key/value data.
+const NOTES: Range<usize> = 56..64;
 /// Colour models of the data format descriptor.
 const ETC1S: u32 = 163;
 const UASTC: u32 = 166;
@@ -45,7 +49,10 @@ pub(crate) fn decode(document: &Document<'_>, bytes: &[u8], place: &str, name: S
     let Header { width, height, channels } = Header::read(bytes, place)?;
     document.spend(place, width as usize * height as usize, size_of::<[u8; 4]>())?;
     let broken = |error| Fault::new(place, "a sound Basis Universal picture", format!("{error:?}"));
-    let transcoder = Transcoder::new(bytes).map_err(broken)?;
+    // notes on the file say nothing about its texels, and the decoder trusts the length of the last one
+    let mut noteless = bytes.to_vec();
+    noteless[NOTES].fill(0);
+    let transcoder = Transcoder::new(&noteless).map_err(broken)?;
     let mut texels = vec![[0u8; 4]; width as usize * height as usize];
     transcoder.transcode_into(0, TargetFormat::Rgba32, DecodeFlags::NONE, texels.as_flattened_mut()).map_err(broken)?;
     for texel in &mut texels {
