@@ -8,10 +8,9 @@ use lumistack_pathtracer::Renderer;
 use lumistack_report::DepthBudget;
 use lumistack_scene::Window;
 
-use crate::error::PipelineError;
+use crate::error::{PipelineError, field_error};
 use crate::fit::{Placement, probe};
 use crate::render::render_error;
-use crate::run::field_error;
 
 /// Columns at which depth is kept: enough for shares and percentiles.
 const MOST_COLS: usize = 240;

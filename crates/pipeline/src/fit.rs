@@ -20,10 +20,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::cache::KeyBuilder;
 use crate::error::PipelineError;
+use crate::files::{read_json, write_json};
 use crate::ingest::{Ingested, place_window};
 use crate::job::{FitDepth, WindowJob};
 use crate::render::render_error;
-use crate::run::write;
 
 /// Columns of the straight view by which depth is measured.
 const PROBE_COLS: usize = 210;
@@ -78,8 +78,7 @@ pub(crate) fn place(
     ingested.add_to(&mut key);
     key.add("window", format!("{window:?} {projection:?} {low} {high} {compress} {}", job.depth_scale).as_bytes());
     let cached = cache_dir.join(format!("fit-{}.json", &key.finish()[..16]));
-    let read = || serde_json::from_slice::<Fit>(&std::fs::read(&cached).ok()?).ok();
-    let fit = match read() {
+    let fit = match read_json(&cached) {
         Some(fit) => fit,
         None => {
             let probe = probe(geometry, ViewGrid::single(projection, [0.0, 0.0]), PROBE_COLS);
@@ -88,7 +87,7 @@ pub(crate) fn place(
             depths.sort_by(f64::total_cmp);
             let fit = best_fit(&depths, [low, high], projection, job.depth_scale, compress);
             std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
-            write(&cached, &serde_json::to_vec(&fit).expect("numbers serialize"))?;
+            write_json(&cached, &fit)?;
             fit
         }
     };

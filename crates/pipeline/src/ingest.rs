@@ -12,11 +12,11 @@ use lumistack_plugin_host::{Origin, PluginError, PluginKind, Registry};
 use lumistack_scene::{Camera, Scene, Similarity, Window};
 
 use crate::cache::KeyBuilder;
-use crate::error::{PipelineError, read};
+use crate::error::{PipelineError, host_error, read};
+use crate::files::{read_json, write_json};
 use crate::job::{ImporterJob, LightJob, PoseJob, WindowFrom, WindowJob};
 use crate::light;
 use crate::render::render_error;
-use crate::run::{host_error, write};
 
 /// Share of an automatic window that the scene should cover at least.
 const COVERAGE: f64 = 0.26;
@@ -210,7 +210,7 @@ fn close_up(
     ingested.add_to(&mut key);
     let key = key.add("window", format!("{window:?} {recentre}").as_bytes()).finish();
     let cached = cache_dir.join(format!("window-{}.json", &key[..16]));
-    if let Some((centre, scale)) = std::fs::read(&cached).ok().and_then(|text| serde_json::from_slice(&text).ok()) {
+    if let Some((centre, scale)) = read_json(&cached) {
         let (centre, scale): ([f64; 3], f64) = (centre, scale);
         let map = Similarity { translation: centre.into(), scale, ..window.scene_from_display };
         return Ok(Window { scene_from_display: map, ..window });
@@ -228,7 +228,7 @@ fn close_up(
         window.scaled_about([probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm], factor);
     let map = fitted.scene_from_display;
     std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
-    write(&cached, &serde_json::to_vec(&(map.translation.to_array(), map.scale)).expect("numbers serialize"))?;
+    write_json(&cached, &(map.translation.to_array(), map.scale))?;
     Ok(fitted)
 }
 

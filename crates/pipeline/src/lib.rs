@@ -12,6 +12,7 @@
 mod cache;
 mod depth;
 mod error;
+mod files;
 mod fit;
 mod flicker;
 mod graph;
@@ -32,7 +33,7 @@ pub use graph::NodeSummary;
 pub use ingest::{Ingested, load_scene, place_window, scene_contents};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
-    AngularFilter, DisplayJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob, OutputJob, PoseJob,
+    AngularFilter, DisplayJob, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob, OutputJob, PoseJob,
     RenderJob, ReportJob, SequenceJob, Tone, WindowFrom, WindowJob,
 };
 pub use lumistack_plugin_host::Registry;

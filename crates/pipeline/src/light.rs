@@ -6,8 +6,7 @@ use glam::{Quat, Vec3};
 use lumistack_field_io::picture::Picture;
 use lumistack_scene::{Environment, Image, Pixels, Scene, SceneError, SceneParts};
 
-use crate::error::{PipelineError, read};
-use crate::run::field_error;
+use crate::error::{PipelineError, field_error, read};
 
 /// Size of the studio map; it is smooth.
 const STUDIO: [usize; 2] = [128, 64];

@@ -10,12 +10,11 @@ use lumistack_scene::Window;
 
 use crate::cache::KeyBuilder;
 use crate::depth::Depths;
-use crate::error::PipelineError;
+use crate::error::{PipelineError, field_error};
 use crate::fit::Placement;
 use crate::ingest::Ingested;
 use crate::job::{AngularFilter, Job};
 use crate::look::Look;
-use crate::run::field_error;
 
 /// Rays that decide about exposure and tone curve, at most.
 const MOST_RAYS: usize = 4_000_000;

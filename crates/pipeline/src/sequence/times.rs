@@ -11,11 +11,10 @@ use lumistack_plugin_host::Registry;
 use lumistack_scene::{Similarity, Window};
 
 use super::{Last, name};
-use crate::error::PipelineError;
+use crate::error::{PipelineError, display_error};
 use crate::fit::{self, Placement};
 use crate::ingest::{self, Ingested};
 use crate::job::{FactorizeJob, Job, PoseJob, SequenceJob, WindowFrom, WindowJob};
-use crate::run::display_error;
 
 /// What `auto` takes after the first time. Extrapolating along a few iterations from patterns of another target overshoots. Measured with content that moves
 /// 2 pixels a time (3 layers, 6 frames, 160 × 100, 5 × 5 views, 5 iterations): block-exact reaches 49.9 dB and flicker 48.8 dB at β = 0.2, extrapolated 47.8 and 46.6 dB; 45.3 dB both
