@@ -20,6 +20,7 @@ pub use self::input::render_only;
 use self::patterns::start_kind;
 pub(crate) use self::patterns::{add_stack, add_weights};
 use crate::cache::Stamps;
+use crate::denoise::Denoised;
 use crate::error::PipelineError;
 use crate::files::{check_folder, remove_reports, write, write_job, write_report};
 use crate::graph::{self, NodeSummary};
@@ -239,6 +240,7 @@ impl<'a> Run<'a> {
         let stage = Instant::now();
         let Made { input, weights, stack, steps, solution, outputs } = made;
         let settings = self.job.to_json();
+        let denoising = input.denoised.as_ref().map(Denoised::about);
         let report = lumistack_report::build(
             &ReportInput {
                 title: &self.job.name,
@@ -253,6 +255,7 @@ impl<'a> Run<'a> {
                 solution: solution.as_ref(),
                 stages: &self.stages,
                 settings: &settings,
+                denoising: denoising.as_ref(),
                 scene: input.about.as_ref(),
                 depth: input.depth.as_ref(),
                 warnings,

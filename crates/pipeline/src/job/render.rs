@@ -19,6 +19,8 @@ pub struct RenderJob {
     pub angular_filter: AngularFilter,
     /// Full angle under which a lens focused on the window is seen from it, degrees; 0 for a pinhole. Instead of `angular_filter`.
     pub lens_deg: f64,
+    /// What takes noise out of finished views, at the price of a bias that the report tells.
+    pub denoise: Denoise,
     /// In-between views per axis that are rendered for the report only; 0 for none.
     pub held_out: usize,
     /// Views on either side beyond the outermost ones, one view spacing apart, that are rendered for the report only; 0 for none.
@@ -36,6 +38,38 @@ pub enum AngularFilter {
     Bin,
 }
 
+/// What takes noise out of finished views.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Denoise {
+    /// Nothing: views are unbiased.
+    #[default]
+    Off,
+    /// Our own filter, over all views together.
+    Guided,
+    /// Intel's Open Image Denoise, view by view, where it is installed.
+    Oidn,
+}
+
+impl Denoise {
+    /// All of them, by the names that jobs use.
+    pub const ALL: [(&str, Self); 3] = [("off", Self::Off), ("guided", Self::Guided), ("oidn", Self::Oidn)];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        Self::ALL[self as usize].0
+    }
+}
+
+impl std::str::FromStr for Denoise {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let found = Self::ALL.iter().find(|(known, _)| *known == name);
+        found.map(|&(_, kind)| kind).ok_or_else(|| "expected off, guided or oidn".into())
+    }
+}
+
 impl Default for RenderJob {
     fn default() -> Self {
         Self {
@@ -44,6 +78,7 @@ impl Default for RenderJob {
             clamp: None,
             angular_filter: AngularFilter::Point,
             lens_deg: 0.0,
+            denoise: Denoise::Off,
             held_out: 2,
             outside: 1,
         }
@@ -75,5 +110,19 @@ impl RenderJob {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn denoisers_have_one_name_everywhere() {
+        for (name, kind) in Denoise::ALL {
+            assert_eq!((kind.name(), name.parse()), (name, Ok(kind)));
+            assert_eq!(serde_json::to_value(kind).unwrap(), name);
+        }
+        assert!("on".parse::<Denoise>().is_err());
     }
 }

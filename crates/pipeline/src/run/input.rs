@@ -10,6 +10,7 @@ use serde_json::{Map, Value, json};
 
 use super::{Moment, Run};
 use crate::cache::{KeyBuilder, Stamps};
+use crate::denoise::Denoised;
 use crate::error::{PipelineError, display_error, field_error};
 use crate::files::check_folder;
 use crate::fit::{self, Placement};
@@ -28,6 +29,8 @@ pub(crate) struct Input {
     pub(crate) look: Option<Look>,
     /// What the scene's depth asks of the display, where it was rendered.
     pub(crate) depth: Option<DepthBudget>,
+    /// What a denoiser did to the target.
+    pub(super) denoised: Option<Denoised>,
     pub(super) about: Option<serde_json::Value>,
 }
 
@@ -49,7 +52,7 @@ pub fn render_only(
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, task)?;
     let cache = target_dir.join("cache");
-    let placement = fit::place(&ingested, &job.window, &display, &geometry, &cache, task)?;
+    let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     let rendered = render::render(&job, &ingested, &placement, &geometry, &cache, task)?;
@@ -81,10 +84,11 @@ impl Run<'_> {
             }
         };
         let geometry = self.display.geometry().map_err(|source| display_error(source, "field"))?;
-        let placement = fit::place(ingested, &job.window, &self.display, &geometry, &self.dir.join("cache"), task)?;
+        let cache = self.dir.join("cache");
+        let placement = fit::place(ingested, &job.window, &self.display, &geometry, Some(&cache), task)?;
         let rendered = self.timed("render", |run| {
-            let cache = run.dir.join("cache/views");
-            let rendered = render::render(job, ingested, &placement, &geometry, &cache, task)?;
+            let views = run.dir.join("cache/views");
+            let rendered = render::render(job, ingested, &placement, &geometry, &views, task)?;
             let cached = rendered.cached;
             Ok((rendered, cached))
         })?;
@@ -98,8 +102,8 @@ impl Run<'_> {
         let depth = rendered.depths.budget(&self.display, &geometry, &placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, ingested, &placement, &rendered);
-        let render::Rendered { target, held_out, outside, look, .. } = rendered;
-        Ok(Input { target, held_out, outside, look: Some(look), depth: Some(depth), about: Some(about) })
+        let render::Rendered { target, held_out, outside, look, denoised, .. } = rendered;
+        Ok(Input { target, held_out, outside, look: Some(look), depth: Some(depth), denoised, about: Some(about) })
     }
 
     fn read_field(&mut self, path: &Path, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
@@ -119,8 +123,8 @@ impl Run<'_> {
         self.display = self.display.adapted_to(target.geometry());
         self.display.check().map_err(|source| display_error(source, "light field"))?;
         write_field_if_changed(&self.stamps, &self.dir, "target", &target, &Map::new())?;
-        let about = json!({ "light field": path.display().to_string() });
-        Ok(Input { target, held_out: None, outside: None, look: None, depth: None, about: Some(about) })
+        let about = Some(json!({ "light field": path.display().to_string() }));
+        Ok(Input { target, held_out: None, outside: None, look: None, depth: None, denoised: None, about })
     }
 }
 

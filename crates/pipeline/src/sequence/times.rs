@@ -54,7 +54,7 @@ impl<'a> Times<'a> {
                 let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
                 let pose = pose_at(job, sequence, 0.0);
                 let ingested = ingest::load_scene(scene, &pose, &job.importer, registry, &job.light, task)?;
-                let placement = fit::place(&ingested, &job.window, &display, &geometry, cache_dir, task)?;
+                let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(cache_dir), task)?;
                 Source::Scene { ingested: Box::new(ingested), placement, count: sequence.times.unwrap_or(1) }
             }
             (None, Some(folder)) => Source::Fields(light_fields(folder, sequence.times)?),
