@@ -101,3 +101,32 @@ fn depth_that_is_fitted_is_shown_better() {
     };
     assert!(warned(&off) && !warned(&compressed));
 }
+
+/// Told before anything is rendered, and the same as after.
+#[test]
+fn info_tells_how_deep_a_scene_is_for_a_display() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = root().join("scenes/still-life/still-life.gltf");
+    let job = folder.path().join("job.toml");
+    let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [84, 52]";
+    std::fs::write(&job, format!("scene = {scene:?}\n{display}\n[render]\nsamples = 1\nmax_bounces = 0\n")).unwrap();
+    let told = |flags: &[&str]| -> Value {
+        let mut info = lumistack();
+        info.arg("--json").arg("info").arg(&job).args(["--display", "paper-three-layer"]).args(flags);
+        serde_json::from_str::<Value>(&succeed(&mut info)).unwrap()["on the display"].clone()
+    };
+    let plain = told(&[]);
+    let rendered = succeed(lumistack().arg("render").arg(&job).arg("-o").arg(folder.path().join("views")));
+    assert!(rendered.contains(plain["depth budget"].as_str().unwrap()), "{rendered}\n{plain}");
+    let inside = |told: &Value| number(&told["depth"], "inside");
+    assert!((0.0..=1.0).contains(&inside(&plain)) && number(&plain, "covered share of the window") > 0.25);
+    assert!(inside(&told(&["--fit-depth=compress"])) > inside(&plain).max(0.9));
+    assert!(plain["memory"]["in all"].as_str().unwrap().ends_with(" MB"));
+    let text = succeed(lumistack().arg("info").arg(&scene).args(["--display", "paper-three-layer"]));
+    assert!(text.contains("depth of field") && text.contains("coarser levels of images"), "{text}");
+    assert!(fail(lumistack().arg("info").arg(&scene).args(["--display", "nothing"])).contains("nothing"));
+    assert!(
+        fail(lumistack().args(["info", "paper-three-layer", "--display", "paper-three-layer"]))
+            .contains("paper-three-layer")
+    );
+}

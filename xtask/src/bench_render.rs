@@ -53,6 +53,23 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
     Some(run())
 }
 
+/// Compares converged pictures of FlightHelmet, diffuse with its textures, with Mitsuba's and Cycles'.
+pub fn agree(samples: &str) -> Outcome {
+    let scenes = default_scenes();
+    let Some(helmet) = scenes.iter().find(|scene| scene.contains("FlightHelmet")) else { return Ok(()) };
+    let Some(python) = python() else { return Ok(()) };
+    let folder = text(&tools::root().join("target/agreement-views"));
+    let words = ["agree", helmet, "--size", "280x175", "--reference", samples, "--folder", &folder];
+    let mut words = words.map(str::to_owned).to_vec();
+    for [package, module, script] in [MITSUBA, CYCLES] {
+        if has(&python, &[package, module]) {
+            let script = tools::root().join("xtask/bench").join(script);
+            words.extend(["--peer".to_owned(), text(&python), text(&script)]);
+        }
+    }
+    example("lumistack-pathtracer", "bench_render", &words)
+}
+
 /// Runs the scene of many copies.
 pub fn big(options: &[&str]) -> Option<Outcome> {
     let scene = match options {

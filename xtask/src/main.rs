@@ -4,6 +4,7 @@ mod bench;
 mod bench_render;
 mod ci;
 mod fuzz;
+mod gallery;
 mod layers;
 mod plugins;
 mod tools;
@@ -21,6 +22,7 @@ cargo xtask <task>
                 docs/plugins.json and the pages made from it with what the program says; --write writes them anew
   scenes        write the sample scenes anew
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists what else there is
+  gallery       a page of our renders of glTF files beside Blender's; `gallery --help` lists its options
 ";
 
 fn main() -> ExitCode {
@@ -37,6 +39,13 @@ fn main() -> ExitCode {
             Some(result) => result,
             None => {
                 eprint!("{}", bench::USAGE);
+                return ExitCode::from(2);
+            }
+        },
+        ["gallery", rest @ ..] => match gallery::gallery(rest) {
+            Some(result) => result,
+            None => {
+                eprint!("{}", gallery::USAGE);
                 return ExitCode::from(2);
             }
         },

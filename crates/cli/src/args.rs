@@ -88,6 +88,9 @@ pub(crate) struct RenderArgs {
     /// Bounces after the first hit
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
+    /// Takes noise out of finished views: off, guided (our own filter over all views) or oidn (Open Image Denoise, where installed)
+    #[arg(long, value_name = "KIND")]
+    pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
     /// Name or number of the camera whose plane of focus the display takes
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
@@ -298,6 +301,15 @@ pub(crate) struct Simulate {
 pub(crate) struct Info {
     /// The file or folder, or the name of a display preset
     pub(crate) file: PathBuf,
+    /// For a scene or a job: how its depth fits this display, a preset or a display file
+    #[arg(long, value_name = "NAME|FILE", help_heading = "Depth")]
+    pub(crate) display: Option<String>,
+    /// Name or number of the camera whose plane of focus the display takes
+    #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
+    pub(crate) camera: Option<String>,
+    /// Bring the scene into the display's depth of field: move the window, or compress depth as well
+    #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["off", "move", "compress"], requires = "display", help_heading = "Depth")]
+    pub(crate) fit_depth: Option<String>,
     #[command(flatten)]
     pub(crate) geometry: GeometryArgs,
 }

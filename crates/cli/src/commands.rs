@@ -146,7 +146,7 @@ fn simulate_command(args: &Simulate, json: bool) -> Result<(), PipelineError> {
 }
 
 /// A job file, or a job around a scene.
-fn job_or_scene(path: &Path) -> Result<Job, PipelineError> {
+pub(crate) fn job_or_scene(path: &Path) -> Result<Job, PipelineError> {
     if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
         return Job::load(path);
     }
@@ -160,7 +160,7 @@ fn stem(path: &Path) -> String {
     path.file_stem().map_or("run".into(), |stem| stem.to_string_lossy().into_owned())
 }
 
-fn change_display(job: &mut Job, args: &DisplayArgs) {
+pub(crate) fn change_display(job: &mut Job, args: &DisplayArgs) {
     if let Some(display) = &args.display {
         let named = presets::by_name_or_path(display);
         (job.display.preset, job.display.file) = (named.preset, named.file);
@@ -172,9 +172,10 @@ fn change_display(job: &mut Job, args: &DisplayArgs) {
     job.display.brightness = args.brightness.or(job.display.brightness);
 }
 
-fn change_render(job: &mut Job, args: &RenderArgs) {
+pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     job.render.samples = args.samples.unwrap_or(job.render.samples);
     job.render.max_bounces = args.max_bounces.unwrap_or(job.render.max_bounces);
+    job.render.denoise = args.denoise.unwrap_or(job.render.denoise);
     job.light.exposure_ev = args.exposure_ev.unwrap_or(job.light.exposure_ev);
     job.seed = args.seed.unwrap_or(job.seed);
     job.window.depth_scale = args.depth_scale.unwrap_or(job.window.depth_scale);

@@ -5,17 +5,20 @@ use std::path::Path;
 use lumistack_core::Task;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
-    ImporterJob, Job, LightJob, PipelineError, PoseJob, Registry, describe_light_field, load_scene, plugin_list,
-    plugin_text, presets, scene_contents,
+    ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, describe_light_field, load_scene, outlook,
+    plugin_list, plugin_text, presets, scene_contents,
 };
 use serde_json::{Value, json};
 
-use crate::args::Info;
-use crate::commands::geometry;
+use crate::args::{DisplayArgs, Info, RenderArgs};
+use crate::commands::{change_display, change_render, geometry, job_or_scene};
 use crate::console::say;
 
 pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<'_>) -> Result<(), PipelineError> {
-    let value = describe(args, registry, task)?;
+    let mut value = describe(args, registry, task)?;
+    if args.display.is_some() {
+        value["on the display"] = on_display(args, registry, task)?;
+    }
     if as_json {
         say!("{value}");
     } else {
@@ -67,6 +70,38 @@ fn scene(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipe
         "bounds min": bounds.min.to_array(),
         "bounds max": bounds.max.to_array(),
     }}))
+}
+
+/// How a scene's depth fits a display, and what the scene occupies.
+fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
+    let mut job = job_or_scene(&args.file)?;
+    let display = DisplayArgs { display: args.display.clone(), ..DisplayArgs::default() };
+    change_display(&mut job, &display);
+    let (camera, fit_depth) = (args.camera.clone(), args.fit_depth.clone());
+    change_render(&mut job, &RenderArgs { camera, fit_depth, ..RenderArgs::default() });
+    let Outlook { depth, coverage, memory } = outlook(&job, registry, task)?;
+    let mut figures = depth.to_json();
+    if let Some(figures) = figures.as_object_mut() {
+        // for plots; a report has them
+        figures.retain(|key, _| !key.ends_with("histogram"));
+    }
+    let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);
+    Ok(json!({
+        "display": args.display,
+        "depth budget": depth.sentence(),
+        "advice": depth.advice(),
+        "depth": figures,
+        "covered share of the window": coverage,
+        "memory": {
+            "in all": megabytes(memory.bytes()),
+            "meshes and images": megabytes(memory.scene_bytes),
+            "coarser levels of images": megabytes(memory.texture_bytes),
+            "tree": megabytes(memory.tree_bytes),
+            "corners and transforms": megabytes(memory.geometry_bytes),
+            "triangles": memory.triangles,
+            "triangles kept": memory.unique_triangles,
+        },
+    }))
 }
 
 fn toml(path: &Path) -> Result<Value, PipelineError> {

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::io::Cursor;
 
 use gltf::json;
-use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
 use lumistack_scene::{Image, Pixels};
 
 use crate::document::Document;
@@ -130,22 +130,27 @@ fn codes(document: &Document<'_>, bytes: &[u8], place: &str, name: String) -> Re
     let is_deep = color.bytes_per_pixel() / color.channel_count() > 1;
     document.spend(place, width * height, if is_deep { 8 } else { 4 })?;
     let fault = |error| unreadable(place, format, error);
-    let pixels = if color == ColorType::Rgba8 {
-        // in place: these are the large ones
-        let mut texels = vec![[0; 4]; width * height];
-        decoder.read_image(texels.as_flattened_mut()).map_err(fault)?;
-        Pixels::Rgba8(texels)
-    } else if is_deep {
+    let pixels = if is_deep {
         let decoded = DynamicImage::from_decoder(decoder).map_err(fault)?;
         Pixels::Rgba16(decoded.into_rgba16().into_raw().as_chunks::<4>().0.to_vec())
     } else {
-        let mut raw = vec![0; width * height * usize::from(color.channel_count())];
-        decoder.read_image(&mut raw).map_err(fault)?;
-        Pixels::Rgba8(match color.channel_count() {
-            1 => raw.into_iter().map(|grey| [grey, grey, grey, 255]).collect(),
-            2 => raw.as_chunks::<2>().0.iter().map(|&[grey, alpha]| [grey, grey, grey, alpha]).collect(),
-            _ => raw.as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]).collect(),
-        })
+        // large pictures are not held twice: decoded at the end of their texels, then spread out from the start, which never catches up
+        let (count, channels) = (width * height, usize::from(color.channel_count()));
+        let mut texels = vec![[0; 4]; count];
+        let start = (4 - channels) * count;
+        decoder.read_image(&mut texels.as_flattened_mut()[start..]).map_err(fault)?;
+        let values = texels.as_flattened_mut();
+        for texel in 0..count {
+            let at = start + channels * texel;
+            let rgba = match values[at..at + channels] {
+                [grey] => [grey, grey, grey, 255],
+                [grey, alpha] => [grey, grey, grey, alpha],
+                [r, g, b] => [r, g, b, 255],
+                _ => break,
+            };
+            values[4 * texel..][..4].copy_from_slice(&rgba);
+        }
+        Pixels::Rgba8(texels)
     };
     Ok(Image { name, width, height, pixels })
 }

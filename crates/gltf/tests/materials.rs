@@ -202,3 +202,38 @@ fn variants_choose_materials() {
     let message = load_choosing(&b.glb(), &options).0.unwrap_err().to_string();
     assert!(message.contains("/mappings/0/material: expected an index below 3"), "{message}");
 }
+
+/// Pictures of one to four channels become four, texel by texel.
+#[test]
+fn pictures_of_any_channels_become_rgba() {
+    let (width, height) = (5u32, 3u32);
+    let value = |i: usize| (37 * i + 11) as u8;
+    for channels in 1..=4usize {
+        let raw: Vec<u8> = (0..channels * (width * height) as usize).map(value).collect();
+        let kind = [
+            image::ExtendedColorType::L8,
+            image::ExtendedColorType::La8,
+            image::ExtendedColorType::Rgb8,
+            image::ExtendedColorType::Rgba8,
+        ][channels - 1];
+        let mut bytes = Vec::new();
+        let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+        image::ImageEncoder::write_image(encoder, &raw, width, height, kind).unwrap();
+        let mut b = triangle_with(json!({"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}));
+        let picture = b.view(&bytes);
+        b.json["images"] = json!([{"bufferView": picture, "mimeType": "image/png"}]);
+        b.json["textures"] = json!([{"source": 0}]);
+        let scene = scene(&b);
+        let Pixels::Rgba8(texels) = &scene.images[0].pixels else { panic!() };
+        let expected: Vec<[u8; 4]> = raw
+            .chunks(channels)
+            .map(|p| match *p {
+                [grey] => [grey, grey, grey, 255],
+                [grey, alpha] => [grey, grey, grey, alpha],
+                [r, g, b] => [r, g, b, 255],
+                _ => [p[0], p[1], p[2], p[3]],
+            })
+            .collect();
+        assert_eq!(*texels, expected, "{channels} channels");
+    }
+}

@@ -19,6 +19,7 @@
 mod bsdf;
 mod bvh;
 mod clamp;
+pub mod denoise;
 mod distribution;
 mod geometry;
 mod light;
@@ -33,5 +34,5 @@ mod shading;
 mod texture;
 mod tracer;
 
-pub use renderer::{Memory, RenderError, Renderer};
+pub use renderer::{Checks, Feature, Features, Memory, RenderError, Renderer};
 pub use settings::{AngularFilter, Settings, SettingsError};

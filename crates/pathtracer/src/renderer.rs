@@ -22,7 +22,16 @@ use crate::settings::{AngularFilter, Settings, SettingsError};
 use crate::shading::Materials;
 use crate::tracer::Tracer;
 
+mod checks;
 mod depth;
+mod features;
+
+#[cfg(test)]
+pub(crate) use checks::Check;
+pub use checks::Checks;
+#[cfg(test)]
+pub(crate) use features::FEATURES;
+pub use features::{Feature, Features};
 
 /// Edge of a tile in pixels: the unit of work, of progress and of cancellation.
 const TILE: usize = 16;
@@ -65,7 +74,7 @@ pub struct Renderer {
     memory: Memory,
 }
 
-/// What a prepared scene occupies. Coarser levels of textures come on top: up to a third of the images.
+/// What a prepared scene occupies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
     /// Triangles with instances counted.
@@ -78,6 +87,8 @@ pub struct Memory {
     pub geometry_bytes: usize,
     /// Bytes of the scene's meshes and images.
     pub scene_bytes: usize,
+    /// Bytes of the textures' coarser levels: up to a third of the images.
+    pub texture_bytes: usize,
 }
 
 /// A view that cannot be rendered.
@@ -158,6 +169,7 @@ impl Renderer {
             tree_bytes: bvh.bytes(),
             geometry_bytes: geometry.bytes(),
             scene_bytes: scene_bytes(&scene),
+            texture_bytes: materials.bytes(),
         };
         let matt = scene.materials.iter().map(is_matt).collect();
         Ok(Self { geometry, bvh, materials, lights, matt, memory })
@@ -379,7 +391,7 @@ fn scene_bytes(scene: &Scene) -> usize {
 impl Memory {
     /// All bytes that are counted.
     pub fn bytes(&self) -> usize {
-        self.tree_bytes + self.geometry_bytes + self.scene_bytes
+        self.tree_bytes + self.geometry_bytes + self.scene_bytes + self.texture_bytes
     }
 }
 

@@ -146,6 +146,11 @@ impl ExtraSlots {
 }
 
 impl Materials {
+    /// Bytes of the textures' coarser levels.
+    pub(crate) fn bytes(&self) -> usize {
+        self.textures.bytes()
+    }
+
     pub(crate) fn new(scene: Arc<Scene>) -> Self {
         let mut textures = Textures::new(scene.clone());
         let slots = scene

@@ -66,6 +66,16 @@ impl Textures {
         Slot { source, texture, pyramid, encoding }
     }
 
+    /// Bytes of the coarser levels.
+    pub(crate) fn bytes(&self) -> usize {
+        let level = |level: &Level| match &level.texels {
+            Texels::Codes8(texels) => size_of_val(texels.as_slice()),
+            Texels::Linear16(texels) => size_of_val(texels.as_slice()),
+            Texels::Float(texels) => size_of_val(texels.as_slice()),
+        };
+        self.pyramids.iter().flatten().map(level).sum()
+    }
+
     /// Size of the slot's image in texels.
     pub(crate) fn size(&self, slot: &Slot) -> Vec2 {
         let image = &self.scene.images[slot.texture.image];

@@ -164,6 +164,20 @@ impl Tracer<'_> {
         hit.map(|hit| hit.t)
     }
 
+    /// Place in render space, shading normal on the viewer's side and appearance of the first surface that a path meets.
+    pub(crate) fn first_seen(
+        &self,
+        ray: &Ray,
+        cone: Cone,
+        sampler: &Sampler<'_>,
+        stack: &mut Stack,
+    ) -> Option<(Vec3, Vec3, Appearance)> {
+        let hit = self.bvh.nearest(ray, stack, |hit| self.is_there(hit, 0, sampler))?;
+        let Vertex { material, point, front, normal, width } = self.vertex(ray, cone, &hit);
+        let frame = self.materials.frame(material, &point, width, normal, front, -ray.direction);
+        Some((point.position, frame.shading, self.materials.appearance(material, &point, width)))
+    }
+
     fn vertex(&self, ray: &Ray, cone: Cone, hit: &Hit) -> Vertex<'_> {
         let point = self.geometry.hit_point(hit);
         let facing = point.geometric_normal.dot(ray.direction) < 0.0;

@@ -5,9 +5,31 @@
 
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
+use crate::files::{read_json, write_json};
+
+/// What a file of the cache holds, or what `make` gives, which is then kept there. Without a folder nothing is kept.
+///
+/// # Errors
+/// Those of `make`, and when the file cannot be written.
+pub(crate) fn remembered<T: Serialize + DeserializeOwned>(
+    folder: Option<&Path>,
+    file: &str,
+    make: impl FnOnce() -> Result<T, PipelineError>,
+) -> Result<T, PipelineError> {
+    let Some(folder) = folder else { return make() };
+    let path = folder.join(file);
+    if let Some(kept) = read_json(&path) {
+        return Ok(kept);
+    }
+    let made = make()?;
+    std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
+    write_json(&path, &made)?;
+    Ok(made)
+}
 
 /// Collects everything a stage's result depends on.
 #[derive(Clone)]

@@ -4,19 +4,50 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry};
-use lumistack_pathtracer::Renderer;
+use lumistack_pathtracer::{Memory, Renderer};
+use lumistack_plugin_host::Registry;
 use lumistack_report::DepthBudget;
 use lumistack_scene::Window;
 
-use crate::error::PipelineError;
-use crate::fit::{Placement, probe};
+use crate::error::{PipelineError, display_error, field_error};
+use crate::fit::{self, Placement, probe};
+use crate::ingest::load_scene;
+use crate::job::Job;
 use crate::render::render_error;
-use crate::run::field_error;
 
 /// Columns at which depth is kept: enough for shares and percentiles.
 const MOST_COLS: usize = 240;
 /// Its file beside the views.
 const FILE: &str = "depth.npy";
+
+/// What can be told of a scene on a display before anything is rendered.
+pub struct Outlook {
+    /// How much of the scene the display can show sharply.
+    pub depth: DepthBudget,
+    /// Share of the window where the middle view sees a surface, 0..1.
+    pub coverage: f64,
+    /// What the scene occupies once it is prepared for rendering.
+    pub memory: Memory,
+}
+
+/// Places the job's display in its scene as a run would, and looks how deep its views see.
+///
+/// # Errors
+/// When the job has no scene, or scene, display or window make no sense.
+pub fn outlook(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
+    let Some(scene) = &job.scene else {
+        return Err(PipelineError::value("job", "scene", "a scene", "none"));
+    };
+    let display = job.resolve_display()?;
+    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let ingested = load_scene(scene, &job.pose, &job.importer, registry, &job.light, task)?;
+    let placement = fit::place(&ingested, &job.window, &display, &geometry, None, task)?;
+    let renderer = ingested.renderer(task)?;
+    let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
+    let depths = Depths::trace(renderer, &placement.window, &traced, None, task)?;
+    let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
+    Ok(Outlook { depth: depths.budget(&display, &geometry, &placement), coverage, memory: renderer.memory() })
+}
 
 /// z of the first surface along rays of all views, in the display space of the window.
 #[derive(Clone, Debug)]
@@ -36,7 +67,7 @@ impl Depths {
         (shape == [view_rows, view_cols, geometry.rows, geometry.cols]).then_some(Self { geometry, z_mm })
     }
 
-    /// Traces the central rays of coarser pixels and keeps what they meet.
+    /// Traces the central rays of coarser pixels and keeps what they meet, in a folder if there is one.
     ///
     /// # Errors
     /// When cancelled, or the file cannot be written.
@@ -44,7 +75,7 @@ impl Depths {
         renderer: &Renderer,
         window: &Window,
         geometry: &FieldGeometry,
-        folder: &Path,
+        folder: Option<&Path>,
         task: Task<'_>,
     ) -> Result<Self, PipelineError> {
         let geometry = probe(geometry, geometry.grid.clone(), MOST_COLS);
@@ -54,7 +85,9 @@ impl Depths {
         }
         let [view_rows, view_cols] = geometry.grid.views();
         let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
-        lumistack_field_io::npy::write(&folder.join(FILE), &shape, &z_mm).map_err(field_error)?;
+        if let Some(folder) = folder {
+            lumistack_field_io::npy::write(&folder.join(FILE), &shape, &z_mm).map_err(field_error)?;
+        }
         Ok(Self { geometry, z_mm })
     }
 

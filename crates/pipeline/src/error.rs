@@ -161,6 +161,32 @@ impl PipelineError {
     }
 }
 
+/// An error of a plugin; being asked to stop is none.
+pub(crate) fn host_error(error: HostError) -> PipelineError {
+    match error {
+        HostError::Cancelled => PipelineError::Cancelled,
+        other => PipelineError::Output(other),
+    }
+}
+
+pub(crate) fn factorize_error(error: FactorizeError) -> PipelineError {
+    match error {
+        FactorizeError::Cancelled(_) => PipelineError::Cancelled,
+        other => PipelineError::Factorize(other),
+    }
+}
+
+pub(crate) fn display_error(source: lumistack_display::DisplayError, place: &str) -> PipelineError {
+    PipelineError::Display { path: place.into(), text: String::new(), source }
+}
+
+pub(crate) fn field_error(error: lumistack_field_io::FieldError) -> PipelineError {
+    match error {
+        lumistack_field_io::FieldError::Cancelled(_) => PipelineError::Cancelled,
+        other => PipelineError::Field(other),
+    }
+}
+
 /// Reads a whole file.
 ///
 /// # Errors

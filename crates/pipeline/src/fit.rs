@@ -18,12 +18,11 @@ use lumistack_display::{Display, FieldGeometry, Projection, ViewGrid};
 use lumistack_scene::Window;
 use serde::{Deserialize, Serialize};
 
-use crate::cache::KeyBuilder;
+use crate::cache::{KeyBuilder, remembered};
 use crate::error::PipelineError;
 use crate::ingest::{Ingested, place_window};
 use crate::job::{FitDepth, WindowJob};
 use crate::render::render_error;
-use crate::run::write;
 
 /// Columns of the straight view by which depth is measured.
 const PROBE_COLS: usize = 210;
@@ -55,7 +54,7 @@ pub(crate) fn place(
     job: &WindowJob,
     display: &Display,
     geometry: &FieldGeometry,
-    cache_dir: &Path,
+    cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Placement, PipelineError> {
     let window = place_window(ingested, job, geometry, cache_dir, task)?;
@@ -77,21 +76,13 @@ pub(crate) fn place(
     let mut key = KeyBuilder::new("fit", 1);
     ingested.add_to(&mut key);
     key.add("window", format!("{window:?} {projection:?} {low} {high} {compress} {}", job.depth_scale).as_bytes());
-    let cached = cache_dir.join(format!("fit-{}.json", &key.finish()[..16]));
-    let read = || serde_json::from_slice::<Fit>(&std::fs::read(&cached).ok()?).ok();
-    let fit = match read() {
-        Some(fit) => fit,
-        None => {
-            let probe = probe(geometry, ViewGrid::single(projection, [0.0, 0.0]), PROBE_COLS);
-            let depth = ingested.renderer(task)?.depth(&window, &probe, [0, 0], task).map_err(render_error)?;
-            let mut depths: Vec<f64> = depth.data().iter().filter(|z| z.is_finite()).map(|z| f64::from(*z)).collect();
-            depths.sort_by(f64::total_cmp);
-            let fit = best_fit(&depths, [low, high], projection, job.depth_scale, compress);
-            std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
-            write(&cached, &serde_json::to_vec(&fit).expect("numbers serialize"))?;
-            fit
-        }
-    };
+    let fit: Fit = remembered(cache_dir, &format!("fit-{}.json", &key.finish()[..16]), || {
+        let probe = probe(geometry, ViewGrid::single(projection, [0.0, 0.0]), PROBE_COLS);
+        let depth = ingested.renderer(task)?.depth(&window, &probe, [0, 0], task).map_err(render_error)?;
+        let mut depths: Vec<f64> = depth.data().iter().filter(|z| z.is_finite()).map(|z| f64::from(*z)).collect();
+        depths.sort_by(f64::total_cmp);
+        Ok(best_fit(&depths, [low, high], projection, job.depth_scale, compress))
+    })?;
     let eye_mm = match projection {
         Projection::Oblique => None,
         Projection::Perspective { distance_mm } => Some(distance_mm),

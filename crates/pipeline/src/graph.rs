@@ -11,14 +11,15 @@
 use std::path::Path;
 use std::time::Instant;
 
-use lumistack_core::{Collector, Task, Warning};
+use lumistack_core::{Task, Warning};
 use lumistack_plugin_host::{OutputData, Registry};
-use lumistack_report::{DepthBudget, GraphInput, GraphNode};
+use lumistack_report::{GraphInput, GraphNode};
 use serde::Serialize;
 
-use crate::error::PipelineError;
+use crate::error::{PipelineError, display_error};
+use crate::files::{remove_reports, write_report};
 use crate::job::{Job, NodeJob, OutputJob};
-use crate::run::{Moment, Run, Summary, Tee, display_error, remove_reports, write_report};
+use crate::run::{Moment, Run, Summary, Tee};
 use crate::sequence::thumbnails;
 
 /// What one node ended with.
@@ -46,7 +47,7 @@ pub(crate) fn run(
     task: Task<'_>,
 ) -> Result<Summary, PipelineError> {
     let start = Instant::now();
-    let warnings = Tee { list: Collector::default(), next: task.warnings };
+    let warnings = Tee::new(task.warnings);
     let task = Task { warnings: &warnings, ..task };
     job.check()?;
     let mut run = Run::open(job, dir, registry)?;
@@ -121,8 +122,8 @@ pub(crate) fn run(
     };
     // of the job's own display, through which the window was placed
     let depth = input.depth;
-    let (psnr_view, psnr_raw, psnr_held_out) = (first.psnr_view, first.psnr_raw, first.psnr_held_out);
-    let settings = serde_json::to_value(job).expect("jobs serialize");
+    let (psnr, psnr_held_out) = ([first.psnr_view, first.psnr_raw], first.psnr_held_out);
+    let settings = job.to_json();
     let (html, json) = lumistack_report::graph(&GraphInput {
         title: &job.name,
         wanted: &wanted,
@@ -135,18 +136,7 @@ pub(crate) fn run(
     })
     .map_err(PipelineError::Report)?;
     write_report(dir, &html, &json)?;
-    Ok(Summary {
-        report: dir.join("report.html"),
-        psnr_view,
-        psnr_raw,
-        psnr_held_out,
-        psnr_outside: None,
-        nodes: summaries,
-        depth: depth.as_ref().map(DepthBudget::to_json),
-        depth_sentence: depth.as_ref().map(DepthBudget::sentence),
-        sequence: None,
-        seconds: start.elapsed().as_secs_f64(),
-    })
+    Ok(Summary { psnr_held_out, nodes: summaries, ..Summary::new(dir, psnr, depth.as_ref(), start) })
 }
 
 /// The plain job that a node stands for, given the light field.

@@ -11,17 +11,20 @@ use lumistack_pathtracer::Renderer;
 use lumistack_plugin_host::{Origin, PluginError, PluginKind, Registry};
 use lumistack_scene::{Camera, Scene, Similarity, Window};
 
-use crate::cache::KeyBuilder;
-use crate::error::{PipelineError, read};
+use crate::cache::{KeyBuilder, remembered};
+use crate::error::{PipelineError, host_error, read};
 use crate::job::{ImporterJob, LightJob, PoseJob, WindowFrom, WindowJob};
 use crate::light;
 use crate::render::render_error;
-use crate::run::{host_error, write};
 
 /// Share of an automatic window that the scene should cover at least.
 const COVERAGE: f64 = 0.26;
 /// Least width of an automatic window relative to one that holds all of the scene.
-const CLOSEST: f64 = 0.6;
+const CLOSEST: f64 = 0.58;
+/// Largest share of what is seen that may leave an automatic window at the bottom.
+const FOOT: f64 = 0.5;
+/// Width of what its lower edge may cut through, over the widest of what is seen.
+const SLENDER: f64 = 0.3;
 /// Columns of the straight view by which coverage is measured.
 const PROBE_COLS: usize = 168;
 
@@ -135,7 +138,17 @@ pub fn load_scene(
             Ok(())
         })?;
     }
-    if !scene.is_lit() && light_job.automatic {
+    let mut dark = !scene.is_lit();
+    if light_job.automatic && !dark {
+        let shared = Arc::new(scene);
+        dark = light::leaves_dark(&shared, task)?;
+        if dark {
+            let message = "the surfaces that glow leave most of what is seen dark, so the studio light is added; `light.automatic = false` does without";
+            task.warn(&shared.name, message);
+        }
+        scene = Arc::unwrap_or_clone(shared);
+    }
+    if light_job.automatic && dark {
         scene = light::edited(scene, task, |parts| {
             light::add_studio_light(parts);
             if let Some(environment) = &mut parts.environment {
@@ -157,7 +170,7 @@ pub fn place_window(
     ingested: &Ingested,
     job: &WindowJob,
     geometry: &FieldGeometry,
-    cache_dir: &Path,
+    cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Window, PipelineError> {
     let scene = &*ingested.scene;
@@ -197,80 +210,95 @@ pub fn place_window(
 }
 
 /// Moves an automatic window closer until the scene covers [`COVERAGE`] of it, by no more than [`CLOSEST`]. With `recentre` it also
-/// moves to where most is seen, so that a slender foot leaves the window before the body does.
+/// moves to where the scene is seen, and nothing leaves it but a foot below a slender neck: the stand of a bust, but no animal's paws or ears.
 fn close_up(
     ingested: &Ingested,
     window: Window,
     geometry: &FieldGeometry,
     recentre: bool,
-    cache_dir: &Path,
+    cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Window, PipelineError> {
-    let mut key = KeyBuilder::new("window", 1);
+    let mut key = KeyBuilder::new("window", 2);
     ingested.add_to(&mut key);
     let key = key.add("window", format!("{window:?} {recentre}").as_bytes()).finish();
-    let cached = cache_dir.join(format!("window-{}.json", &key[..16]));
-    if let Some((centre, scale)) = std::fs::read(&cached).ok().and_then(|text| serde_json::from_slice(&text).ok()) {
-        let (centre, scale): ([f64; 3], f64) = (centre, scale);
-        let map = Similarity { translation: centre.into(), scale, ..window.scene_from_display };
-        return Ok(Window { scene_from_display: map, ..window });
-    }
-    let renderer = ingested.renderer(task)?;
-    // a coarse straight view is enough to measure an area
-    let cols = geometry.cols.min(PROBE_COLS);
-    let pitch_mm = window.size_mm[0] / cols as f64;
-    let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
-    let probe = FieldGeometry { rows, cols, pitch_mm, grid: ViewGrid::single(geometry.grid.projection, [0.0, 0.0]) };
-    let mask = renderer.hit_mask(&window, &probe, [0, 0], task).map_err(render_error)?;
-    let (factor, [row, col]) = best_crop(&mask, recentre);
-    let half = 0.5 * pitch_mm;
-    let fitted =
-        window.scaled_about([probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm], factor);
-    let map = fitted.scene_from_display;
-    std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
-    write(&cached, &serde_json::to_vec(&(map.translation.to_array(), map.scale)).expect("numbers serialize"))?;
-    Ok(fitted)
+    let (centre, scale): ([f64; 3], f64) = remembered(cache_dir, &format!("window-{}.json", &key[..16]), || {
+        let renderer = ingested.renderer(task)?;
+        // a coarse straight view is enough to measure an area
+        let cols = geometry.cols.min(PROBE_COLS);
+        let pitch_mm = window.size_mm[0] / cols as f64;
+        let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
+        let grid = ViewGrid::single(geometry.grid.projection, [0.0, 0.0]);
+        let probe = FieldGeometry { rows, cols, pitch_mm, grid };
+        let mask = renderer.hit_mask(&window, &probe, [0, 0], task).map_err(render_error)?;
+        let (factor, [row, col]) = best_crop(&mask, recentre);
+        let half = 0.5 * pitch_mm;
+        let place = [probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm];
+        let map = window.scaled_about(place, factor).scene_from_display;
+        Ok((map.translation.to_array(), map.scale))
+    })?;
+    let map = Similarity { translation: centre.into(), scale, ..window.scene_from_display };
+    Ok(Window { scene_from_display: map, ..window })
 }
 
 /// The largest part of a picture, as a factor on its size and its centre [row, column] in pixels, of which [`COVERAGE`] is set in the mask. Where even
-/// [`CLOSEST`] is not enough, that.
+/// [`CLOSEST`] is not enough, that. With `recentre` what is seen stays whole, but for a foot below a slender neck.
 fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
-    // sums over all pixels above and to the left
-    let mut sums = Tensor::zeros(["row", "col"], [rows + 1, cols + 1]);
-    for row in 0..rows {
-        for col in 0..cols {
-            let sum = mask.get([row, col]) + sums.get([row, col + 1]) + sums.get([row + 1, col]) - sums.get([row, col]);
-            *sums.at_mut([row + 1, col + 1]) = sum;
-        }
-    }
+    let per_row: Vec<f64> = (0..rows).map(|row| mask.block([row]).iter().map(|&hit| f64::from(hit)).sum()).collect();
     let middle = [rows as f64 / 2.0, cols as f64 / 2.0];
-    let mut factor = 1.0;
+    let seen = |axis: usize| {
+        let hit = |i: usize| match axis {
+            0 => per_row[i] > 0.0,
+            _ => (0..rows).any(|row| mask.get([row, i]) > 0.0),
+        };
+        let count = [rows, cols][axis];
+        Some([(0..count).find(|&i| hit(i))?, (0..count).rfind(|&i| hit(i))? + 1])
+    };
+    let (Some([first_row, end_row]), Some([first_col, end_col])) = (seen(0), seen(1)) else { return (1.0, middle) };
+    // where a window of `size` goes of `count` pixels, so that it stands as near to `wanted` as it can
+    let place =
+        |wanted: f64, size: usize, count: usize| wanted.clamp(0.5 * size as f64, count as f64 - 0.5 * size as f64);
+    let (mut best, mut factor) = ((1.0, middle), 1.0);
     loop {
         let [height, width] = [rows, cols].map(|n| ((n as f64 * factor).round() as usize).max(1));
-        let (mut best, mut centre) = (f64::NEG_INFINITY, middle);
-        for top in 0..=rows - height {
-            for left in 0..=cols - width {
-                let at = [top as f64 + height as f64 / 2.0, left as f64 + width as f64 / 2.0];
-                let distance = (at[0] - middle[0]).abs() + (at[1] - middle[1]).abs();
-                if !recentre && distance > 1.0 {
-                    continue;
-                }
-                let (bottom, right) = (top + height, left + width);
-                let hits = sums.get([bottom, right]) - sums.get([top, right]) - sums.get([bottom, left])
-                    + sums.get([top, left]);
-                // among parts that show about the same, the one nearest to the middle
-                let value = f64::from(hits) / (height * width) as f64 - 1e-4 * distance;
-                if value > best {
-                    (best, centre) = (value, at);
-                }
+        let centre = if recentre {
+            if width < end_col - first_col {
+                return best;
+            }
+            // all of it in the middle, or its top at the top
+            let row = if height >= end_row - first_row { first_row + end_row } else { 2 * first_row + height };
+            let col = first_col + end_col;
+            [place(0.5 * row as f64, height, rows), place(0.5 * col as f64, width, cols)]
+        } else {
+            middle
+        };
+        let [top, left] =
+            [centre[0] - 0.5 * height as f64, centre[1] - 0.5 * width as f64].map(|edge| edge.round() as usize);
+        let (bottom, right) = ((top + height).min(rows), (left + width).min(cols));
+        let shown: f64 = (top..bottom)
+            .map(|row| mask.block([row])[left..right].iter().map(|&hit| f64::from(hit)).sum::<f64>())
+            .sum();
+        let enough = shown >= COVERAGE * (height * width) as f64;
+        if !recentre || cuts_through_a_neck(&per_row[..end_row], bottom) {
+            best = (factor, centre);
+            if enough {
+                return best;
             }
         }
-        if best >= COVERAGE || factor <= CLOSEST || sums.get([rows, cols]) == 0.0 {
-            return (factor, centre);
+        if factor <= CLOSEST {
+            return best;
         }
         factor = (factor - 0.02).max(CLOSEST);
     }
+}
+
+/// Whether a window that ends before row `bottom` cuts nothing off, or a foot below a slender neck.
+fn cuts_through_a_neck(per_row: &[f64], bottom: usize) -> bool {
+    let Some(&cut) = per_row.get(bottom) else { return true };
+    let foot: f64 = per_row[bottom..].iter().sum();
+    let widest = per_row.iter().copied().fold(0.0, f64::max);
+    cut <= SLENDER * widest && foot <= FOOT * per_row.iter().sum::<f64>()
 }
 
 fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, PipelineError> {
@@ -372,5 +400,25 @@ mod tests {
         assert_eq!(best_crop(&full, true), (1.0, [5.0, 8.0]));
         let empty = Tensor::zeros(["row", "col"], [10, 16]);
         assert_eq!(best_crop(&empty, true), (1.0, [5.0, 8.0]));
+        assert_eq!(best_crop(&empty, false), (1.0, [5.0, 8.0]));
+    }
+
+    /// Ears, a body, legs, all about as wide: closer would cut some of it off.
+    #[test]
+    fn a_slender_animal_stays_whole() {
+        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
+        for row in 2..98 {
+            let half = if row < 12 { 4 } else { 9 };
+            (80 - half..80 + half).for_each(|col| *mask.at_mut([row, col]) = 1.0);
+        }
+        let (factor, [row, col]) = best_crop(&mask, true);
+        assert!(factor >= 0.96, "{factor}");
+        assert!((row - 50.0).abs() <= 2.0 && (col - 80.0).abs() <= 1.0);
+        // a wide row of small things is not cut at its ends
+        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
+        (10..150).for_each(|col| (60..68).for_each(|row| *mask.at_mut([row, col]) = 1.0));
+        let (factor, [row, _]) = best_crop(&mask, true);
+        assert!((0.87..0.92).contains(&factor), "{factor}");
+        assert!((row - 55.0).abs() < 10.0, "it stands in the middle as far as that goes: {row}");
     }
 }

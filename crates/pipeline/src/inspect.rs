@@ -7,8 +7,7 @@ use lumistack_core::Task;
 use lumistack_field_io::{Description, GeometryFlags};
 use lumistack_plugin_host::{Kind, Registry};
 
-use crate::error::PipelineError;
-use crate::run::field_error;
+use crate::error::{PipelineError, field_error};
 
 /// Describes a light field of any kind.
 ///

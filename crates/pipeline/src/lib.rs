@@ -10,8 +10,10 @@
 //! A sequence goes this way once for every time, each factorized from the patterns of the time before.
 
 mod cache;
+mod denoise;
 mod depth;
 mod error;
+mod files;
 mod fit;
 mod flicker;
 mod graph;
@@ -20,6 +22,7 @@ mod inspect;
 mod job;
 mod light;
 mod look;
+mod oidn;
 pub mod presets;
 mod render;
 mod run;
@@ -27,14 +30,16 @@ mod sequence;
 mod simulate;
 
 pub use cache::{KeyBuilder, Stamps};
+pub use depth::{Outlook, outlook};
 pub use error::PipelineError;
 pub use graph::NodeSummary;
 pub use ingest::{Ingested, load_scene, place_window, scene_contents};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
-    AngularFilter, DisplayJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob, OutputJob, PoseJob,
-    RenderJob, ReportJob, SequenceJob, Tone, WindowFrom, WindowJob,
+    AngularFilter, Denoise, DisplayJob, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob, OutputJob,
+    PoseJob, RenderJob, ReportJob, SequenceJob, Tone, WindowFrom, WindowJob,
 };
+pub use look::automatic_look;
 pub use lumistack_plugin_host::Registry;
 pub use run::{Summary, render_only, run};
 pub use sequence::SequenceSummary;

@@ -1,16 +1,58 @@
 //! Light for scenes that bring none, and environment maps from files.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use glam::{Quat, Vec3};
+use lumistack_core::{NoProgress, Task};
+use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_field_io::picture::Picture;
-use lumistack_scene::{Environment, Image, Pixels, Scene, SceneError, SceneParts};
+use lumistack_pathtracer::{Renderer, Settings};
+use lumistack_scene::{Environment, Image, Pixels, Scene, SceneError, SceneParts, Window};
 
-use crate::error::{PipelineError, read};
-use crate::run::field_error;
+use crate::error::{PipelineError, field_error, read};
+use crate::look::automatic_look;
+use crate::render::render_error;
 
 /// Size of the studio map; it is smooth.
 const STUDIO: [usize; 2] = [128, 64];
+/// Pixels and paths by which it is found out whether lamps light a scene.
+const PROBE: [usize; 2] = [96, 60];
+const PROBE_SAMPLES: u32 = 16;
+/// Half of the surfaces shown darker than this after exposure are not lit.
+const DARK: f64 = 0.02;
+
+/// Whether a scene whose only light is that of glowing surfaces stays dark: an engine that glows lights no hangar.
+///
+/// # Errors
+/// When the scene cannot be rendered, or when cancelled.
+pub(crate) fn leaves_dark(scene: &Arc<Scene>, task: Task<'_>) -> Result<bool, PipelineError> {
+    if scene.environment.is_some() || !scene.lights.is_empty() {
+        return Ok(false);
+    }
+    let [cols, rows] = PROBE;
+    let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
+    let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
+    let size_mm = geometry.size_mm();
+    let seen_by = |camera| Window::from_camera(camera, scene.bounds(), size_mm).ok();
+    let framed = || Window::framing(scene.bounds(), size_mm);
+    let window = match scene.cameras.first().and_then(seen_by) {
+        Some(window) => window,
+        None => framed().map_err(|source| PipelineError::Window { name: scene.name.clone(), source })?,
+    };
+    let task = Task { progress: &NoProgress, ..task };
+    let renderer = Renderer::new(scene.clone(), task).map_err(render_error)?;
+    let settings = Settings { samples: PROBE_SAMPLES, ..Settings::default() };
+    let radiance = renderer.render_view(&window, &geometry, [0, 0], &settings, task).map_err(render_error)?;
+    let mask = renderer.hit_mask(&window, &geometry, [0, 0], task).map_err(render_error)?;
+    let brightest = radiance.data().chunks_exact(3).map(|rgb| rgb[0].max(rgb[1]).max(rgb[2]));
+    let rays: Vec<(f32, bool)> = brightest.zip(mask.data().iter().map(|&hit| hit > 0.5)).collect();
+    let (exposure, curve) = automatic_look(scene, &rays);
+    let dark = |value: f32| curve.apply([(f64::from(value) * exposure) as f32; 3])[1] < DARK as f32;
+    let surfaces = rays.iter().filter(|(_, surface)| *surface);
+    let count = surfaces.clone().count();
+    Ok(2 * surfaces.filter(|(value, _)| dark(*value)).count() > count)
+}
 
 /// Gives the scene the built-in studio light: a soft grey surround, darker below, a large key light above to the left in front of the
 /// scene and a weaker fill to the right. Radiance is about 1 where it is brightest outside the lamps.

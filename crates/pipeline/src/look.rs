@@ -58,15 +58,27 @@ impl Look {
 
     /// Makes a field of scene-linear radiance display-referred.
     pub(crate) fn apply(self, field: &mut LightField) {
+        self.apply_to(field.radiance_mut().data_mut());
+    }
+
+    /// The same for pixels `[..][rgb]`.
+    pub(crate) fn apply_to(self, rgb: &mut [f32]) {
         let exposure = self.exposure as f32;
         // by pixels; threads do not matter
-        field.radiance_mut().data_mut().par_chunks_mut(3 * 4096).for_each(|pixels| {
+        rgb.par_chunks_mut(3 * 4096).for_each(|pixels| {
             for rgb in pixels.chunks_exact_mut(3) {
                 let shown = self.curve.apply([0, 1, 2].map(|c| rgb[c] * exposure));
                 rgb.copy_from_slice(&shown);
             }
         });
     }
+}
+
+/// The exposure and the tone curve that a job with nothing set chooses. `brightest` holds the brightest channel of rays, and whether the ray meets a
+/// surface.
+pub fn automatic_look(scene: &Scene, brightest: &[(f32, bool)]) -> (f64, ToneCurve) {
+    let Look { exposure, curve } = Look::choose(&LightJob::default(), scene, brightest);
+    (exposure, curve)
 }
 
 /// Whether every surface shows its base colour whatever the light: then radiance is display-referred as it is.

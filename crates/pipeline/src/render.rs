@@ -1,26 +1,27 @@
-//! Scene to light field: every view is path-traced and kept in the cache, then one exposure makes all of them display-referred.
+//! Scene to light field: every view is path-traced and kept in the cache, filtered where the job says so, then one exposure makes all of them
+//! display-referred.
 
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid};
-use lumistack_field_io::picture::{self, Picture, Precision};
+use lumistack_field_io::picture::Picture;
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_scene::Window;
 
 use crate::cache::KeyBuilder;
+use crate::denoise::{self, Denoised, Traced};
 use crate::depth::Depths;
 use crate::error::PipelineError;
 use crate::fit::Placement;
 use crate::ingest::Ingested;
-use crate::job::{AngularFilter, Job};
+use crate::job::{AngularFilter, Denoise, Job};
 use crate::look::Look;
-use crate::run::field_error;
 
 /// Rays that decide about exposure and tone curve, at most.
 const MOST_RAYS: usize = 4_000_000;
 /// Changes whenever the path tracer gives other pixels.
-const RENDER_VERSION: u32 = 2;
+const RENDER_VERSION: u32 = 3;
 
 /// The rendered light fields of a run.
 pub struct Rendered {
@@ -36,6 +37,8 @@ pub struct Rendered {
     pub(crate) depths: Depths,
     /// Share of the window where the middle view sees a surface, 0..1.
     pub coverage: f64,
+    /// What the denoiser did to the target, where there is one.
+    pub(crate) denoised: Option<Denoised>,
     /// Whether no view had to be traced.
     pub cached: bool,
 }
@@ -111,6 +114,10 @@ pub(crate) fn render(
     key.add_json("light", &(job.light.environment_strength, job.light.automatic))
         .add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
     key.add("settings", format!("{settings:?}").as_bytes()).add("window", format!("{window:?}").as_bytes());
+    let kind = job.render.denoise;
+    if kind != Denoise::Off {
+        key.add("halves", b"2");
+    }
     let mut todo = Vec::new();
     for (i, field) in fields.iter_mut().enumerate() {
         let mut key = key.clone();
@@ -121,27 +128,37 @@ pub(crate) fn render(
         field.folder = cache_dir.join(format!("{}-{}", field.name, &key.finish()[..16]));
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
         for view in field.geometry.grid.iter() {
-            let path = view_path(&field.folder, view);
-            if read_view(&path, &field.geometry).is_none() {
-                todo.push((i, view, path));
+            for &half in denoise::parts(kind) {
+                let path = view_path(&field.folder, view, half);
+                if read_view(&path, &field.geometry).is_none() {
+                    todo.push(Todo { field: i, view, half, path });
+                }
             }
         }
     }
     let kept = Depths::read(&fields[0].folder, &fields[0].traced);
-    let cached = todo.is_empty() && kept.is_some();
+    let cached = todo.is_empty() && kept.is_some() && fields.iter().all(|field| field.halves().is_finished(kind));
     let depths = match kept {
         Some(depths) => depths,
-        None => Depths::trace(ingested.renderer(task)?, window, &fields[0].traced, &fields[0].folder, task)?,
+        None => Depths::trace(ingested.renderer(task)?, window, &fields[0].traced, Some(&fields[0].folder), task)?,
     };
+    if !cached {
+        denoise::check(kind)?;
+    }
     if !todo.is_empty() {
         trace(ingested.renderer(task)?, &todo, &fields, window, task)?;
+    }
+    for field in &fields {
+        if !field.halves().is_finished(kind) {
+            field.halves().filter(kind, ingested.renderer(task)?, window, task)?;
+        }
     }
     let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
     let mut radiance = Vec::new();
     for FieldJob { geometry, folder, .. } in &fields {
         let mut field = LightField::black(geometry.clone())?;
         for view in geometry.grid.iter() {
-            let path = view_path(folder, view);
+            let path = view_path(&denoise::finished(kind, folder), view, None);
             let picture = read_view(&path, geometry).ok_or_else(|| {
                 PipelineError::value(&path, "cached view", "the picture just written", "another or none")
             })?;
@@ -150,6 +167,7 @@ pub(crate) fn render(
         radiance.push(field);
     }
     let look = Look::choose(&job.light, &ingested.scene, &brightest(&radiance[0], &depths));
+    let denoised = fields[0].halves().denoised(kind, look)?;
     let mut exposed = radiance.into_iter().map(|mut field| {
         look.apply(&mut field);
         lumistack_field_io::round_to_half(&mut field);
@@ -157,7 +175,8 @@ pub(crate) fn render(
     });
     let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
     let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
-    Ok(Rendered { target, held_out: other("held-out"), outside: other("outside"), look, depths, coverage, cached })
+    let (held_out, outside) = (other("held-out"), other("outside"));
+    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached })
 }
 
 /// One light field to render.
@@ -170,26 +189,52 @@ struct FieldJob {
     /// The same in the scene: with the slopes at which it is traced.
     traced: FieldGeometry,
     settings: Settings,
-    /// Where its finished views lie.
+    /// Where its traced views lie.
     folder: PathBuf,
+}
+
+impl FieldJob {
+    /// As the denoiser takes it up.
+    fn halves(&self) -> Traced<'_> {
+        let Self { traced, folder, .. } = self;
+        Traced { geometry: traced, settings: self.seeded(&[]), folder, checked: self.stream == 0 }
+    }
+
+    /// Settings with the seed of this field, and of a part of it.
+    fn seeded(&self, part: &[u64]) -> Settings {
+        let seed = lumistack_core::seed::derive(self.settings.seed, &[&[self.stream], part].concat());
+        Settings { seed, ..self.settings }
+    }
+}
+
+/// A picture to trace.
+struct Todo {
+    field: usize,
+    view: [usize; 2],
+    /// Which half of the samples, or all of them.
+    half: Option<usize>,
+    path: PathBuf,
 }
 
 fn trace(
     renderer: &Renderer,
-    todo: &[(usize, [usize; 2], PathBuf)],
+    todo: &[Todo],
     fields: &[FieldJob],
     window: &Window,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let steps: u64 = todo.iter().map(|(field, ..)| Renderer::steps_per_view(&fields[*field].geometry)).sum();
+    let steps: u64 = todo.iter().map(|todo| Renderer::steps_per_view(&fields[todo.field].geometry)).sum();
     task.progress.begin("render", steps, "tiles");
-    let result = todo.iter().enumerate().try_for_each(|(number, (field, view, path))| {
-        let FieldJob { stream, traced, settings, .. } = &fields[*field];
-        let settings = Settings { seed: lumistack_core::seed::derive(settings.seed, &[*stream]), ..*settings };
-        let picture = renderer.render_view(window, traced, *view, &settings, task).map_err(render_error)?;
-        let [rows, cols, _] = picture.shape();
-        picture::write_exr(path, [cols, rows], picture.data(), Precision::Float).map_err(field_error)?;
-        task.progress.advance(0, &format!("tiles, view {} of {}", number + 1, todo.len()));
+    let result = todo.iter().enumerate().try_for_each(|(number, Todo { field, view, half, path })| {
+        let field = &fields[*field];
+        let settings = match half {
+            None => field.seeded(&[]),
+            Some(half) => Settings { samples: field.settings.samples.div_ceil(2), ..field.seeded(&[1 + *half as u64]) },
+        };
+        let picture = renderer.render_view(window, &field.traced, *view, &settings, task).map_err(render_error)?;
+        denoise::write_view(path, &picture)?;
+        let of = if half.is_some() { "half view" } else { "view" };
+        task.progress.advance(0, &format!("tiles, {of} {} of {}", number + 1, todo.len()));
         Ok(())
     });
     task.progress.end();
@@ -203,11 +248,14 @@ pub(crate) fn render_error(error: lumistack_pathtracer::RenderError) -> Pipeline
     }
 }
 
-fn view_path(folder: &Path, view: [usize; 2]) -> PathBuf {
-    folder.join(format!("view_{:02}_{:02}.exr", view[0], view[1]))
+/// The file of a view, or of a half of its samples.
+pub(crate) fn view_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
+    let half = half.map_or("", |half| ["-a", "-b"][half]);
+    folder.join(format!("view_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
-fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
+/// Reads a view of the geometry's size.
+pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
     let picture = Picture::read(path).ok()?;
     (picture.size() == [geometry.cols, geometry.rows]).then(|| picture.into_linear())
 }

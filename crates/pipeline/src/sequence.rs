@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use lumistack_core::metrics::SquaredError;
-use lumistack_core::{Collector, Progress, Task};
+use lumistack_core::{Progress, Task};
 use lumistack_display::{FieldGeometry, Projection, RayMap, Simulator};
 use lumistack_plugin_host::Registry;
 use lumistack_report::{SequenceInput, SequenceTime, Thumbnail};
@@ -21,12 +21,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::cache::KeyBuilder;
 use crate::error::PipelineError;
+use crate::files::{read_json, remove_reports, write_job, write_json, write_report};
 use crate::flicker::{self, Shown, TimeError};
 use crate::job::{Job, SequenceJob};
 use crate::look::Look;
-use crate::run::{
-    Made, Moment, Run, Summary, Tee, add_stack, add_weights, remove_reports, write, write_job, write_report,
-};
+use crate::run::{Made, Moment, Run, Summary, Tee, add_stack, add_weights};
 use times::Times;
 
 /// Changes whenever the figures of a time are measured differently.
@@ -56,7 +55,7 @@ pub(crate) fn run(
     task: Task<'_>,
 ) -> Result<Summary, PipelineError> {
     let start = Instant::now();
-    let warnings = Tee { list: Collector::default(), next: task.warnings };
+    let warnings = Tee::new(task.warnings);
     let task = Task { warnings: &warnings, ..task };
     job.check()?;
     // found out before an hour of rendering, not after
@@ -71,7 +70,7 @@ pub(crate) fn run(
         last = Some(this);
     }
     write_job(job, dir)?;
-    let settings = serde_json::to_value(job).expect("jobs serialize");
+    let settings = job.to_json();
     let report = lumistack_report::sequence(&SequenceInput {
         title: &job.name,
         times: &list,
@@ -83,21 +82,10 @@ pub(crate) fn run(
     })
     .map_err(PipelineError::Report)?;
     write_report(dir, &report.html, &report.json)?;
+    let (psnr_change, psnr_still) = (report.psnr_change, report.psnr_still);
     Ok(Summary {
-        report: dir.join("report.html"),
-        psnr_view: report.psnr_view,
-        psnr_raw: report.psnr_raw,
-        psnr_held_out: None,
-        psnr_outside: None,
-        nodes: Vec::new(),
-        depth: None,
-        depth_sentence: None,
-        sequence: Some(SequenceSummary {
-            times: list.len(),
-            psnr_change: report.psnr_change,
-            psnr_still: report.psnr_still,
-        }),
-        seconds: start.elapsed().as_secs_f64(),
+        sequence: Some(SequenceSummary { times: list.len(), psnr_change, psnr_still }),
+        ..Summary::new(dir, [report.psnr_view, report.psnr_raw], None, start)
     })
 }
 
@@ -134,7 +122,7 @@ fn run_time(
     task: Task<'_>,
 ) -> Result<(SequenceTime, Last), PipelineError> {
     let progress = TimeProgress { next: task.progress, place: format!("{}/{}", time + 1, times.count()) };
-    let warnings = Tee { list: Collector::default(), next: task.warnings };
+    let warnings = Tee::new(task.warnings);
     let task = Task { progress: &progress, warnings: &warnings, ..task };
     let folder = dir.join(name(time));
     let fresh = last.map(|_| times.fresh());
@@ -209,9 +197,8 @@ fn measure(
 ) -> Result<TimeError, PipelineError> {
     let file = Path::new("cache/measure-figures.json");
     run.timed("measure", |run| {
-        let read = || serde_json::from_slice::<Kept>(&std::fs::read(folder.join(file)).ok()?).ok();
         if run.stamps.is_current("measure", key)
-            && let Some(Kept { error, change, still }) = read()
+            && let Some(Kept { error, change, still }) = read_json(&folder.join(file))
         {
             let [error, change, still] = [error, change, still].map(|(sum, count)| SquaredError { sum, count });
             return Ok((TimeError { error, change, still }, true));
@@ -221,7 +208,7 @@ fn measure(
         let found = flicker::measure(&run.display, made.shown(), before, &made.weights, task)?;
         let pair = |error: SquaredError| (error.sum, error.count);
         let kept = Kept { error: pair(found.error), change: pair(found.change), still: pair(found.still) };
-        write(&folder.join(file), &serde_json::to_vec(&kept).expect("figures serialize"))?;
+        write_json(&folder.join(file), &kept)?;
         run.stamps.write("measure", key, &[file.to_owned()])?;
         Ok((found, false))
     })

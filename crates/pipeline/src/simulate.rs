@@ -6,9 +6,9 @@ use lumistack_core::{Tensor, colour};
 use lumistack_display::{Display, LayerStack, Simulator};
 use lumistack_field_io::picture::{Precision, write_exr};
 
-use crate::error::PipelineError;
+use crate::error::{PipelineError, field_error};
+use crate::files::write;
 use crate::presets;
-use crate::run::{field_error, write};
 
 /// A finished run: the display and its patterns.
 pub struct RunFolder {

@@ -78,6 +78,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             solution: None,
             stages: &stages,
             settings: &settings,
+            denoising: None,
             scene: None,
             depth: None,
             warnings: &warnings.take(),

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use crate::convergence::reached;
 use crate::depth::DepthBudget;
 use crate::measure::{FieldScore, Measured};
-use crate::{Found, ReportError, ReportInput};
+use crate::{DenoisedView, Found, ReportError, ReportInput};
 
 /// Value of the key `schema`.
 const SCHEMA: &str = "lumistack/report";
@@ -71,6 +71,19 @@ pub(crate) fn report(input: &ReportInput, measured: &Measured, found: &Found) ->
             "iteration": line.iteration,
             "psnr_view": figure(line.psnr_view),
         })).collect::<Vec<_>>(),
+        "denoising": input.denoising.map(|denoising| {
+            let pair = |pair: [f64; 2]| pair.map(figure);
+            let figures = |view: &DenoisedView| json!({
+                "mean": figure(view.mean),
+                "mean_change": pair(view.mean_change),
+                "mse_before": pair(view.mse_before),
+                "mse_after": pair(view.mse_after),
+            });
+            let mut value = figures(&denoising.overall);
+            value["name"] = denoising.name.into();
+            value["views"] = denoising.views.iter().map(figures).collect();
+            value
+        }),
         "stages": input.stages.iter().map(|stage| json!({
             "name": stage.name,
             "seconds": figure(stage.seconds),

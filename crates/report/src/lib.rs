@@ -34,6 +34,7 @@
 //! | `depth` | null, or of the rays of all views that meet a surface: `depth_of_field_mm` ([low, high] or null), shares `inside` it, `inside_middle` (of the middle view), `beyond_a_pixel`, percentiles `depth_mm` and `disparity_px` (between neighbouring views), `window_moved_back_mm`, `depth_scale`, and two histograms |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
 //! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by then |
+//! | `denoising` | null, or `name`, and over all views and in the list `views`: `mean` (of the unbiased picture), `mean_change`, `mse_before`, `mse_after`, each of these a pair of value and standard error (exposed radiance; errors at pixels that the filter never saw) |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
 //! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report) |
@@ -104,6 +105,34 @@ pub struct Stage {
     pub cached: bool,
 }
 
+/// What a denoiser did to one view or to all, in exposed radiance, all channels together. Pairs are a value and its standard error.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DenoisedView {
+    /// Mean of the unbiased picture.
+    pub mean: f64,
+    /// Mean of the filtered picture minus that.
+    pub mean_change: [f64; 2],
+    /// Mean squared error of the unbiased picture.
+    pub mse_before: [f64; 2],
+    /// Mean squared error of the filtered one.
+    pub mse_after: [f64; 2],
+}
+
+/// What a denoiser did to the target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Denoising<'a> {
+    /// Its name, for people.
+    pub name: &'a str,
+    /// Over all views.
+    pub overall: DenoisedView,
+    /// Per view, in the order of the target's grid.
+    pub views: Vec<DenoisedView>,
+    /// The middle view as rendered, `[row][col][rgb]`, of the target's size, as displayed.
+    pub unbiased: &'a [f32],
+    /// The middle view filtered, likewise.
+    pub filtered: &'a [f32],
+}
+
 /// A file or folder that the run wrote.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Output {
@@ -141,6 +170,8 @@ pub struct ReportInput<'a> {
     pub stages: &'a [Stage],
     /// The resolved job, every default written out.
     pub settings: &'a serde_json::Value,
+    /// What a denoiser did to the target, where one was used.
+    pub denoising: Option<&'a Denoising<'a>>,
     /// Facts about the scene (name, triangles, ...), where there is one.
     pub scene: Option<&'a serde_json::Value>,
     /// What the scene's depth asks of the display, where a scene was rendered.

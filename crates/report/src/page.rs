@@ -1,5 +1,6 @@
 //! report.html: pictures first, then figures, then settings. maud escapes every text.
 
+mod denoising;
 mod depth;
 mod figures;
 pub(crate) mod graph;
@@ -49,6 +50,7 @@ pub(crate) fn render(
         (views::headline(measured))
         (views::look_around(measured))
         (views::comparisons(input, measured))
+        (denoising::section(input)?)
         @if let Some(budget) = input.depth { (depth::section(budget)?) }
         (figures::limits(input, found))
         (layers::patterns(input, patterns))

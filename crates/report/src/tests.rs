@@ -63,6 +63,7 @@ fn plain<'a>(display: &'a Display, stack: &'a LayerStack, target: &'a LightField
         solution: None,
         stages: &[],
         settings: &Value::Null,
+        denoising: None,
         scene: None,
         depth: None,
         warnings: &[],

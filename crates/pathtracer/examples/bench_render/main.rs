@@ -3,11 +3,13 @@
 //! ```text
 //! bench_render view SCENE [--quick] [--rounds N] [--samples N] [--reference N] [--size COLSxROWS] [--folder FOLDER] [--peer PYTHON SCRIPT]...
 //! bench_render rays SCENE [--copies N] [--rounds N] [--size COLSxROWS] [--embree LIBRARY]
+//! bench_render agree SCENE [--reference N] [--size COLSxROWS] [--folder FOLDER] [--peer PYTHON SCRIPT]...
 //! bench_render big SCENE [--copies N]
 //! ```
 //!
 //! `rays` counts rays per second of the tree alone. `big` renders a scene of many copies and prints what it occupies. `view` renders one view of a diffuse scene (see [`case`]) with everyone in turn and prints, per renderer and sampler, the median time,
-//! samples per second, the mean squared error against the renderer's own converged picture, and error × seconds per megapixel.
+//! samples per second, the mean squared error against the renderer's own converged picture, and error × seconds per megapixel. `agree` compares converged pictures of the
+//! same view and fails where they differ.
 
 mod case;
 #[cfg(unix)]
@@ -27,6 +29,8 @@ use crate::peer::Peer;
 
 /// Scattering vertices: 4 after the first hit.
 const BOUNCES: u32 = 5;
+/// Largest difference of mean radiance and largest relative RMSE of two renderers that agree.
+const AGREE: [f64; 2] = [0.003, 0.03];
 /// A pixel's relative error counts against at least this share of the mean radiance.
 const DARKEST_SHARE: f64 = 0.05;
 
@@ -51,8 +55,9 @@ fn main() -> ExitCode {
             let case = Case::load(&options.scene, options.copies, options.size, Task::quiet(&warnings, &cancel))?;
             rays::measure(&case, options.embree.as_deref(), options.rounds)
         }),
+        Some("agree") => options(&words[1..]).and_then(|options| agree(&options)),
         Some("big") => options(&words[1..]).and_then(|options| big(&options)),
-        _ => Err("say `view SCENE`, `rays SCENE` or `big SCENE`".into()),
+        _ => Err("say `view SCENE`, `rays SCENE`, `agree SCENE` or `big SCENE`".into()),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -205,6 +210,36 @@ fn view(options: &Options) -> Outcome {
     Ok(())
 }
 
+/// Converged pictures of a diffuse scene, ours against the peers'.
+fn agree(options: &Options) -> Outcome {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
+    let case = Case::load(&options.scene, options.copies, options.size, task)?;
+    let folder = options.folder.join(&case.name);
+    case.export(&folder)?;
+    let renderer = Renderer::new(case.scene.clone(), task)?;
+    let samples = options.reference;
+    let settings =
+        Settings { samples, seed: 4711, max_bounces: BOUNCES, roulette_start: BOUNCES, ..Settings::default() };
+    let picture = renderer.render_view(&case.window, &case.geometry, [0, 0], &settings, task)?;
+    write_png(&folder.join("ours.png"), picture.data(), options.size)?;
+    let mut worst = [0.0f64; 2];
+    println!("\n{}, {samples} samples per pixel, against ours:", case.name);
+    for (number, [python, script]) in options.peers.iter().enumerate() {
+        let mut peer = Peer::start(python, script, &folder)?;
+        let sampler = peer.samplers.first().cloned().ok_or("a renderer without samplers")?;
+        let (_, theirs) = peer.render(&sampler, samples, 4711, &folder.join("view.npy"))?;
+        let (mean, relative) = agreement(picture.data(), &theirs);
+        println!("{:<42} mean radiance {:+.3} %, relative RMSE {:.2} %", peer.name, 100.0 * mean, 100.0 * relative);
+        write_png(&folder.join(format!("peer-{number}.png")), &theirs, options.size)?;
+        worst = [worst[0].max(mean.abs()), worst[1].max(relative)];
+    }
+    if worst[0] > AGREE[0] || worst[1] > AGREE[1] {
+        return Err(format!("expected at most {} of difference of means and {} of RMSE", AGREE[0], AGREE[1]).into());
+    }
+    Ok(())
+}
+
 /// A scene whose copies would not fit into memory.
 fn big(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -226,12 +261,19 @@ fn big(options: &Options) -> Outcome {
 fn print_memory(memory: &Memory) {
     let per = |bytes: usize, triangles: usize| bytes as f64 / triangles as f64;
     println!(
-        "{} triangles, {} unique: tree {:.1} bytes per unique triangle, all without coarser textures {:.1} MB ({:.2} bytes per triangle)",
+        "{} triangles, {} unique: tree {:.1} bytes per unique triangle, all {:.1} MB ({:.2} bytes per triangle)",
         memory.triangles,
         memory.unique_triangles,
         per(memory.tree_bytes, memory.unique_triangles),
         memory.bytes() as f64 * 1e-6,
         per(memory.bytes(), memory.triangles)
+    );
+    let images = memory.scene_bytes + memory.texture_bytes;
+    println!(
+        "meshes and images {:.1} MB, coarser levels of images {:.1} MB, {:.2} times the data itself",
+        memory.scene_bytes as f64 * 1e-6,
+        memory.texture_bytes as f64 * 1e-6,
+        images as f64 / memory.scene_bytes as f64
     );
 }
 

@@ -1,8 +1,16 @@
 //! Directional albedo of the GGX reflection lobe, tabulated once.
 //!
 //! E(μ, α) is the albedo of the lobe without Fresnel and B(μ, α) that with (1 − o·h)⁵ in its place, so that Schlick's Fresnel gives
-//! F₀(E − B) + F₉₀B. Single scattering loses 1 − E; Turquin 2019 ("Practical multiple scattering compensation for microfacet
-//! models") returns it by the factor 1 + F₀(1/E − 1), which makes a white metal lossless.
+//! F₀(E − B) + F₉₀B. Single scattering loses 1 − E of what it reflects. That share strikes the surface again, is reflected by the mean F̄ of the
+//! Fresnel term, and again leaves in the share E:
+//!
+//! ```text
+//! K = 1 + F̄(1 − E) + F̄²(1 − E)² + … = 1 / (1 − F̄(1 − E)),   F̄ = 2 ∫ F(μ) μ dμ = F₀ + (1 − F₀)/21
+//! ```
+//!
+//! A white metal is lossless, a coloured one becomes more saturated. Sources: Turquin 2019, "Practical multiple scattering compensation for
+//! microfacet models" (a factor on the lobe that depends on the viewer alone); Kulla, Conty 2017, "Revisiting physically based shading at
+//! Imageworks" (the series).
 
 use std::sync::OnceLock;
 
@@ -40,10 +48,11 @@ impl Albedo {
         f0 * (self.full - self.grazing) + f90 * self.grazing
     }
 
-    /// Turquin's factor.
+    /// Factor that returns what single scattering loses.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
-        Vec3::ONE + f0 * (1.0 / self.full - 1.0)
+        let mean = f0 + (Vec3::ONE - f0) * (1.0 / 21.0);
+        (Vec3::ONE - mean * (1.0 - self.full)).recip()
     }
 }
 
@@ -171,6 +180,26 @@ mod tests {
         // a mirror loses nothing and reflects (1 − μ)⁵
         let mirror = albedo(0.5, 0.0);
         assert!((mirror.full - 1.0).abs() < TABLE_TOLERANCE && (mirror.grazing - 1.0 / 32.0).abs() < TABLE_TOLERANCE);
+    }
+
+    /// Against the series, summed.
+    #[test]
+    fn the_compensation_is_a_series_of_reflections() {
+        for full in [0.3f32, 0.5, 0.9, 1.0] {
+            let lobe = Albedo { full, grazing: 0.0 };
+            for f0 in [0.0f32, 0.04, 0.37, 1.0] {
+                // the mean of Schlick's term, by midpoints
+                let mean: f32 = (0..2000)
+                    .map(|i| (i as f32 + 0.5) / 2000.0)
+                    .map(|x| 2.0 * x * (f0 + (1.0 - f0) * (1.0 - x).powi(5)))
+                    .sum::<f32>()
+                    / 2000.0;
+                let series: f32 = (0..200).map(|n| (mean * (1.0 - full)).powi(n)).sum();
+                let found = lobe.compensation(Vec3::splat(f0)).x;
+                assert!((found / series - 1.0).abs() < 1e-4, "{full} {f0}: {found} {series}");
+            }
+            assert!((lobe.compensation(Vec3::ONE).x * full - 1.0).abs() < 1e-6, "a white metal loses nothing");
+        }
     }
 
     #[test]

@@ -11,11 +11,10 @@ use lumistack_plugin_host::Registry;
 use lumistack_scene::{Similarity, Window};
 
 use super::{Last, name};
-use crate::error::PipelineError;
+use crate::error::{PipelineError, display_error};
 use crate::fit::{self, Placement};
 use crate::ingest::{self, Ingested};
 use crate::job::{FactorizeJob, Job, PoseJob, SequenceJob, WindowFrom, WindowJob};
-use crate::run::display_error;
 
 /// What `auto` takes after the first time. Extrapolating along a few iterations from patterns of another target overshoots. Measured with content that moves
 /// 2 pixels a time (3 layers, 6 frames, 160 × 100, 5 × 5 views, 5 iterations): block-exact reaches 49.9 dB and flicker 48.8 dB at β = 0.2, extrapolated 47.8 and 46.6 dB; 45.3 dB both
@@ -55,7 +54,7 @@ impl<'a> Times<'a> {
                 let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
                 let pose = pose_at(job, sequence, 0.0);
                 let ingested = ingest::load_scene(scene, &pose, &job.importer, registry, &job.light, task)?;
-                let placement = fit::place(&ingested, &job.window, &display, &geometry, cache_dir, task)?;
+                let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(cache_dir), task)?;
                 Source::Scene { ingested: Box::new(ingested), placement, count: sequence.times.unwrap_or(1) }
             }
             (None, Some(folder)) => Source::Fields(light_fields(folder, sequence.times)?),

@@ -1,0 +1,285 @@
+//! The filter of a few rows of one view.
+//!
+//! Neighbouring views are first brought into the view's own frame, pixel by pixel; then every window, in the view itself or in one of those, is a
+//! set of shifts of whole pictures. A shift's distances are maps, the patches' sums over them are boxes, and everything runs along rows.
+
+use std::ops::Range;
+
+use super::Window;
+use super::frame::{ALBEDO, ALPHA, COVERED, Frame, GLOSS, HALVES, NORMAL, PLACE, PLANES, THERE, VARIANCE};
+
+/// Patches are squares of 3 pixels.
+const PATCH: usize = 1;
+/// Differences of patches count in units of this times the standard deviation of the noise.
+const COLOUR_SCALE: f32 = 0.8;
+/// Differences of guides that lower a weight to about a third.
+const NORMAL_SCALE: f32 = 0.2;
+/// Pixels that a point may stand off the plane of another.
+const PLANE_SCALE: f32 = 1.5;
+const ALBEDO_SCALE: f32 = 0.2;
+const GLOSS_SCALE: f32 = 0.2;
+const COVERED_SCALE: f32 = 0.2;
+/// Answers per pixel: colours and guides, with weights from the other half; guides alone; and colours and guides with weights from the half itself,
+/// which is only measured.
+pub(super) const ANSWERS: usize = 3;
+
+/// Filtered demodulated radiance of a band, per answer and half: `[row][col][rgb]`.
+pub(super) type Answers = [[Vec<[f32; 3]>; 2]; ANSWERS];
+
+/// A part of a view with `margin` pixels around it; outside of the picture everything is 0.
+struct Block {
+    planes: [Vec<f32>; PLANES],
+    width: usize,
+}
+
+/// Sums of weights and weighted values.
+struct Sums {
+    values: [[Vec<f32>; 3]; 2],
+    weights: [Vec<f32>; 2],
+}
+
+/// Filters the rows of a view.
+pub(super) fn filter(
+    frames: &[Frame],
+    index: usize,
+    neighbours: &[usize],
+    rows: Range<usize>,
+    window: Window,
+) -> Answers {
+    let own = &frames[index];
+    let (height, cols) = (rows.len(), own.cols);
+    let margin = window.radius.max(window.radius_in_views) + PATCH;
+    let centre = Block::cut(own, own, &rows, margin, |row, col| Some(row * cols + col));
+    let mut sums: [Sums; ANSWERS] = std::array::from_fn(|_| Sums::new(height * cols));
+    let mut scratch = Scratch::new(height, cols);
+    let shifts = |radius: usize| {
+        let radius = radius as isize;
+        (-radius..=radius).flat_map(move |y| (-radius..=radius).map(move |x| [y, x]))
+    };
+    let steady = vec![1.0; height * cols];
+    for shift in shifts(window.radius) {
+        scratch.add(&centre, &centre, shift, margin, &steady, &mut sums);
+    }
+    for &neighbour in neighbours {
+        let other = &frames[neighbour];
+        let block = Block::cut(own, other, &rows, margin, |row, col| own.seen_in(other, row, col));
+        let steady = centre.steady(own.slope_to(other), height, cols, margin);
+        for shift in shifts(window.radius_in_views) {
+            scratch.add(&centre, &block, shift, margin, &steady, &mut sums);
+        }
+    }
+    sums.map(|sums| sums.finish(&centre, height, cols, margin))
+}
+
+impl Block {
+    /// The pixels of `other` that `place` finds for those of `frame`.
+    fn cut(
+        frame: &Frame,
+        other: &Frame,
+        rows: &Range<usize>,
+        margin: usize,
+        place: impl Fn(usize, usize) -> Option<usize>,
+    ) -> Self {
+        let width = frame.cols + 2 * margin;
+        let height = rows.len() + 2 * margin;
+        let mut found = vec![usize::MAX; width * height];
+        for y in 0..height {
+            let Some(row) = (rows.start + y).checked_sub(margin).filter(|&row| row < frame.rows) else { continue };
+            for col in 0..frame.cols {
+                found[y * width + margin + col] = place(row, col).unwrap_or(usize::MAX);
+            }
+        }
+        let planes = std::array::from_fn(|plane| {
+            let source = other.plane(plane);
+            found.iter().map(|&i| source.get(i).copied().unwrap_or(0.0)).collect()
+        });
+        Self { planes, width }
+    }
+
+    /// Share of what a pixel shows that another view shows alike: all of it but mirrored light, whose lobe turns with the view by half the angle.
+    fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
+        let mut steady = Vec::with_capacity(height * cols);
+        for y in 0..height {
+            for x in 0..cols {
+                let i = (y + margin) * self.width + margin + x;
+                let (gloss, alpha) = (self.planes[GLOSS][i], self.planes[ALPHA][i]);
+                let turned = 0.5 * slope / alpha.max(1e-3);
+                steady.push(1.0 - gloss + gloss * kernel(turned * turned));
+            }
+        }
+        steady
+    }
+}
+
+/// Room for the maps of one shift.
+struct Scratch {
+    height: usize,
+    cols: usize,
+    /// Colour distance per half, with the patch's margin around.
+    distance: [Vec<f32>; 2],
+    /// Sums of three of it along a row.
+    across: [Vec<f32>; 2],
+    guides: Vec<f32>,
+    /// Weights by guides and colours of a row.
+    colours: Vec<f32>,
+}
+
+impl Scratch {
+    fn new(height: usize, cols: usize) -> Self {
+        let padded = || vec![0.0; (height + 2 * PATCH) * (cols + 2 * PATCH)];
+        Self {
+            height,
+            cols,
+            distance: [padded(), padded()],
+            across: [padded(), padded()],
+            guides: vec![0.0; cols],
+            colours: vec![0.0; cols],
+        }
+    }
+
+    /// Adds the pixels of `block` at a shift, [down, right].
+    fn add(
+        &mut self,
+        centre: &Block,
+        block: &Block,
+        shift: [isize; 2],
+        margin: usize,
+        steady: &[f32],
+        sums: &mut [Sums; ANSWERS],
+    ) {
+        let (height, cols, width) = (self.height, self.cols, centre.width);
+        let wide = cols + 2 * PATCH;
+        for y in 0..height + 2 * PATCH {
+            let p = (y + margin - PATCH) * width + margin - PATCH;
+            let q = (p as isize + shift[0] * width as isize + shift[1]) as usize;
+            for half in 0..2 {
+                let row = &mut self.distance[half][y * wide..][..wide];
+                row.fill(0.0);
+                for c in 0..3 {
+                    let [u_p, v_p] = [HALVES[half] + c, VARIANCE + c].map(|plane| &centre.planes[plane][p..][..wide]);
+                    let [u_q, v_q] = [HALVES[half] + c, VARIANCE + c].map(|plane| &block.planes[plane][q..][..wide]);
+                    for x in 0..wide {
+                        let d = u_p[x] - u_q[x];
+                        let noise = v_p[x] + v_p[x].min(v_q[x]);
+                        let scale = COLOUR_SCALE * COLOUR_SCALE * (v_p[x] + v_q[x]);
+                        row[x] += (d * d - noise) / (scale + 1e-12);
+                    }
+                }
+                let (across, row) =
+                    (&mut self.across[half][y * wide..][..wide], &self.distance[half][y * wide..][..wide]);
+                for x in 0..cols {
+                    across[x] = row[x] + row[x + 1] + row[x + 2];
+                }
+            }
+        }
+        for y in 0..height {
+            let p = (y + margin) * width + margin;
+            let q = (p as isize + shift[0] * width as isize + shift[1]) as usize;
+            guide_row(centre, block, p, q, &steady[y * cols..][..cols], &mut self.guides);
+            let range = y * cols..(y + 1) * cols;
+            for half in 0..2 {
+                let [above, middle, below] = [0, 1, 2].map(|k| &self.across[half][(y + k) * wide..][..cols]);
+                let values = |half: usize, c: usize| &block.planes[HALVES[half] + c][q..][..cols];
+                let other = 1 - half;
+                let [r, g, b] = [0, 1, 2].map(|c| values(other, c));
+                let [with_colour, guides_alone, own_weights] = &mut *sums;
+                // distances from this half weigh the other
+                let weights = &mut with_colour.weights[other][range.clone()];
+                let [sum_r, sum_g, sum_b] = &mut with_colour.values[other];
+                let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);
+                for x in 0..cols {
+                    let mean = (above[x] + middle[x] + below[x]) * (1.0 / 27.0);
+                    let w = self.guides[x] * kernel(mean.max(0.0));
+                    self.colours[x] = w;
+                    weights[x] += w;
+                    sum_r[x] += w * r[x];
+                    sum_g[x] += w * g[x];
+                    sum_b[x] += w * b[x];
+                }
+                let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
+                let weights = &mut own_weights.weights[half][range.clone()];
+                let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];
+                let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);
+                for x in 0..cols {
+                    let w = self.colours[x];
+                    weights[x] += w;
+                    sum_r[x] += w * own_r[x];
+                    sum_g[x] += w * own_g[x];
+                    sum_b[x] += w * own_b[x];
+                }
+                let weights = &mut guides_alone.weights[other][range.clone()];
+                let [sum_r, sum_g, sum_b] = &mut guides_alone.values[other];
+                let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);
+                for x in 0..cols {
+                    let w = self.guides[x];
+                    weights[x] += w;
+                    sum_r[x] += w * r[x];
+                    sum_g[x] += w * g[x];
+                    sum_b[x] += w * b[x];
+                }
+            }
+        }
+    }
+}
+
+/// Weights by the guides of a row of pixels that starts at `p` in one block and at `q` in the other.
+fn guide_row(centre: &Block, block: &Block, p: usize, q: usize, steady: &[f32], weights: &mut [f32]) {
+    let cols = weights.len();
+    let here = |plane: usize| &centre.planes[plane][p..][..cols];
+    let there = |plane: usize| &block.planes[plane][q..][..cols];
+    let vector = |first: usize| ([0, 1, 2].map(|c| here(first + c)), [0, 1, 2].map(|c| there(first + c)));
+    let (normal, other_normal) = vector(NORMAL);
+    let (place, other_place) = vector(PLACE);
+    let (albedo, other_albedo) = vector(ALBEDO);
+    let (gloss, other_gloss) = (here(GLOSS), there(GLOSS));
+    let (alpha, other_alpha) = (here(ALPHA), there(ALPHA));
+    let (covered, other_covered) = (here(COVERED), there(COVERED));
+    let exists = there(THERE);
+    for x in 0..cols {
+        let (mut turned, mut off, mut coloured) = (0.0, 0.0, 0.0);
+        for c in 0..3 {
+            let (n, a) = (normal[c][x] - other_normal[c][x], albedo[c][x] - other_albedo[c][x]);
+            turned += n * n;
+            coloured += a * a;
+            off += normal[c][x] * (other_place[c][x] - place[c][x]);
+        }
+        let (g, r) = (gloss[x] - other_gloss[x], alpha[x] - other_alpha[x]);
+        let part = covered[x] - other_covered[x];
+        let distance = turned * (1.0 / (NORMAL_SCALE * NORMAL_SCALE))
+            + off * off * (1.0 / (PLANE_SCALE * PLANE_SCALE))
+            + coloured * (1.0 / (ALBEDO_SCALE * ALBEDO_SCALE))
+            + (g * g + r * r) * (1.0 / (GLOSS_SCALE * GLOSS_SCALE))
+            + part * part * (1.0 / (COVERED_SCALE * COVERED_SCALE));
+        weights[x] = exists[x] * steady[x] * kernel(distance);
+    }
+}
+
+/// A bell that is 0 from 4 on and near exp(−x) before, without a call.
+#[inline(always)]
+fn kernel(x: f32) -> f32 {
+    let t = (1.0 - 0.25 * x).max(0.0);
+    (t * t) * (t * t)
+}
+
+impl Sums {
+    fn new(count: usize) -> Self {
+        let zeros = || vec![0.0; count];
+        Self { values: [[zeros(), zeros(), zeros()], [zeros(), zeros(), zeros()]], weights: [zeros(), zeros()] }
+    }
+
+    fn finish(self, centre: &Block, height: usize, cols: usize, margin: usize) -> [Vec<[f32; 3]>; 2] {
+        [0, 1].map(|half| {
+            (0..height * cols)
+                .map(|i| {
+                    let at = (i / cols + margin) * centre.width + margin + i % cols;
+                    let weight = self.weights[half][i];
+                    // the sky is free of noise, and nothing else stands for a pixel without weight but itself
+                    let as_is = centre.planes[COVERED][at] <= 0.0 || weight <= 0.0;
+                    [0, 1, 2].map(|c| {
+                        if as_is { centre.planes[HALVES[half] + c][at] } else { self.values[half][c][i] / weight }
+                    })
+                })
+                .collect()
+        })
+    }
+}

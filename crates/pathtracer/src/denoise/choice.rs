@@ -1,0 +1,69 @@
+//! Which of a pixel's answers is taken.
+
+use lumistack_core::Tensor;
+
+use super::band::{ANSWERS, Answers};
+use super::frame::{Frame, HALVES, VARIANCE, box_mean};
+
+/// Half the width of the square over which the errors of answers are averaged before they are compared.
+const ERROR_RADIUS: usize = 4;
+/// Difference of errors, in variances of the noise, at which the better answer counts e times as much.
+const SOFTNESS: f32 = 0.03;
+/// What a pixel may become: filtered with colours, filtered by guides alone, as it was.
+const CHOICES: usize = 3;
+
+/// Blends the answers by their estimated errors, which leave out the pixel itself: otherwise the choice would follow its noise.
+pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
+    let count = frame.rows * frame.cols;
+    let halves =
+        HALVES.map(|first| (0..count).map(|i| [0, 1, 2].map(|c| frame.plane(first + c)[i])).collect::<Vec<[f32; 3]>>());
+    let joined = |answer: usize| {
+        [0, 1].map(|half| bands.iter().flat_map(|band| band[answer][half].iter().copied()).collect::<Vec<[f32; 3]>>())
+    };
+    let [with_colours, guides_alone, own_weights]: [_; ANSWERS] = std::array::from_fn(joined);
+    let shares = shares(frame, &halves, [&own_weights, &guides_alone, &halves]);
+    let answers: [&[Vec<[f32; 3]>; 2]; CHOICES] = [&with_colours, &guides_alone, &halves];
+    let mut picture = Tensor::zeros(["row", "col", "rgb"], [frame.rows, frame.cols, 3]);
+    for (i, rgb) in picture.data_mut().chunks_exact_mut(3).enumerate() {
+        for (c, value) in rgb.iter_mut().enumerate() {
+            let mean = |k: usize| 0.5 * (answers[k][0][i][c] + answers[k][1][i][c]);
+            *value = frame.modulation[i][c] * (0..CHOICES).map(|k| shares[i][k] * mean(k)).sum::<f32>();
+        }
+    }
+    picture
+}
+
+/// How much of every pixel each answer gives, by the estimated squared errors around it relative to the noise there.
+///
+/// (F_a − u_b)² holds the error of half of the samples and the noise of the other half, which all answers share; the second term takes off what the
+/// mean of both halves gains.
+fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
+    let count = halves[0].len();
+    let (rows, cols) = (frame.rows, frame.cols);
+    let errors = answers.map(|answer| {
+        let error = |i: usize| -> f32 {
+            let channel = |c: usize| {
+                let [a, b] = [0, 1].map(|half| (answer[half][i][c], halves[half][i][c]));
+                let across = 0.5 * ((a.0 - b.1).powi(2) + (b.0 - a.1).powi(2));
+                let gain = 0.25 * (a.0 - b.0).powi(2);
+                (across - gain) / (frame.plane(VARIANCE + c)[i] + 1e-8)
+            };
+            channel(0) + channel(1) + channel(2)
+        };
+        let errors: Vec<f32> = (0..count).map(error).collect();
+        let mean = box_mean(&errors, rows, cols, ERROR_RADIUS);
+        let span = |at: usize, end: usize| (at + ERROR_RADIUS).min(end - 1) + 1 - at.saturating_sub(ERROR_RADIUS);
+        let without_itself = |i: usize| {
+            let held = (span(i / cols, rows) * span(i % cols, cols)) as f32;
+            if held > 1.0 { (mean[i] * held - errors[i]) / (held - 1.0) } else { errors[i] }
+        };
+        (0..count).map(without_itself).collect::<Vec<f32>>()
+    });
+    let share = |i: usize| {
+        let least = errors.iter().fold(f32::INFINITY, |least, errors| least.min(errors[i]));
+        let weights = [0, 1, 2].map(|k| ((least - errors[k][i]) / (3.0 * SOFTNESS)).exp());
+        let total: f32 = weights.iter().sum();
+        weights.map(|weight| weight / total)
+    };
+    (0..count).map(share).collect()
+}

@@ -1,0 +1,114 @@
+//! What a filter did to a view, against pixels that it never saw.
+//!
+//! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks), whose noise is independent of the picture F and of each other: their
+//! expectation is the squared error itself, whatever the filter. The change of the mean, F minus the unbiased picture, is the filter's bias as a whole.
+
+use lumistack_core::Tensor;
+
+use super::NoisyView;
+use crate::Checks;
+
+/// Edge of the blocks over which the change of the mean is spread, pixels: wide enough that noise in one says little of the next.
+const BLOCK: usize = 16;
+
+/// A mean with what its standard error needs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Estimate {
+    sum: f64,
+    squares: f64,
+    count: f64,
+}
+
+/// What the filter did to one view, in scene-linear radiance, all channels together.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ViewFigures {
+    /// Mean of the unbiased picture.
+    pub mean: f64,
+    /// Mean of the filtered picture minus that, by blocks.
+    pub change: Estimate,
+    /// Mean squared error of the unbiased picture.
+    pub mse_before: Estimate,
+    /// Mean squared error of the filtered one.
+    pub mse_after: Estimate,
+}
+
+impl Estimate {
+    fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.squares += value * value;
+        self.count += 1.0;
+    }
+
+    /// The mean; NaN of nothing.
+    pub fn value(&self) -> f64 {
+        self.sum / self.count
+    }
+
+    /// Standard error of the mean; NaN of fewer than two values.
+    pub fn error(&self) -> f64 {
+        let variance = (self.squares / self.count - self.value().powi(2)).max(0.0);
+        if self.count < 2.0 { f64::NAN } else { (variance / (self.count - 1.0)).sqrt() }
+    }
+
+    /// That of all values of several.
+    pub fn joined(parts: impl IntoIterator<Item = Self>) -> Self {
+        parts.into_iter().fold(Self::default(), |a, b| Self {
+            sum: a.sum + b.sum,
+            squares: a.squares + b.squares,
+            count: a.count + b.count,
+        })
+    }
+
+    /// That of all values times a factor.
+    #[must_use]
+    pub fn scaled(self, factor: f64) -> Self {
+        Self { sum: factor * self.sum, squares: factor * factor * self.squares, ..self }
+    }
+
+    /// Sum, sum of squares and number of the values, to be kept.
+    pub fn parts(&self) -> [f64; 3] {
+        [self.sum, self.squares, self.count]
+    }
+
+    /// From what [`parts`](Self::parts) gave.
+    pub fn from_parts([sum, squares, count]: [f64; 3]) -> Self {
+        Self { sum, squares, count }
+    }
+}
+
+/// Compares a filtered view with what it was made from and with its checks.
+pub fn figures(filtered: &Tensor<3>, view: &NoisyView, checks: &Checks) -> ViewFigures {
+    let unbiased = view.mean();
+    let [rows, cols, _] = unbiased.shape();
+    let mut figures = ViewFigures::default();
+    for top in (0..rows).step_by(BLOCK) {
+        for left in (0..cols).step_by(BLOCK) {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for row in top..(top + BLOCK).min(rows) {
+                for col in left..(left + BLOCK).min(cols) {
+                    for (f, u) in filtered.block([row, col]).iter().zip(unbiased.block([row, col])) {
+                        sum += f64::from(*f) - f64::from(*u);
+                        count += 1.0;
+                        figures.mean += f64::from(*u);
+                    }
+                }
+            }
+            figures.change.add(sum / count);
+        }
+    }
+    figures.mean /= unbiased.data().len().max(1) as f64;
+    for check in &checks.list {
+        let squared = |picture: &Tensor<3>| {
+            let pixel = picture.block([check.row, check.col]);
+            let [first, second] = check.radiance;
+            (0..3).map(|c| f64::from(pixel[c] - first[c]) * f64::from(pixel[c] - second[c])).sum::<f64>() / 3.0
+        };
+        let (before, after) = (squared(&unbiased), squared(filtered));
+        // a pixel that either render could not finish says nothing
+        if before.is_finite() && after.is_finite() {
+            figures.mse_before.add(before);
+            figures.mse_after.add(after);
+        }
+    }
+    figures
+}

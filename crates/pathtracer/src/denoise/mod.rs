@@ -1,0 +1,127 @@
+//! A filter for noisy views, guided by what they show, over all views of a light field together. It trades noise for bias.
+//!
+//! ```text
+//! u = L / albedo                                                                    (textures stay out of it)
+//! F_a(p) = Σ_q w_b(p, q) u_a(q) / Σ_q w_b(p, q),   F_b the other way round,   L' = albedo (F_a + F_b) / 2
+//! w(p, q) = k(colour distance of patches) · k(distance of guides) · (share of light that does not depend on the view)
+//! ```
+//!
+//! a and b are two renders of half of the samples each. The weights of one come from the other, so that they know nothing of the noise that
+//! they average. q runs over a window around p in p's own view, and over small windows in neighbouring views around the place where p's surface
+//! point appears there: a point at depth Z that view s sees at x stands at x + (s − s')·Z in view s' (a line in an epipolar picture). Views thus share
+//! their samples, and agree with one another about what is left of the noise.
+//!
+//! Three answers are kept for every pixel (as rendered, guides and colours, guides alone) and weighed by their squared errors, which the halves
+//! tell without bias where the weights of F_a come from a itself: E[(F_a − u_b)²] = E[(F_a − truth)²] + Var(u_b), as F_a and u_b are independent. Such
+//! answers are computed beside those with crossed weights for this purpose alone. Their errors are not those of the result: those are measured
+//! against [pixels that the filter never saw](crate::Checks).
+//!
+//! Sources: Rousselle, Manzi, Zwicker 2013, "Robust Denoising using Feature and Color Information" (distances, two half buffers); Bitterli et al. 2016,
+//! "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo Renderings" (demodulation, estimates by halves).
+
+mod band;
+mod choice;
+mod figures;
+mod frame;
+#[cfg(test)]
+mod tests;
+
+use lumistack_core::{Cancelled, Task, Tensor};
+use lumistack_display::FieldGeometry;
+#[cfg(feature = "parallel")]
+use rayon::prelude::*;
+
+use crate::Features;
+pub use figures::{Estimate, ViewFigures, figures};
+use frame::Frame;
+
+/// Rows that are filtered at a time: the unit of work, of progress and of cancellation.
+const BAND: usize = 16;
+
+/// Windows of the filter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// Pixels on either side in the view itself. Default 5.
+    pub radius: usize,
+    /// Views on either side, along both axes of the grid; 0 filters every view for itself. Default 2.
+    pub views: usize,
+    /// Pixels on either side in those views. Default 1.
+    pub radius_in_views: usize,
+}
+
+impl Default for Window {
+    fn default() -> Self {
+        Self { radius: 5, views: 2, radius_in_views: 1 }
+    }
+}
+
+/// One rendered view.
+#[derive(Clone, Debug)]
+pub struct NoisyView {
+    /// Radiance `[row][col][rgb]` from half of the samples each, with seeds of their own.
+    pub halves: [Tensor<3>; 2],
+    /// What the view shows.
+    pub features: Features,
+}
+
+impl NoisyView {
+    /// The unbiased picture: the mean of the halves.
+    pub fn mean(&self) -> Tensor<3> {
+        let mut mean = self.halves[0].clone();
+        for (value, other) in mean.data_mut().iter_mut().zip(self.halves[1].data()) {
+            *value = 0.5 * (*value + other);
+        }
+        mean
+    }
+}
+
+/// Steps by which [`denoise`] advances the progress.
+pub fn steps(geometry: &FieldGeometry) -> u64 {
+    (geometry.rows.div_ceil(BAND) * geometry.grid.iter().count()) as u64
+}
+
+/// Filters all views of a light field, given in the order of the grid.
+///
+/// # Errors
+/// When cancelled.
+///
+/// # Panics
+/// If there are not as many views as the grid has, or they are not of the geometry's size.
+pub fn denoise(
+    geometry: &FieldGeometry,
+    views: &[NoisyView],
+    window: Window,
+    task: Task<'_>,
+) -> Result<Vec<Tensor<3>>, Cancelled> {
+    let places: Vec<[usize; 2]> = geometry.grid.iter().collect();
+    assert_eq!(places.len(), views.len(), "one picture for every view of the grid");
+    let mut frames = Vec::with_capacity(views.len());
+    for (&place, view) in places.iter().zip(views) {
+        task.cancel.check()?;
+        frames.push(Frame::new(geometry, place, view));
+    }
+    let starts: Vec<usize> = (0..geometry.rows).step_by(BAND).collect();
+    let mut filtered = Vec::with_capacity(views.len());
+    for index in 0..views.len() {
+        let neighbours = neighbours(&places, index, window.views);
+        let fill = |&start: &usize| {
+            task.cancel.check()?;
+            let rows = start..(start + BAND).min(geometry.rows);
+            let answers = band::filter(&frames, index, &neighbours, rows, window);
+            task.progress.advance(1, "");
+            Ok(answers)
+        };
+        #[cfg(feature = "parallel")]
+        let bands: Result<Vec<_>, Cancelled> = starts.par_iter().map(fill).collect();
+        #[cfg(not(feature = "parallel"))]
+        let bands: Result<Vec<_>, Cancelled> = starts.iter().map(fill).collect();
+        filtered.push(choice::choose(&frames[index], &bands?));
+    }
+    Ok(filtered)
+}
+
+/// The views around one, by their numbers.
+fn neighbours(places: &[[usize; 2]], index: usize, radius: usize) -> Vec<usize> {
+    let near = |other: &[usize; 2]| (0..2).all(|axis| other[axis].abs_diff(places[index][axis]) <= radius);
+    (0..places.len()).filter(|&other| other != index && near(&places[other])).collect()
+}

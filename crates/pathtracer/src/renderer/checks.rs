@@ -1,0 +1,83 @@
+//! A few pixels of a view rendered again, twice, independently of all else: the yardstick of a denoiser.
+//!
+//! ```text
+//! E[(F − c₁)(F − c₂)] = E[(F − truth)²]          for any picture F that knows nothing of c₁ and c₂, whose noises are independent
+//! ```
+//!
+//! One pixel is drawn in every square of [`SPACING`] × [`SPACING`].
+
+use lumistack_core::{NoProgress, Task, seed};
+use lumistack_display::FieldGeometry;
+use lumistack_scene::Window;
+
+use super::{RenderError, Renderer};
+use crate::clamp::Clamped;
+use crate::sampler::SampleBank;
+use crate::settings::Settings;
+
+/// Pixels from one check to the next.
+const SPACING: usize = 8;
+/// Streams of random numbers that no view's radiance uses: one chooses the pixels, one renders them.
+const PLACES: u64 = 0xc4ec_0001;
+const RADIANCE: u64 = 0xc4ec_0002;
+
+/// Pixels of a view with two renders each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Checks {
+    pub(crate) list: Vec<Check>,
+}
+
+/// A pixel and what two independent renders make of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Check {
+    pub(crate) row: usize,
+    pub(crate) col: usize,
+    pub(crate) radiance: [[f32; 3]; 2],
+}
+
+impl Renderer {
+    /// Renders a sixty-fourth of the pixels of a view twice with `settings`, whose seed is that of the views. Does not advance the progress.
+    ///
+    /// # Errors
+    /// As [`render_view`](Self::render_view).
+    pub fn render_checks(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        view: [usize; 2],
+        settings: &Settings,
+        task: Task<'_>,
+    ) -> Result<Checks, RenderError> {
+        settings.check()?;
+        let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
+        let bank = SampleBank::new(settings.samples);
+        let of_view = |stream: u64| seed::derive(settings.seed, &[stream, view[0] as u64, view[1] as u64]);
+        let (places, radiance) = (of_view(PLACES), of_view(RADIANCE));
+        let clamped = Clamped::default();
+        let quiet = Task { progress: &NoProgress, ..task };
+        let values = self.by_tiles(geometry, quiet, ["row", "col", "half rgb"], |row, col, stack| {
+            if !is_drawn(places, row, col) {
+                return [f32::NAN; 6];
+            }
+            let mut render = |half: u64| {
+                let pixel_seed = seed::derive(radiance, &[row as u64, col as u64, half]);
+                self.pixel(&rays, row, col, &bank, pixel_seed, settings, &clamped, stack).0.to_array()
+            };
+            let ([a, b, c], [d, e, f]) = (render(0), render(1));
+            [a, b, c, d, e, f]
+        })?;
+        let at = |row: usize, col: usize| {
+            let v = values.block([row, col]);
+            Check { row, col, radiance: [[v[0], v[1], v[2]], [v[3], v[4], v[5]]] }
+        };
+        let pixels = (0..geometry.rows).flat_map(|row| (0..geometry.cols).map(move |col| (row, col)));
+        let drawn = pixels.filter(|(row, col)| is_drawn(places, *row, *col));
+        Ok(Checks { list: drawn.map(|(row, col)| at(row, col)).collect() })
+    }
+}
+
+/// Whether a pixel is the one of its square.
+fn is_drawn(seed: u64, row: usize, col: usize) -> bool {
+    let chosen = seed::derive(seed, &[(row / SPACING) as u64, (col / SPACING) as u64]) as usize % (SPACING * SPACING);
+    chosen == row % SPACING * SPACING + col % SPACING
+}

@@ -1,0 +1,119 @@
+//! What a view sees first, without its light: the guides of the denoiser.
+//!
+//! Every number is the mean over the primary rays of a pixel that meet a surface. They carry next to no noise at a few rays per pixel, because
+//! nothing is traced beyond the first hit.
+
+use glam::{DVec3, Vec3};
+use lumistack_core::{NoProgress, Task, Tensor, seed};
+use lumistack_display::FieldGeometry;
+use lumistack_scene::Window;
+
+use super::{RenderError, Renderer};
+use crate::primary::PrimaryRay;
+use crate::sampler::SampleBank;
+use crate::settings::AngularFilter;
+
+/// Values of a pixel in [`Features`].
+pub(crate) const FEATURES: usize = 10;
+/// Reflectance of a dielectric at normal incidence, about.
+const DIELECTRIC_SHARE: f32 = 0.04;
+/// Stream of random numbers that no view's radiance uses.
+const STREAM: u64 = 0xfea7;
+
+/// Guides of one view, `[row][col][k]`.
+#[derive(Clone, Debug)]
+pub struct Features {
+    values: Tensor<3>,
+}
+
+/// The guides of a pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Feature {
+    /// Share of the pixel where a surface is seen, 0..1; the other values are means over that part, and 0 where it is empty.
+    pub covered: f32,
+    /// Reflectance, 0..1: base colour plus a dielectric's few percent.
+    pub albedo: Vec3,
+    /// Shading normal on the viewer's side, display axes; shorter than 1 where the pixel sees several.
+    pub normal: Vec3,
+    /// Depth in display space, millimetres, towards the viewer.
+    pub z_mm: f32,
+    /// Share of the reflectance that goes with the viewer's direction (mirrors, metals, glass), 0..1.
+    pub gloss: f32,
+    /// Width of that lobe: squared roughness, 0..1.
+    pub alpha: f32,
+}
+
+impl Features {
+    /// The guides of a pixel.
+    pub fn at(&self, row: usize, col: usize) -> Feature {
+        let [covered, r, g, b, x, y, z, z_mm, gloss, alpha]: [f32; FEATURES] =
+            self.values.block([row, col]).try_into().expect("a pixel has so many");
+        Feature { covered, albedo: Vec3::new(r, g, b), normal: Vec3::new(x, y, z), z_mm, gloss, alpha }
+    }
+
+    /// [rows, columns].
+    pub fn size(&self) -> [usize; 2] {
+        let [rows, cols, _] = self.values.shape();
+        [rows, cols]
+    }
+
+    /// Guides from values `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha]`, for tests.
+    #[cfg(test)]
+    pub(crate) fn from_values(values: Tensor<3>) -> Self {
+        Self { values }
+    }
+}
+
+impl Renderer {
+    /// Guides of one view from `samples` rays per pixel, over the same pixel and slopes as [`render_view`](Self::render_view). Does not advance
+    /// the progress.
+    ///
+    /// # Errors
+    /// As [`render_view`](Self::render_view).
+    pub fn render_features(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        view: [usize; 2],
+        samples: u32,
+        angular_filter: AngularFilter,
+        task: Task<'_>,
+    ) -> Result<Features, RenderError> {
+        let rays = self.primary_rays(window, geometry, view, angular_filter)?;
+        let (bank, space) = (SampleBank::new(samples), self.geometry.space);
+        let view_seed = seed::derive(STREAM, &[view[0] as u64, view[1] as u64]);
+        let display_from_scene = window.scene_from_display.rotation.inverse().as_quat();
+        let quiet = Task { progress: &NoProgress, ..task };
+        let values = self.by_tiles(geometry, quiet, ["row", "col", "feature"], |row, col, stack| {
+            let pixel_seed = seed::derive(view_seed, &[row as u64, col as u64]);
+            let mut sum = [0.0f32; FEATURES];
+            for index in 0..samples {
+                let mut sampler = bank.sampler(pixel_seed, index);
+                let centred = |pair: [f32; 2]| pair.map(|u| f64::from(u) - 0.5);
+                let (in_pixel, in_bin) = (centred(sampler.pair()), centred(sampler.pair()));
+                let PrimaryRay { ray, cone, in_bounds } = rays.ray(row, col, in_pixel, in_bin);
+                if !in_bounds {
+                    continue;
+                }
+                let Some((point, normal, appearance)) = self.tracer().first_seen(&ray, cone, &sampler, stack) else {
+                    continue;
+                };
+                let reflectance = appearance.base.lerp(Vec3::ONE, DIELECTRIC_SHARE * (1.0 - appearance.metallic));
+                let dielectric = DIELECTRIC_SHARE.max(appearance.transmission);
+                let gloss = appearance.metallic + (1.0 - appearance.metallic) * dielectric;
+                let position = point.as_dvec3() / space.scale + space.centre;
+                let at: DVec3 = window.scene_from_display.inverse_point(position);
+                let n = display_from_scene * normal;
+                let alpha = appearance.roughness * appearance.roughness;
+                let [r, g, b] = reflectance.to_array();
+                let values = [1.0, r, g, b, n.x, n.y, n.z, at.z as f32, gloss, alpha];
+                (0..FEATURES).for_each(|k| sum[k] += values[k]);
+            }
+            let hits = sum[0].max(1.0);
+            let mut mean = sum.map(|s| s / hits);
+            mean[0] = sum[0] / samples as f32;
+            mean
+        })?;
+        Ok(Features { values })
+    }
+}

@@ -1,0 +1,123 @@
+//! Two renders of one view in figures and pictures, in linear light; shown with the exposure and the tone curve that a job with nothing set chooses for ours.
+//!
+//! With halves a and b of independent noise, E[(o_a − p_a)(o_b − p_b)] is the squared difference of the expected pictures: noise drops out.
+
+use std::path::Path;
+
+use image::{Rgb, RgbImage};
+use lumistack_core::colour::{luminance, srgb_code};
+use lumistack_core::tone::ToneCurve;
+use lumistack_field_io::npy;
+use lumistack_field_io::picture::Picture;
+
+use crate::{Outcome, text};
+
+/// Gain of the difference picture.
+pub const GAIN: f32 = 4.0;
+
+/// A view rendered twice: `[row][col][rgb]`, scene-linear.
+pub struct Halves {
+    size: [usize; 2],
+    halves: [Vec<f32>; 2],
+    /// Whether a surface covers more than half of the pixel.
+    covered: Vec<bool>,
+}
+
+/// What the figures of a pair are.
+pub struct Figures {
+    /// Mean of ours over the mean of Blender's where either sees a surface, per channel.
+    pub ratio: [f64; 3],
+    /// Root mean square of the noise-free difference over the mean of Blender's, where either sees a surface.
+    pub difference: f64,
+    /// The same of the two pictures as they are, noise and all.
+    pub with_noise: f64,
+    /// Pixels that both cover over pixels that either covers.
+    pub overlap: f64,
+    /// Shift of the middle of the covered pixels, ours minus Blender's, pixels (right, down).
+    pub shift: [f64; 2],
+}
+
+impl Halves {
+    /// Reads the pictures `<stem>-a.exr` and `<stem>-b.exr` and the mask.
+    pub fn read(folder: &Path, stem: &str, mask: &str) -> Outcome<Self> {
+        let half = |which: &str| Picture::read(&folder.join(format!("{stem}-{which}.exr"))).map_err(text);
+        let (a, b) = (half("a")?, half("b")?);
+        let size = a.size();
+        let (_, covered) = npy::read(&folder.join(mask)).map_err(text)?;
+        let covered = covered.into_iter().map(|share| share > 0.5).collect();
+        Ok(Self { size, halves: [a.into_linear(), b.into_linear()], covered })
+    }
+
+    /// The mean of both halves.
+    pub fn mean(&self) -> Vec<f32> {
+        self.halves[0].iter().zip(&self.halves[1]).map(|(a, b)| 0.5 * (a + b)).collect()
+    }
+
+    fn display_referred(&self, look: &Look) -> Vec<[f32; 3]> {
+        let exposed = |value: f32| (f64::from(value) * look.exposure) as f32;
+        self.mean().chunks_exact(3).map(|rgb| look.curve.apply([rgb[0], rgb[1], rgb[2]].map(exposed))).collect()
+    }
+
+    /// The picture as it is shown.
+    pub fn shown(&self, look: &Look) -> RgbImage {
+        let codes = self.display_referred(look).into_iter().flatten().map(srgb_code).collect();
+        RgbImage::from_raw(self.size[0] as u32, self.size[1] as u32, codes).expect("a value for every pixel")
+    }
+}
+
+/// How both pictures are shown.
+pub struct Look {
+    /// Factor on radiance.
+    pub exposure: f64,
+    /// From there to what the display shows.
+    pub curve: ToneCurve,
+}
+
+/// Figures of a pair.
+pub fn figures(ours: &Halves, other: &Halves) -> Figures {
+    let (o, p) = (ours.mean(), other.mean());
+    let either = |i: usize| ours.covered[i] || other.covered[i];
+    let pixels: Vec<usize> = (0..ours.covered.len()).filter(|&i| either(i)).collect();
+    let sum = |values: &[f32], c: usize| pixels.iter().map(|&i| f64::from(values[3 * i + c])).sum::<f64>();
+    let ratio = [0, 1, 2].map(|c| sum(&o, c) / sum(&p, c));
+    let mean = (0..3).map(|c| sum(&p, c)).sum::<f64>() / (3 * pixels.len()).max(1) as f64;
+    let (mut clean, mut noisy) = (0.0, 0.0);
+    for &i in &pixels {
+        for k in 3 * i..3 * i + 3 {
+            let [a, b] = [0, 1].map(|h| f64::from(ours.halves[h][k] - other.halves[h][k]));
+            clean += a * b;
+            noisy += (0.5 * (a + b)).powi(2);
+        }
+    }
+    let relative = |sum: f64| (sum.max(0.0) / (3 * pixels.len()).max(1) as f64).sqrt() / mean;
+    let both = pixels.iter().filter(|&&i| ours.covered[i] && other.covered[i]).count();
+    let centre = |covered: &[bool]| {
+        let (mut at, mut count) = ([0.0; 2], 0.0);
+        for i in (0..covered.len()).filter(|&i| covered[i]) {
+            at[0] += (i % ours.size[0]) as f64;
+            at[1] += (i / ours.size[0]) as f64;
+            count += 1.0;
+        }
+        at.map(|sum| sum / count)
+    };
+    let (a, b) = (centre(&ours.covered), centre(&other.covered));
+    Figures {
+        ratio,
+        difference: relative(clean),
+        with_noise: relative(noisy),
+        overlap: both as f64 / pixels.len() as f64,
+        shift: [a[0] - b[0], a[1] - b[1]],
+    }
+}
+
+/// Where ours is shown brighter (orange) or darker (blue): luminance times [`GAIN`].
+pub fn difference(ours: &Halves, other: &Halves, look: &Look) -> RgbImage {
+    let [cols, rows] = ours.size;
+    let (o, p) = (ours.display_referred(look), other.display_referred(look));
+    RgbImage::from_fn(cols as u32, rows as u32, |x, y| {
+        let i = y as usize * cols + x as usize;
+        let d = GAIN * (luminance(o[i]) - luminance(p[i]));
+        let tint = if d > 0.0 { [1.0, 0.45, 0.05] } else { [0.05, 0.35, 1.0] };
+        Rgb(tint.map(|t| srgb_code(t * d.abs())))
+    })
+}

@@ -1,0 +1,41 @@
+//! The gallery's own half: renders every glTF file of a folder, and makes the page that shows each beside Blender's render.
+//!
+//! ```text
+//! gallery render SCENES OUT [--size COLSxROWS] [--samples N] [--turn DEG]
+//! gallery page OUT NOTES
+//! ```
+//!
+//! `cargo xtask gallery` calls both, and Blender in between. A file's folder in OUT holds `ours.json`, `ours-a.exr` and `ours-b.exr`
+//! (half of the samples each: their noise is independent), `covered-ours.npy` and, where there is one, `environment.exr`.
+
+mod compare;
+mod page;
+mod render;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// What goes wrong, as one sentence.
+type Outcome<T = ()> = Result<T, String>;
+
+fn main() -> ExitCode {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let result = match words.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
+        ["render", scenes, out, options @ ..] => render::Options::parse(options)
+            .and_then(|options| render::all(&PathBuf::from(scenes), &PathBuf::from(out), &options)),
+        ["page", out, notes] => page::write(&PathBuf::from(out), &PathBuf::from(notes)),
+        _ => Err("expected `render SCENES OUT` or `page OUT NOTES`".into()),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("gallery: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Any error as its sentence.
+fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}

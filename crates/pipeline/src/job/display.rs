@@ -1,0 +1,79 @@
+//! `[display]`: which display, and what to change about it.
+
+use std::path::PathBuf;
+
+use lumistack_display::{Display, Missing, Sampling};
+use serde::{Deserialize, Serialize};
+
+use crate::error::PipelineError;
+use crate::presets;
+
+/// Which display, and what to change about it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DisplayJob {
+    /// Name of a preset; see `lumistack displays`. Either this or `file`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preset: Option<String>,
+    /// A display file. Either this or `preset`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
+    /// [columns, rows] of the light field; masks scale along, the width in millimetres stays.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<[usize; 2]>,
+    /// [horizontal, vertical] views.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub views: Option<[usize; 2]>,
+    /// [horizontal, vertical] full angles of view, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fov_deg: Option<[f64; 2]>,
+    /// Frames M.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frames: Option<usize>,
+    /// Brightness scale β.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub brightness: Option<f64>,
+    /// How a ray reads a layer between pixel centres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sampling: Option<Sampling>,
+    /// What a ray reads that leaves a layer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub missing: Option<Missing>,
+}
+
+impl DisplayJob {
+    /// The display that is asked for.
+    ///
+    /// # Errors
+    /// As [`Job::resolve_display`].
+    pub fn resolve(&self) -> Result<Display, PipelineError> {
+        let job = self;
+        let (place, mut display) = match (&job.preset, &job.file) {
+            (Some(name), None) => (PathBuf::from(name), presets::load(name)?),
+            (None, Some(path)) => (path.clone(), presets::load_file(path)?),
+            _ => {
+                let found = if job.preset.is_some() { "both" } else { "neither" };
+                return Err(PipelineError::value("job", "display", "either `preset` or `file`", found));
+            }
+        };
+        if let Some(views) = job.views {
+            display.field.views = views;
+        }
+        if let Some(fov_deg) = job.fov_deg {
+            display.field.fov_deg = fov_deg;
+        }
+        display.frames = job.frames.unwrap_or(display.frames);
+        display.brightness = job.brightness.unwrap_or(display.brightness);
+        display.sampling = job.sampling.unwrap_or(display.sampling);
+        display.missing = job.missing.unwrap_or(display.missing);
+        if let Some(resolution) = job.resolution {
+            if resolution.contains(&0) {
+                let found = format!("{resolution:?}");
+                return Err(PipelineError::value("job", "display.resolution", "at least [1, 1]", found));
+            }
+            display = display.with_resolution(resolution);
+        }
+        display.check().map_err(|source| PipelineError::Display { path: place, text: String::new(), source })?;
+        Ok(display)
+    }
+}

@@ -1,0 +1,69 @@
+//! `[factorize]`: settings of the factorizer.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+/// Factorizer settings.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FactorizeJob {
+    /// Name of the solver.
+    pub solver: String,
+    /// Full updates.
+    pub iterations: u32,
+    /// Starting values: `auto`, `random`, `smooth` or `content`.
+    pub start: String,
+    /// Levels of half the resolution to begin at; without it what suits the solver.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coarse_levels: Option<u32>,
+    /// Iterations at each coarser level.
+    pub coarse_iterations: u32,
+    /// Whether patterns of layers with few `bits` are re-optimized on the levels that the panel can show.
+    pub levels: bool,
+    /// A `layers` folder to start from instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub warm_start: Option<PathBuf>,
+    /// `.npy` of weights, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights: Option<PathBuf>,
+    /// Weight of rays far from every eye of `eyes`.
+    pub eye_floor: f64,
+    /// Where viewers' eyes are expected; rays count by how near they pass.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub eyes: Vec<EyeJob>,
+}
+
+/// A Gaussian around an expected eye.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EyeJob {
+    /// [x, y, z] in display space, millimetres; z > 0.
+    pub eye_mm: [f64; 3],
+    /// Standard deviation, millimetres.
+    pub sigma_mm: f64,
+    /// Weight of rays through its centre.
+    #[serde(default = "default_eye_weight")]
+    pub weight: f64,
+}
+
+fn default_eye_weight() -> f64 {
+    1.0
+}
+
+impl Default for FactorizeJob {
+    fn default() -> Self {
+        Self {
+            solver: lumistack_factorizer::AUTO.into(),
+            iterations: lumistack_factorizer::Settings::default().iterations,
+            start: lumistack_factorizer::AUTO.into(),
+            coarse_levels: None,
+            coarse_iterations: lumistack_factorizer::Settings::default().coarse_iterations,
+            levels: true,
+            warm_start: None,
+            weights: None,
+            eye_floor: 0.05,
+            eyes: Vec::new(),
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! `[light]`: light, exposure and tone curve.
+
+use std::path::PathBuf;
+
+use lumistack_core::tone::ToneCurve;
+use serde::{Deserialize, Serialize};
+
+use crate::error::PipelineError;
+
+/// Light and exposure.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LightJob {
+    /// Radiance HDR or EXR environment map that replaces the scene's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub environment: Option<PathBuf>,
+    /// Factor on the environment's radiance.
+    pub environment_strength: f32,
+    /// Whether a scene without any light gets the built-in studio light.
+    pub automatic: bool,
+    /// Exposure in stops added to the automatic one, or to scene radiance when `automatic_exposure` is off.
+    pub exposure_ev: f64,
+    /// Whether exposure follows the brightness of all views together.
+    pub automatic_exposure: bool,
+    /// Curve from exposed radiance to what the display shows; one for all views.
+    pub tone: Tone,
+}
+
+/// Tone curve of all views.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Tone {
+    /// `linear` where next to nothing is brighter than white, else `khronos-neutral`.
+    #[default]
+    Auto,
+    /// Clips what is brighter than white.
+    Linear,
+    /// Khronos PBR Neutral.
+    KhronosNeutral,
+    /// AgX base look.
+    Agx,
+}
+
+impl From<ToneCurve> for Tone {
+    fn from(curve: ToneCurve) -> Self {
+        match curve {
+            ToneCurve::Linear => Self::Linear,
+            ToneCurve::KhronosNeutral => Self::KhronosNeutral,
+            ToneCurve::Agx => Self::Agx,
+        }
+    }
+}
+
+impl Default for LightJob {
+    fn default() -> Self {
+        Self {
+            environment: None,
+            environment_strength: 1.0,
+            automatic: true,
+            exposure_ev: 0.0,
+            automatic_exposure: true,
+            tone: Tone::Auto,
+        }
+    }
+}
+
+impl LightJob {
+    /// Checks values that no parser checks.
+    pub(super) fn check(&self) -> Result<(), PipelineError> {
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+        if !(self.exposure_ev.is_finite() && self.exposure_ev.abs() <= 100.0) {
+            return fail("light.exposure_ev", "-100 to 100", self.exposure_ev.to_string());
+        }
+        if !(self.environment_strength.is_finite() && self.environment_strength >= 0.0) {
+            return fail("light.environment_strength", "a number ≥ 0", self.environment_strength.to_string());
+        }
+        Ok(())
+    }
+}

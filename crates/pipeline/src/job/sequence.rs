@@ -1,0 +1,64 @@
+//! `[sequence]`: times instead of a still.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::PipelineError;
+
+/// A sequence: light fields of one geometry, or a window that moves through the scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SequenceJob {
+    /// Number of times; without it one for every light field in the folder.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub times: Option<usize>,
+    /// Full updates at every time after the first, which starts from nothing and takes `factorize.iterations`.
+    pub iterations: u32,
+    /// Angle by which the window turns about its vertical axis from the first time to the last, degrees; above 0 the viewer walks to the right.
+    pub turn_deg: f64,
+    /// [right, up, to the viewer] by which the window moves from the first time to the last, millimetres of display space at the first time.
+    pub shift_mm: [f64; 3],
+    /// Time of the scene's animations from the first time to the last, seconds; the first is `pose.time_s`, or 0.
+    pub duration_s: f64,
+    /// Whether every time gets a whole report of its own; the sequence's is always written.
+    pub reports: bool,
+}
+
+impl Default for SequenceJob {
+    fn default() -> Self {
+        Self { times: None, iterations: 5, turn_deg: 0.0, shift_mm: [0.0; 3], duration_s: 0.0, reports: false }
+    }
+}
+
+impl SequenceJob {
+    /// Most times of a sequence: their folders have four digits.
+    pub const MOST: usize = 9999;
+
+    /// Checks values that no parser checks.
+    pub(super) fn check(&self, of_scene: bool) -> Result<(), PipelineError> {
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+        match self.times {
+            Some(times) if !(1..=Self::MOST).contains(&times) => {
+                return fail("sequence.times", "1 to 9999", times.to_string());
+            }
+            None if of_scene => {
+                return fail("sequence.times", "the number of times, as a scene does not say", "nothing".into());
+            }
+            _ => {}
+        }
+        let moves = self.turn_deg != 0.0 || self.shift_mm != [0.0; 3] || self.duration_s != 0.0;
+        if moves && !of_scene {
+            let expected = "`turn_deg`, `shift_mm` and `duration_s` for a scene only";
+            return fail("sequence", expected, "them with light fields".into());
+        }
+        if !self.duration_s.is_finite() {
+            return fail("sequence.duration_s", "a finite time", self.duration_s.to_string());
+        }
+        if !self.turn_deg.is_finite() {
+            return fail("sequence.turn_deg", "a finite angle", self.turn_deg.to_string());
+        }
+        if !self.shift_mm.iter().all(|shift| shift.is_finite()) {
+            return fail("sequence.shift_mm", "finite lengths", format!("{:?}", self.shift_mm));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,68 @@
+//! What the denoiser did: its bias per view, and a picture of what it took away.
+
+use maud::{Markup, html};
+
+use super::{figure, legend};
+use crate::picture::{DIVERGING, Encoding, Linear, amplification, difference, shrink_factor, signed_error};
+use crate::{ReportError, ReportInput, format};
+
+/// Pixels of the three pictures together.
+const BUDGET: usize = 1_500_000;
+
+pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
+    let Some(denoising) = input.denoising else { return Ok(html! {}) };
+    let geometry = input.target.geometry();
+    let (rows, cols) = (geometry.rows, geometry.cols);
+    let factor = shrink_factor(&[(rows, cols); 3], BUDGET);
+    let small = |values: &[f32]| Linear::new(rows, cols, values, 1.0).shrunk(factor);
+    let (before, after) = (small(denoising.unbiased), small(denoising.filtered));
+    let errors = signed_error(&after.data, &before.data, |_| true);
+    let gain = amplification(errors.iter());
+    let encoding = Encoding::for_pixels(3 * before.rows * before.cols);
+    let taken = difference(before.rows, before.cols, &errors, gain).embedded(encoding)?;
+    let (before, after) = (before.encoded().embedded(encoding)?, after.encoded().embedded(encoding)?);
+    let end = format::number(1.0 / f64::from(gain));
+    let overall = denoising.overall;
+    let relative = |value: f64| format!("{:+.3} %", 100.0 * value);
+    Ok(html! {
+        section id="denoising" {
+            h2 { "Denoising" }
+            p {
+                "Every view went through " (denoising.name) ". Mean squared error of the exposed radiance: "
+                strong { (estimate(overall.mse_before)) " before, " (estimate(overall.mse_after)) " after" }
+                ", measured at a sixty-fourth of the pixels, which were rendered again and which the filter never saw. The mean changed by "
+                strong { (relative(overall.mean_change[0] / overall.mean)) } " ± " (format!("{:.3} %", 100.0 * overall.mean_change[1] / overall.mean))
+                ". What stands behind ± is a standard error."
+            }
+            div class="compare group" {
+                (figure(&before, "The middle view as rendered", "As rendered, unbiased"))
+                (figure(&after, "The middle view filtered", "Filtered"))
+                (figure(&taken, "What the filter changed", &format!("Filtered − as rendered, × {gain}: where it is more than grain, the filter took away a part of the picture")))
+            }
+            (legend(&DIVERGING, &[format!("≤ −{end} darker than rendered"), "0".into(), format!("≥ +{end} brighter")]))
+            details {
+                summary { "Per view" }
+                div class="scroll" {
+                    table class="layers" {
+                        thead { tr { @for name in ["view (row, column)", "mean changed by", "error before", "error after"] { th scope="col" { (name) } } } }
+                        tbody {
+                            @for (view, figures) in geometry.grid.iter().zip(&denoising.views) {
+                                tr {
+                                    td { (view[0]) ", " (view[1]) }
+                                    td { (relative(figures.mean_change[0] / figures.mean)) }
+                                    td { (estimate(figures.mse_before)) }
+                                    td { (estimate(figures.mse_after)) }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    })
+}
+
+/// A value with its standard error.
+fn estimate([value, error]: [f64; 2]) -> String {
+    format!("{value:.2e} ± {error:.0e}")
+}

@@ -1,0 +1,121 @@
+//! Denoised runs: reports, caches, resuming, sequences, and what a missing program says.
+
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+
+use common::{fail, files, lumistack, number, report, root, succeed};
+use serde_json::Value;
+
+const SMALL: [&str; 10] =
+    ["--resolution", "64x40", "--frames", "2", "--samples", "4", "--iterations", "5", "--max-bounces", "3"];
+
+fn still_life(folder: &Path, denoise: &str) -> Command {
+    let mut command = lumistack();
+    command.arg("run").arg(root().join("scenes/still-life/still-life.gltf")).arg("-o").arg(folder);
+    command.args(SMALL).args(["--denoise", denoise]);
+    command
+}
+
+fn cached(report: &Value, name: &str) -> bool {
+    let stages = report["stages"].as_array().unwrap();
+    stages.iter().find(|stage| stage["name"] == name).unwrap()["cached"].as_bool().unwrap()
+}
+
+/// [value, standard error].
+fn pair(value: &Value) -> [f64; 2] {
+    [0, 1].map(|i| value[i].as_f64().unwrap())
+}
+
+#[test]
+fn a_denoised_run_says_what_was_done_and_goes_on_from_its_halves() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plain, run) = (folder.path().join("plain"), folder.path().join("run"));
+    succeed(&mut still_life(&plain, "off"));
+    assert!(report(&plain)["denoising"].is_null());
+    succeed(&mut still_life(&run, "guided"));
+    let first = report(&run);
+    let told = &first["denoising"];
+    let ([before, _], [after, after_error]) = (pair(&told["mse_before"]), pair(&told["mse_after"]));
+    let ([change, change_error], mean) = (pair(&told["mean_change"]), number(told, "mean"));
+    println!("{before} {after} ± {after_error}, mean {mean} {change} ± {change_error}");
+    assert!(after < 0.5 * before, "{told}");
+    assert!(change.abs() < 0.02 * mean && change_error < 0.02 * mean, "{told}");
+    assert_eq!(told["views"].as_array().unwrap().len(), 25);
+    let html = std::fs::read_to_string(run.join("report.html")).unwrap();
+    assert!(html.contains("id=\"denoising\"") && html.contains("guided filter"));
+
+    // nothing is done twice
+    succeed(&mut still_life(&run, "guided"));
+    assert!(cached(&report(&run), "render"));
+    let target = files(&run.join("target"));
+    assert!(target != files(&plain.join("target")), "filtered and unfiltered views are the same");
+    // a lost filtered view comes back without tracing
+    let views = run.join("cache/views");
+    let of = |suffix: &str| -> Vec<_> {
+        files(&views).into_iter().filter(|(path, _)| path.to_string_lossy().ends_with(suffix)).collect()
+    };
+    let filtered: Vec<_> =
+        of("view_02_02.exr").into_iter().filter(|(path, _)| path.to_string_lossy().contains("guided")).collect();
+    let (lost, bytes) = filtered.iter().find(|(path, _)| path.starts_with(first_target(&views))).unwrap();
+    std::fs::remove_file(views.join(lost)).unwrap();
+    let traced = views.join(first_target(&views)).join("view_02_02-a.exr");
+    let written = std::fs::metadata(&traced).unwrap().modified().unwrap();
+    succeed(&mut still_life(&run, "guided"));
+    assert!(!cached(&report(&run), "render"));
+    assert_eq!(&std::fs::read(views.join(lost)).unwrap(), bytes);
+    assert_eq!(std::fs::metadata(&traced).unwrap().modified().unwrap(), written, "the halves were traced again");
+    assert!(target == files(&run.join("target")));
+}
+
+/// The folder of the target's views.
+fn first_target(views: &Path) -> std::path::PathBuf {
+    let entries = std::fs::read_dir(views).unwrap().map(|entry| entry.unwrap().file_name());
+    entries.map(std::path::PathBuf::from).find(|name| name.to_string_lossy().starts_with("target-")).unwrap()
+}
+
+#[test]
+fn every_time_of_a_sequence_is_denoised() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    succeed(still_life(&run, "guided").args(["--times", "2", "--turn-deg", "4", "--sequence-iterations", "2"]));
+    for time in ["t0001", "t0002"] {
+        let told = report(&run.join(time))["denoising"].clone();
+        assert!(pair(&told["mse_after"])[0] < 0.5 * pair(&told["mse_before"])[0], "{time}: {told}");
+    }
+}
+
+#[test]
+fn a_missing_program_is_named_before_anything_is_rendered() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let error = fail(still_life(&run, "oidn").env("LUMISTACK_OIDN", folder.path().join("nothing")));
+    assert!(error.contains("oidnDenoise") && error.contains("nothing"), "{error}");
+    let error = fail(still_life(&run, "oidn").env_remove("LUMISTACK_OIDN").env("PATH", folder.path()));
+    assert!(error.contains("pyoidn") && error.contains("guided"), "{error}");
+    let traced = files(&run.join("cache")).iter().any(|(path, _)| path.to_string_lossy().contains("view_"));
+    assert!(!traced, "views were traced before the filter was looked for");
+}
+
+/// A stand-in for the program that gives back what it gets.
+#[cfg(unix)]
+#[test]
+fn the_program_gets_pictures_and_its_answer_is_taken() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let (run, program) = (folder.path().join("run"), folder.path().join("oidnDenoise"));
+    let script = r#"#!/bin/sh
+if [ "$1" = --help ]; then echo "Open Image Denoise stand-in"; exit; fi
+while [ $# -gt 0 ]; do case "$1" in --hdr) in="$2";; --alb) alb="$2";; --nrm) nrm="$2";; -o) out="$2";; esac; shift; done
+test -s "$alb" && test -s "$nrm" && cp "$in" "$out"
+"#;
+    std::fs::write(&program, script).unwrap();
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+    succeed(still_life(&run, "oidn").env("LUMISTACK_OIDN", &program));
+    let told = report(&run)["denoising"].clone();
+    // it changes nothing, so the errors are the same and the mean stays
+    assert_eq!(told["mse_before"], told["mse_after"], "{told}");
+    assert!(pair(&told["mean_change"])[0].abs() < 1e-6 && told["name"].as_str().unwrap().contains("Open Image"));
+    assert!(!files(&run.join("cache")).iter().any(|(path, _)| path.to_string_lossy().contains("exchange")));
+}

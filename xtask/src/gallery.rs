@@ -1,0 +1,100 @@
+//! The gallery: our renders of glTF files, each beside Blender's of the same file, camera and light, on one page.
+
+use std::path::{Path, PathBuf};
+
+use crate::tools::{self, Outcome, cargo, command, output_of, run};
+
+/// What `cargo xtask gallery --help` prints.
+pub const USAGE: &str = "\
+cargo xtask gallery [folder] [options]
+
+  Renders every .gltf and .glb below the folder (default: gltf in the folder that LUMISTACK_ASSETS names, or
+  ../shared/scenes/gltf) with our path tracer and with Blender's Cycles, and writes target/gallery/index.html. What is said there about each
+  file stands in xtask/gallery/notes.toml. Blender's pictures are kept between runs while what it is asked stays the same.
+
+  --out FOLDER     another folder for the page
+  --size COLSxROWS default 420x262
+  --samples N      paths per pixel; default 128
+  --turn DEG       the window seen from the right by so much
+  --threads N      of both renderers; default all
+
+The package bpy (Blender as a Python module, some 400 MB, for Python 3.11) is fetched into target/python-gallery at the first run; without it
+the page shows our renders alone. LUMISTACK_BENCH_PYTHON names a Python that has it already.
+";
+
+/// The version of Blender that the notes speak of.
+const BLENDER: [&str; 2] = ["bpy==5.0.1", "numpy"];
+
+/// Runs what the words after `gallery` ask for; `None` if they make no sense.
+pub fn gallery(arguments: &[&str]) -> Option<Outcome> {
+    let root = tools::root();
+    let assets = std::env::var_os("LUMISTACK_ASSETS").map_or_else(|| root.join("../shared/scenes"), PathBuf::from);
+    let (mut scenes, mut out) = (assets.join("gltf"), root.join("target/gallery"));
+    let (mut passed, mut threads) = (Vec::new(), "0");
+    let mut words = arguments.iter();
+    while let Some(&word) = words.next() {
+        match word {
+            "--help" | "-h" => {
+                print!("{USAGE}");
+                return Some(Ok(()));
+            }
+            "--out" => out = std::path::absolute(words.next()?).ok()?,
+            "--size" | "--samples" | "--turn" => passed.extend([word, words.next()?]),
+            "--threads" => threads = words.next()?,
+            _ if word.starts_with('-') => return None,
+            _ => scenes = std::path::absolute(word).ok()?,
+        }
+    }
+    Some(build(&scenes, &out, &passed, threads))
+}
+
+fn build(scenes: &Path, out: &Path, options: &[&str], threads: &str) -> Outcome {
+    let (scenes, folder) = (scenes.to_string_lossy(), out.to_string_lossy());
+    cargo(&["build", "--release", "--package", "lumistack-pipeline", "--example", "gallery"])?;
+    let example = |words: &[&str]| {
+        let mut cargo = command("cargo");
+        cargo.args(["run", "--quiet", "--release", "--package", "lumistack-pipeline", "--example", "gallery", "--"]);
+        cargo.env("RAYON_NUM_THREADS", threads);
+        run(cargo.args(words))
+    };
+    example(&[&["render", &scenes, &folder], options].concat())?;
+    match blender() {
+        Ok(python) => {
+            let script = tools::root().join("xtask/gallery/blender.py");
+            let mut entries: Vec<PathBuf> = std::fs::read_dir(out)
+                .map_err(|error| error.to_string())?
+                .flatten()
+                .map(|entry| entry.path())
+                .collect();
+            entries.retain(|entry| entry.join("ours.json").is_file());
+            entries.sort();
+            for entry in entries {
+                let mut blender = command(&python);
+                blender.arg(&script).arg(entry.join("ours.json")).arg(threads);
+                // one file that ends Blender is no reason to go without the others
+                if !blender.output().is_ok_and(|output| output.status.success()) {
+                    println!("gallery: Blender ended early on {}", entry.display());
+                } else {
+                    println!("Blender: {}", entry.file_name().unwrap_or_default().to_string_lossy());
+                }
+            }
+        }
+        Err(message) => println!("gallery: without Blender: {message}"),
+    }
+    let notes = tools::root().join("xtask/gallery/notes.toml");
+    example(&["page", &folder, &notes.to_string_lossy()])
+}
+
+/// A Python that has bpy.
+fn blender() -> Outcome<PathBuf> {
+    let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
+    let folder = tools::root().join("target/python-gallery");
+    let python = given.clone().unwrap_or_else(|| folder.join("bin/python"));
+    let there = || output_of(command(&python).args(["-c", "import bpy, numpy"])).is_some();
+    if !there() && given.is_none() {
+        tools::make_python(&folder, "to render with Blender beside our own renderer")?;
+        println!("fetching: {}, in target/python-gallery (used only for the gallery)", BLENDER.join(", "));
+        tools::install(&python, &[&["--no-cache-dir", "--only-binary=:all:"], &BLENDER[..]].concat())?;
+    }
+    if there() { Ok(python) } else { Err(format!("{} does not import bpy and numpy", python.display())) }
+}
