@@ -78,8 +78,14 @@ fn first_target(views: &Path) -> std::path::PathBuf {
 #[test]
 fn every_time_of_a_sequence_is_denoised() {
     let folder = tempfile::tempdir().unwrap();
-    let run = folder.path().join("run");
-    succeed(still_life(&run, "guided").args(["--times", "2", "--turn-deg", "4", "--sequence-iterations", "2"]));
+    let (run, job) = (folder.path().join("run"), folder.path().join("job.toml"));
+    let scene = root().join("scenes/still-life/still-life.gltf");
+    let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [64, 40]\nframes = 2";
+    let render = "[render]\nsamples = 4\nmax_bounces = 3\ndenoise = \"guided\"";
+    let sequence = "[sequence]\ntimes = 2\nturn_deg = 4.0\niterations = 2\nreports = true";
+    let factorize = "[factorize]\niterations = 5";
+    std::fs::write(&job, format!("scene = {scene:?}\n{display}\n{render}\n{factorize}\n{sequence}\n")).unwrap();
+    succeed(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
     for time in ["t0001", "t0002"] {
         let told = report(&run.join(time))["denoising"].clone();
         assert!(pair(&told["mse_after"])[0] < 0.5 * pair(&told["mse_before"])[0], "{time}: {told}");

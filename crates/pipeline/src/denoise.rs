@@ -30,6 +30,8 @@ const VERSION: u32 = 1;
 const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
 const CHECK_FACTOR: u32 = 2;
+/// What the path tracer takes.
+const MOST_SAMPLES: u32 = 65536;
 
 /// What a denoiser did to the target.
 pub(crate) struct Denoised {
@@ -99,7 +101,7 @@ impl Traced<'_> {
         let folder = finished(kind, self.folder);
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
         let filtered = run_filter(kind, geometry, &views, &folder, task)?;
-        let of_checks = Settings { samples: CHECK_FACTOR * settings.samples, ..settings };
+        let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
         let mut told = Vec::new();
         for ((view, noisy), picture) in geometry.grid.iter().zip(&views).zip(&filtered) {
             write_view(&view_path(&folder, view, None), picture)?;

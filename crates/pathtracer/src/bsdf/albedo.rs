@@ -2,10 +2,11 @@
 //!
 //! E(μ, α) is the albedo of the lobe without Fresnel and B(μ, α) that with (1 − o·h)⁵ in its place, so that Schlick's Fresnel gives
 //! F₀(E − B) + F₉₀B. Single scattering loses 1 − E of what it reflects. That share strikes the surface again, is reflected by the mean F̄ of the
-//! Fresnel term, and again leaves in the share E:
+//! Fresnel term, and leaves in the share Ē or strikes once more, so that the lobe has to be multiplied by K:
 //!
 //! ```text
-//! K = 1 + F̄(1 − E) + F̄²(1 − E)² + … = 1 / (1 − F̄(1 − E)),   F̄ = 2 ∫ F(μ) μ dμ = F₀ + (1 − F₀)/21
+//! E K = E + (1 − E) F̄ Ē (1 + F̄(1 − Ē) + F̄²(1 − Ē)² + …) = E + (1 − E) F̄ Ē / (1 − F̄(1 − Ē))
+//! F̄ = 2 ∫ F(μ) μ dμ = F₀ + (1 − F₀)/21,   Ē = 2 ∫ E(μ) μ dμ
 //! ```
 //!
 //! A white metal is lossless, a coloured one becomes more saturated. Sources: Turquin 2019, "Practical multiple scattering compensation for
@@ -39,6 +40,8 @@ pub(crate) struct Albedo {
     pub(crate) full: f32,
     /// Albedo with (1 − o·h)⁵ for Fresnel.
     pub(crate) grazing: f32,
+    /// Mean of `full` over all cosines, by their projected solid angle.
+    pub(crate) mean: f32,
 }
 
 impl Albedo {
@@ -51,8 +54,9 @@ impl Albedo {
     /// Factor that returns what single scattering loses.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
-        let mean = f0 + (Vec3::ONE - f0) * (1.0 / 21.0);
-        (Vec3::ONE - mean * (1.0 - self.full)).recip()
+        let fresnel = f0 + (Vec3::ONE - f0) * (1.0 / 21.0);
+        let further = fresnel * self.mean / (Vec3::ONE - fresnel * (1.0 - self.mean));
+        Vec3::ONE + further * (1.0 / self.full - 1.0)
     }
 }
 
@@ -70,6 +74,7 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     let mix = |a: Albedo, b: Albedo, t: f32| Albedo {
         full: a.full + (b.full - a.full) * t,
         grazing: a.grazing + (b.grazing - a.grazing) * t,
+        mean: a.mean + (b.mean - a.mean) * t,
     };
     mix(mix(lower[0], lower[1], fx), mix(upper[0], upper[1], fx), fy)
 }
@@ -88,13 +93,14 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
         index[axis] = (x as usize).min(STRETCHED[axis] - 2);
         share[axis] = x - index[axis] as f32;
     }
-    let mut sum = Albedo { full: 0.0, grazing: 0.0 };
+    let mut sum = Albedo { full: 0.0, grazing: 0.0, mean: 0.0 };
     for corner in 0..16 {
         let bit = |axis: usize| (corner >> axis) & 1;
         let weight: f32 = (0..4).map(|axis| if bit(axis) == 1 { share[axis] } else { 1.0 - share[axis] }).product();
         let node = (0..4).rev().fold(0, |node, axis| node * STRETCHED[axis] + index[axis] + bit(axis));
         sum.full += weight * table[node].full;
         sum.grazing += weight * table[node].grazing;
+        sum.mean += weight * table[node].mean;
     }
     sum
 }
@@ -113,7 +119,27 @@ fn tabulate_stretched() -> Vec<Albedo> {
         let alpha = Vec2::new(along * along, across * across).max(Vec2::splat(SMALLEST));
         integrate(o, alpha, STRETCHED_SAMPLES, STRETCHED_STEP)
     };
-    (0..STRETCHED.iter().product()).map(node).collect()
+    let mut table: Vec<Albedo> = (0..STRETCHED.iter().product()).map(node).collect();
+    let [roots, azimuths, ..] = STRETCHED;
+    for lobe in table.chunks_exact_mut(roots * azimuths) {
+        // μ = root²
+        let over = |cosines: &[Albedo]| mean_over(cosines, |root| 4.0 * root.powi(3));
+        let mean = lobe.chunks_exact(roots).map(over).sum::<f32>() / azimuths as f32;
+        lobe.iter_mut().for_each(|node| node.mean = mean);
+    }
+    table
+}
+
+/// ∫ E density over nodes that are spread evenly over 0..1, for a density whose own integral is 1: exact where E is constant.
+fn mean_over(nodes: &[Albedo], density: impl Fn(f32) -> f32) -> f32 {
+    let last = (nodes.len() - 1) as f32;
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for (i, node) in nodes.iter().enumerate() {
+        let x = i as f32 / last;
+        let weight = density(x) * if i == 0 || i + 1 == nodes.len() { 0.5 } else { 1.0 };
+        (sum, weights) = (sum + weight * node.full, weights + weight);
+    }
+    sum / weights
 }
 
 fn tabulate() -> Vec<Albedo> {
@@ -129,6 +155,9 @@ fn tabulate() -> Vec<Albedo> {
                 LATTICE_STEP,
             ));
         }
+        let row = &mut table[j * COSINES..];
+        let mean = mean_over(row, |cosine| 2.0 * cosine);
+        row.iter_mut().for_each(|node| node.mean = mean);
     }
     table
 }
@@ -151,7 +180,8 @@ fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> Albedo {
         }
     }
     let n = f64::from(samples);
-    Albedo { full: (full / n) as f32, grazing: (grazing / n) as f32 }
+    // the mean is known once all cosines are
+    Albedo { full: (full / n) as f32, grazing: (grazing / n) as f32, mean: f32::NAN }
 }
 
 #[cfg(test)]
@@ -185,20 +215,35 @@ mod tests {
     /// Against the series, summed.
     #[test]
     fn the_compensation_is_a_series_of_reflections() {
-        for full in [0.3f32, 0.5, 0.9, 1.0] {
-            let lobe = Albedo { full, grazing: 0.0 };
+        for (full, escape) in [(0.3f32, 0.5f32), (0.5, 0.45), (0.9, 0.95), (1.0, 1.0)] {
+            let lobe = Albedo { full, grazing: 0.0, mean: escape };
             for f0 in [0.0f32, 0.04, 0.37, 1.0] {
                 // the mean of Schlick's term, by midpoints
-                let mean: f32 = (0..2000)
-                    .map(|i| (i as f32 + 0.5) / 2000.0)
-                    .map(|x| 2.0 * x * (f0 + (1.0 - f0) * (1.0 - x).powi(5)))
-                    .sum::<f32>()
-                    / 2000.0;
-                let series: f32 = (0..200).map(|n| (mean * (1.0 - full)).powi(n)).sum();
-                let found = lobe.compensation(Vec3::splat(f0)).x;
-                assert!((found / series - 1.0).abs() < 1e-4, "{full} {f0}: {found} {series}");
+                let schlick = |x: f32| 2.0 * x * (f0 + (1.0 - f0) * (1.0 - x).powi(5));
+                let mean: f32 = (0..2000).map(|i| schlick((i as f32 + 0.5) / 2000.0)).sum::<f32>() / 2000.0;
+                let mut expected = full;
+                let mut inside = 1.0 - full;
+                for _ in 0..300 {
+                    expected += inside * mean * escape;
+                    inside *= mean * (1.0 - escape);
+                }
+                let found = full * lobe.compensation(Vec3::splat(f0)).x;
+                assert!((found / expected - 1.0).abs() < 1e-4, "{full} {f0}: {found} {expected}");
             }
             assert!((lobe.compensation(Vec3::ONE).x * full - 1.0).abs() < 1e-6, "a white metal loses nothing");
+        }
+    }
+
+    /// The mean over cosines, by the inverse of its distribution.
+    #[test]
+    fn the_mean_albedo_is_that_of_all_cosines() {
+        for roughness in [0.1f32, 0.5, 0.9, 1.0] {
+            let direct: f32 =
+                (0..4000).map(|i| albedo(((i as f32 + 0.5) / 4000.0).sqrt(), roughness).full).sum::<f32>() / 4000.0;
+            assert!((albedo(0.3, roughness).mean - direct).abs() < TABLE_TOLERANCE, "{roughness}: {direct}");
+            let alpha = roughness * roughness;
+            let round = stretched(Vec3::new(0.0, 0.6, 0.8), Vec2::splat(alpha)).mean;
+            assert!((round - direct).abs() < STRETCHED_TOLERANCE, "{roughness}: {round} {direct}");
         }
     }
 
