@@ -12,6 +12,7 @@
 mod cache;
 mod depth;
 mod error;
+mod file_params;
 mod files;
 mod fit;
 mod flicker;
@@ -34,7 +35,7 @@ pub use ingest::{Ingested, load_scene, place_window, scene_contents};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
     AngularFilter, DisplayJob, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob, OutputJob, PoseJob,
-    RenderJob, ReportJob, SequenceJob, Tone, WindowFrom, WindowJob,
+    RenderJob, ReportJob, SequenceJob, SourceJob, Tone, WindowFrom, WindowJob,
 };
 pub use lumistack_plugin_host::Registry;
 pub use run::{Summary, render_only, run};
