@@ -94,7 +94,7 @@ fn jobs() {
         &["job.toml", "line 5, column 1", "sampels", "did you mean `samples`"],
     );
     check(&format!("scene = 3\n{display}"), &["line 1", "string"]);
-    check(display, &["either `scene` or `light_field`", "neither"]);
+    check(display, &["one of `scene`, `light_field` and `source`", "none"]);
     check(
         "scene = \"SCENE\"\n[display]\npreset = \"fig7-unifrom\"\n",
         &["fig7-unifrom", "did you mean `fig7-uniform`"],

@@ -23,6 +23,7 @@ cargo xtask bench [what]
       --quick        50 iterations at most
       --json FILE    also as JSON
   stream        a display whose target does not fit into memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames
+  outputs       memory of the plugin `images` with 2 and with 12 frames of three 4K layers
   render [scene.gltf]   the path tracer on two cores: rays per second of the tree beside Embree, and one view of diffuse
                 scenes beside Mitsuba 3 and Blender's Cycles at equal scene, camera, light and bounces: time, samples per
                 second, mean squared error × time; memory. Scenes: the one named, or FlightHelmet where LUMISTACK_ASSETS
@@ -55,6 +56,12 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["stream"] => example("lumistack-factorizer", "stream", &[]),
         ["agreement"] => agreement("64").and(bench_render::agree("4096")),
         ["agreement", "--quick"] => agreement("16").and(bench_render::agree("1024")),
+        ["outputs"] => {
+            let test = ["--package", "lumistack-plugin-host", "--test", "memory"];
+            let chosen =
+                ["--", "--ignored", "--exact", "memory_does_not_grow_with_the_number_of_frames", "--nocapture"];
+            cargo(&[&["test", "--release"][..], &test, &chosen].concat())
+        }
         ["render", options @ ..] => bench_render::render(options)?,
         ["big", options @ ..] => bench_render::big(options)?,
         ["fuzz"] => fuzz::run(10),

@@ -134,6 +134,8 @@ fn page(plugin: &Value) -> String {
         page.push_str("\nThere are no parameters.\n");
         return page;
     }
+    // a file
+    let none = json!("");
     page.push_str("\n| parameter | default | values | meaning |\n|---|---|---|---|\n");
     for param in params {
         let unit = param["unit"].as_str().map_or(String::new(), |unit| format!(" {unit}"));
@@ -147,6 +149,7 @@ fn page(plugin: &Value) -> String {
             }
             "int" => (format!("{} to {}{unit}, whole", param["min"], param["max"]), String::new()),
             "float" => (format!("{} to {}{unit}", param["min"], param["max"]), String::new()),
+            "file" => ("a file, or its text".into(), String::new()),
             _ => ("text".into(), String::new()),
         };
         let cell = |text: &str| text.replace('|', "\\|").replace('\n', " ");
@@ -154,7 +157,7 @@ fn page(plugin: &Value) -> String {
             page,
             "| `{}` | `{}` | {} | {} |",
             text(param, "name"),
-            param["default"],
+            param.get("default").unwrap_or(&none),
             cell(&values),
             cell(&format!("{}{meaning}", text(param, "help")))
         );

@@ -13,6 +13,7 @@ use lumistack_scene::{Camera, Scene, Similarity, Window};
 
 use crate::cache::{KeyBuilder, remembered};
 use crate::error::{PipelineError, host_error, read};
+use crate::file_params;
 use crate::job::{ImporterJob, LightJob, PoseJob, WindowFrom, WindowJob};
 use crate::light;
 use crate::render::render_error;
@@ -339,6 +340,9 @@ pub(crate) fn plugin_key(
     let mut key = KeyBuilder::new(&format!("plugin {id}"), 1);
     key.add("version", registry.get(id).map_err(PipelineError::Output)?.info().version.as_bytes());
     key.add_json("params", params);
+    for (name, path) in file_params::of(registry, id, params) {
+        key.add("file", name.as_bytes()).add("content", hash(&read(Path::new(path))?).as_bytes());
+    }
     if let Some(Origin::Library(library)) = registry.origin(id) {
         key.add("library", hash(&read(library)?).as_bytes());
     }

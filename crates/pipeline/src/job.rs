@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::display::DisplayJob;
 pub use self::factorize::{EyeJob, FactorizeJob};
-pub use self::graph::{ImporterJob, NodeJob, OutputJob};
+pub use self::graph::{ImporterJob, NodeJob, OutputJob, SourceJob};
 pub use self::light::{LightJob, Tone};
 pub use self::render::{AngularFilter, Denoise, RenderJob};
 pub use self::sequence::SequenceJob;
@@ -40,10 +40,10 @@ pub struct Job {
     /// Name for people and for the run folder; default: the file's stem.
     #[serde(default)]
     pub name: String,
-    /// Scene to render: `.gltf` or `.glb`. Either this or `light_field`.
+    /// Scene to render: `.gltf`, `.glb`, or what an importer takes. Either this, `light_field` or `source`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<PathBuf>,
-    /// Light field that somebody else rendered: a folder, `.npy`, a quilt. Either this or `scene`.
+    /// Light field that somebody else rendered: a folder, `.npy`, a quilt.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light_field: Option<PathBuf>,
     /// Seed of all random streams.
@@ -78,12 +78,18 @@ pub struct Job {
     /// Importer of a scene that is not glTF, and its parameters.
     #[serde(default, skip_serializing_if = "is_default")]
     pub importer: ImporterJob,
+    /// Plugin that makes the light field.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<SourceJob>,
     /// Displays that are fed from one light field; without any, the one display of the job.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeJob>,
     /// Output plugins; default: `images`.
     #[serde(default = "default_outputs")]
     pub outputs: Vec<OutputJob>,
+    /// Folder of the file, to which files in parameters of plugins are relative.
+    #[serde(skip)]
+    pub folder: PathBuf,
 }
 
 /// What to take of a scene that has a choice.
@@ -139,6 +145,8 @@ impl Default for ReportJob {
 impl Job {
     /// Value of the key `schema`.
     pub const SCHEMA: &'static str = "lumistack/job";
+    /// What a light field comes from.
+    pub(crate) const INPUTS: &'static str = "one of `scene`, `light_field` and `source`";
 
     /// A job with nothing set but its display.
     pub fn new(display: DisplayJob) -> Self {
@@ -159,8 +167,10 @@ impl Job {
             sequence: None,
             report: ReportJob::default(),
             importer: ImporterJob::default(),
+            source: None,
             nodes: Vec::new(),
             outputs: default_outputs(),
+            folder: PathBuf::new(),
         }
     }
 
@@ -196,6 +206,7 @@ impl Job {
         for path in job.paths_mut() {
             *path = base.join(&*path);
         }
+        job.folder = base.to_owned();
         Ok(job)
     }
 
@@ -230,16 +241,24 @@ impl Job {
     /// On the first value that makes no sense.
     pub fn check(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
-        match (&self.scene, &self.light_field) {
-            (Some(_), None) | (None, Some(_)) => {}
-            (Some(_), Some(_)) => return fail("scene", "either `scene` or `light_field`", "both".into()),
-            (None, None) => return fail("scene", "either `scene` or `light_field`", "neither".into()),
+        let inputs = [
+            self.scene.as_ref().map(|_| "`scene`"),
+            self.light_field.as_ref().map(|_| "`light_field`"),
+            self.source.as_ref().map(|_| "`source`"),
+        ];
+        match inputs.into_iter().flatten().collect::<Vec<_>>().as_slice() {
+            [_] => {}
+            [] => return fail("scene", Self::INPUTS, "none".into()),
+            several => return fail("scene", Self::INPUTS, several.join(" and ")),
+        }
+        if let Some(time_s) = self.source.as_ref().map(|source| source.time_s).filter(|time_s| !time_s.is_finite()) {
+            return fail("source.time_s", "a finite time", time_s.to_string());
         }
         if !(1.0..=1000.0).contains(&self.report.pixels_per_degree) {
             return fail("report.pixels_per_degree", "1 to 1000", self.report.pixels_per_degree.to_string());
         }
         if self.pose != PoseJob::default() && self.scene.is_none() {
-            return fail("pose", "a scene to pose", "a light field".into());
+            return fail("pose", "a scene to pose", "none".into());
         }
         if let Some(time_s) = self.pose.time_s.filter(|time_s| !time_s.is_finite()) {
             return fail("pose.time_s", "a finite time", time_s.to_string());
@@ -248,7 +267,7 @@ impl Job {
         self.window.check()?;
         self.light.check()?;
         self.check_graph()?;
-        self.sequence.as_ref().map_or(Ok(()), |sequence| sequence.check(self.scene.is_some()))
+        self.sequence.as_ref().map_or(Ok(()), |sequence| sequence.check(self))
     }
 
     /// The job for a report.
@@ -290,6 +309,7 @@ mod tests {
             keys::<ReportJob>(),
             keys::<OutputJob>(),
             keys::<ImporterJob>(),
+            keys::<SourceJob>(),
             keys::<NodeJob>(),
             keys::<GeometryFlags>(),
             keys::<lumistack_display::Layer>(),

@@ -13,6 +13,7 @@ mod cache;
 mod denoise;
 mod depth;
 mod error;
+mod file_params;
 mod files;
 mod fit;
 mod flicker;
@@ -37,7 +38,7 @@ pub use ingest::{Ingested, load_scene, place_window, scene_contents};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
     AngularFilter, Denoise, DisplayJob, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob, OutputJob,
-    PoseJob, RenderJob, ReportJob, SequenceJob, Tone, WindowFrom, WindowJob,
+    PoseJob, RenderJob, ReportJob, SequenceJob, SourceJob, Tone, WindowFrom, WindowJob,
 };
 pub use look::automatic_look;
 pub use lumistack_plugin_host::Registry;

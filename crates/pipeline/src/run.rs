@@ -22,6 +22,7 @@ pub(crate) use self::patterns::{add_stack, add_weights};
 use crate::cache::Stamps;
 use crate::denoise::Denoised;
 use crate::error::PipelineError;
+use crate::file_params;
 use crate::files::{check_folder, remove_reports, write, write_job, write_report};
 use crate::graph::{self, NodeSummary};
 use crate::ingest::Ingested;
@@ -85,6 +86,7 @@ pub fn run(
     command: Option<&str>,
     task: Task<'_>,
 ) -> Result<Summary, PipelineError> {
+    let job = &file_params::resolved(job, registry)?;
     if let Some(sequence) = &job.sequence {
         return sequence::run(job, sequence, run_dir, registry, command, task);
     }
@@ -145,6 +147,10 @@ impl<'a> Run<'a> {
         start_kind(&job.factorize.start)?;
         lumistack_factorizer::solver(&job.factorize.solver).map_err(PipelineError::Factorize)?;
         // found out before an hour of rendering, not after
+        if let Some(source) = &job.source {
+            registry.get_kind(&source.plugin, PluginKind::Source).map_err(PipelineError::Output)?;
+            registry.check_params(&source.plugin, &source.params.clone().into()).map_err(PipelineError::Output)?;
+        }
         for output in &job.outputs {
             let info = registry.get_kind(&output.plugin, PluginKind::Output).map_err(PipelineError::Output)?.info();
             registry.check_params(&output.plugin, &output.params.clone().into()).map_err(PipelineError::Output)?;

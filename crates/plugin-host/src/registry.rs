@@ -50,6 +50,8 @@ impl Registry {
         registry.add(Plugin::compiled_in(&lumistack_plugin_parallax_barrier::PLUGIN).map_err(HostError::BadPlugin)?)?;
         #[cfg(feature = "quilt")]
         registry.add(Plugin::compiled_in(&lumistack_plugin_quilt::PLUGIN).map_err(HostError::BadPlugin)?)?;
+        #[cfg(feature = "test-views")]
+        registry.add(Plugin::compiled_in(&lumistack_plugin_test_views::PLUGIN).map_err(HostError::BadPlugin)?)?;
         #[cfg(feature = "transparencies")]
         registry.add(Plugin::compiled_in(&lumistack_plugin_transparencies::PLUGIN).map_err(HostError::BadPlugin)?)?;
         Ok(registry)

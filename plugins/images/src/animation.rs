@@ -74,7 +74,8 @@ impl Swing {
     }
 }
 
-fn reduced(rgb: Vec<f32>, [cols, rows]: [usize; 2], [width, height]: [u32; 2]) -> Vec<f32> {
+/// A picture of [`cols`, `rows`] in fewer pixels, [`width`, `height`].
+pub(crate) fn reduced(rgb: Vec<f32>, [cols, rows]: [usize; 2], [width, height]: [u32; 2]) -> Vec<f32> {
     if [cols, rows] == [width as usize, height as usize] {
         return rgb;
     }

@@ -9,6 +9,7 @@
 //! | `panel_frame_MM.png` | what the panel behind the lenslets shows, pixel by pixel; see [`lumistack_plugin::lenslets`] |
 //! | `simulated_YY_XX.png` | what an adapted viewer sees from one place of the target's view grid: emitted radiance / β |
 //! | `atlas.png`, `atlas.json` | the patterns of all layers and frames on one sheet, and where each is |
+//! | `sheet.png` | all patterns and views for people: reduced, each under what it is |
 //! | `stack.npz` | the patterns' values |
 //! | `images.json` | for every file: what it shows, encoding, whether it is linear |
 //!
@@ -29,6 +30,7 @@ mod manifest;
 mod panel;
 mod params;
 pub mod pictures;
+mod sheet;
 mod views;
 mod write;
 
@@ -50,7 +52,7 @@ pub struct Images {
 
 impl OutputPlugin for Images {
     const DOC: &'static str = "Writes layer patterns, backlight patterns and views: PNG and EXR pictures, atlas sheets, NumPy archives, \
-        an animation, HCI and Stanford folders. A file images.json says what each file is.";
+        a sheet for people, an animation, HCI and Stanford folders. A file images.json says what each file is.";
     const PORTS: &'static [Port] = &[Port::LayerStack, Port::LightField];
     type Params = ImagesParams;
 

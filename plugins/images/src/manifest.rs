@@ -70,6 +70,8 @@ pub(crate) enum Content {
     Animation { slopes: Vec<[f64; 2]>, nearest: bool, pictures_per_second: u16, divided_by: f64 },
     /// All patterns on one sheet; `index` is the file that says where.
     Atlas { index: String },
+    /// Patterns and views for people, reduced and labelled.
+    Sheet,
     /// Arrays of all patterns, or of all views.
     Arrays { names: Vec<String> },
     /// A view in a folder of a public archive.

@@ -16,6 +16,7 @@ pub struct ImagesParams {
     pub(crate) exr_multi_view: bool,
     pub(crate) npz: bool,
     pub(crate) atlas: bool,
+    pub(crate) sheet: bool,
     pub(crate) encode: Encode,
     pub(crate) bits: u32,
     pub(crate) dither: Dither,
@@ -91,6 +92,11 @@ pub(crate) fn schema() -> Schema {
             "atlas",
             false,
             "Write atlas.png, the patterns of all layers (left to right, rear first) and frames (top to bottom) on one sheet of 8 bits, and atlas.json, which says where each is.",
+        ),
+        Param::bool(
+            "sheet",
+            false,
+            "Write sheet.png for people: all patterns and the chosen views, reduced, each under what it is, with a legend.",
         ),
         Param::choice(
             "encode",
@@ -221,7 +227,7 @@ impl ImagesParams {
     /// If parameters contradict one another.
     pub(crate) fn check(&self) -> Result<(), PluginError> {
         let pictures = self.png8 || self.png16 || self.exr;
-        let others = self.exr_multi_view || self.npz || self.atlas || self.hci || self.stanford;
+        let others = self.exr_multi_view || self.npz || self.atlas || self.sheet || self.hci || self.stanford;
         if !pictures && !others && self.animation == Animation::None {
             let text =
                 "parameters `png8`, `png16`, `exr` and all others that write are false: there is nothing to write";

@@ -13,8 +13,9 @@ use crate::folders::{self, Archive};
 use crate::manifest::{Content, Entry, Format, NamedView, Size};
 use crate::params::{Animation, Encode, ExrDepth, Views};
 use crate::pictures::{backlight_picture, centre_and_corners};
+use crate::sheet::Cell;
 use crate::views::{ViewSource, nearest, slope_at};
-use crate::{Images, arrays, atlas, panel};
+use crate::{Images, arrays, atlas, panel, sheet};
 
 /// Linear values on their way to a file.
 struct Picture<'a> {
@@ -70,6 +71,9 @@ impl Images {
             let linear = self.params.encode == Encode::Linear;
             entries.push(entry(format!("{folder}atlas.png"), content, format, linear, Some([height, width]), time));
         }
+        if self.params.sheet {
+            entries.push(self.write_sheet(time, &ViewSource::Stack(stack))?);
+        }
         if self.params.npz {
             let file = format!("{folder}stack.npz");
             arrays::write_stack(&self.host, &file, &self.display, stack)?;
@@ -104,6 +108,9 @@ impl Images {
             }
         }
         let source = ViewSource::Field(field);
+        if self.params.sheet {
+            entries.push(self.write_sheet(time, &source)?);
+        }
         if self.params.npz {
             let file = format!("{}views.npz", folder(time));
             arrays::write_views(&self.host, &file, &source)?;
@@ -204,6 +211,41 @@ impl Images {
             self.write_picture(time, &picture, &stage, entries)?;
         }
         Ok(())
+    }
+
+    /// Everything on one sheet, with what it is.
+    fn write_sheet(&self, time: Time, source: &ViewSource<'_>) -> Result<Entry, PluginError> {
+        let (geometry, path) = (source.geometry(), format!("{}sheet.png", folder(time)));
+        let grid = &geometry.grid;
+        let mut bands: Vec<Vec<Cell<'_>>> = Vec::new();
+        let mut legend = format!("{}\n", self.display.name);
+        let (chosen, across) = match source {
+            ViewSource::Stack(stack) => {
+                bands.extend((0..stack.frames()).map(|frame| sheet::patterns(&self.display, stack, frame)));
+                legend += "Patterns: one row per frame, layers from rear (left) to front; what a pixel lets through (emits, turns), 0 to 1, \
+                           shown in sRGB.\n";
+                legend += &format!(
+                    "Views: what an adapted viewer sees from there, light divided by {:.3}, shown in sRGB.",
+                    stack.brightness()
+                );
+                let chosen = match self.params.views {
+                    Views::None => Vec::new(),
+                    Views::Some => centre_and_corners(grid.views()),
+                    Views::All => grid.iter().collect(),
+                };
+                (chosen, stack.layer_count().max(3))
+            }
+            ViewSource::Field(_) => {
+                legend += "Views of the light field, from the upper left one to the lower right one, shown in sRGB.";
+                (grid.iter().collect(), grid.views()[1])
+            }
+        };
+        for views in chosen.chunks(across) {
+            bands.push(views.iter().map(|view| sheet::view(source, *view)).collect());
+        }
+        let [width, height] = sheet::write(&self.host, &path, &legend, &bands)?;
+        let format = Format::Png { bits: 8, encoding: Transfer::Srgb, panel_bits: None, dither: None };
+        Ok(entry(path, Content::Sheet, format, false, Some([height, width]), time))
     }
 
     /// What is made of views, wherever they come from.

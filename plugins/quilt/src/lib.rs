@@ -138,7 +138,7 @@ impl OutputPlugin for Quilt {
                 "aspect",
                 0.0,
                 0.0..=10.0,
-                "Width over height of one view as shown, whatever its tile; 0 for the device's, or the views' own.",
+                "Width over height of one view as shown, whatever its tile; 0 for that of the calibration's screen, else the device's, else the views' own.",
             )
             .unit("1"),
             Param::choice(
@@ -224,7 +224,7 @@ impl Quilt {
         let (params, geometry) = (&self.params, source.geometry());
         let size = [geometry.cols, geometry.rows];
         let given =
-            Given { views: [params.columns, params.rows], size: [params.width, params.height], aspect: params.aspect };
+            Given { views: [params.columns, params.rows], size: [params.width, params.height], aspect: self.aspect() };
         let available = geometry.grid.slope_x.len();
         let layout = Layout::new(self.device, given, available, size)?;
         let row = source.row(params.view_row)?;
@@ -261,6 +261,16 @@ impl Quilt {
             video: if layout.size.iter().all(|side| *side <= H264_SIDE) { "h264" } else { "hevc" },
             views,
         })
+    }
+
+    /// Aspect of a view that is asked for; a screen shows every view over all of itself.
+    fn aspect(&self) -> f64 {
+        match &self.calibration {
+            Some(calibration) if self.params.aspect == 0.0 => {
+                calibration.screen[0] as f64 / calibration.screen[1] as f64
+            }
+            _ => self.params.aspect,
+        }
     }
 
     /// The quilt's codes `[row][col][rgb]`.

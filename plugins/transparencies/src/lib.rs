@@ -109,7 +109,8 @@ struct Entry {
 
 impl OutputPlugin for Transparencies {
     const DOC: &'static str = "Writes a PDF to print static layers on film at true size, with an assembly sheet and a test chart. \
-        It takes displays of attenuating layers with one frame.";
+        It takes displays of attenuating layers with one frame. Patterns are continuous tones: halftone dots are the \
+        printer's own, which the chart measures along with its inks.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     type Params = TransparenciesParams;
 

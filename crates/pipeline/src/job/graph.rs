@@ -1,8 +1,8 @@
-//! `[importer]`, `[[nodes]]` and `[[outputs]]`: the plugins of a job and what joins them.
+//! `[importer]`, `[source]`, `[[nodes]]` and `[[outputs]]`: the plugins of a job and what joins them.
 
 use serde::{Deserialize, Serialize};
 
-use super::{DisplayJob, FactorizeJob, Job};
+use super::{DisplayJob, FactorizeJob, Job, is_default};
 use crate::error::PipelineError;
 
 /// Which plugin reads the scene.
@@ -12,6 +12,23 @@ pub struct ImporterJob {
     /// Id of the plugin; default: the one that takes files of this extension.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plugin: Option<String>,
+    /// Its parameters.
+    #[serde(default)]
+    pub params: serde_json::Map<String, serde_json::Value>,
+}
+
+/// Which plugin makes the light field.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SourceJob {
+    /// Id of a source plugin.
+    pub plugin: String,
+    /// Number of the time that it makes; a sequence counts on from it.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub time: u64,
+    /// The time in seconds.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub time_s: f64,
     /// Its parameters.
     #[serde(default)]
     pub params: serde_json::Map<String, serde_json::Value>,
@@ -130,6 +147,20 @@ impl Job {
             taken.push((from, output.name()));
         }
         Ok(())
+    }
+
+    /// The plugins of the job: their place in it, id and parameters. The id of an importer that is chosen by the scene's extension is empty.
+    pub(crate) fn plugins_mut(
+        &mut self,
+    ) -> impl Iterator<Item = (String, &str, &mut serde_json::Map<String, serde_json::Value>)> {
+        let importer = self.importer.plugin.as_deref().unwrap_or_default();
+        let importer = [("importer".into(), importer, &mut self.importer.params)];
+        let source = self.source.iter_mut().map(|job| ("source".into(), job.plugin.as_str(), &mut job.params));
+        let nodes = self.nodes.iter_mut().enumerate().filter(|(_, node)| node.plugin != NodeJob::TENSOR_DISPLAY);
+        let nodes = nodes.map(|(i, job)| (format!("nodes[{i}]"), job.plugin.as_str(), &mut job.params));
+        let outputs = self.outputs.iter_mut().enumerate();
+        let outputs = outputs.map(|(i, job)| (format!("outputs[{i}]"), job.plugin.as_str(), &mut job.params));
+        importer.into_iter().chain(source).chain(nodes).chain(outputs)
     }
 
     /// The outputs that take what `from` makes.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::Job;
 use crate::error::PipelineError;
 
 /// A sequence: light fields of one geometry, or a window that moves through the scene.
@@ -34,21 +35,24 @@ impl SequenceJob {
     pub const MOST: usize = 9999;
 
     /// Checks values that no parser checks.
-    pub(super) fn check(&self, of_scene: bool) -> Result<(), PipelineError> {
+    pub(super) fn check(&self, job: &Job) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
         match self.times {
             Some(times) if !(1..=Self::MOST).contains(&times) => {
                 return fail("sequence.times", "1 to 9999", times.to_string());
             }
-            None if of_scene => {
-                return fail("sequence.times", "the number of times, as a scene does not say", "nothing".into());
+            None if job.light_field.is_none() => {
+                let expected = "the number of times, as only a folder of light fields says it";
+                return fail("sequence.times", expected, "nothing".into());
             }
             _ => {}
         }
-        let moves = self.turn_deg != 0.0 || self.shift_mm != [0.0; 3] || self.duration_s != 0.0;
-        if moves && !of_scene {
-            let expected = "`turn_deg`, `shift_mm` and `duration_s` for a scene only";
-            return fail("sequence", expected, "them with light fields".into());
+        if (self.turn_deg != 0.0 || self.shift_mm != [0.0; 3]) && job.scene.is_none() {
+            return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "them without a scene".into());
+        }
+        if self.duration_s != 0.0 && job.light_field.is_some() {
+            let expected = "`duration_s` for a scene or a source only";
+            return fail("sequence", expected, "it with light fields".into());
         }
         if !self.duration_s.is_finite() {
             return fail("sequence.duration_s", "a finite time", self.duration_s.to_string());

@@ -4,18 +4,20 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::LightField;
-use lumistack_plugin_host::Registry;
+use lumistack_plugin_host::{Registry, Time};
 use lumistack_report::DepthBudget;
+use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
 use super::{Moment, Run};
 use crate::cache::{KeyBuilder, Stamps};
 use crate::denoise::Denoised;
-use crate::error::{PipelineError, display_error, field_error};
-use crate::files::check_folder;
+use crate::error::{PipelineError, display_error, field_error, host_error};
+use crate::file_params;
+use crate::files::{check_folder, read_json, write_json};
 use crate::fit::{self, Placement};
 use crate::ingest::{self, Ingested};
-use crate::job::Job;
+use crate::job::{Job, SourceJob};
 use crate::look::Look;
 use crate::render;
 use crate::sequence;
@@ -47,6 +49,7 @@ pub fn render_only(
     let Some(scene) = &job.scene else {
         return Err(PipelineError::value("job", "scene", "a scene to render", "none"));
     };
+    let job = &file_params::resolved(job, registry)?;
     check_folder(target_dir)?;
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
@@ -64,10 +67,12 @@ pub fn render_only(
 
 impl Run<'_> {
     pub(crate) fn input(&mut self, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
-        match (self.job.scene.clone(), self.job.light_field.clone()) {
-            (Some(scene), _) => self.render_scene(&scene, moment, task),
-            (None, Some(path)) => self.read_field(&path, moment, task),
-            (None, None) => Err(PipelineError::value("job", "scene", "either `scene` or `light_field`", "neither")),
+        let Job { scene, light_field, source, .. } = &*self.job.clone();
+        match (scene, light_field, source) {
+            (Some(scene), ..) => self.render_scene(scene, moment, task),
+            (None, Some(path), _) => self.read_field(path, moment, task),
+            (None, None, Some(source)) => self.make_field(source, moment, task),
+            (None, None, None) => Err(PipelineError::value("job", "scene", Job::INPUTS, "none")),
         }
     }
 
@@ -117,14 +122,55 @@ impl Run<'_> {
             lumistack_field_io::round_to_half(&mut field);
             Ok((field, false))
         })?;
-        if let Some((geometry, place)) = moment.geometry {
-            sequence::check_geometry(path, target.geometry(), geometry, place)?;
+        let about = json!({ "light field": path.display().to_string() });
+        self.take_field(target, path, about, moment)
+    }
+
+    /// The light field of a source plugin; what it made before is read back.
+    fn make_field(&mut self, source: &SourceJob, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
+        let registry = self.registry;
+        let mut key = KeyBuilder::new("source", 1);
+        key.add("plugin", ingest::plugin_key(registry, &source.plugin, &source.params)?.as_bytes())
+            .add("display", self.display.to_toml().as_bytes())
+            .add_json("time", &(source.time, source.time_s));
+        let key = key.finish();
+        let path = self.dir.join("cache/source.json");
+        let target = self.timed(&source.plugin, |run| {
+            if let Some(kept) = read_json::<Kept>(&path).filter(|kept| kept.key == key)
+                && run.stamps.is_current("target", &kept.target)
+                && let Ok((field, _)) = lumistack_field_io::read_field_folder(&run.dir.join("target"))
+                && field_key("target", &field, &Map::new()) == kept.target
+            {
+                return Ok((field, true));
+            }
+            let (params, time) = (source.params.clone().into(), Time { index: source.time, seconds: source.time_s });
+            let made = lumistack_plugin_host::make_field(registry, &source.plugin, &params, &run.display, time, task);
+            let mut field = made.map_err(host_error)?;
+            lumistack_field_io::round_to_half(&mut field);
+            Ok((field, false))
+        })?;
+        let about = json!({ "source": source.plugin, "time (s)": source.time_s });
+        let kept = Kept { key, target: field_key("target", &target, &Map::new()) };
+        let input = self.take_field(target, Path::new(&source.plugin), about, moment)?;
+        write_json(&path, &kept)?;
+        Ok(input)
+    }
+
+    /// Makes a light field from `place` the target, to which the display adapts.
+    fn take_field(
+        &mut self,
+        target: LightField,
+        place: &Path,
+        about: Value,
+        moment: &Moment<'_>,
+    ) -> Result<Input, PipelineError> {
+        if let Some((geometry, first)) = moment.geometry {
+            sequence::check_geometry(place, target.geometry(), geometry, first)?;
         }
         self.display = self.display.adapted_to(target.geometry());
         self.display.check().map_err(|source| display_error(source, "light field"))?;
         write_field_if_changed(&self.stamps, &self.dir, "target", &target, &Map::new())?;
-        let about = Some(json!({ "light field": path.display().to_string() }));
-        Ok(Input { target, held_out: None, outside: None, look: None, depth: None, denoised: None, about })
+        Ok(Input { target, held_out: None, outside: None, look: None, depth: None, denoised: None, about: Some(about) })
     }
 }
 
@@ -189,15 +235,29 @@ fn write_field_if_changed(
     field: &LightField,
     info: &Map<String, Value>,
 ) -> Result<(), PipelineError> {
-    let mut key = KeyBuilder::new(name, 1);
-    key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
-    let key = key.add_json("info", info).finish();
+    let key = field_key(name, field, info);
     if stamps.is_current(name, &key) {
         return Ok(());
     }
     stamps.clear(name)?;
     write_field(&run_dir.join(name), field, info)?;
     let mut files = vec![Path::new(name).join("lightfield.json")];
-    files.extend(field.geometry().grid.iter().map(|[y, x]| Path::new(name).join(format!("view_{y:02}_{x:02}.exr"))));
+    let views = field.geometry().grid.views();
+    let view_file = |view| Path::new(name).join(lumistack_field_io::view_file_name(views, view));
+    files.extend(field.geometry().grid.iter().map(view_file));
     stamps.write(name, &key, &files)
+}
+
+/// Hash of everything that a light-field folder holds.
+fn field_key(name: &str, field: &LightField, info: &Map<String, Value>) -> String {
+    let mut key = KeyBuilder::new(name, 1);
+    key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
+    key.add_json("info", info).finish()
+}
+
+/// Which light field a source made, as it is kept between runs.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    key: String,
+    target: String,
 }

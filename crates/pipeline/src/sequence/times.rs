@@ -14,7 +14,7 @@ use super::{Last, name};
 use crate::error::{PipelineError, display_error};
 use crate::fit::{self, Placement};
 use crate::ingest::{self, Ingested};
-use crate::job::{FactorizeJob, Job, PoseJob, SequenceJob, WindowFrom, WindowJob};
+use crate::job::{FactorizeJob, Job, PoseJob, SequenceJob, SourceJob, WindowFrom, WindowJob};
 
 /// What `auto` takes after the first time. Extrapolating along a few iterations from patterns of another target overshoots. Measured with content that moves
 /// 2 pixels a time (3 layers, 6 frames, 160 × 100, 5 × 5 views, 5 iterations): block-exact reaches 49.9 dB and flicker 48.8 dB at β = 0.2, extrapolated 47.8 and 46.6 dB; 45.3 dB both
@@ -26,14 +26,16 @@ const WARM_SOLVER: &str = "block-exact";
 pub(super) struct Times<'a> {
     job: &'a Job,
     pub(super) sequence: &'a SequenceJob,
-    source: Source,
+    source: Source<'a>,
 }
 
-enum Source {
+enum Source<'a> {
     /// One light field per time.
     Fields(Vec<PathBuf>),
     /// The scene and its placement at the first time, and how many times there are.
     Scene { ingested: Box<Ingested>, placement: Placement, count: usize },
+    /// The plugin at the first time, and how many times there are.
+    Plugin { first: &'a SourceJob, count: usize },
 }
 
 impl<'a> Times<'a> {
@@ -48,8 +50,8 @@ impl<'a> Times<'a> {
         registry: &Registry,
         task: Task<'_>,
     ) -> Result<Self, PipelineError> {
-        let source = match (&job.scene, &job.light_field) {
-            (Some(scene), _) => {
+        let source = match (&job.scene, &job.light_field, &job.source) {
+            (Some(scene), ..) => {
                 let display = job.resolve_display()?;
                 let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
                 let pose = pose_at(job, sequence, 0.0);
@@ -57,10 +59,9 @@ impl<'a> Times<'a> {
                 let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(cache_dir), task)?;
                 Source::Scene { ingested: Box::new(ingested), placement, count: sequence.times.unwrap_or(1) }
             }
-            (None, Some(folder)) => Source::Fields(light_fields(folder, sequence.times)?),
-            (None, None) => {
-                return Err(PipelineError::value("job", "scene", "either `scene` or `light_field`", "neither"));
-            }
+            (None, Some(folder), _) => Source::Fields(light_fields(folder, sequence.times)?),
+            (None, None, Some(first)) => Source::Plugin { first, count: sequence.times.unwrap_or(1) },
+            (None, None, None) => return Err(PipelineError::value("job", "scene", Job::INPUTS, "none")),
         };
         Ok(Self { job, sequence, source })
     }
@@ -68,14 +69,14 @@ impl<'a> Times<'a> {
     pub(super) fn count(&self) -> usize {
         match &self.source {
             Source::Fields(paths) => paths.len(),
-            Source::Scene { count, .. } => *count,
+            Source::Scene { count, .. } | Source::Plugin { count, .. } => *count,
         }
     }
 
     /// The scene, where all times share it.
     pub(super) fn ingested(&self) -> Option<&Ingested> {
         match &self.source {
-            Source::Fields(_) => None,
+            Source::Fields(_) | Source::Plugin { .. } => None,
             Source::Scene { ingested, .. } => (self.sequence.duration_s == 0.0).then_some(ingested),
         }
     }
@@ -85,6 +86,7 @@ impl<'a> Times<'a> {
         let mut job = Job { sequence: None, name: format!("{} {}", self.job.name, name(time)), ..self.job.clone() };
         match &self.source {
             Source::Fields(paths) => job.light_field = Some(paths[time].clone()),
+            Source::Plugin { first, .. } => job.source = Some(self.source_at(first, time)),
             Source::Scene { placement, .. } => {
                 let window = moved(&placement.window, self.sequence, self.share(time));
                 job.window = WindowJob { depth_scale: placement.depth_scale, ..given(&window) };
@@ -119,6 +121,9 @@ impl<'a> Times<'a> {
     pub(super) fn source(&self, time: usize) -> String {
         match &self.source {
             Source::Fields(paths) => paths[time].display().to_string(),
+            Source::Plugin { first, .. } => {
+                format!("{} at {:.3} s", first.plugin, self.source_at(first, time).time_s)
+            }
             Source::Scene { .. } => {
                 let (share, [x, y, z]) = (self.share(time), self.sequence.shift_mm);
                 let turn = share * self.sequence.turn_deg;
@@ -128,6 +133,11 @@ impl<'a> Times<'a> {
                 format!("{at}window turned by {turn:.1}°, moved by ({shift}) mm")
             }
         }
+    }
+
+    fn source_at(&self, first: &SourceJob, time: usize) -> SourceJob {
+        let time_s = first.time_s + self.share(time) * self.sequence.duration_s;
+        SourceJob { time: first.time + time as u64, time_s, ..first.clone() }
     }
 
     /// How much of the movement is done, 0 at the first time and 1 at the last.

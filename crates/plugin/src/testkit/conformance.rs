@@ -89,32 +89,41 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
     can_be_abandoned(plugin, samples.first())
 }
 
-/// Checks that two builds of one plugin describe themselves alike and make the same bytes: for every sample, with default parameters and at the
-/// ends of every parameter's range. Returns how many files, stacks, light fields or documents were compared.
+/// Checks that two builds of one plugin describe themselves alike and make the same bytes: for every sample with default parameters and with everything
+/// switched on, and for one sample, in turn, at the ends of every parameter's range. Returns how many files, stacks, light fields or documents were compared.
 ///
 /// # Errors
 /// The first difference.
 pub fn same_outputs(plugin: &Plugin, other: &Plugin, at_default: &[&str]) -> Result<usize, Broken> {
     let told = |plugin: &Plugin| serde_json::to_value(plugin.info()).unwrap_or_default();
     require("describes itself alike", told(plugin) == told(other), || format!("{}\n{}", told(plugin), told(other)))?;
+    if plugin.info().kind != PluginKind::Output {
+        let mut all = defaults_and_ends(plugin, at_default);
+        return all.try_fold(0, |count, params| Ok(count + makers::same(plugin, other, &params)?));
+    }
+    let samples: Vec<Sample> =
+        samples().into_iter().filter(|sample| plugin.info().ports.contains(&sample.port())).collect();
+    let same = |sample: &Sample, params: &Value| {
+        let outcome = |plugin: &Plugin| {
+            let host = MemoryHost::new();
+            write(plugin, &host, params, sample).map(|()| host.files())
+        };
+        let (a, b) = (outcome(plugin), outcome(other));
+        require("writes the same bytes", a == b, || match (&a, &b) {
+            (Ok(a), Ok(b)) => format!("{params}, {}: {}", sample.name, difference(b, a)),
+            _ => format!("{params}, {}: {:?}, {:?}", sample.name, a.as_ref().err(), b.as_ref().err()),
+        })?;
+        Ok(a.map_or(0, |files| files.len()))
+    };
     let mut count = 0;
-    for params in defaults_and_ends(plugin, at_default) {
-        if plugin.info().kind != PluginKind::Output {
-            count += makers::same(plugin, other, &params)?;
-            continue;
+    for sample in &samples {
+        count += same(sample, &json!({}))?;
+        if let Some(params) = everything(plugin, sample, at_default) {
+            count += same(sample, &params)?;
         }
-        for sample in samples().into_iter().filter(|sample| plugin.info().ports.contains(&sample.port())) {
-            let outcome = |plugin: &Plugin| {
-                let host = MemoryHost::new();
-                write(plugin, &host, &params, &sample).map(|()| host.files())
-            };
-            let (a, b) = (outcome(plugin), outcome(other));
-            require("writes the same bytes", a == b, || match (&a, &b) {
-                (Ok(a), Ok(b)) => format!("{params}, {}: {}", sample.name, difference(b, a)),
-                _ => format!("{params}, {}: {:?}, {:?}", sample.name, a.as_ref().err(), b.as_ref().err()),
-            })?;
-            count += a.map_or(0, |files| files.len());
-        }
+    }
+    for (params, sample) in defaults_and_ends(plugin, at_default).skip(1).zip(samples.iter().cycle()) {
+        count += same(sample, &params)?;
     }
     Ok(count)
 }
@@ -310,7 +319,7 @@ fn appends(plugin: &Plugin, sample: &Sample, params: &Value) -> usize {
     host.appends()
 }
 
-/// The ends of a parameter's range.
+/// The ends of a parameter's range, but for its default.
 fn allowed(param: &Param) -> Vec<(String, Value)> {
     let values = match &param.kind {
         Kind::Bool { .. } => vec![json!(false), json!(true)],
@@ -320,7 +329,8 @@ fn allowed(param: &Param) -> Vec<(String, Value)> {
         Kind::Text { default } => vec![json!(default), json!("")],
         Kind::File => vec![json!(""), json!("no such file")],
     };
-    values.into_iter().map(|value| (param.name.clone(), value)).collect()
+    let others = values.into_iter().filter(|value| *value != param.default_value());
+    others.map(|value| (param.name.clone(), value)).collect()
 }
 
 /// Values of the wrong type or beyond a parameter's range.

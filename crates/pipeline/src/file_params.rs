@@ -1,0 +1,49 @@
+//! Parameters of plugins that are files: relative to the job's file, there before any work begins, and part of what a result depends on.
+
+use lumistack_plugin_host::{Kind, Registry};
+use serde_json::{Map, Value};
+
+use crate::error::PipelineError;
+use crate::job::Job;
+
+/// The files among the parameters `params` of the plugin `id`: name and path. A text that begins with `{` is the content itself.
+pub(crate) fn of<'a>(
+    registry: &'a Registry,
+    id: &str,
+    params: &'a Map<String, Value>,
+) -> impl Iterator<Item = (&'a str, &'a str)> {
+    let schema = registry.get(id).ok().map(|plugin| &plugin.info().schema.params);
+    let files = schema.into_iter().flatten().filter(|param| param.kind == Kind::File);
+    let given = files.filter_map(|param| Some((param.name.as_str(), params.get(&param.name)?.as_str()?)));
+    given.filter(|(_, path)| !path.is_empty() && !path.trim_start().starts_with('{'))
+}
+
+/// The job with every such path made absolute.
+///
+/// # Errors
+/// On a file that cannot be read.
+pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
+    let mut job = job.clone();
+    let folder = job.folder.clone();
+    let extension = job.scene.as_ref().and_then(|scene| scene.extension());
+    let extension = extension.map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+    let by_extension = extension.and_then(|extension| registry.importer_of(&extension));
+    for (place, id, params) in job.plugins_mut() {
+        let id = match by_extension {
+            Some(importer) if id.is_empty() => &importer.id,
+            _ => id,
+        };
+        let found: Vec<(String, String)> = of(registry, id, params).map(|(n, p)| (n.into(), p.into())).collect();
+        for (name, given) in found {
+            let path = folder.join(&given);
+            if let Err(error) = std::fs::read(&path) {
+                let (key, found) = (format!("{place}.params.{name}"), format!("{}: {error}", path.display()));
+                let expected = "a readable file, or its text, which begins with {";
+                return Err(PipelineError::value("job", key, expected, found));
+            }
+            let absolute = std::path::absolute(&path).unwrap_or(path);
+            params.insert(name, absolute.to_string_lossy().into_owned().into());
+        }
+    }
+    Ok(job)
+}

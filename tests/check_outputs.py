@@ -1,0 +1,144 @@
+"""Checks with other people's software that a run's outputs are what their manifests say; prints how many files were opened by each reader.
+
+usage: check_outputs.py RUN_DIR
+"""
+import configparser
+import json
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from PIL import Image
+
+run = Path(sys.argv[1])
+opened = {}
+
+
+def count(reader):
+    opened[reader] = opened.get(reader, 0) + 1
+
+
+def check(file, what, found, expected):
+    if found != expected:
+        sys.exit(f"{file}: {what}: expected {expected}, found {found}")
+
+
+def png(file, size, bits):
+    header = file.read_bytes()[:33]
+    check(file, "bits", struct.unpack(">IIBB", header[16:26])[2], bits)
+    with Image.open(file) as picture:
+        picture.load()
+        check(file, "size", picture.size, size)
+        check(file, "mode", picture.mode, "RGB")
+    count("Pillow")
+
+
+def exr(file, size):
+    with OpenEXR.File(str(file)) as picture:
+        for name, channel in picture.channels().items():
+            check(file, f"size of {name}", channel.pixels.shape[1::-1], size)
+            if not np.isfinite(channel.pixels.astype(float)).all():
+                sys.exit(f"{file}: {name} is not finite")
+        count("OpenEXR")
+        return dict(picture.header()), list(picture.channels())
+
+
+def images(folder):
+    manifest = json.loads((folder / "images.json").read_text())
+    told = {entry["file"] for entry in manifest["files"]} | {"images.json", "atlas.json", "hci/parameters.cfg"}
+    there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file() and path.name[0] != "."}
+    check(folder, "files that the manifest does not tell", sorted(there - told), [])
+    for entry in manifest["files"]:
+        file, kind = folder / entry["file"], entry["content"]
+        size = (entry.get("width"), entry.get("height"))
+        if file.suffix == ".npz":
+            check(file, "arrays", sorted(np.load(file).keys()), sorted(entry["names"]))
+            count("NumPy")
+        elif kind == "animation":
+            with Image.open(file) as picture:
+                check(file, "size", picture.size, size)
+                check(file, "pictures", picture.n_frames, len(entry["slopes"]))
+                milliseconds = 1000 / entry["pictures_per_second"]
+                check(file, "duration", round(picture.info["duration"], 3), round(milliseconds, 3))
+                picture.seek(picture.n_frames - 1)
+                picture.load()
+            count("Pillow")
+        elif kind == "views":
+            header, channels = exr(file, size)
+            check(file, "multiView", header["multiView"], [view["name"] for view in entry["views"]])
+            check(file, "views", len(channels), len(entry["views"]))
+        elif file.suffix == ".exr":
+            exr(file, size)
+        else:
+            png(file, size, entry.get("bits", 8))
+    atlas = folder / "atlas.json"
+    if atlas.is_file():
+        tiles = json.loads(atlas.read_text())
+        sheet = Image.open(folder / tiles["file"])
+        for tile in tiles["tiles"]:
+            box = (tile["x"], tile["y"], tile["x"] + tile["width"], tile["y"] + tile["height"])
+            single = folder / f"layer_{tile['layer']}_frame_{tile['frame']:02}.png"
+            check(single, "difference from its place in the atlas", sheet.crop(box).tobytes() == Image.open(single).tobytes(), True)
+    if (folder / "hci").is_dir():
+        config = configparser.ConfigParser()
+        config.read(folder / "hci/parameters.cfg")
+        cameras = config.getint("extrinsics", "num_cams_x") * config.getint("extrinsics", "num_cams_y")
+        names = [f"input_Cam{n:03}.png" for n in range(cameras)] + ["parameters.cfg"]
+        check(folder / "hci", "files", sorted(path.name for path in (folder / "hci").iterdir()), sorted(names))
+        size = tuple(config.getint("intrinsics", f"image_resolution_{axis}_px") for axis in "xy")
+        check(folder / "hci", "size", Image.open(folder / "hci/input_Cam000.png").size, size)
+    for path in (folder / "stanford").glob("*"):
+        if not re.fullmatch(r"out_\d\d_\d\d_-?\d+\.\d+_-?\d+\.\d+\.png", path.name):
+            sys.exit(f"{path}: not a name of the archive")
+
+
+def quilt(folder):
+    for entry in json.loads((folder / "quilt.json").read_text())["files"]:
+        file = folder / entry["quilt"]
+        png(file, (entry["width"], entry["height"]), 8)
+        columns, rows, aspect = re.search(r"_qs(\d+)x(\d+)a([\d.]+)\.png$", file.name).groups()
+        check(file, "grid", [int(columns), int(rows)], [entry["columns"], entry["rows"]])
+        check(file, "aspect", round(float(aspect), 4), round(entry["aspect"], 4))
+        check(file, "views", len(entry["views"]), entry["columns"] * entry["rows"])
+        if entry.get("native"):
+            Image.open(folder / entry["native"]).load()
+            count("Pillow")
+
+
+def transparencies(folder):
+    if not shutil.which("pdftoppm"):
+        return print("skipped: no pdftoppm")
+    manifest = json.loads((folder / "transparencies.json").read_text())
+    with tempfile.TemporaryDirectory() as pages:
+        subprocess.run(["pdftoppm", "-r", "25.4", "-png", folder / "transparencies.pdf", f"{pages}/page"], check=True)
+        files = sorted(Path(pages).iterdir())
+        # an assembly sheet and a chart before the layers
+        check(folder, "pages", len(files), 2 + len(manifest["files"]))
+        for file in files:
+            size = Image.open(file).size
+            near = all(abs(found - mm) <= 1.0 for found, mm in zip(size, manifest["page_mm"]))
+            check(file, f"page of {manifest['page_mm']} mm is {size} pixels of 1 mm", near, True)
+            count("pdftoppm")
+
+
+def image_magick(folder):
+    """The whole folder once more, by a third reader of PNG files."""
+    if not shutil.which("identify"):
+        return print("skipped: no ImageMagick")
+    for file in folder.rglob("*.png"):
+        found = subprocess.run(["identify", "-format", "%w %h\n", f"{file}[0]"], check=True, capture_output=True, text=True)
+        check(file, "size", tuple(map(int, found.stdout.split()[:2])), Image.open(file).size)
+        count("ImageMagick")
+
+
+readers = {"images": images, "quilt": quilt, "transparencies": transparencies}
+for folder in sorted(run.glob("outputs/*/*")):
+    readers[folder.name](folder)
+image_magick(run / "outputs")
+print(", ".join(f"{reader} {n}" for reader, n in sorted(opened.items())))
