@@ -11,6 +11,9 @@
 //! multiply-add, b/d − o/d; what is postponed is kept sorted with its distance and dropped when a nearer hit is known; the whole loop
 //! is one function compiled for the instruction set. An unsorted loop serves where any hit will do.
 //!
+//! Tried on FlightHelmet and within 10 % of this, the noise of the measurement: no prefetch or that of the nearest child alone, trees collapsed
+//! by dynamic programming over surface area with blocks at 0.6 to 2.5 nodes, boxes of large triangles left whole, all nodes reinserted.
+//!
 //! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle intersection", JCGT 2(1)): shear
 //! the triangle into a space where the ray is the z axis and compare edge functions with zero. Shared edges give exactly opposite
 //! values, so a ray cannot pass between two triangles. The edge functions therefore must not be fused: a·b − c·d with one product
