@@ -27,8 +27,8 @@ cargo xtask bench [what]
   render [scene.gltf]   the path tracer on two cores: rays per second of the tree beside Embree, and one view of diffuse
                 scenes beside Mitsuba 3 and Blender's Cycles at equal scene, camera, light and bounces: time, samples per
                 second, mean squared error × time; memory. Scenes: the one named, or FlightHelmet where LUMISTACK_ASSETS
-                has it, and still-life (about 25 minutes each with peers, 2 with --quick)
-      --quick        half of the resolution, fewer samples in the references
+                has it, and still-life (about 3 minutes each with peers)
+      --full         twice the resolution, more samples in the references: 25 minutes each
       --no-peers     our own figures alone
   big [scene.gltf]      a scene of 1,100 copies, 100 million triangles with FlightHelmet, in the memory of one
   agreement     the path tracer against Mitsuba 3 on scenes that both express exactly: a test per pixel over

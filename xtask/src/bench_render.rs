@@ -15,10 +15,10 @@ const MANY_COPIES: &str = "1100";
 
 /// Runs the rays and the views; `None` if the options make no sense.
 pub fn render(options: &[&str]) -> Option<Outcome> {
-    let (mut quick, mut with_peers, mut scenes) = (false, true, Vec::new());
+    let (mut full, mut with_peers, mut scenes) = (false, true, Vec::new());
     for &word in options {
         match word {
-            "--quick" => quick = true,
+            "--full" => full = true,
             "--no-peers" => with_peers = false,
             word if word.starts_with("--") => return None,
             scene => scenes.push(absolute(scene)),
@@ -27,7 +27,7 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
     if scenes.is_empty() {
         scenes = default_scenes();
     }
-    let quick = if quick { vec!["--quick".to_owned()] } else { Vec::new() };
+    let quick = if full { Vec::new() } else { vec!["--quick".to_owned()] };
     let python = if with_peers { python() } else { None };
     let embree = python.as_deref().filter(|python| has(python, &EMBREE)).and_then(embree_library);
     let mut peers = Vec::new();

@@ -18,6 +18,21 @@ pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
     }
 }
 
+/// Angle of a vector from the x axis, in turns, −0.5..0.5; absolute error below 2e-7. 0 for the zero vector.
+#[inline]
+pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
+    let (across, up) = (x.abs(), y.abs());
+    let steep = up > across;
+    let ratio = if steep { across / up } else { up / across.max(f32::MIN_POSITIVE) };
+    // least squares over Chebyshev nodes of atan(√s)/√s
+    let s = ratio * ratio;
+    let sum = 0.015_766_043 + s * (-0.009_448_567 + s * (0.003_846_168_5 + s * -0.000_743_058_34));
+    let turns = ratio * (0.159_154_92 + s * (-0.053_049_46 + s * (0.031_782_024 + s * (-0.022_308_089 + s * sum))));
+    let turns = if steep { 0.25 - turns } else { turns };
+    let turns = if x < 0.0 { 0.5 - turns } else { turns };
+    turns.copysign(y)
+}
+
 /// The unit disc from the unit square, area for area (concentric map of Shirley, Chiu 1997). Both halves of the map are evaluated alike
 /// and exchanged at the end: which one it is, is a coin toss that no branch predictor wins.
 #[inline]
@@ -49,6 +64,19 @@ mod tests {
                 "{turns}"
             );
         }
+    }
+
+    #[test]
+    fn angles_are_those_of_the_library() {
+        for i in -1000..=1000 {
+            let angle = f64::from(i) / 1000.0 * std::f64::consts::PI;
+            for length in [1e-6, 1.0, 1e6] {
+                let (y, x) = ((length * angle.sin()) as f32, (length * angle.cos()) as f32);
+                let expected = f64::from(y).atan2(f64::from(x)) / std::f64::consts::TAU;
+                assert!((f64::from(angle_turns(y, x)) - expected).abs() < 2e-7, "{y} {x}");
+            }
+        }
+        assert_eq!(angle_turns(0.0, 0.0), 0.0);
     }
 
     #[test]

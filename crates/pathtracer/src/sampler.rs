@@ -113,6 +113,8 @@ fn owen_scramble(value: u32, key: u64) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use lumistack_testkit::statistics::{FALSE_ALARM_RATE, assert_counts};
+
     use super::*;
 
     #[test]
@@ -132,6 +134,52 @@ mod tests {
                     for [x, y] in pair {
                         let cell = (x * nx) as usize + (y * ny) as usize * nx as usize;
                         assert!(!std::mem::replace(&mut seen[cell], true), "two points in one of {nx} × {ny} boxes");
+                    }
+                }
+            }
+        }
+    }
+
+    /// Over pixels, every sample of every pair is uniform over its square, and one number of a pair tells nothing of a number of another:
+    /// chi-square over 12 × 12 cells, false-alarm rate [`FALSE_ALARM_RATE`] each of 36.
+    #[test]
+    fn numbers_are_uniform_over_pixels() {
+        const EDGE: usize = 12;
+        let pixels = 40_000u64;
+        for samples in [1, 48] {
+            let bank = SampleBank::new(samples);
+            for index in [0, samples / 2, samples - 1] {
+                for pairs in [[0, 0], [2, 2], [4, 4], [1 << 62, 1 << 62], [0, 3], [3, 67]] {
+                    let mut counts = vec![0u64; EDGE * EDGE];
+                    for pixel in 0..pixels {
+                        let sampler = bank.sampler(seed::derive(11, &[pixel]), index);
+                        let (x, y) = (sampler.pair_at(pairs[0])[0], sampler.pair_at(pairs[1])[1]);
+                        counts[(x * EDGE as f32) as usize + (y * EDGE as f32) as usize * EDGE] += 1;
+                    }
+                    let expected = vec![pixels as f64 / (EDGE * EDGE) as f64; EDGE * EDGE];
+                    assert_counts(&counts, &expected, FALSE_ALARM_RATE);
+                }
+            }
+        }
+    }
+
+    /// Both numbers of every pair put one sample into each of n equal parts, for powers of two; for other n no part of the next smaller power is
+    /// empty or holds more than two.
+    #[test]
+    fn every_number_is_stratified() {
+        for samples in [16u32, 48, 64] {
+            let bank = SampleBank::new(samples);
+            let parts = if samples.is_power_of_two() { samples } else { samples.next_power_of_two() / 2 };
+            for pixel in 0..50 {
+                for pair in [0, 1, 5, 30, 1 << 62] {
+                    for side in 0..2 {
+                        let mut seen = vec![0; parts as usize];
+                        for index in 0..samples {
+                            let number = bank.sampler(seed::derive(12, &[pixel]), index).pair_at(pair)[side];
+                            seen[(number * parts as f32) as usize] += 1;
+                        }
+                        let most = if samples == parts { 1 } else { 2 };
+                        assert!(seen.iter().all(|&count| (1..=most).contains(&count)), "{samples} {pair}: {seen:?}");
                     }
                 }
             }

@@ -84,7 +84,7 @@ fn options(words: &[String]) -> Outcome<Options> {
     while let Some(word) = words.next() {
         let mut value = || words.next().ok_or(format!("{word} needs a value"));
         match word.as_str() {
-            "--quick" => (options.size, options.reference, options.rounds) = ([420, 262], 1024, 2),
+            "--quick" => (options.size, options.reference, options.rounds) = ([420, 262], 1024, 3),
             "--rounds" => options.rounds = value()?.parse()?,
             "--samples" => options.samples = vec![value()?.parse()?],
             "--reference" => options.reference = value()?.parse()?,

@@ -3,7 +3,8 @@
 //! D(h) = 1 / (π α_x α_y (h_x²/α_x² + h_y²/α_y² + h_z²)²), V = G₂ / (4 |o_z| |i_z|) (Walter et al. 2007; Heitz 2014). Directions
 //! are unit vectors in the frame whose z is the shading normal and whose x is the direction of stretch; the outgoing direction o
 //! points to the viewer and has o_z > 0. Normals are sampled as the viewer sees them (Heitz 2018), by the spherical-cap
-//! construction of Dupuy, Benyoub 2023.
+//! construction of Dupuy, Benyoub 2023; where only the reflected direction matters, without most of those that reflect below the
+//! horizon (Eto, Tokuyoshi 2023, "Bounded VNDF sampling for Smith–GGX reflections").
 
 use std::f32::consts::PI;
 
@@ -33,10 +34,28 @@ pub(crate) fn visibility(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     0.5 / (i_z * smith_root(o, alpha) + o_z * smith_root(i, alpha)).max(f32::MIN_POSITIVE)
 }
 
-/// Density per solid angle of the reflected direction that [`sample_normal`] leads to: G₁(o) D(h) / (4 o_z).
+/// Density per solid angle of the reflected direction that [`sample_normal`] leads to: G₁(o) D(h) / (4 o_z); above the horizon.
 #[inline]
 pub(crate) fn reflection_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     density(h, alpha) / (2.0 * (o.z + smith_root(o, alpha)))
+}
+
+/// [`density`] times [`visibility`], and the density per solid angle with which [`sample_reflection`] finds `i`.
+#[inline]
+pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
+    let (density, root_o, root_i) = (density(h, alpha), smith_root(o, alpha), smith_root(i, alpha));
+    let (o_z, i_z) = (o.z.abs(), i.z.abs());
+    let visibility = 0.5 / (i_z * root_o + o_z * root_i).max(f32::MIN_POSITIVE);
+    (density * visibility, density / (2.0 * (cap_share(o, alpha) * o.z + root_o)))
+}
+
+/// How far the spherical cap of normals reaches below the equator, as a share of what all visible normals need.
+#[inline]
+fn cap_share(o: Vec3, alpha: Vec2) -> f32 {
+    let a = alpha.min_element().min(1.0);
+    let s = 1.0 + (o.x * o.x + o.y * o.y).sqrt();
+    let (a2, s2) = (a * a, s * s);
+    (1.0 - a2) * s2 / (s2 + a2 * o.z * o.z)
 }
 
 /// Density per solid angle of the normal that [`sample_normal`] returns: G₁(o) D(h) (o·h) / o_z.
@@ -56,9 +75,21 @@ pub(crate) fn masking_ratio(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
 /// A visible microfacet normal for two uniform numbers.
 #[inline]
 pub(crate) fn sample_normal(o: Vec3, alpha: Vec2, u: [f32; 2]) -> Vec3 {
+    sample_cap(o, alpha, 1.0, u)
+}
+
+/// The direction that a visible microfacet reflects `o` to; few are below the horizon.
+#[inline]
+pub(crate) fn sample_reflection(o: Vec3, alpha: Vec2, u: [f32; 2]) -> Vec3 {
+    reflect(o, sample_cap(o, alpha, cap_share(o, alpha), u))
+}
+
+#[inline]
+fn sample_cap(o: Vec3, alpha: Vec2, share: f32, u: [f32; 2]) -> Vec3 {
     let stretched = Vec3::new(alpha.x * o.x, alpha.y * o.y, o.z).normalize();
     let (sin_phi, cos_phi) = sin_cos_turns(u[0]);
-    let z = (1.0 - u[1]) * (1.0 + stretched.z) - stretched.z;
+    let lowest = share * stretched.z;
+    let z = (1.0 - u[1]) * (1.0 + lowest) - lowest;
     let sin_theta = (1.0 - z * z).max(0.0).sqrt();
     let cap = Vec3::new(sin_theta * cos_phi, sin_theta * sin_phi, z) + stretched;
     Vec3::new(alpha.x * cap.x, alpha.y * cap.y, cap.z.max(0.0)).try_normalize().unwrap_or(Vec3::Z)

@@ -259,7 +259,7 @@ impl Bsdf {
             }
             THIN if self.mirror => return self.finish_mirror(-self.o, self.thin / chance, false),
             REFLECTION | THIN => {
-                let i = ggx::reflect(self.o, ggx::sample_normal(self.o, self.alpha, u));
+                let i = ggx::sample_reflection(self.o, self.alpha, u);
                 if i.z <= 0.0 {
                     return None;
                 }
@@ -290,8 +290,7 @@ impl Bsdf {
     }
 
     fn sample_coat(&self, coat: &Coat, chance: f32, u: [f32; 2]) -> Option<Scatter> {
-        let h = if coat.mirror { Vec3::Z } else { ggx::sample_normal(coat.o, coat.alpha, u) };
-        let i = ggx::reflect(coat.o, h);
+        let i = if coat.mirror { ggx::reflect(coat.o, Vec3::Z) } else { ggx::sample_reflection(coat.o, coat.alpha, u) };
         let direction = (coat.scene_from_local * i).try_normalize()?;
         if i.z <= 0.0 || direction.dot(self.geometric_normal) <= 0.0 {
             return None;
@@ -342,14 +341,15 @@ impl Bsdf {
             if !self.mirror
                 && let Some(h) = (o + i).try_normalize()
             {
-                let specular = ggx::density(h, alpha) * ggx::visibility(o, i, alpha) * i.z;
-                let reflection_pdf = ggx::reflection_pdf(o, h, alpha);
+                let (specular, reflection_pdf) = ggx::reflection(o, i, h, alpha);
+                let specular = specular * i.z;
                 value += self.reflectance(o.dot(h)) * specular;
                 pdf += self.chances[REFLECTION] * reflection_pdf;
                 if let Some(glass) = &self.glass
                     && !glass.straight
                 {
-                    let (glass_value, glass_pdf) = glass.reflected(o.dot(h), specular, reflection_pdf);
+                    let (glass_value, glass_pdf) =
+                        glass.reflected(o.dot(h), specular, ggx::reflection_pdf(o, h, alpha));
                     value += glass_value;
                     pdf += self.chances[GLASS] * glass_pdf;
                 }
@@ -362,9 +362,9 @@ impl Bsdf {
             if self.chances[THIN] > 0.0
                 && let Some(h) = (o + Vec3::new(i.x, i.y, -i.z)).try_normalize()
             {
-                let specular = ggx::density(h, alpha) * ggx::visibility(o, i, alpha) * -i.z;
-                value += self.thin * (self.thin_scale * specular);
-                pdf += self.chances[THIN] * ggx::reflection_pdf(o, h, alpha);
+                let (specular, reflection_pdf) = ggx::reflection(o, i, h, alpha);
+                value += self.thin * (self.thin_scale * specular * -i.z);
+                pdf += self.chances[THIN] * reflection_pdf;
             }
             if let Some(glass) = &self.glass
                 && !glass.straight
@@ -402,8 +402,8 @@ impl Coat {
             return (0.0, 0.0);
         }
         let Some(h) = (self.o + i).try_normalize() else { return (0.0, 0.0) };
-        let specular = ggx::density(h, self.alpha) * ggx::visibility(self.o, i, self.alpha) * i.z;
-        (self.reflectance(self.o.dot(h)) * specular, ggx::reflection_pdf(self.o, h, self.alpha))
+        let (specular, reflection_pdf) = ggx::reflection(self.o, i, h, self.alpha);
+        (self.reflectance(self.o.dot(h)) * specular * i.z, reflection_pdf)
     }
 }
 

@@ -349,6 +349,27 @@ fn films_have_their_limits() {
     assert!(quarter.y < 0.01 && quarter.max_element() < 0.03, "{quarter}");
 }
 
+/// White plastic under a film: what the film reflects in its brightest channel dims what lies below in all of them
+/// (`KHR_materials_iridescence`), so that the brightest returns all light and the others lose the difference, no more.
+#[test]
+fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
+    for thickness_nm in [200.0, 350.0, 600.0] {
+        for cosine in [0.3, 0.6, 1.0] {
+            let film = Film { factor: 1.0, ior: 1.8, thickness_nm };
+            let extras = Some(Extras { film: Some(film), ..extras() });
+            let plastic = bsdf(&Appearance { roughness: 0.0, extras, ..appearance() }, cosine);
+            let bare = (1.0 - cosine).powi(5);
+            let film = film.over(Vec3::splat(0.04 + 0.96 * bare), Vec3::splat(0.04), cosine);
+            for channel in 0..3 {
+                let lost = f64::from(film.max_element() - film[channel]);
+                let albedo = sampled_channel(&plastic, 20_000, 9, channel);
+                albedo.assert_is(1.0 - lost, ENERGY_TOLERANCE, FALSE_ALARM_RATE);
+            }
+            assert!(film.max_element() - film.min_element() < 0.35, "{film}: more than a third would be lost");
+        }
+    }
+}
+
 /// A path's wavelength changes the index and tints what is transmitted, nothing else; on average glass stays white.
 #[test]
 fn dispersion_keeps_white_white() {

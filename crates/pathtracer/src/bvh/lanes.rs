@@ -12,6 +12,10 @@ pub(crate) const WIDTH: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum InstructionSet {
     /// What every machine of the target has.
+    #[cfg_attr(
+        any(target_arch = "aarch64", all(target_arch = "wasm32", target_feature = "simd128")),
+        allow(dead_code, reason = "every machine of these targets has better")
+    )]
     Portable,
     /// AVX2 with FMA.
     #[cfg(target_arch = "x86_64")]

@@ -15,7 +15,7 @@ use lumistack_core::colour::luminance;
 use lumistack_scene::{Pixels, Scene};
 
 use crate::distribution::Distribution;
-use crate::math::sin_cos_turns;
+use crate::math::{angle_turns, sin_cos_turns};
 
 /// Limits of the number of cell rows and columns.
 const MOST_CELLS: usize = 1024;
@@ -128,7 +128,7 @@ impl EnvironmentLight {
     fn map_coordinates(&self, direction: Vec3) -> (f32, f32, f32) {
         let d = self.environment_from_scene * direction;
         let sine = (d.x * d.x + d.z * d.z).sqrt();
-        (0.5 + d.x.atan2(-d.z) / (2.0 * PI), sine.atan2(d.y) / PI, sine)
+        (0.5 + angle_turns(d.x, -d.z), 2.0 * angle_turns(sine, d.y), sine)
     }
 
     fn map_density(&self, row: usize, column: usize) -> f32 {

@@ -27,6 +27,8 @@ const EQUAL_SHARE: f64 = 0.3;
 const POWER_POINTS: usize = 6;
 /// Step between the random numbers that choose a light.
 const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
+/// Share of its size by which a parallelogram may differ from one, about the rounding of its corners.
+const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
 /// No light.
 const NONE: u32 = u32::MAX;
 
@@ -48,10 +50,15 @@ pub(crate) struct Lights {
 /// Index of the tree in the choice.
 const LOCAL: usize = 0;
 
+/// A triangle, or two that make a parallelogram of one radiance: lamps mostly are, and one light is quicker to choose and better
+/// stratified than two.
 struct TriangleLight {
     triangle: u32,
+    /// The other half.
+    partner: Option<u32>,
     area: f32,
     double_sided: bool,
+    /// Of the triangle, or a corner of the parallelogram and its two neighbours.
     corners: [Vec3; 3],
     normal: Vec3,
     offset: f32,
@@ -78,7 +85,9 @@ impl Lights {
         if !triangles.is_empty() {
             light_of_triangle = vec![NONE; geometry.triangles.len()];
             for (index, light) in triangles.iter().enumerate() {
-                light_of_triangle[light.triangle as usize] = index as u32;
+                for triangle in [Some(light.triangle), light.partner].into_iter().flatten() {
+                    light_of_triangle[triangle as usize] = index as u32;
+                }
             }
         }
         let radius = geometry.space.radius;
@@ -186,7 +195,10 @@ impl TriangleLight {
         chance: f32,
         u: [f32; 2],
     ) -> Option<LightSample> {
-        let barycentric = uniform_barycentric(u);
+        let barycentric = match self.partner {
+            Some(_) => [1.0 - u[0] - u[1], u[0], u[1]],
+            None => uniform_barycentric(u),
+        };
         let position: Vec3 = (0..3).map(|k| barycentric[k] * self.corners[k]).sum();
         let to_light = position - from;
         let distance = to_light.length();
@@ -202,6 +214,37 @@ impl TriangleLight {
         let pdf = chance * distance * distance / (self.area * cosine.abs());
         let end = Some(position + cosine.signum() * self.offset * self.normal);
         (radiance != Vec3::ZERO && pdf.is_finite()).then(|| LightSample { direction, end, weight: radiance / pdf, pdf })
+    }
+}
+
+impl TriangleLight {
+    /// This triangle and the one before it as one light, where they are the halves of a parallelogram and shine alike.
+    fn joined(&self, before: &Self, geometry: &Geometry) -> Option<Self> {
+        let alike = before.partner.is_none()
+            && before.triangle + 1 == self.triangle
+            && geometry.material_index(before.triangle) == geometry.material_index(self.triangle)
+            && self.uniform.is_some()
+            && before.uniform == self.uniform
+            && before.normal.dot(self.normal) > 1.0 - PARALLELOGRAM_TOLERANCE;
+        let alone = |[a, b, c]: [Vec3; 3], other: [Vec3; 3]| {
+            let shared = |corner: Vec3| other.contains(&corner);
+            match [shared(a), shared(b), shared(c)] {
+                [false, true, true] => Some([a, b, c]),
+                [true, false, true] => Some([b, c, a]),
+                [true, true, false] => Some([c, a, b]),
+                _ => None,
+            }
+        };
+        let corners @ [tip, next, last] = alone(before.corners, self.corners).filter(|_| alike)?;
+        let [other_tip, ..] = alone(self.corners, before.corners)?;
+        let gap = (next - tip) + (last - tip) - (other_tip - tip);
+        (gap.length() <= PARALLELOGRAM_TOLERANCE * (next - last).length()).then(|| Self {
+            partner: Some(self.triangle),
+            area: before.area + self.area,
+            corners,
+            offset: before.offset.max(self.offset),
+            ..*before
+        })
     }
 }
 
@@ -224,8 +267,8 @@ fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>, cos
 
 /// Triangles that emit, as lights and as the tree sees them.
 fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<TriangleLight>, Vec<Emitter>) {
-    let mut lights = Vec::new();
-    let mut emitters = Vec::new();
+    let mut lights: Vec<TriangleLight> = Vec::new();
+    let mut emitters: Vec<Emitter> = Vec::new();
     for triangle in 0..geometry.triangles.len() as u32 {
         let material = geometry.material(triangle);
         if !material.is_emissive() {
@@ -251,7 +294,26 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         let strength = area * luminance(mean.to_array());
         // what light sampling cannot choose is still found by scattering
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
-            let [a, b, c] = geometry.triangles[triangle as usize];
+            let corners @ [a, b, c] = geometry.triangles[triangle as usize];
+            let light = TriangleLight {
+                triangle,
+                partner: None,
+                area,
+                double_sided: material.double_sided,
+                corners,
+                normal: centre.geometric_normal,
+                offset: centre.offset,
+                uniform,
+            };
+            if let (Some(first), Some(emitter)) = (lights.last_mut(), emitters.last_mut())
+                && let Some(both) = light.joined(first, geometry)
+            {
+                *first = both;
+                emitter.min = emitter.min.min(a).min(b).min(c);
+                emitter.max = emitter.max.max(a).max(b).max(c);
+                emitter.strength += strength;
+                continue;
+            }
             emitters.push(Emitter {
                 min: a.min(b).min(c),
                 max: a.max(b).max(c),
@@ -261,15 +323,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
                 falloff_angle: 0.5 * PI,
                 two_sided: material.double_sided,
             });
-            lights.push(TriangleLight {
-                triangle,
-                area,
-                double_sided: material.double_sided,
-                corners: geometry.triangles[triangle as usize],
-                normal: centre.geometric_normal,
-                offset: centre.offset,
-                uniform,
-            });
+            lights.push(light);
         }
     }
     (lights, emitters)
@@ -289,6 +343,123 @@ fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::Affine3A;
+    use lumistack_core::seed::Stream;
+    use lumistack_core::{Cancel, Collector, Task};
+    use lumistack_scene::{Instance, Material, Mesh, SceneParts};
+    use lumistack_testkit::statistics::{FALSE_ALARM_RATE, assert_counts};
+
+    use crate::geometry::Sharing;
+
+    /// Emitting meshes: a one-sided rectangle, a triangle, a two-sided kite, a sheared parallelogram.
+    fn lit_scene() -> Arc<Scene> {
+        let mesh = |corners: &[[f32; 3]], triangles: &[[u32; 3]], material: usize| Mesh {
+            positions: corners.iter().map(|&corner| Vec3::from_array(corner)).collect(),
+            triangles: triangles.to_vec(),
+            material,
+            ..Mesh::default()
+        };
+        let halves = [[0, 1, 2], [0, 2, 3]];
+        let meshes = vec![
+            mesh(&[[-1.0, 2.0, -1.0], [1.0, 2.0, -1.0], [1.0, 2.0, 1.0], [-1.0, 2.0, 1.0]], &halves, 0),
+            mesh(&[[3.0, 0.5, 0.0], [3.0, 1.5, 0.3], [2.5, 0.8, 1.0]], &[[0, 1, 2]], 1),
+            mesh(&[[-3.0, 0.0, 0.0], [-2.0, 0.2, -0.5], [-1.5, 1.0, 0.0], [-2.0, 0.2, 0.5]], &halves, 1),
+            mesh(&[[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [1.5, 1.0, 3.0], [0.5, 1.0, 3.0]], &[[0, 1, 2], [2, 3, 0]], 1),
+        ];
+        let shining = |emission: f32, double_sided| Material {
+            emission: Vec3::splat(emission),
+            double_sided,
+            ..Material::default()
+        };
+        let parts = SceneParts {
+            instances: (0..meshes.len()).map(|mesh| Instance { mesh, scene_from_mesh: Affine3A::IDENTITY }).collect(),
+            meshes,
+            materials: vec![shining(3.0, false), shining(1.0, true)],
+            ..SceneParts::default()
+        };
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
+    }
+
+    /// Cells of a triangle: congruent parts by whole numbers of its weights.
+    const PARTS: usize = 4;
+
+    /// Points of lights fall where the density says: chi-square over small parts of every triangle. Scattered rays that hit a light weigh themselves
+    /// against the same density. Four receivers, each with [`FALSE_ALARM_RATE`].
+    #[test]
+    fn points_of_lights_follow_their_density() {
+        let scene = lit_scene();
+        let geometry = Geometry::new(scene.clone(), Sharing::Auto);
+        let materials = Materials::new(scene.clone());
+        let lights = Lights::new(&scene, &geometry, &materials);
+        assert_eq!(lights.triangles.iter().filter(|light| light.partner.is_some()).count(), 2, "parallelograms");
+        assert_eq!(lights.triangles.len(), 5);
+        let at = |x, y, z, normal| Receiver {
+            position: geometry.space.point(Vec3::new(x, y, z).as_dvec3()).as_vec3(),
+            normal,
+        };
+        let receivers = [
+            at(0.0, 0.0, 0.0, Some(Vec3::Y)),
+            at(0.3, 1.9, 0.2, None),
+            at(2.0, 0.4, 0.5, Some(Vec3::X)),
+            at(0.5, 0.5, 2.0, Some(Vec3::Z)),
+        ];
+        let cells = PARTS * PARTS * PARTS;
+        for (seed, receiver) in receivers.iter().enumerate() {
+            let draws = 60_000;
+            let mut expected = vec![0.0f64; geometry.triangles.len() * cells + 1];
+            for (triangle, &[a, b, c]) in geometry.triangles.iter().enumerate() {
+                let area = 0.5 * (b - a).cross(c - a).length();
+                let normal = (b - a).cross(c - a).normalize();
+                // any point will do: the density per area is the same all over a light
+                let to_light = (a + b + c) / 3.0 - receiver.position;
+                let (distance, cosine) = (to_light.length(), -to_light.normalize().dot(normal));
+                let per_area = lights.triangle_pdf(triangle as u32, receiver, distance, cosine) * cosine.abs()
+                    / (distance * distance);
+                // a side that does not shine is chosen in vain
+                let shines = cosine > 0.0 || geometry.material(triangle as u32).double_sided;
+                for i in 0..PARTS {
+                    for j in 0..PARTS {
+                        for k in 0..PARTS {
+                            if (PARTS - 2..PARTS).contains(&(i + j + k)) && shines {
+                                let share = f64::from(per_area * area) / (PARTS * PARTS) as f64;
+                                expected[triangle * cells + (i * PARTS + j) * PARTS + k] = share * f64::from(draws);
+                            }
+                        }
+                    }
+                }
+            }
+            *expected.last_mut().unwrap() = f64::from(draws) - expected.iter().sum::<f64>();
+            let mut counts = vec![0u64; expected.len()];
+            let mut stream = Stream::new(70 + seed as u64);
+            for _ in 0..draws {
+                let [u0, u1, fine] = [stream.next_f32(), stream.next_f32(), stream.next_f32()];
+                let cell = lights.sample(&geometry, &materials, receiver, [u0, u1], fine).and_then(|sample| {
+                    (0..geometry.triangles.len()).find_map(|triangle| {
+                        let [a, b, c] = geometry.triangles[triangle];
+                        let normal = (b - a).cross(c - a);
+                        // the sample ends just before its light
+                        let end = sample.end? - a;
+                        let away = normal.normalize().dot(end);
+                        if away.abs() > 1e-4 {
+                            return None;
+                        }
+                        let t = normal.dot(a - receiver.position) / normal.dot(sample.direction);
+                        let met = receiver.position + t * sample.direction;
+                        let weight = |p: Vec3, q: Vec3| (p - met).cross(q - met).dot(normal) / normal.length_squared();
+                        let weights = [weight(b, c), weight(c, a), weight(a, b)];
+                        let whole = weights.map(|weight| (weight * PARTS as f32).floor());
+                        weights.iter().all(|&weight| weight > 0.0).then(|| {
+                            whole.iter().fold(0, |cell, &part| cell * PARTS + (part as usize).min(PARTS - 1))
+                                + triangle * cells
+                        })
+                    })
+                });
+                counts[cell.unwrap_or(expected.len() - 1)] += 1;
+            }
+            assert_counts(&counts, &expected, FALSE_ALARM_RATE);
+        }
+    }
 
     #[test]
     fn weak_kinds_keep_their_share() {
