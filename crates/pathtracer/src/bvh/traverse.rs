@@ -11,7 +11,7 @@
 //! multiply-add, b/d − o/d; what is postponed is kept sorted with its distance and dropped when a nearer hit is known; the whole loop
 //! is one function compiled for the instruction set. An unsorted loop serves where any hit will do.
 //!
-//! Tried on FlightHelmet and within 10 % of this, the noise of the measurement: no prefetch or that of the nearest child alone, trees collapsed
+//! Tried on FlightHelmet and not to be told from this by a measurement that scattered by 10 to 30 %: no prefetch or that of the nearest child alone, trees collapsed
 //! by dynamic programming over surface area with blocks at 0.6 to 2.5 nodes, boxes of large triangles left whole, all nodes reinserted.
 //!
 //! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle intersection", JCGT 2(1)): shear
