@@ -1,0 +1,125 @@
+// What is on show: a stack of layers with its simulator, or a light field of somebody else's.
+import type { Foreign } from "./lightfield.js";
+import { problemOf, REWRITE } from "./problem.js";
+import { Viewer, viewSlope, type Info } from "./simulator.js";
+import type { Scene, Stage } from "./stage.js";
+import type { Slope, State } from "./state.js";
+
+export interface Content {
+  readonly info: Info;
+  /** Frames that can be drawn. */
+  readonly framesReady: number;
+  /** Takes over what the user has chosen. */
+  apply(state: State): void;
+  draw(state: State, slope: Slope): void;
+  free(): void;
+}
+
+export class StackContent implements Content {
+  readonly viewer: Viewer;
+  readonly info: Info;
+  framesReady = 0;
+  targetsReady = 0;
+  private options = "";
+
+  constructor(
+    json: string,
+    private readonly stage: Stage,
+  ) {
+    try {
+      this.viewer = new Viewer(json);
+    } catch (error) {
+      throw problemOf(error, REWRITE);
+    }
+    this.info = JSON.parse(this.viewer.info()) as Info;
+  }
+
+  /** Counts anew after a file has arrived; whether there is a first picture now. */
+  arrived(): boolean {
+    const before = this.framesReady;
+    this.framesReady = this.viewer.frames_ready();
+    this.targetsReady = this.viewer.targets_ready();
+    return before === 0 && this.framesReady > 0;
+  }
+
+  apply(state: State): void {
+    const most = 1 / this.info.brightness;
+    const single = state.mode === "slow" || state.mode === "exploded";
+    const options = JSON.stringify({
+      gain: Math.min(state.gain ?? most, most),
+      gap_mm: state.gapMm,
+      shift_mm: [state.shiftXMm, state.shiftYMm],
+      black_level: state.blackLevel,
+      pupil_mm: state.pupilMm,
+      eye_distance_mm: state.eyeMm,
+      frame: single ? this.frameOf(state) : null,
+    });
+    if (options !== this.options) this.viewer.set_options(options);
+    this.options = options;
+  }
+
+  draw(state: State, slope: Slope): void {
+    this.stage.draw(this.scene(state, slope));
+  }
+
+  /** PSNR of the view that the comparison shows, in words. */
+  psnr(slope: Slope): string {
+    const [row, col] = this.nearest(slope);
+    const { cols, rows } = this.info.views;
+    const name = `view ${col + 1}, ${row + 1} of ${cols} × ${rows}`;
+    const db = this.viewer.psnr(slope[0], slope[1]);
+    if (db === undefined) return `${name}: target not loaded yet`;
+    return `${Number.isFinite(db) ? db.toFixed(1) : "∞"} dB · ${name}`;
+  }
+
+  /** Row and column of the nearest view of the target. */
+  nearest([x, y]: Slope): [number, number] {
+    const view = this.viewer.nearest_view(x, y);
+    return [view[0]!, view[1]!];
+  }
+
+  free(): void {
+    this.viewer.free();
+  }
+
+  private frameOf(state: State): number {
+    return Math.min(state.frame, Math.max(this.framesReady - 1, 0));
+  }
+
+  private scene(state: State, slope: Slope): Scene {
+    const frame = this.frameOf(state);
+    if (state.mode === "layers") return { kind: "mask", layer: state.layer, frame };
+    if (state.mode === "exploded") return { kind: "exploded", slope, yaw: state.yaw, pitch: state.pitch, spread: state.spread, frame };
+    if (state.mode !== "compare" || this.targetsReady === 0) return { kind: "view", slope };
+    // Display and target are compared from exactly where the target was rendered.
+    const snapped = viewSlope(this.info, ...this.nearest(slope));
+    if (state.comparison === "slider") return { kind: "split", slope: snapped, at: state.split };
+    return { kind: state.comparison, slope: snapped };
+  }
+}
+
+export class FieldContent implements Content {
+  readonly info: Info;
+  readonly framesReady = 1;
+
+  constructor(
+    private readonly foreign: Foreign,
+    private readonly stage: Stage,
+  ) {
+    this.info = foreign.info;
+  }
+
+  apply(): void {
+    // Nothing to choose: the views are shown as they are.
+  }
+
+  draw(_state: State, [x, y]: Slope): void {
+    const { zone } = this.info;
+    const along = (value: number, half: number): number => (half > 0 ? Math.min(Math.max(0.5 + value / Math.tan(half) / 2, 0), 1) : 0.5);
+    this.stage.drawLightField(along(x, zone[0]), along(-y, zone[1]));
+  }
+
+  free(): void {
+    this.foreign.field.free();
+  }
+}
