@@ -1,14 +1,14 @@
 // What is on show: a stack of layers with its simulator, or a light field of somebody else's.
 import type { Foreign } from "./lightfield.js";
 import { problemOf, REWRITE } from "./problem.js";
-import { Viewer, viewSlope, type Info } from "./simulator.js";
+import { Viewer, viewSlope, type FileInfo, type Info } from "./simulator.js";
 import type { Scene, Stage } from "./stage.js";
 import type { Slope, State } from "./state.js";
 
 export interface Content {
   readonly info: Info;
-  /** Frames that can be drawn. */
-  readonly framesReady: number;
+  /** Frames that can be drawn, rising. */
+  readonly frames: readonly number[];
   /** Takes over what the user has chosen. */
   apply(state: State): void;
   draw(state: State, slope: Slope): void;
@@ -18,8 +18,10 @@ export interface Content {
 export class StackContent implements Content {
   readonly viewer: Viewer;
   readonly info: Info;
-  framesReady = 0;
+  readonly frames: number[] = [];
   targetsReady = 0;
+  /** Parts of each frame that have yet to arrive. */
+  private readonly missing: number[];
   private options = "";
 
   constructor(
@@ -32,14 +34,16 @@ export class StackContent implements Content {
       throw problemOf(error, REWRITE);
     }
     this.info = JSON.parse(this.viewer.info()) as Info;
+    this.missing = Array.from({ length: this.info.frames }, (_, frame) => this.info.files.filter((file) => file.frame === frame).length);
   }
 
-  /** Counts anew after a file has arrived; whether there is a first picture now. */
-  arrived(): boolean {
-    const before = this.framesReady;
-    this.framesReady = this.viewer.frames_ready();
+  /** A file has become part of the picture; whether there is a first picture now. */
+  arrived({ frame }: FileInfo): boolean {
     this.targetsReady = this.viewer.targets_ready();
-    return before === 0 && this.framesReady > 0;
+    if (frame === undefined || --this.missing[frame]! > 0) return false;
+    this.frames.push(frame);
+    this.frames.sort((a, b) => a - b);
+    return this.frames.length === 1;
   }
 
   apply(state: State): void {
@@ -52,7 +56,7 @@ export class StackContent implements Content {
       black_level: state.blackLevel,
       pupil_mm: state.pupilMm,
       eye_distance_mm: state.eyeMm,
-      frame: single ? this.frameOf(state) : null,
+      frame: single ? readyFrame(this.frames, state.frame) : null,
     });
     if (options !== this.options) this.viewer.set_options(options);
     this.options = options;
@@ -82,12 +86,8 @@ export class StackContent implements Content {
     this.viewer.free();
   }
 
-  private frameOf(state: State): number {
-    return Math.min(state.frame, Math.max(this.framesReady - 1, 0));
-  }
-
   private scene(state: State, slope: Slope): Scene {
-    const frame = this.frameOf(state);
+    const frame = readyFrame(this.frames, state.frame);
     if (state.mode === "layers") return { kind: "mask", layer: state.layer, frame };
     if (state.mode === "exploded") return { kind: "exploded", slope, yaw: state.yaw, pitch: state.pitch, spread: state.spread, frame };
     if (state.mode !== "compare" || this.targetsReady === 0) return { kind: "view", slope };
@@ -100,7 +100,7 @@ export class StackContent implements Content {
 
 export class FieldContent implements Content {
   readonly info: Info;
-  readonly framesReady = 1;
+  readonly frames = [0];
 
   constructor(
     private readonly foreign: Foreign,
@@ -122,4 +122,9 @@ export class FieldContent implements Content {
   free(): void {
     this.foreign.field.free();
   }
+}
+
+/** A frame itself, or the last before it that can be drawn, or the first after it. */
+export function readyFrame(frames: readonly number[], frame: number): number {
+  return frames.findLast((each) => each <= frame) ?? frames[0] ?? 0;
 }

@@ -7,7 +7,7 @@ import { copyLink, savePicture, TurnRecorder } from "./actions.js";
 import { Address } from "./address.js";
 import { toPng, videoFormat } from "./capture.js";
 import { listenToChooser, listenToDrops } from "./chooser.js";
-import { FieldContent, StackContent, type Content } from "./content.js";
+import { FieldContent, readyFrame, StackContent, type Content } from "./content.js";
 import { recognize, type Dropped } from "./drop.js";
 import { Face } from "./face.js";
 import { handleKey, listenToDivider, listenToPad, listenToPointer, type InputTarget } from "./input.js";
@@ -17,7 +17,7 @@ import { Ticker } from "./loop.js";
 import { Motion, Tilt } from "./motion.js";
 import { Problem, problemOf, REWRITE } from "./problem.js";
 import { lastMask, Sheet } from "./sheet.js";
-import { startModule, zoneSlope, type Info } from "./simulator.js";
+import { startModule, zoneSlope, type FileInfo, type Info } from "./simulator.js";
 import { Sliders } from "./sliders.js";
 import { FilesSource, sourceOf, type Source } from "./source.js";
 import { Stage, type Path } from "./stage.js";
@@ -89,7 +89,7 @@ export class LumistackViewer extends HTMLElement {
       stale: () => this.ticker.redraw(),
     });
     this.ticker = new Ticker(this.motion, {
-      can: () => this.isConnected && (this.content?.framesReady ?? 0) > 0,
+      can: () => this.isConnected && (this.content?.frames.length ?? 0) > 0,
       play: (dtS) => this.playFrames(dtS),
       draw: () => this.draw(),
     });
@@ -249,7 +249,7 @@ export class LumistackViewer extends HTMLElement {
       const failed: Problem[] = [];
       const sink = {
         progress: (share: number) => this.progress(share),
-        part: () => this.arrived(content),
+        part: (file: FileInfo) => this.arrived(content, file),
         problem: (problem: Problem) => void failed.push(problem),
       };
       await stream(source, viewer, info.files, sink, loading.signal);
@@ -321,8 +321,8 @@ export class LumistackViewer extends HTMLElement {
     }
   }
 
-  private arrived(content: StackContent): void {
-    if (content.arrived()) {
+  private arrived(content: StackContent, file: FileInfo): void {
+    if (content.arrived(file)) {
       this.stateChanged();
       this.ticker.now();
       this.firstPicture.resolve();
@@ -332,16 +332,17 @@ export class LumistackViewer extends HTMLElement {
   }
 
   private finish(content: StackContent, failed: readonly Problem[]): void {
-    const { framesReady, info } = content;
+    const { info } = content;
+    const ready = content.frames.length;
     this.progress(1);
     this.stateChanged();
     const first = failed[0];
     if (first) {
       const rest = failed.length > 1 ? ` (and ${failed.length - 1} more)` : "";
-      const mean = framesReady > 0 && framesReady < info.frames ? ` ${framesReady} of ${info.frames} frames are whole; the picture is their mean.` : "";
-      this.report(new Problem(`${first.message}${rest}${mean}`, first.advice, framesReady === 0));
+      const mean = ready > 0 && ready < info.frames ? ` ${ready} of ${info.frames} frames are whole; the picture is their mean.` : "";
+      this.report(new Problem(`${first.message}${rest}${mean}`, first.advice, ready === 0));
     }
-    if (framesReady > 0) this.everything.resolve();
+    if (ready > 0) this.everything.resolve();
   }
 
   private progress(share: number): void {
@@ -349,7 +350,7 @@ export class LumistackViewer extends HTMLElement {
     let text = "Loading…";
     if (content instanceof StackContent) {
       const { frames } = content.info;
-      text = content.framesReady < frames ? `Frame ${content.framesReady + 1} of ${frames}` : `${content.targetsReady} views of the target`;
+      text = content.frames.length < frames ? `Frame ${content.frames.length + 1} of ${frames}` : `${content.targetsReady} views of the target`;
     }
     this.face.progress(share, text);
   }
@@ -407,7 +408,7 @@ export class LumistackViewer extends HTMLElement {
     this.face.showState(state, info);
     if (content) {
       content.apply(state);
-      if (state.mode === "layers" && content.framesReady > 0) this.sheet.show(state.layer, state.frame, content.framesReady);
+      if (state.mode === "layers" && content.frames.length > 0) this.sheet.show(state.layer, readyFrame(content.frames, state.frame), content.frames);
     }
     this.psnrKey = "";
     this.layOut();
@@ -439,7 +440,7 @@ export class LumistackViewer extends HTMLElement {
 
   private draw(): void {
     const { content, state } = this;
-    if (!content || content.framesReady === 0) return;
+    if (!content || content.frames.length === 0) return;
     try {
       content.draw(state, this.motion.slope);
     } catch (error) {
@@ -470,21 +471,22 @@ export class LumistackViewer extends HTMLElement {
 
   private playFrames(dtS: number): { on: boolean; changed: boolean } {
     const { state } = this;
-    const on = state.mode === "slow" && state.playing && (this.content?.framesReady ?? 0) > 1;
+    const on = state.mode === "slow" && state.playing && (this.content?.frames.length ?? 0) > 1;
     this.frameClockS = on ? this.frameClockS + dtS : 0;
     const changed = this.frameClockS * state.rate >= 1;
     if (changed) {
       this.frameClockS = 0;
-      this.goToFrame(state.frame + 1);
+      this.stepFrame(1);
     }
     return { on, changed };
   }
 
-  private goToFrame(frame: number): void {
+  private stepFrame(by: number): void {
     const { content, state } = this;
-    if (!content) return;
-    const count = Math.max(content.framesReady, 1);
-    state.frame = ((frame % count) + count) % count;
+    if (!content || content.frames.length === 0) return;
+    const { frames } = content;
+    const at = frames.indexOf(readyFrame(frames, state.frame)) + by;
+    state.frame = frames[(at + frames.length) % frames.length]!;
     this.face.showFrame(state, content.info);
     content.apply(state);
   }
@@ -514,7 +516,7 @@ export class LumistackViewer extends HTMLElement {
         this.set(this.state.mode === "slow" ? { playing: !this.state.playing } : { swing: !this.state.swing });
       },
       stepFrame: (by) => {
-        this.goToFrame(this.state.frame + by);
+        this.stepFrame(by);
         this.set({ playing: false });
       },
       stepLayer: (by) => {

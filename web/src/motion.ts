@@ -31,6 +31,8 @@ export class Motion {
   /** A turn that is being recorded: seconds since its start. */
   private turnS: number | undefined;
   private turnLengthS = 0;
+  /** Where the eye was before the turn, and goes afterwards. */
+  private home: [number, number] = [0, 0];
 
   setZone(zone: Slope): void {
     this.zone = zone;
@@ -102,9 +104,10 @@ export class Motion {
     this.quietS = IDLE_S;
   }
 
-  /** One turn around the zone that begins and ends in the same place. */
+  /** One turn around the zone, from its left to its left, and back to where the eye was. */
   startTurn(lengthS: number): void {
     this.input();
+    this.home = [this.goal[0], this.goal[1]];
     this.turnS = 0;
     this.turnLengthS = lengthS;
     this.goal = this.turnAt(0);
@@ -118,8 +121,11 @@ export class Motion {
     if (this.turnS !== undefined) {
       this.turnS += dtS;
       this.goal = this.turnAt(Math.min(this.turnS / this.turnLengthS, 1));
-      if (this.turnS >= this.turnLengthS) this.turnS = undefined;
       this.settle();
+      if (this.turnS >= this.turnLengthS) {
+        this.turnS = undefined;
+        this.goal = this.home;
+      }
     } else {
       this.idle(dtS);
       this.spring(dt);

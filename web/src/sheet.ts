@@ -52,11 +52,12 @@ export class Sheet {
   }
 
   /** Marks the mask on show and draws the thumbnails that can be. */
-  show(layer: number, frame: number, ready: number): void {
+  show(layer: number, frame: number, ready: readonly number[]): void {
     for (const [key, cell] of this.cells) {
       const chosen = key === `${layer}/${frame}`;
       cell.setAttribute("aria-pressed", String(chosen));
       cell.tabIndex = chosen ? 0 : -1;
+      cell.disabled = !ready.includes(Number(key.split("/")[1]));
     }
     this.cells.get(`${layer}/${frame}`)?.scrollIntoView({ block: "nearest", inline: "nearest" });
     if (!this.busy) void this.drawThumbs(ready);
@@ -77,14 +78,14 @@ export class Sheet {
     return button;
   }
 
-  private async drawThumbs(ready: number): Promise<void> {
+  private async drawThumbs(ready: readonly number[]): Promise<void> {
     this.busy = true;
     const viewer = this.viewer;
     const whole = document.createElement("canvas");
     let n = 0;
     for (const [key, cell] of this.cells) {
       const [layer, frame] = key.split("/").map(Number) as [number, number];
-      if (frame >= ready || this.drawn.has(key)) continue;
+      if (!ready.includes(frame) || this.drawn.has(key)) continue;
       if (n++ % BATCH === BATCH - 1) await new Promise((resolve) => setTimeout(resolve));
       if (viewer !== this.viewer || !viewer) break;
       const [cols, rows] = sizeOf(this.info!, layer);

@@ -75,7 +75,7 @@ const NUMBERS: readonly { name: string; key: Numeric; least: number; most: numbe
   { name: "eye", key: "eyeMm", least: 50, most: 10000, digits: 0 },
   { name: "frame", key: "frame", least: 0, most: 1e4, digits: 0 },
   { name: "layer", key: "layer", least: 0, most: 100, digits: 0 },
-  { name: "rate", key: "rate", least: 0.25, most: 60, digits: 2 },
+  { name: "rate", key: "rate", least: 0.25, most: 64, digits: 2 },
   { name: "spread", key: "spread", least: 0, most: 1, digits: 3 },
   { name: "yaw", key: "yaw", least: -Math.PI, most: Math.PI, digits: 3 },
   { name: "pitch", key: "pitch", least: -1.5, most: 1.5, digits: 3 },

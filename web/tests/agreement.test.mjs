@@ -9,7 +9,7 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { complete, launch, LINEAR, open, pixels, site } from "./browser.mjs";
 
-const FIXTURES = process.env.LUMISTACK_WEB_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
+const FIXTURES = process.env.LUMISTACK_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
 /** Displays that must be among the fixtures. */
 const CASES = ["uniform3", "directional", "mixed", "layers8"];
 /** PSNR of what is on the canvas against the reference; 8 bits of sRGB alone leave some 56 dB. */

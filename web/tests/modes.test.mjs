@@ -7,7 +7,7 @@ import { fileURLToPath } from "node:url";
 import { complete, launch, open, pixels, SHOTS, site, text } from "./browser.mjs";
 import { twoSquares } from "./fixture.mjs";
 
-const FIXTURES = process.env.LUMISTACK_WEB_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
+const FIXTURES = process.env.LUMISTACK_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
 /** A richer picture for the screenshots: a preview folder. */
 const SHOWN = process.env.LUMISTACK_WEB_SHOWN ?? join(FIXTURES, "uniform3");
 const MODES = [["perceived"], ["slow"], ["exploded"], ["compare", "slider"], ["compare", "side"], ["compare", "error"], ["layers"]];
