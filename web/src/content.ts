@@ -19,7 +19,8 @@ export class StackContent implements Content {
   readonly viewer: Viewer;
   readonly info: Info;
   readonly frames: number[] = [];
-  targetsReady = 0;
+  /** Views of the target that have arrived, as row/column. */
+  private readonly targets = new Set<string>();
   /** Parts of each frame that have yet to arrive. */
   private readonly missing: number[];
   private options = "";
@@ -38,12 +39,16 @@ export class StackContent implements Content {
   }
 
   /** A file has become part of the picture; whether there is a first picture now. */
-  arrived({ frame }: FileInfo): boolean {
-    this.targetsReady = this.viewer.targets_ready();
+  arrived({ frame, view }: FileInfo): boolean {
+    if (view) this.targets.add(view.join("/"));
     if (frame === undefined || --this.missing[frame]! > 0) return false;
     this.frames.push(frame);
     this.frames.sort((a, b) => a - b);
     return this.frames.length === 1;
+  }
+
+  get targetsReady(): number {
+    return this.targets.size;
   }
 
   apply(state: State): void {
@@ -90,9 +95,10 @@ export class StackContent implements Content {
     const frame = readyFrame(this.frames, state.frame);
     if (state.mode === "layers") return { kind: "mask", layer: state.layer, frame };
     if (state.mode === "exploded") return { kind: "exploded", slope, yaw: state.yaw, pitch: state.pitch, spread: state.spread, frame };
-    if (state.mode !== "compare" || this.targetsReady === 0) return { kind: "view", slope };
+    const view = this.nearest(slope);
+    if (state.mode !== "compare" || !this.targets.has(view.join("/"))) return { kind: "view", slope };
     // Display and target are compared from exactly where the target was rendered.
-    const snapped = viewSlope(this.info, ...this.nearest(slope));
+    const snapped = viewSlope(this.info, ...view);
     if (state.comparison === "slider") return { kind: "split", slope: snapped, at: state.split };
     return { kind: state.comparison, slope: snapped };
   }
@@ -116,7 +122,7 @@ export class FieldContent implements Content {
   draw(_state: State, [x, y]: Slope): void {
     const { zone } = this.info;
     const along = (value: number, half: number): number => (half > 0 ? Math.min(Math.max(0.5 + value / Math.tan(half) / 2, 0), 1) : 0.5);
-    this.stage.drawLightField(along(x, zone[0]), along(-y, zone[1]));
+    this.stage.drawLightField(along(x, zone.x_rad), along(-y, zone.y_rad));
   }
 
   free(): void {

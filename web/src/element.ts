@@ -308,7 +308,6 @@ export class LumistackViewer extends HTMLElement {
   /** Keeps the state within what a display has. */
   private fit(info: Info): void {
     const { state } = this;
-    if (info.views.distance_mm && state.eyeMm === DEFAULTS.eyeMm) state.eyeMm = info.views.distance_mm;
     state.frame = Math.min(state.frame, info.frames - 1);
     state.layer = Math.min(state.layer, lastMask(info));
     const targets = info.files.some(({ kind }) => kind === "target");

@@ -50,6 +50,7 @@ export class Face {
   /** Brings the controls into line with the state. */
   showState(state: State, info: Info | undefined): void {
     this.frame.dataset["mode"] = state.mode;
+    this.frame.dataset["comparison"] = state.comparison;
     this.radio("mode", state.mode).checked = true;
     this.radio("comparison", state.comparison).checked = true;
     this.at("swing").setAttribute("aria-pressed", String(state.swing));

@@ -48,10 +48,10 @@ export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "v
 }
 
 function foreign(field: LightField, title: string, rows: number, cols: number, viewRows: number, viewCols: number, aspect: number | undefined): Foreign {
-  const zone: [number, number] = [viewCols > 1 ? rad(HALF_ANGLE[0]) : 0, viewRows > 1 ? rad(HALF_ANGLE[1]) : 0];
+  const zone = { x_rad: viewCols > 1 ? rad(HALF_ANGLE[0]) : 0, y_rad: viewRows > 1 ? rad(HALF_ANGLE[1]) : 0 };
   const slopes: [number, number][] = [];
   const place = (i: number, n: number, angle: number): number => (n > 1 ? ((2 * i) / (n - 1) - 1) * Math.tan(angle) : 0);
-  for (let r = 0; r < viewRows; r++) for (let c = 0; c < viewCols; c++) slopes.push([place(c, viewCols, zone[0]), -place(r, viewRows, zone[1])]);
+  for (let r = 0; r < viewRows; r++) for (let c = 0; c < viewCols; c++) slopes.push([place(c, viewCols, zone.x_rad), -place(r, viewRows, zone.y_rad)]);
   const info: Info = {
     title,
     field: { cols, rows, width_mm: aspect ?? cols / rows, height_mm: 1 },

@@ -18,6 +18,7 @@ export class Motion {
   /** Where the eye is, and where it is drawn to. */
   private at: [number, number] = [0, 0];
   private speed: [number, number] = [0, 0];
+  private told: Slope = [0, 0];
   private goal: [number, number] = [0, 0];
   private zone: Slope = [1, 1];
   private quietS = 0;
@@ -114,10 +115,9 @@ export class Motion {
     this.settle();
   }
 
-  /** Advances by `dtS` seconds; whether the slope changed. */
+  /** Advances by `dtS` seconds; whether the slope is another than after the last step. */
   step(dtS: number): boolean {
     const dt = Math.min(dtS, 0.1);
-    const before = this.slope;
     if (this.turnS !== undefined) {
       this.turnS += dtS;
       this.goal = this.turnAt(Math.min(this.turnS / this.turnLengthS, 1));
@@ -130,7 +130,9 @@ export class Motion {
       this.idle(dtS);
       this.spring(dt);
     }
-    return before[0] !== this.at[0] || before[1] !== this.at[1];
+    const changed = this.told[0] !== this.at[0] || this.told[1] !== this.at[1];
+    this.told = this.slope;
+    return changed;
   }
 
   private idle(dtS: number): void {

@@ -34,8 +34,8 @@ export interface Info {
   refresh_hz?: number;
   brightness: number;
   views: { rows: number; cols: number; slopes: [number, number][]; projection: string; distance_mm?: number };
-  /** Half angles of the zone across and up, radians. */
-  zone: [number, number];
+  /** Half angles of the zone. */
+  zone: { x_rad: number; y_rad: number };
   files: FileInfo[];
   heat?: { max: number; stops: string[] };
 }
@@ -45,7 +45,7 @@ let loading: Promise<unknown> | undefined;
 /** Starts the module once; a failed attempt may be repeated. It lies beside the script, elsewhere, or in the page. */
 export async function startModule(url: string | null): Promise<void> {
   const inline = window.LUMISTACK_INLINE?.["wasm"];
-  loading ??= inline !== undefined ? init({ module_or_path: fromBase64(inline) }) : url ? init({ module_or_path: url }) : init();
+  loading ??= init({ module_or_path: inline !== undefined ? fromBase64(inline) : (url ?? new URL("lumistack_web_bg.wasm", import.meta.url)) });
   try {
     await loading;
   } catch (error) {
@@ -60,7 +60,7 @@ export async function startModule(url: string | null): Promise<void> {
 
 /** Tangents of the zone's half angles; never 0, so that they may divide. */
 export function zoneSlope(info: Info): Slope {
-  return [Math.max(Math.tan(info.zone[0]), 1e-6), Math.max(Math.tan(info.zone[1]), 1e-6)];
+  return [Math.max(Math.tan(info.zone.x_rad), 1e-6), Math.max(Math.tan(info.zone.y_rad), 1e-6)];
 }
 
 /** The slope of a view of the target. */

@@ -9,6 +9,9 @@ interface Slider {
   words(value: number, info: Info): string;
 }
 
+/** Furthest eye of the slider; the step beyond it is the eye that the patterns are made for. */
+const EYE_MOST_MM = 3000;
+
 const SLIDERS: readonly Slider[] = [
   {
     id: "gain",
@@ -21,7 +24,12 @@ const SLIDERS: readonly Slider[] = [
   { id: "shifty", key: "shiftYMm", range: shiftRange, words: (value) => signed(value, "mm", 2) },
   { id: "black", key: "blackLevel", range: () => ({ min: 0, max: 0.1, step: 0.001 }), words: (value) => `${(value * 100).toFixed(1)} %` },
   { id: "pupil", key: "pupilMm", range: () => ({ min: 0, max: 8, step: 0.25 }), words: (value) => (value > 0 ? `${value.toFixed(2)} mm` : "pinhole") },
-  { id: "eye", key: "eyeMm", range: () => ({ min: 150, max: 3000, step: 10 }), words: (value) => `${Math.round(value)} mm` },
+  {
+    id: "eye",
+    key: "eyeMm",
+    range: () => ({ min: 150, max: EYE_MOST_MM + 50, step: 50 }),
+    words: (value, { views }) => (value <= EYE_MOST_MM ? `${Math.round(value)} mm` : views.projection === "oblique" ? "parallel views" : "as designed"),
+  },
 ];
 
 export class Sliders {
@@ -38,6 +46,7 @@ export class Sliders {
         const state = this.state();
         // At its end the gain is the eye's own, whatever 1/β is.
         if (slider.key === "gain") state.gain = this.info && value > 0.9995 / this.info.brightness ? null : value;
+        else if (slider.key === "eyeMm") state.eyeMm = value > EYE_MOST_MM ? null : value;
         else state[slider.key] = value;
         this.show();
         changed();
@@ -45,8 +54,7 @@ export class Sliders {
     }
     this.button().addEventListener("click", () => {
       const state = this.state();
-      for (const { key } of SLIDERS) if (key === "gain") state.gain = null;
-        else state[key] = key === "eyeMm" && this.info?.views.distance_mm ? this.info.views.distance_mm : DEFAULTS[key];
+      for (const { key } of SLIDERS) Object.assign(state, { [key]: DEFAULTS[key] });
       this.show();
       changed();
     });
@@ -61,8 +69,7 @@ export class Sliders {
       [input.min, input.max, input.step] = [String(min), String(max), String(step)];
     }
     this.input(SLIDERS[0]!).disabled = info.brightness >= 1;
-    const hide = (id: string, on: boolean): void => void ((this.root.querySelector(`#${id}-row`) as HTMLElement).hidden = on);
-    for (const id of ["gap", "shiftx", "shifty"]) hide(id, info.layers.length < 2 && id === "gap");
+    (this.root.querySelector("#gap-row") as HTMLElement).hidden = info.layers.length < 2 && !info.directional;
     this.show();
   }
 
@@ -72,16 +79,14 @@ export class Sliders {
     const state = this.state();
     for (const slider of SLIDERS) {
       const input = this.input(slider);
-      const value = slider.key === "gain" ? (state.gain ?? 1 / info.brightness) : state[slider.key];
+      const value = state[slider.key] ?? Number(input.max);
       input.value = String(value);
       const words = slider.words(value, info);
       input.setAttribute("aria-valuetext", words);
       (this.root.querySelector(`#${slider.id}-value`) as HTMLElement).textContent = words;
-      const designed = slider.key === "gain" ? state.gain === null : slider.key === "eyeMm" || value === DEFAULTS[slider.key];
-      this.root.querySelector(`#${slider.id}-row`)!.classList.toggle("changed", !designed);
+      this.root.querySelector(`#${slider.id}-row`)!.classList.toggle("changed", state[slider.key] !== DEFAULTS[slider.key]);
       paintTrack(input);
     }
-    (this.root.querySelector("#eye-row") as HTMLElement).hidden = state.pupilMm === 0;
     (this.button() as HTMLButtonElement).disabled = !SLIDERS.some(({ id }) => this.root.querySelector(`#${id}-row`)!.classList.contains("changed"));
   }
 

@@ -224,7 +224,8 @@ export class Stage {
       this.viewer!.attach(this.gl);
       this.switchTo("webgl2", undefined);
     } catch (error) {
-      this.switchTo("cpu", `This browser offers no WebGL2, so the processor draws: the same picture, less fluently. (${problemOf(error, "").message})`);
+      this.switchTo("cpu", "This browser offers no WebGL2: the processor draws the same picture, less fluently.");
+      console.info(`lumistack-viewer: ${problemOf(error, "").message}`);
     }
   }
 

@@ -26,8 +26,8 @@ export interface State {
   blackLevel: number;
   /** Diameter of the pupil; 0: pinhole. */
   pupilMm: number;
-  /** Distance of the eye, for the pupil. */
-  eyeMm: number;
+  /** Distance of the eye; null: that of the target's views, which may be parallel projections. */
+  eyeMm: number | null;
   /** Frame and layer that slow motion and layers show. */
   frame: number;
   layer: number;
@@ -52,7 +52,7 @@ export const DEFAULTS: Readonly<State> = {
   shiftYMm: 0,
   blackLevel: 0,
   pupilMm: 0,
-  eyeMm: 600,
+  eyeMm: null,
   frame: 0,
   layer: 0,
   rate: 2,
@@ -72,7 +72,6 @@ const NUMBERS: readonly { name: string; key: Numeric; least: number; most: numbe
   { name: "shifty", key: "shiftYMm", least: -100, most: 100, digits: 3 },
   { name: "black", key: "blackLevel", least: 0, most: 1, digits: 4 },
   { name: "pupil", key: "pupilMm", least: 0, most: 20, digits: 2 },
-  { name: "eye", key: "eyeMm", least: 50, most: 10000, digits: 0 },
   { name: "frame", key: "frame", least: 0, most: 1e4, digits: 0 },
   { name: "layer", key: "layer", least: 0, most: 100, digits: 0 },
   { name: "rate", key: "rate", least: 0.25, most: 64, digits: 2 },
@@ -91,6 +90,7 @@ export function toHash(state: State, slope: Slope | undefined): string {
     out.set("y", short(slope[1], 4));
   }
   if (state.gain !== null) out.set("gain", short(state.gain, 3));
+  if (state.eyeMm !== null) out.set("eye", short(state.eyeMm, 0));
   for (const { name, key, digits } of NUMBERS) {
     if (state[key] !== DEFAULTS[key]) out.set(name, short(state[key], digits));
   }
@@ -115,6 +115,8 @@ export function fromHash(hash: string): { state: State; slope: Slope | undefined
   state.layer = Math.round(state.layer);
   const gain = number(params.get("gain"));
   if (gain !== undefined && gain > 0) state.gain = gain;
+  const eye = number(params.get("eye"));
+  if (eye !== undefined && eye >= 50 && eye <= 1e5) state.eyeMm = eye;
   if (params.get("playing") === "0") state.playing = false;
   if (params.get("swing") === "0") state.swing = false;
   const x = number(params.get("x"));

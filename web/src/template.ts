@@ -86,13 +86,13 @@ export const TEMPLATE = `
     </section>
     <section id="build">
       <h2>How it is built and seen</h2>
-      ${range("gain", "Adaptation", "The eye’s gain; at its end, 1/β, it is adapted.")}
+      ${range("gain", "Adaptation", "The eye’s gain; at 1/β it is adapted.")}
       ${range("gap", "Gap error", "Added between any two layers.")}
       ${range("shiftx", "Misalignment across", "Offset of the front layer to the right.")}
       ${range("shifty", "Misalignment upwards", "Offset of the front layer upwards.")}
       ${range("black", "Black level", "Light that a closed pixel lets through.")}
       ${range("pupil", "Pupil", "Its diameter: views mix, depth blurs.")}
-      ${range("eye", "Eye distance", "From the display, for the pupil.")}
+      ${range("eye", "Eye distance", "An eye near by sees several views at once.")}
       <div class="row"><button type="button" class="text" id="reset">As designed</button></div>
     </section>
     <footer id="footer"></footer>
