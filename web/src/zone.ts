@@ -4,8 +4,10 @@ import type { Slope } from "./state.js";
 import { REACH } from "./motion.js";
 
 const SVG = "http://www.w3.org/2000/svg";
-/** Width of the drawing in its own units; its reach beyond the zone is a little more than the eye's. */
+/** Size of the drawing in its own units, as high as a flat zone needs; its reach is a little more than the eye's. */
 const WIDTH = 240;
+const LEAST_HEIGHT = 64;
+const MOST_HEIGHT = 150;
 const SHOWN = REACH * 1.06;
 
 export class ZoneMap {
@@ -13,7 +15,9 @@ export class ZoneMap {
   private readonly dot: SVGElement;
   private readonly inner: SVGElement;
   private zone: Slope = [1, 1];
-  private height = WIDTH;
+  private height = MOST_HEIGHT;
+  /** Units per tangent, the same across and up. */
+  private scale = 1;
   private inside = true;
 
   constructor(
@@ -33,11 +37,12 @@ export class ZoneMap {
   /** Draws the zone of a display; a light field without geometry gives its rows and columns alone. */
   show(info: Pick<Info, "views" | "zone">): void {
     this.zone = zoneSlope(info as Info);
-    const aspect = Math.min(Math.max(this.zone[1] / this.zone[0], 0.28), 1);
-    this.height = Math.round(WIDTH * aspect);
+    const [zoneX, zoneY] = this.zone;
+    this.height = Math.round(Math.min(Math.max((WIDTH * zoneY) / zoneX, LEAST_HEIGHT), MOST_HEIGHT));
+    this.scale = Math.min(WIDTH / zoneX, this.height / zoneY) / 2 / SHOWN;
     this.svg.setAttribute("viewBox", `0 0 ${WIDTH} ${this.height}`);
-    const width = WIDTH / SHOWN;
-    const high = this.height / SHOWN;
+    const width = Math.max(2 * zoneX * this.scale, 8);
+    const high = Math.max(2 * zoneY * this.scale, 8);
     const left = (WIDTH - width) / 2;
     const top = (this.height - high) / 2;
     this.inner.replaceChildren(
@@ -62,16 +67,15 @@ export class ZoneMap {
   }
 
   private toMap([x, y]: Slope): [number, number] {
-    const along = (value: number, half: number, extent: number): number => Math.min(Math.max(0.5 + (value / half / SHOWN) * 0.5, 0.02), 0.98) * extent;
-    return [along(x, this.zone[0], WIDTH), along(-y, this.zone[1], this.height)];
+    const within = (value: number, extent: number): number => Math.min(Math.max(value, 5), extent - 5);
+    return [within(WIDTH / 2 + x * this.scale, WIDTH), within(this.height / 2 - y * this.scale, this.height)];
   }
 
   private listen(): void {
     const follow = (event: PointerEvent): void => {
       const box = this.svg.getBoundingClientRect();
-      const x = ((event.clientX - box.left) / box.width - 0.5) * 2 * SHOWN * this.zone[0];
-      const y = -((event.clientY - box.top) / box.height - 0.5) * 2 * SHOWN * this.zone[1];
-      this.look([x, y]);
+      const unit = Math.min(box.width / WIDTH, box.height / this.height) * this.scale;
+      this.look([(event.clientX - box.left - box.width / 2) / unit, -(event.clientY - box.top - box.height / 2) / unit]);
     };
     this.pad.addEventListener("pointerdown", (event) => {
       if (event.button !== 0) return;
