@@ -56,11 +56,11 @@ export function explode(on: HTMLCanvasElement, viewer: Viewer, info: Info, { slo
       context.fillStyle = "#fbf6ea";
       context.fillRect(0, 0, 1, 1);
     }
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    outline(context, [corner, right, [right[0] + down[0] - corner[0], right[1] + down[1] - corner[1]], down]);
   }
   context.setTransform(1, 0, 0, 1, 0, 0);
-  context.globalAlpha = 0.9;
-  context.strokeStyle = "#e8a33d";
-  context.lineWidth = Math.max(on.width / 700, 1);
+  const thin = Math.max(on.width / 600, 1.2);
   const gap = count > 1 ? (info.layers[count - 1]!.d_mm - info.layers[0]!.d_mm) / (count - 1) : 1;
   for (let r = 0; r < RAYS; r++) {
     const x = ((r + 0.5) / RAYS - 0.5) * width_mm;
@@ -70,9 +70,26 @@ export function explode(on: HTMLCanvasElement, viewer: Viewer, info: Info, { slo
       const point = toCanvas(x + slope[0] * drift, slope[1] * drift, place(i));
       context.lineTo(point[0], point[1]);
     }
-    context.stroke();
+    // Dark below bright, so that a ray shows on any pattern and in either theme.
+    for (const [colour, width] of [
+      ["rgb(0 0 0 / 0.6)", 2.6 * thin],
+      ["#f2ad3f", thin],
+    ] as const) {
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      context.stroke();
+    }
   }
+}
+
+function outline(context: CanvasRenderingContext2D, corners: readonly (readonly [number, number])[]): void {
   context.globalAlpha = 1;
+  context.beginPath();
+  for (const [x, y] of corners) context.lineTo(x, y);
+  context.closePath();
+  context.strokeStyle = "rgb(128 132 142 / 0.8)";
+  context.lineWidth = 1;
+  context.stroke();
 }
 
 function maskOf(viewer: Viewer, layer: number, cols: number, rows: number, frame: number): HTMLCanvasElement {

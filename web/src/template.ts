@@ -92,7 +92,7 @@ export const TEMPLATE = `
       ${range("shifty", "Misalignment upwards", "Offset of the front layer upwards.")}
       ${range("black", "Black level", "Light that a closed pixel lets through.")}
       ${range("pupil", "Pupil", "Its diameter: views mix, depth blurs.")}
-      ${range("eye", "Eye distance", "An eye near by sees several views at once.")}
+      ${range("eye", "Eye distance", "Near by, one sees several views.")}
       <div class="row"><button type="button" class="text" id="reset">As designed</button></div>
     </section>
     <footer id="footer"></footer>
