@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::bench_render;
 use crate::fuzz;
 use crate::tools::{self, Outcome, cargo, command, output_of};
+use crate::web;
 
 /// What `cargo xtask bench --help` prints.
 pub const USAGE: &str = "\
@@ -33,6 +34,8 @@ cargo xtask bench [what]
   agreement     the path tracer against Mitsuba 3 on scenes that both express exactly: a test per pixel over
                 converged renders, a table, and an error where they differ (some minutes)
       --quick        a quarter of the samples
+  web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
+                and per frame, through WebGL2 and on the processor
   fuzz          random changes to glTF files, whole and packed, from the corpora of others; anything but a scene or
                 a message is a failure. Needs a nightly compiler and a C++ compiler; fetches cargo-fuzz
       --minutes N    default 10
@@ -56,6 +59,7 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["agreement", "--quick"] => agreement("16"),
         ["render", options @ ..] => bench_render::render(options)?,
         ["big", options @ ..] => bench_render::big(options)?,
+        ["web"] => web::bench(),
         ["fuzz"] => fuzz::run(10),
         ["fuzz", "--minutes", minutes] => fuzz::run(minutes.parse().ok()?),
         ["--help" | "-h"] => {

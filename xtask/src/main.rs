@@ -7,6 +7,7 @@ mod fuzz;
 mod layers;
 mod plugins;
 mod tools;
+mod web;
 
 use std::process::ExitCode;
 
@@ -19,6 +20,9 @@ cargo xtask <task>
   plugins [--write]
                 build every plugin as a library and compare it with its compiled-in self, build the samples, and compare
                 docs/plugins.json and the pages made from it with what the program says; --write writes them anew
+  web [--check | module | fixtures | test]
+                build the simulator's module and page into web/dist, optimize and measure them; --check fails where web/dist
+                is not that of the sources, and tests the page in a browser; the others are single steps of it
   scenes        write the sample scenes anew
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists what else there is
 ";
@@ -32,6 +36,11 @@ fn main() -> ExitCode {
         ["layers"] => layers::check(),
         ["plugins"] => plugins::run(false),
         ["plugins", "--write"] => plugins::run(true),
+        ["web"] => web::build(),
+        ["web", "--check"] => web::check(),
+        ["web", "module"] => web::module(),
+        ["web", "fixtures"] => web::fixtures(),
+        ["web", "test"] => web::fixtures().and_then(|()| web::browser_tests()),
         ["scenes"] => tools::cargo(&["run", "--package", "lumistack-scene-generator"]),
         ["bench", rest @ ..] => match bench::run(rest) {
             Some(result) => result,

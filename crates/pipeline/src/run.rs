@@ -289,7 +289,7 @@ impl<'a> Run<'a> {
         if self.stages.last().is_some_and(|stage| !stage.cached) {
             remove_reports(&self.dir)?;
         }
-        let (data, from) = (OutputData::LayerStack(&stack, Some(input.target.geometry())), NodeJob::TENSOR_DISPLAY);
+        let (data, from) = (OutputData::LayerStack(&stack, Some(&input.target)), NodeJob::TENSOR_DISPLAY);
         let folder = self.outputs.clone();
         let mut outputs = self.write_outputs(from, &folder, &display, data, task)?;
         if self.node.is_none() {
@@ -617,12 +617,15 @@ impl<'a> Run<'a> {
         for output in job.outputs_of(from) {
             let relative = format!("{folder}/{}", output.name());
             let params = output.params.clone().into();
-            let mut key = KeyBuilder::new(&format!("output {}", output.plugin), 2);
+            let mut key = KeyBuilder::new(&format!("output {}", output.plugin), 3);
             key.add("plugin", ingest::plugin_key(registry, &output.plugin, &output.params)?.as_bytes())
                 .add("display", display.to_toml().as_bytes());
             match data {
                 OutputData::LayerStack(stack, target) => {
-                    key.add("geometry", format!("{target:?}").as_bytes());
+                    if let Some(target) = target {
+                        key.add("geometry", format!("{:?}", target.geometry()).as_bytes());
+                        key.add_f32("target", target.radiance().data());
+                    }
                     key.add_json("brightness", &stack.brightness);
                     for layer in &stack.layers {
                         key.add_f32("layer", layer.data());
