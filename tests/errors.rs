@@ -220,3 +220,20 @@ fn a_writer_that_fails_midway_leaves_the_old_output_whole() {
     succeed(&mut factorize("4"));
     assert!(before != common::files(&run.join("outputs")));
 }
+
+#[test]
+fn a_preview_needs_a_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
+    assert!(text.contains("expected a run or a preview, found neither stack/preview.json nor layers/stack.json"), "{text}");
+    std::fs::create_dir(folder.path().join("t0001")).unwrap();
+    let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
+    assert!(text.contains("name one of its times"), "{text}");
+    let text = fail(lumistack().arg("preview").arg(folder.path().join("nothing")).arg("--no-open"));
+    assert!(text.contains("nothing: folder: expected a run or a preview"), "{text}");
+    // a run whose patterns are damaged: no server is started
+    std::fs::create_dir(folder.path().join("layers")).unwrap();
+    std::fs::write(folder.path().join("layers/stack.json"), "{").unwrap();
+    let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
+    assert!(text.contains("display.toml"), "{text}");
+}

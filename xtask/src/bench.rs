@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::bench_render;
 use crate::fuzz;
 use crate::tools::{self, Outcome, cargo, command, output_of};
+use crate::web;
 
 /// What `cargo xtask bench --help` prints.
 pub const USAGE: &str = "\
@@ -35,6 +36,8 @@ cargo xtask bench [what]
                 converged renders, a table, and an error where they differ (some minutes); then FlightHelmet as a diffuse
                 scene with its textures against Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
       --quick        a quarter of the samples
+  web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
+                and per frame, through WebGL2 and on the processor
   fuzz          random changes to glTF files, whole and packed, from the corpora of others; anything but a scene or
                 a message is a failure. Needs a nightly compiler and a C++ compiler; fetches cargo-fuzz
       --minutes N    default 10
@@ -64,6 +67,7 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         }
         ["render", options @ ..] => bench_render::render(options)?,
         ["big", options @ ..] => bench_render::big(options)?,
+        ["web"] => web::bench(),
         ["fuzz"] => fuzz::run(10),
         ["fuzz", "--minutes", minutes] => fuzz::run(minutes.parse().ok()?),
         ["--help" | "-h"] => {

@@ -5,6 +5,7 @@ use std::time::Instant;
 use crate::layers::{self, PORTABLE};
 use crate::plugins;
 use crate::tools::{self, Outcome, cargo, command, output_of, run};
+use crate::web;
 
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
 const LINTED_WITH: &str = "1.95";
@@ -34,6 +35,7 @@ pub fn run_steps(full: bool) -> Outcome {
     tools::poppler();
     step("tests", || run(command("cargo").args(["test", "--workspace"]).env("LUMISTACK_PYTHON", &python)))?;
     step("plugins", || plugins::run(false))?;
+    step("web", web::check)?;
     if full {
         step("slow tests", || {
             let mut tests = command("cargo");

@@ -8,6 +8,7 @@ mod gallery;
 mod layers;
 mod plugins;
 mod tools;
+mod web;
 
 use std::process::ExitCode;
 
@@ -20,6 +21,9 @@ cargo xtask <task>
   plugins [--write]
                 build every plugin as a library and compare it with its compiled-in self, build the samples, and compare
                 docs/plugins.json and the pages made from it with what the program says; --write writes them anew
+  web [--check | module | fixtures | test]
+                build the simulator's module and page into web/dist, optimize and measure them; --check fails where web/dist
+                is not that of the sources, and tests the page in a browser; the others are single steps of it
   scenes        write the sample scenes anew
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists what else there is
   gallery       a page of our renders of glTF files beside Blender's; `gallery --help` lists its options
@@ -34,6 +38,11 @@ fn main() -> ExitCode {
         ["layers"] => layers::check(),
         ["plugins"] => plugins::run(false),
         ["plugins", "--write"] => plugins::run(true),
+        ["web"] => web::build(),
+        ["web", "--check"] => web::check(),
+        ["web", "module"] => web::module(),
+        ["web", "fixtures"] => web::fixtures(),
+        ["web", "test"] => web::fixtures().and_then(|()| web::browser_tests()),
         ["scenes"] => tools::cargo(&["run", "--package", "lumistack-scene-generator"]),
         ["bench", rest @ ..] => match bench::run(rest) {
             Some(result) => result,

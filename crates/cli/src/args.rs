@@ -47,6 +47,11 @@ pub(crate) enum Command {
         after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      4° from the right, 2° from below\n  lumistack simulate runs/still-life --eye 100,0,600 -o eye.png   an eye 600 mm in front, 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
     )]
     Simulate(Simulate),
+    /// The browser simulator: look at a finished display from anywhere
+    #[command(
+        after_help = "Example:\n  lumistack preview runs/still-life\n\nServes this machine alone, opens the browser, and reloads the page when the patterns change. A preview folder can also be put on any\nweb server as it is; its preview.html opens by a double click."
+    )]
+    Preview(Preview),
     /// What is in a scene, a light field, a layer stack, a run folder, a display or a job
     Info(Info),
     /// All plugins with their parameters and where they come from, and which libraries could not be used and why
@@ -295,6 +300,18 @@ pub(crate) struct Simulate {
     /// Picture to write: .png (sRGB-encoded) or .exr (linear)
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: PathBuf,
+}
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct Preview {
+    /// A run folder, or a preview that the output plugin `web_simulator` wrote
+    pub(crate) dir: PathBuf,
+    /// Port; 0 for any that is free
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) port: u16,
+    /// Do not open the browser
+    #[arg(long)]
+    pub(crate) no_open: bool,
 }
 
 #[derive(Debug, ClapArgs)]

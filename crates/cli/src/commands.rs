@@ -16,6 +16,7 @@ use crate::args::{
 };
 use crate::console::{Console, say};
 use crate::info;
+use crate::preview::{preview_command, written_preview};
 
 /// The display of `run` and `render` when nobody names one.
 const DEFAULT_DISPLAY: &str = "paper-three-layer";
@@ -42,6 +43,7 @@ pub(crate) fn run(args: Args, cancel: &Cancel) -> Result<(), PipelineError> {
         Command::Render(render) => render_command(&render, &registry_for_work()?, args.json, task),
         Command::Factorize(factorize) => factorize_command(&factorize, &registry_for_work()?, args.json, task),
         Command::Simulate(simulate) => simulate_command(&simulate, args.json),
+        Command::Preview(preview) => preview_command(&preview, &registry_for_work()?, args.json, task),
         Command::Info(info) => info::print(&info, &registry_for_work()?, args.json, task),
         Command::Plugins => {
             info::print_plugins(&registry()?, args.json);
@@ -110,6 +112,13 @@ fn finish(job: &Job, folder: &Path, registry: &Registry, json: bool, task: Task<
         }
         say!("PSNR {:.1} dB at the target views{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
         say!("{}", summary.report.display());
+        if let Some(preview) = written_preview(folder) {
+            say!("Look into the display: lumistack preview {}", folder.display());
+            let single = preview.join("preview.html");
+            if single.is_file() {
+                say!("or open {} by a double click", single.display());
+            }
+        }
     }
     Ok(())
 }

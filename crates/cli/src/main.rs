@@ -6,6 +6,8 @@ mod args;
 mod commands;
 mod console;
 mod info;
+mod preview;
+mod server;
 
 use std::process::ExitCode;
 

@@ -225,7 +225,7 @@ impl<'a> Run<'a> {
         if self.stages.last().is_some_and(|stage| !stage.cached) {
             remove_reports(&self.dir)?;
         }
-        let (data, from) = (OutputData::LayerStack(&stack, Some(input.target.geometry())), NodeJob::TENSOR_DISPLAY);
+        let (data, from) = (OutputData::LayerStack(&stack, Some(&input.target)), NodeJob::TENSOR_DISPLAY);
         let folder = self.outputs.clone();
         let mut outputs = self.write_outputs(from, &folder, &display, data, task)?;
         if self.node.is_none() {

@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use lumistack_core::{Tensor, colour};
+use lumistack_core::{Task, Tensor, colour};
 use lumistack_display::{Display, LayerStack, Simulator};
 use lumistack_field_io::picture::{Precision, write_exr};
+use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
+use serde_json::json;
 
-use crate::error::{PipelineError, field_error};
+use crate::error::{PipelineError, field_error, host_error};
 use crate::files::write;
 use crate::presets;
 
@@ -42,6 +44,24 @@ impl RunFolder {
         let stack = lumistack_field_io::read_stack(&layers).map_err(field_error)?;
         stack.check(&display).map_err(|source| PipelineError::Stack { path: layers, source })?;
         Ok(Self { dir: dir.to_owned(), display, stack })
+    }
+
+    /// Writes the browser simulator of the run into `out_dir`, with the target where the run has one.
+    ///
+    /// # Errors
+    /// When the plugin `web_simulator` is not there, or the files cannot be written.
+    pub fn write_preview(&self, registry: &Registry, out_dir: &Path, task: Task<'_>) -> Result<(), PipelineError> {
+        let folder = self.dir.join("target");
+        // a sequence's displays share one target, and old runs may have none
+        let target = if folder.join("lightfield.json").is_file() {
+            Some(lumistack_field_io::read_field_folder(&folder).map_err(field_error)?.0)
+        } else {
+            None
+        };
+        let data = OutputData::LayerStack(&self.stack, target.as_ref());
+        let context = OutputContext { display: &self.display, data, time: Time::default(), out_dir, task };
+        let written = lumistack_plugin_host::run_output(registry, "web_simulator", &json!({}), context);
+        written.map(drop).map_err(host_error)
     }
 
     /// The picture from a viewpoint: `[row][col][rgb]`, linear; L̃/β, or L̃ itself when `raw`.

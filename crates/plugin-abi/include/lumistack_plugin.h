@@ -275,7 +275,8 @@ typedef struct LumistackData {
   const void *context;
   /**
    * Shapes and geometry. A layer stack: `{"port": "layer_stack", "brightness", "frames", "layers": [[rows, cols], ...] (rearmost
-   * first), "emission": [bins_y, bins_x, lenslet_rows, lenslet_cols] or null, "target": geometry}`. A light field: `{"port":
+   * first), "emission": [bins_y, bins_x, lenslet_rows, lenslet_cols] or null, "target": geometry, "target_views": whether `view_plane` lends
+   * the target's views}`. A light field: `{"port":
    * "light_field", "geometry": geometry}`. A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
    * "distance_mm", "slope_x": [...], "slope_y": [...]}`.
    */
@@ -298,7 +299,7 @@ typedef struct LumistackData {
                                     struct LumistackPlane *plane,
                                     const struct LumistackErrorSink *error);
   /**
-   * Linear radiance `[row][col][rgb]` of one view of a light field.
+   * Linear radiance `[row][col][rgb]` of one view of a light field, or of a layer stack's target where it has views.
    */
   LumistackStatus (*view_plane)(const void *context,
                                 size_t view_y,

@@ -92,7 +92,8 @@ pub struct Data {
     /// Passed to every function.
     pub context: *const c_void,
     /// Shapes and geometry. A layer stack: `{"port": "layer_stack", "brightness", "frames", "layers": [[rows, cols], ...] (rearmost
-    /// first), "emission": [bins_y, bins_x, lenslet_rows, lenslet_cols] or null, "target": geometry}`. A light field: `{"port":
+    /// first), "emission": [bins_y, bins_x, lenslet_rows, lenslet_cols] or null, "target": geometry, "target_views": whether `view_plane` lends
+    /// the target's views}`. A light field: `{"port":
     /// "light_field", "geometry": geometry}`. A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
     /// "distance_mm", "slope_x": [...], "slope_y": [...]}`.
     pub description_json: Str,
@@ -113,7 +114,7 @@ pub struct Data {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
-    /// Linear radiance `[row][col][rgb]` of one view of a light field.
+    /// Linear radiance `[row][col][rgb]` of one view of a light field, or of a layer stack's target where it has views.
     pub view_plane: unsafe extern "C" fn(
         context: *const c_void,
         view_y: usize,

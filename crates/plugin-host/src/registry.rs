@@ -54,6 +54,8 @@ impl Registry {
         registry.add(Plugin::compiled_in(&lumistack_plugin_test_views::PLUGIN).map_err(HostError::BadPlugin)?)?;
         #[cfg(feature = "transparencies")]
         registry.add(Plugin::compiled_in(&lumistack_plugin_transparencies::PLUGIN).map_err(HostError::BadPlugin)?)?;
+        #[cfg(feature = "web-simulator")]
+        registry.add(Plugin::compiled_in(&lumistack_plugin_web_simulator::PLUGIN).map_err(HostError::BadPlugin)?)?;
         Ok(registry)
     }
 

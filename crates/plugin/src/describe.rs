@@ -19,6 +19,9 @@ pub(crate) enum Description {
         /// [bins_y, bins_x, lenslet_rows, lenslet_cols].
         emission: Option<[usize; 4]>,
         target: Geometry,
+        /// Whether the target's views are lent; hosts before this key lend none.
+        #[serde(default)]
+        target_views: bool,
     },
     LightField {
         geometry: Geometry,

@@ -50,6 +50,7 @@ pub struct StackInput<'a> {
     layers: Vec<[usize; 2]>,
     emission: Option<[usize; 4]>,
     target: FieldGeometry,
+    target_views: bool,
 }
 
 /// Linear radiance of many views, 0..1 after exposure (highlights may exceed 1).
@@ -69,8 +70,9 @@ impl<'a> Input<'a> {
         let description =
             serde_json::from_str(text).map_err(|error| PluginError::failed("description of the data", error))?;
         Ok(match description {
-            Description::LayerStack { brightness, frames, layers, emission, target } => {
-                Self::LayerStack(StackInput { lent, brightness, frames, layers, emission, target: target.try_into()? })
+            Description::LayerStack { brightness, frames, layers, emission, target, target_views } => {
+                let target = target.try_into()?;
+                Self::LayerStack(StackInput { lent, brightness, frames, layers, emission, target, target_views })
             }
             Description::LightField { geometry } => {
                 Self::LightField(FieldInput { lent, geometry: geometry.try_into()? })
@@ -116,6 +118,25 @@ impl StackInput<'_> {
     /// The light field that the patterns were made for.
     pub fn target(&self) -> &FieldGeometry {
         &self.target
+    }
+
+    /// Whether the views of that light field are lent; see [`target_view`](Self::target_view).
+    pub fn has_target_views(&self) -> bool {
+        self.target_views
+    }
+
+    /// Radiance `[row][col][rgb]` of the light field that the patterns were made for, seen from `view` = [view_y, view_x]; `None` where the host
+    /// has only its geometry.
+    ///
+    /// # Errors
+    /// If there is no such view, or the host cannot lend it.
+    pub fn target_view(&self, view: [usize; 2]) -> Result<Option<PlaneView<'_>>, PluginError> {
+        if !self.target_views {
+            return Ok(None);
+        }
+        let [y, x] = view;
+        // SAFETY: the context is the data's own.
+        self.lent.plane(|data, plane, error| unsafe { (data.view_plane)(data.context, y, x, plane, error) }).map(Some)
     }
 
     /// Transmittance `[row][col][rgb]` of one layer and frame.

@@ -29,12 +29,15 @@ impl Run<'_> {
         for output in job.outputs_of(from) {
             let relative = format!("{folder}/{}", output.name());
             let params = output.params.clone().into();
-            let mut key = KeyBuilder::new(&format!("output {}", output.plugin), 2);
+            let mut key = KeyBuilder::new(&format!("output {}", output.plugin), 3);
             key.add("plugin", ingest::plugin_key(registry, &output.plugin, &output.params)?.as_bytes())
                 .add("display", display.to_toml().as_bytes());
             match data {
                 OutputData::LayerStack(stack, target) => {
-                    key.add("geometry", format!("{target:?}").as_bytes());
+                    if let Some(target) = target {
+                        key.add("geometry", format!("{:?}", target.geometry()).as_bytes());
+                        key.add_f32("target", target.radiance().data());
+                    }
                     key.add_json("brightness", &stack.brightness);
                     for layer in &stack.layers {
                         key.add_f32("layer", layer.data());

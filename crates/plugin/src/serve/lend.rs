@@ -12,8 +12,9 @@ use crate::{PluginError, Port};
 /// What an output is given at one time.
 #[derive(Clone, Copy, Debug)]
 pub enum OutputData<'a> {
-    /// The patterns of a tensor display, and the light field that they were made for (default: the display's own).
-    LayerStack(&'a LayerStack, Option<&'a FieldGeometry>),
+    /// The patterns of a tensor display, and the light field that they were made for, whose views are lent too. Without one, its geometry is the
+    /// display's own.
+    LayerStack(&'a LayerStack, Option<&'a LightField>),
     /// Linear radiance of many views.
     LightField(&'a LightField),
 }
@@ -48,7 +49,7 @@ impl<'a> Lent<'a> {
             OutputData::LayerStack(stack, target) => {
                 stack.check(display).map_err(|error| refused(format!("layer stack: {error}")))?;
                 let geometry = match target {
-                    Some(geometry) => geometry.clone(),
+                    Some(field) => field.geometry().clone(),
                     None => display.geometry().map_err(|error| refused(error.to_string()))?,
                 };
                 geometry.check().map_err(|error| refused(format!("target: {error}")))?;
@@ -61,6 +62,7 @@ impl<'a> Lent<'a> {
                         [bins_y, bins_x, rows, cols]
                     }),
                     target: Geometry::from(&geometry),
+                    target_views: target.is_some(),
                 };
                 (geometry, description)
             }
@@ -150,7 +152,10 @@ unsafe extern "C" fn view_plane(
 ) -> Status {
     let lend = || {
         // SAFETY: as in `layer_plane`.
-        let OutputData::LightField(field) = (unsafe { lent(context) }).data else { return Err(wrong_port("views")) };
+        let (OutputData::LightField(field) | OutputData::LayerStack(_, Some(field))) = (unsafe { lent(context) }).data
+        else {
+            return Err(wrong_port("views"));
+        };
         let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
         within("view_y", view_y, views_y)?;
         within("view_x", view_x, views_x)?;

@@ -1,0 +1,124 @@
+//! `lumistack preview`: the browser simulator of a run on a local port.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime};
+
+use lumistack_core::Task;
+use lumistack_pipeline::{PipelineError, Registry, RunFolder};
+use serde_json::json;
+
+use crate::args::Preview;
+use crate::console::say;
+use crate::server::{listen, port_of, serve};
+
+/// Below a preview's folder.
+const PREVIEW_JSON: &str = "stack/preview.json";
+/// How often files are looked at.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Where a preview comes from.
+struct Source {
+    /// The preview's folder.
+    site: PathBuf,
+    /// The run that it is made from by ourselves.
+    run: Option<PathBuf>,
+}
+
+pub(crate) fn preview_command(
+    args: &Preview,
+    registry: &Registry,
+    json: bool,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    let source = source_of(&args.dir)?;
+    source.refresh(registry, task)?;
+    let server = listen(args.port).map_err(|error| {
+        PipelineError::value("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
+    })?;
+    let address = format!("http://localhost:{}/", port_of(&server));
+    if json {
+        say!("{}", json!({"event": "serving", "address": address, "preview": source.site}));
+    } else {
+        say!("{address}   (Ctrl-C ends it)");
+    }
+    if !args.no_open
+        && let Err(error) = opener::open_browser(&address)
+    {
+        task.warn("preview", format!("no browser opens ({error}): open {address} yourself"));
+    }
+    let (mut looked, mut stamp) = (Instant::now(), stamp_of(&source.site));
+    serve(&server, &source.site, || {
+        if looked.elapsed() >= LOOK {
+            looked = Instant::now();
+            if let Err(error) = source.refresh(registry, task) {
+                // a run that is being written: the next look finds it whole
+                task.warn("preview", error.to_string());
+            }
+            stamp = stamp_of(&source.site);
+        }
+        (!task.cancel.is_cancelled()).then(|| stamp.clone())
+    });
+    Ok(())
+}
+
+/// A preview's folder, or a run: the preview that an output of it wrote, or one that is made now.
+fn source_of(dir: &Path) -> Result<Source, PipelineError> {
+    if dir.join(PREVIEW_JSON).is_file() {
+        return Ok(Source { site: dir.to_owned(), run: None });
+    }
+    if let Some(site) = outputs_of(dir).into_iter().next() {
+        return Ok(Source { site, run: None });
+    }
+    if dir.join("layers/stack.json").is_file() {
+        return Ok(Source { site: dir.join("preview"), run: Some(dir.to_owned()) });
+    }
+    let found = match std::fs::metadata(dir) {
+        Err(error) => error.to_string(),
+        Ok(data) if !data.is_dir() => "a file".into(),
+        Ok(_) if dir.join("t0001").is_dir() => "a sequence: name one of its times, such as t0001".into(),
+        Ok(_) => "neither stack/preview.json nor layers/stack.json in it".into(),
+    };
+    Err(PipelineError::value(dir, "folder", "a run or a preview", found))
+}
+
+/// Previews among a run's outputs, `outputs/NODE/NAME`, by name.
+fn outputs_of(run: &Path) -> Vec<PathBuf> {
+    let folders = |path: &Path| {
+        let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).filter(|path| path.is_dir()).collect::<Vec<_>>()
+    };
+    let mut sites: Vec<PathBuf> = folders(&run.join("outputs"))
+        .iter()
+        .flat_map(|node| folders(node))
+        .filter(|site| site.join(PREVIEW_JSON).is_file())
+        .collect();
+    sites.sort();
+    sites
+}
+
+/// The preview that a run's outputs wrote, for the last line of a run.
+pub(crate) fn written_preview(run: &Path) -> Option<PathBuf> {
+    outputs_of(run).into_iter().next()
+}
+
+impl Source {
+    /// Writes the preview of a run where there is none or the run's patterns are newer.
+    fn refresh(&self, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
+        let Some(run) = &self.run else { return Ok(()) };
+        let (stack, made) = (run.join("layers/stack.json"), self.site.join(PREVIEW_JSON));
+        if modified(&made).is_some_and(|made| modified(&stack).is_some_and(|stack| stack <= made)) {
+            return Ok(());
+        }
+        RunFolder::open(run)?.write_preview(registry, &self.site, task)
+    }
+}
+
+fn modified(path: &Path) -> Option<SystemTime> {
+    std::fs::metadata(path).and_then(|data| data.modified()).ok()
+}
+
+/// Changes when the preview does.
+fn stamp_of(site: &Path) -> String {
+    let since = modified(&site.join(PREVIEW_JSON)).and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
+    since.map_or_else(String::new, |since| since.as_nanos().to_string())
+}

@@ -1,0 +1,7 @@
+//! Drawing through WebGL2: the canvas, its programs and its textures.
+
+mod canvas;
+mod display;
+
+pub(crate) use canvas::{Canvas, Picture};
+pub(crate) use display::Gpu;

@@ -1,0 +1,375 @@
+//! A preview whose pictures come in one by one, and what it shows.
+
+use std::sync::OnceLock;
+
+use lumistack_core::Tensor;
+use lumistack_core::metrics::SquaredError;
+use lumistack_display::{
+    Display, EmittedView, FieldGeometry, Layer, LayerColour, LayerStack, Projection, RayMap, Response, Simulator,
+    ViewGrid, view_error,
+};
+
+use crate::colour::{DECODED, heat, to_rgba};
+use crate::decode::decode;
+use crate::info::Info;
+use crate::preview::{Part, Preview};
+use crate::tables::Tables;
+use crate::{Error, Options, err, json};
+
+/// A preview and the options under which it is looked at.
+#[derive(Debug)]
+pub struct Model {
+    preview: Preview,
+    geometry: FieldGeometry,
+    options: Options,
+    /// Codes `[row][col][rgb]` of every file that has arrived.
+    codes: Vec<Option<Vec<u8>>>,
+    /// Frames of which every part has arrived, in the order of their completion.
+    complete: Vec<usize>,
+    /// What the CPU path reads, made when it is first asked for.
+    built: OnceLock<Built>,
+}
+
+/// The display as it was built and what its rays meet.
+#[derive(Debug)]
+struct Built {
+    display: Display,
+    stack: LayerStack,
+}
+
+/// Complete frames in the order of their completion, which is that of the GPU's slices.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Slots {
+    /// The first that is drawn.
+    pub first: usize,
+    /// How many are drawn.
+    pub count: usize,
+}
+
+impl Model {
+    /// A preview of which nothing has arrived.
+    ///
+    /// # Errors
+    /// If the text is no preview; see [`Preview::from_json`].
+    pub fn new(preview_json: &str) -> Result<Self, Error> {
+        let preview = Preview::from_json(preview_json)?;
+        let geometry = preview.geometry()?;
+        let codes = vec![None; preview.files.len()];
+        let (options, complete, built) = (Options::default(), Vec::new(), OnceLock::new());
+        Ok(Self { preview, geometry, options, codes, complete, built })
+    }
+
+    /// The preview.
+    pub fn preview(&self) -> &Preview {
+        &self.preview
+    }
+
+    /// The light field that the patterns were made for.
+    pub fn geometry(&self) -> &FieldGeometry {
+        &self.geometry
+    }
+
+    /// The current options.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// What the page needs to know, as JSON.
+    pub fn info(&self) -> String {
+        json::text(&Info::of(&self.preview, &self.geometry))
+    }
+
+    /// Takes the bytes of file `index`. Returns the part that it holds and, where it completes one, the number of complete frames before.
+    ///
+    /// # Errors
+    /// If there is no such file or it is damaged; everything stays as it was.
+    pub fn put(&mut self, index: usize, bytes: &[u8]) -> Result<(Part, Option<usize>), Error> {
+        let file = self.preview.files.get(index).ok_or_else(|| {
+            err(format!("files: expected a number from 0 to {}, found {index}", self.preview.files.len() as i64 - 1))
+        })?;
+        let part = file.part;
+        self.codes[index] = Some(decode(file, bytes)?);
+        let frame = match part {
+            Part::Layer { frame, .. } | Part::Emission { frame } => frame,
+            Part::Target { .. } => return Ok((part, None)),
+        };
+        self.built.take();
+        let whole = !self.complete.contains(&frame)
+            && self.preview.files.iter().zip(&self.codes).all(|(file, codes)| match file.part {
+                Part::Layer { frame: of, .. } | Part::Emission { frame: of } => of != frame || codes.is_some(),
+                Part::Target { .. } => true,
+            });
+        let slot = self.complete.len();
+        if whole {
+            self.complete.push(frame);
+        }
+        Ok((part, whole.then_some(slot)))
+    }
+
+    /// Frames of which every part has arrived.
+    pub fn frames_ready(&self) -> usize {
+        self.complete.len()
+    }
+
+    /// The complete frames in the order of their completion.
+    pub fn complete(&self) -> &[usize] {
+        &self.complete
+    }
+
+    /// Views of the target that have arrived.
+    pub fn targets_ready(&self) -> usize {
+        let targets = self.preview.files.iter().zip(&self.codes);
+        targets.filter(|(file, codes)| matches!(file.part, Part::Target { .. }) && codes.is_some()).count()
+    }
+
+    /// Changes the options; keys that are left out go back to their defaults.
+    ///
+    /// # Errors
+    /// On malformed text, unknown keys and values out of range; the options then stay as they were.
+    pub fn set_options(&mut self, text: &str) -> Result<(), Error> {
+        let options = Options::from_json(text, self.preview.frames)?;
+        if options != self.options {
+            self.options = options;
+            self.built.take();
+        }
+        Ok(())
+    }
+
+    /// What the emitted light is multiplied by.
+    pub fn gain(&self) -> f32 {
+        self.options.gain.unwrap_or(1.0 / self.preview.brightness) as f32
+    }
+
+    /// The slices that the picture is the mean of: the chosen frame, or all that are complete.
+    pub fn slots(&self) -> Slots {
+        let chosen = self.options.frame.and_then(|frame| self.complete.iter().position(|&of| of == frame));
+        match chosen {
+            Some(first) => Slots { first, count: 1 },
+            None => Slots { first: 0, count: self.complete.len() },
+        }
+    }
+
+    /// The codes of a part that has arrived.
+    pub fn codes(&self, part: Part) -> Option<&[u8]> {
+        let at = self.preview.files.iter().position(|file| file.part == part)?;
+        self.codes[at].as_deref()
+    }
+
+    /// What the hardware of layer `n` does to its values, where it does anything.
+    fn response(&self, n: usize) -> Option<Response> {
+        self.preview.display.layers[n].response().filter(|response| !response.is_identity())
+    }
+
+    /// Whether rays meet just the stored values of layer `n`.
+    pub fn is_plain(&self, n: usize) -> bool {
+        self.response(n).is_none()
+    }
+
+    /// What rays meet of layer `n` in the given frames, without the black level of the options: `[frame][row][col][rgb]`.
+    pub fn met(&self, n: usize, frames: &[usize]) -> Tensor<4> {
+        let [cols, rows] = self.preview.display.layers[n].resolution;
+        let mut values = Tensor::zeros(LayerStack::LAYER_AXES, [frames.len(), rows, cols, 3]);
+        for (i, &frame) in frames.iter().enumerate() {
+            let codes = self.codes(Part::Layer { layer: n, frame }).unwrap_or_default();
+            values.block_mut([i]).iter_mut().zip(codes).for_each(|(value, code)| *value = f32::from(*code) / 255.0);
+        }
+        match self.response(n) {
+            Some(response) => response.apply(&values),
+            None => values,
+        }
+    }
+
+    fn built(&self) -> &Built {
+        self.built.get_or_init(|| {
+            let slots = self.slots();
+            let frames = &self.complete[slots.first..slots.first + slots.count];
+            let mut display = self.options.built(&self.preview.display);
+            let black = self.options.black_level as f32;
+            let layers = (0..display.layers.len()).map(|n| {
+                let mut values = self.met(n, frames);
+                values.data_mut().iter_mut().for_each(|value| *value = black + (1.0 - black) * *value);
+                values
+            });
+            let stack = LayerStack {
+                layers: layers.collect(),
+                emission: self.emission(frames),
+                brightness: self.preview.brightness,
+            };
+            // what the hardware does is in the values already
+            display.layers = display
+                .layers
+                .iter()
+                .map(|layer| Layer {
+                    blur_px: 0.0,
+                    crosstalk: None,
+                    colour: LayerColour::Rgb,
+                    filters: Vec::new(),
+                    ..layer.clone()
+                })
+                .collect();
+            Built { display, stack }
+        })
+    }
+
+    fn emission(&self, frames: &[usize]) -> Option<Tensor<6>> {
+        let mut shape = LayerStack::emission_shape(&self.preview.display)?;
+        shape[0] = frames.len();
+        let [_, bins_y, bins_x, rows, cols, _] = shape;
+        let mut values = Tensor::zeros(LayerStack::EMISSION_AXES, shape);
+        for (i, &frame) in frames.iter().enumerate() {
+            let codes = self.codes(Part::Emission { frame }).unwrap_or_default();
+            // a line of the picture is one row of lenslets in one row of bins
+            for (line, codes) in codes.chunks_exact(3 * bins_x * cols).enumerate() {
+                let (bin_y, row) = (line / rows, line % rows);
+                for (bin_x, codes) in codes.chunks_exact(3 * cols).enumerate() {
+                    let place = values.block_mut([i, bin_y, bin_x, row]);
+                    place.iter_mut().zip(codes).for_each(|(value, code)| *value = f32::from(*code) / 255.0);
+                }
+            }
+        }
+        debug_assert_eq!(bins_y, shape[1]);
+        Some(values)
+    }
+
+    /// What the display emits towards a slope, under the options: the mean over the pupil.
+    fn emitted(&self, slope: [f64; 2], projection: Projection) -> EmittedView {
+        let built = self.built();
+        if built.stack.frames() == 0 {
+            let (rows, cols) = (self.geometry.rows, self.geometry.cols);
+            let radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
+            return EmittedView { radiance, valid: vec![false; rows * cols] };
+        }
+        let pupil = self.options.pupil(&built.display, projection);
+        let slopes = |centre: f64| pupil.offsets.iter().map(|offset| centre + offset).collect();
+        let grid = ViewGrid { projection, slope_x: slopes(slope[0]), slope_y: slopes(slope[1]) };
+        let geometry = self.geometry.with_grid(grid);
+        let (simulator, map) = (Simulator::new(&built.display, &built.stack), RayMap::new(&built.display, &geometry));
+        let mut views = pupil.places().map(|place| simulator.view(&map, &geometry, place));
+        let mut mean = views.next().expect("the middle of a pupil lies on it");
+        let mut count = 1.0;
+        for view in views {
+            mean.radiance.data_mut().iter_mut().zip(view.radiance.data()).for_each(|(sum, value)| *sum += value);
+            mean.valid.iter_mut().zip(&view.valid).for_each(|(all, valid)| *all &= valid);
+            count += 1.0;
+        }
+        if count > 1.0 {
+            mean.radiance.data_mut().iter_mut().for_each(|value| *value /= count);
+        }
+        mean
+    }
+
+    /// The same places as textures for the shader.
+    pub fn tables(&self, slope: [f64; 2], projection: Projection) -> Tables {
+        let display = self.options.built(&self.preview.display);
+        Tables::new(&display, &self.geometry, &self.options.pupil(&display, projection), slope, projection)
+    }
+
+    /// How rays relate in the views that are drawn.
+    pub fn projection(&self) -> Projection {
+        self.options.projection(self.geometry.grid.projection)
+    }
+
+    /// L̃ times gain from a slope: `[row][col][rgb]`.
+    pub fn view_linear(&self, slope: [f64; 2]) -> Vec<f32> {
+        let gain = self.gain();
+        let mut values = self.emitted(slope, self.projection()).radiance.into_data();
+        values.iter_mut().for_each(|value| *value *= gain);
+        values
+    }
+
+    /// The same as sRGB bytes `[row][col][rgba]`.
+    pub fn render(&self, slope: [f64; 2]) -> Vec<u8> {
+        to_rgba(&self.view_linear(slope))
+    }
+
+    /// A view of the target as sRGB bytes.
+    ///
+    /// # Errors
+    /// If there is no such view or it has not arrived.
+    pub fn render_target(&self, view: [usize; 2]) -> Result<Vec<u8>, Error> {
+        Ok(opaque(self.target(view)?))
+    }
+
+    /// A layer's pattern in a frame as a light table shows it: linear values, sRGB-encoded.
+    ///
+    /// # Errors
+    /// If there is no such layer or frame or it has not arrived.
+    pub fn render_layer(&self, layer: usize, frame: usize) -> Result<Vec<u8>, Error> {
+        let codes = self.codes(Part::Layer { layer, frame });
+        Ok(on_light_table(codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: it has not arrived")))?))
+    }
+
+    /// The backlight's emission in a frame, bins side by side as in its file: linear values, sRGB-encoded.
+    ///
+    /// # Errors
+    /// If the backlight is uniform, there is no such frame, or it has not arrived.
+    pub fn render_backlight(&self, frame: usize) -> Result<Vec<u8>, Error> {
+        let codes = self.codes(Part::Emission { frame });
+        Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: it has not arrived")))?))
+    }
+
+    /// The error map |gain · L̃ − L| of the target's view nearest to a slope, seen from that view's own slope; black where no ray counts.
+    ///
+    /// # Errors
+    /// If the view has not arrived.
+    pub fn render_error(&self, slope: [f64; 2]) -> Result<Vec<u8>, Error> {
+        let view = self.nearest_view(slope);
+        let target = self.target(view)?;
+        let (emitted, gain) = (self.emitted_at(view), self.gain());
+        let pixels = emitted.radiance.data().chunks_exact(3).zip(target.chunks_exact(3)).zip(&emitted.valid);
+        Ok(pixels
+            .flat_map(|((emitted, target), valid)| {
+                let error = |c: usize| (gain * emitted[c] - DECODED[usize::from(target[c])]).abs();
+                let [r, g, b] = if *valid { heat(error(0).max(error(1)).max(error(2))) } else { [0; 3] };
+                [r, g, b, 255]
+            })
+            .collect())
+    }
+
+    /// PSNR of L̃/β against the target's view nearest to a slope, dB; `None` while that view or every frame is missing, or where no ray counts.
+    pub fn psnr(&self, slope: [f64; 2]) -> Option<f64> {
+        let view = self.nearest_view(slope);
+        let target: Vec<f32> = self.target(view).ok()?.iter().map(|code| DECODED[usize::from(*code)]).collect();
+        let error: SquaredError = view_error(&self.emitted_at(view), &target, self.preview.brightness, |_| 1.0);
+        (error.count > 0).then(|| error.psnr())
+    }
+
+    /// What the display emits towards a view of the target.
+    fn emitted_at(&self, view: [usize; 2]) -> EmittedView {
+        self.emitted(self.slope_of(view), self.geometry.grid.projection)
+    }
+
+    /// The slope of a view of the target at the centre of the field.
+    pub fn slope_of(&self, view: [usize; 2]) -> [f64; 2] {
+        [self.geometry.grid.slope_x[view[1]], self.geometry.grid.slope_y[view[0]]]
+    }
+
+    /// The codes of a view of the target.
+    ///
+    /// # Errors
+    /// If there is no such view or it has not arrived.
+    pub fn target(&self, view: [usize; 2]) -> Result<&[u8], Error> {
+        self.codes(Part::Target { view })
+            .ok_or_else(|| err(format!("target view {}, {}: it has not arrived", view[0], view[1])))
+    }
+
+    /// [view_y, view_x] of the target's view nearest to a slope.
+    pub fn nearest_view(&self, slope: [f64; 2]) -> [usize; 2] {
+        let nearest = |slopes: &[f64], slope: f64| {
+            let distance = |i: usize| (slopes[i] - slope).abs();
+            (0..slopes.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b))).unwrap_or(0)
+        };
+        [nearest(&self.geometry.grid.slope_y, slope[1]), nearest(&self.geometry.grid.slope_x, slope[0])]
+    }
+}
+
+/// RGB codes with an opaque fourth channel.
+fn opaque(codes: &[u8]) -> Vec<u8> {
+    codes.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect()
+}
+
+/// Linear codes as opaque sRGB bytes.
+fn on_light_table(codes: &[u8]) -> Vec<u8> {
+    let linear: Vec<f32> = codes.iter().map(|code| f32::from(*code) / 255.0).collect();
+    to_rgba(&linear)
+}

@@ -1,0 +1,133 @@
+//! What the viewer's controls change: the adaptation of the eye, and how badly the display was built.
+
+use lumistack_display::{Backlight, Display, Projection};
+use serde::Deserialize;
+
+use crate::{Error, err, json};
+
+/// Distance from which a pupil looks where nothing says how far the viewer is, millimetres.
+const ARM_LENGTH_MM: f64 = 600.0;
+/// Most places on a pupil along each axis.
+const PUPIL_LIMIT: usize = 9;
+
+/// Settings; every key may be left out.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Options {
+    /// What the emitted light is multiplied by: 1 is the light itself, 1/β (the default) what an adapted eye sees.
+    pub gain: Option<f64>,
+    /// Added to every distance between neighbouring layers and to the backlight's, about the middle of the stack, millimetres.
+    pub gap_mm: f64,
+    /// [x, y] by which the front layer stands beside its place, millimetres.
+    pub shift_mm: [f64; 2],
+    /// c: every value f that a ray meets becomes c + (1 − c) f.
+    pub black_level: f64,
+    /// Diameter of the pupil that stays focused on z = 0, millimetres; 0 for a pinhole.
+    pub pupil_mm: f64,
+    /// Distance of the eye from z = 0, millimetres: views become perspective ones. None: those of the target, whatever they are.
+    pub eye_distance_mm: Option<f64>,
+    /// One frame instead of the mean of all.
+    pub frame: Option<usize>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            gain: None,
+            gap_mm: 0.0,
+            shift_mm: [0.0; 2],
+            black_level: 0.0,
+            pupil_mm: 0.0,
+            eye_distance_mm: None,
+            frame: None,
+        }
+    }
+}
+
+impl Options {
+    /// Reads and checks options for a display of `frames` frames.
+    ///
+    /// # Errors
+    /// On malformed text, unknown keys and values out of range.
+    pub fn from_json(text: &str, frames: usize) -> Result<Self, Error> {
+        let options: Self = json::parse(text).map_err(|error| err(format!("options: {error}")))?;
+        let expect = |ok: bool, key: &str, expected: &str, found: String| {
+            let text = || err(format!("options: {key}: expected {expected}, found {found}"));
+            if ok { Ok(()) } else { Err(text()) }
+        };
+        let positive = |value: Option<f64>| value.is_none_or(|value| value.is_finite() && value > 0.0);
+        expect(positive(options.gain), "gain", "a number above 0", format!("{:?}", options.gain))?;
+        expect(options.gap_mm.is_finite(), "gap_mm", "a number", options.gap_mm.to_string())?;
+        let shift = options.shift_mm;
+        expect(shift.iter().all(|v| v.is_finite()), "shift_mm", "two numbers", format!("{shift:?}"))?;
+        let black = options.black_level;
+        expect((0.0..=1.0).contains(&black), "black_level", "0 to 1", black.to_string())?;
+        expect((0.0..=100.0).contains(&options.pupil_mm), "pupil_mm", "0 to 100", options.pupil_mm.to_string())?;
+        let eye = options.eye_distance_mm;
+        expect(positive(eye), "eye_distance_mm", "a number above 0", format!("{eye:?}"))?;
+        let frame = options.frame;
+        let expected = format!("a frame from 0 to {}", frames.saturating_sub(1));
+        expect(frame.is_none_or(|frame| frame < frames), "frame", &expected, format!("{frame:?}"))?;
+        Ok(options)
+    }
+
+    /// The display as it was really built.
+    pub fn built(&self, display: &Display) -> Display {
+        let mut built = display.clone();
+        let middle = (built.layers.len() as f64 - 1.0) / 2.0;
+        for (n, layer) in built.layers.iter_mut().enumerate() {
+            layer.d_mm += self.gap_mm * (n as f64 - middle);
+        }
+        if let Backlight::Lenslets(backlight) = &mut built.backlight {
+            backlight.d_mm -= self.gap_mm * (1.0 + middle);
+        }
+        if let Some(front) = built.layers.last_mut() {
+            front.offset_mm[0] += self.shift_mm[0];
+            front.offset_mm[1] += self.shift_mm[1];
+        }
+        built
+    }
+
+    /// How the rays of a view relate, for a target whose rays do as `target` says.
+    pub fn projection(&self, target: Projection) -> Projection {
+        self.eye_distance_mm.map_or(target, |distance_mm| Projection::Perspective { distance_mm })
+    }
+
+    /// The places on the pupil from which one picture is put together: slopes relative to its centre along either axis, and which pairs [y][x] of
+    /// them lie on the disc. One place for a pinhole.
+    pub fn pupil(&self, display: &Display, target: Projection) -> Pupil {
+        let distance_mm = match self.projection(target) {
+            Projection::Perspective { distance_mm } => distance_mm,
+            Projection::Oblique => ARM_LENGTH_MM,
+        };
+        if self.pupil_mm == 0.0 {
+            return Pupil { offsets: vec![0.0], on_disc: vec![true] };
+        }
+        let radius = 0.5 * self.pupil_mm / distance_mm;
+        // places closer together than a pixel of any layer differ by less than a pixel
+        let blur_px = display.layers.iter().map(|layer| layer.d_mm.abs() * 2.0 * radius / layer.pitch_mm);
+        let count = (blur_px.fold(0.0, f64::max).ceil() as usize * 2 + 1).clamp(3, PUPIL_LIMIT);
+        let offsets: Vec<f64> =
+            (0..count).map(|i| radius * (2.0 * i as f64 + 1.0 - count as f64) / count as f64).collect();
+        let inside = |y: &f64, x: &f64| x.hypot(*y) <= radius;
+        let on_disc = offsets.iter().flat_map(|y| offsets.iter().map(move |x| inside(y, x))).collect();
+        Pupil { offsets, on_disc }
+    }
+}
+
+/// Places on a pupil; see [`Options::pupil`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pupil {
+    /// Slopes relative to the centre, along either axis.
+    pub offsets: Vec<f64>,
+    /// Of the place [y][x], row by row: whether it lies on the disc.
+    pub on_disc: Vec<bool>,
+}
+
+impl Pupil {
+    /// The places [y, x] on the disc.
+    pub fn places(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
+        let count = self.offsets.len();
+        self.on_disc.iter().enumerate().filter(|(_, on)| **on).map(move |(i, _)| [i / count, i % count])
+    }
+}

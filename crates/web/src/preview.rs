@@ -1,0 +1,277 @@
+//! `preview.json`: what a preview shows and which files it consists of.
+
+use lumistack_display::{Backlight, Display, FieldGeometry, LayerStack, Projection, ViewGrid};
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, err, json};
+
+/// `preview.json`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Preview {
+    /// [`Preview::SCHEMA`].
+    pub schema: String,
+    /// [`Preview::VERSION`].
+    pub version: u32,
+    /// Name for people.
+    #[serde(default)]
+    pub title: String,
+    /// The display.
+    pub display: Display,
+    /// β: the display emits β times the target.
+    pub brightness: f64,
+    /// Frames M.
+    pub frames: usize,
+    /// The light field that the patterns were made for.
+    pub target: Target,
+    /// In the order to fetch.
+    pub files: Vec<File>,
+    /// PSNR of views from the files, whose values are rounded to 8 bits, against views from the patterns themselves, dB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rounding_db: Option<f64>,
+}
+
+/// What every version of preview.json has.
+#[derive(Deserialize)]
+struct Head {
+    #[serde(default)]
+    schema: String,
+    #[serde(default)]
+    version: u32,
+}
+
+/// Pixels and views of the light field.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Target {
+    /// Pixel rows.
+    pub rows: usize,
+    /// Pixel columns.
+    pub cols: usize,
+    /// Pixel pitch on z = 0, millimetres.
+    pub pitch_mm: f64,
+    /// `oblique` or `perspective`.
+    pub projection: String,
+    /// Viewing distance of perspective views, millimetres.
+    #[serde(default)]
+    pub distance_mm: Option<f64>,
+    /// Slope of each view column.
+    pub slope_x: Vec<f64>,
+    /// Slope of each view row, y up.
+    pub slope_y: Vec<f64>,
+}
+
+/// One picture.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(into = "Entry", try_from = "Entry")]
+pub struct File {
+    /// Path below the preview's folder.
+    pub path: String,
+    /// What it holds.
+    pub part: Part,
+    /// Pixel rows.
+    pub rows: usize,
+    /// Pixel columns.
+    pub cols: usize,
+    /// Length of the file.
+    pub bytes: u64,
+}
+
+/// [`File`] as it stands in preview.json. Flat and with a kind: what serde makes of a flattened enum is ten times the code, and this goes to every
+/// visitor.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+struct Entry {
+    path: String,
+    kind: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    layer: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    frame: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    view: Option<[usize; 2]>,
+    rows: usize,
+    cols: usize,
+    bytes: u64,
+}
+
+impl From<File> for Entry {
+    fn from(file: File) -> Self {
+        let File { path, part, rows, cols, bytes } = file;
+        let entry = Self { path, rows, cols, bytes, ..Self::default() };
+        match part {
+            Part::Layer { layer, frame } => {
+                Self { kind: "layer".into(), layer: Some(layer), frame: Some(frame), ..entry }
+            }
+            Part::Emission { frame } => Self { kind: "emission".into(), frame: Some(frame), ..entry },
+            Part::Target { view } => Self { kind: "target".into(), view: Some(view), ..entry },
+        }
+    }
+}
+
+impl TryFrom<Entry> for File {
+    type Error = String;
+
+    fn try_from(entry: Entry) -> Result<Self, String> {
+        let part = match (entry.kind.as_str(), entry.layer, entry.frame, entry.view) {
+            ("layer", Some(layer), Some(frame), _) => Part::Layer { layer, frame },
+            ("emission", _, Some(frame), _) => Part::Emission { frame },
+            ("target", _, _, Some(view)) => Part::Target { view },
+            (kind, ..) => {
+                let path = &entry.path;
+                return Err(format!("file `{path}` of kind `{kind}`, or without its layer, frame or view"));
+            }
+        };
+        let Entry { path, rows, cols, bytes, .. } = entry;
+        Ok(Self { path, part, rows, cols, bytes })
+    }
+}
+
+/// What a picture holds: 8 bits per channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// A layer's pattern in one frame: value = code / 255.
+    Layer {
+        /// Rearmost first.
+        layer: usize,
+        /// Frame.
+        frame: usize,
+    },
+    /// The backlight's emission in one frame, value = code / 255: bins side by side, `[bin_y][lenslet_row][bin_x][lenslet_col]`.
+    Emission {
+        /// Frame.
+        frame: usize,
+    },
+    /// A view of the light field, sRGB-encoded.
+    Target {
+        /// [view_y, view_x].
+        view: [usize; 2],
+    },
+}
+
+impl Preview {
+    /// Value of the key `schema`.
+    pub const SCHEMA: &'static str = "lumistack-preview";
+    /// The version that this program reads.
+    pub const VERSION: u32 = 1;
+    /// Most pixels of one picture: more means that the file is damaged.
+    const PIXEL_LIMIT: usize = 1 << 26;
+
+    /// Reads and checks a preview.
+    ///
+    /// # Errors
+    /// On malformed text, another schema or version, values out of range, and files that do not fit the display.
+    pub fn from_json(text: &str) -> Result<Self, Error> {
+        let malformed = |error: String| err(format!("preview.json: expected a preview, found {error}"));
+        // another version may have another form, so it is looked at first
+        let Head { schema, version } = json::parse(text).map_err(malformed)?;
+        if schema != Self::SCHEMA {
+            return Err(err(format!("preview.json: schema: expected {:?}, found {schema:?}", Self::SCHEMA)));
+        }
+        if version != Self::VERSION {
+            let advice = "made by another version of Lumistack: write the preview anew";
+            return Err(err(format!("preview.json: version: expected {}, found {version} ({advice})", Self::VERSION)));
+        }
+        let preview: Self = json::parse(text).map_err(malformed)?;
+        preview.check()?;
+        Ok(preview)
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        self.display.check().map_err(|error| err(format!("preview.json: display: {error}")))?;
+        let expect = |ok: bool, place: &str, expected: String, found: String| {
+            let text = || err(format!("preview.json: {place}: expected {expected}, found {found}"));
+            if ok { Ok(()) } else { Err(text()) }
+        };
+        let brightness = self.brightness;
+        expect(
+            brightness > 0.0 && brightness <= 1.0,
+            "brightness",
+            "above 0, at most 1".into(),
+            brightness.to_string(),
+        )?;
+        let frames = self.display.frames;
+        expect(self.frames == frames, "frames", format!("the display's {frames}"), self.frames.to_string())?;
+        let [views_y, views_x] = self.geometry()?.grid.views();
+        for (i, file) in self.files.iter().enumerate() {
+            let place = format!("files[{i}]");
+            let limit = file.rows.checked_mul(file.cols).is_some_and(|n| (1..=Self::PIXEL_LIMIT).contains(&n));
+            let size = format!("{} × {}", file.cols, file.rows);
+            expect(limit, &place, format!("1 to {} pixels", Self::PIXEL_LIMIT), size.clone())?;
+            let (known, part) = match file.part {
+                Part::Layer { layer, frame } => {
+                    (layer < self.display.layers.len() && frame < frames, "a layer and a frame of the display")
+                }
+                Part::Emission { frame } => {
+                    let lenslets = LayerStack::emission_shape(&self.display).is_some();
+                    (lenslets && frame < frames, "a frame of a directional backlight")
+                }
+                Part::Target { view: [y, x] } => (y < views_y && x < views_x, "a view of the target"),
+            };
+            expect(known, &place, part.into(), format!("{:?}", file.part))?;
+            let [rows, cols] = self.size_of(file.part);
+            expect([rows, cols] == [file.rows, file.cols], &place, format!("{cols} × {rows} pixels"), size)?;
+        }
+        for frame in 0..frames {
+            for layer in 0..self.display.layers.len() {
+                let part = Part::Layer { layer, frame };
+                let there = self.files.iter().any(|file| file.part == part);
+                expect(there, "files", format!("layer {layer} of frame {frame}"), "none".into())?;
+            }
+            let part = Part::Emission { frame };
+            let there =
+                LayerStack::emission_shape(&self.display).is_none() || self.files.iter().any(|file| file.part == part);
+            expect(there, "files", format!("the emission of frame {frame}"), "none".into())?;
+        }
+        Ok(())
+    }
+
+    /// [rows, cols] of a part's picture.
+    pub fn size_of(&self, part: Part) -> [usize; 2] {
+        match (part, &self.display.backlight) {
+            (Part::Layer { layer, .. }, _) => {
+                let [cols, rows] = self.display.layers[layer].resolution;
+                [rows, cols]
+            }
+            (Part::Emission { .. }, Backlight::Lenslets(b)) => [b.views[1] * b.lenslets[1], b.views[0] * b.lenslets[0]],
+            (Part::Emission { .. }, Backlight::Uniform) => [0, 0],
+            (Part::Target { .. }, _) => [self.target.rows, self.target.cols],
+        }
+    }
+
+    /// The light field's pixels and views.
+    ///
+    /// # Errors
+    /// If they make no sense.
+    pub fn geometry(&self) -> Result<FieldGeometry, Error> {
+        let target = &self.target;
+        let projection = match (target.projection.as_str(), target.distance_mm) {
+            ("oblique", _) => Projection::Oblique,
+            ("perspective", Some(distance_mm)) => Projection::Perspective { distance_mm },
+            (other, _) => {
+                let expected = "\"oblique\", or \"perspective\" with distance_mm";
+                return Err(err(format!("preview.json: target.projection: expected {expected}, found {other:?}")));
+            }
+        };
+        let grid = ViewGrid { projection, slope_x: target.slope_x.clone(), slope_y: target.slope_y.clone() };
+        let geometry = FieldGeometry { rows: target.rows, cols: target.cols, pitch_mm: target.pitch_mm, grid };
+        geometry.check().map_err(|error| err(format!("preview.json: target: {error}")))?;
+        Ok(geometry)
+    }
+}
+
+impl From<&FieldGeometry> for Target {
+    fn from(geometry: &FieldGeometry) -> Self {
+        let (projection, distance_mm) = match geometry.grid.projection {
+            Projection::Oblique => ("oblique", None),
+            Projection::Perspective { distance_mm } => ("perspective", Some(distance_mm)),
+        };
+        Self {
+            rows: geometry.rows,
+            cols: geometry.cols,
+            pitch_mm: geometry.pitch_mm,
+            projection: projection.into(),
+            distance_mm,
+            slope_x: geometry.grid.slope_x.clone(),
+            slope_y: geometry.grid.slope_y.clone(),
+        }
+    }
+}

@@ -1,0 +1,107 @@
+// What the display shows at every pixel of the field. Where a ray meets a layer is looked up: the tables are those of tables.rs, made by RayMap.
+//
+//   attenuating    (1/M) sum_m b prod_n v        additive    (1/M) sum_m (b + sum_n v)        polarization    (1/M) sum_m b sin^2(pi/2 sum_n v)
+//
+// Defined in front of this text: DECLARE_LAYERS, MEET_LAYERS (MEET(n, layer_n) for every layer), FORMATION (0, 1, 2), DIRECTIONAL, LAYERS.
+
+DECLARE_LAYERS
+uniform sampler2DArray emission;
+uniform sampler2D taps_x;
+uniform sampler2D taps_y;
+uniform sampler2D reference;
+uniform ivec2 slots;      // first frame slice, number of slices
+uniform ivec2 places;     // places on the pupil along an axis, table rows per place
+uniform float on_disc[81];
+uniform ivec2 lenslets;   // columns, rows
+uniform ivec2 field;      // columns, rows
+uniform float gain;
+uniform float black;
+uniform bool dropped;     // rays that leave a layer do not count
+uniform bool as_error;
+uniform vec3 heat[6];
+uniform float heat_top;
+out vec4 colour;
+
+#if FORMATION == 0
+#define NEUTRAL 1.0
+#define JOIN *=
+#else
+#define NEUTRAL 0.0
+#define JOIN +=
+#endif
+
+vec3 read(sampler2DArray layer, vec4 x, vec4 y, int slice) {
+    vec3 top = texelFetch(layer, ivec3(int(x.x), int(y.x), slice), 0).rgb;
+    if (x.z == 0.0 && y.z == 0.0) return top;
+    vec3 right = texelFetch(layer, ivec3(int(x.y), int(y.x), slice), 0).rgb;
+    vec3 below = texelFetch(layer, ivec3(int(x.x), int(y.y), slice), 0).rgb;
+    vec3 across = texelFetch(layer, ivec3(int(x.y), int(y.y), slice), 0).rgb;
+    return mix(mix(top, right, x.z), mix(below, across, x.z), y.z);
+}
+
+#define MEET(N, LAYER) \
+    x = texelFetch(taps_x, ivec2(at.x, table.x + N), 0); \
+    y = texelFetch(taps_y, ivec2(at.y, table.y + N), 0); \
+    if (x.x < 0.0 || y.x < 0.0) { counts = counts && !dropped; } \
+    else { met JOIN black + (1.0 - black) * read(LAYER, x, y, slice); }
+
+// Of one place on the pupil; fourth: whether the ray counts.
+vec4 seen(ivec2 at, ivec2 place) {
+    ivec2 table = place * places.y;
+    vec4 x, y;
+    vec3 sum = vec3(0.0);
+    bool counts = true;
+    for (int m = 0; m < slots.y; m++) {
+        int slice = slots.x + m;
+        vec3 met = vec3(NEUTRAL);
+        MEET_LAYERS
+#if FORMATION == 2
+        vec3 turned = sin(1.5707963267948966 * met);
+        met = turned * turned;
+#endif
+#if DIRECTIONAL
+        x = texelFetch(taps_x, ivec2(at.x, table.x + LAYERS), 0);
+        y = texelFetch(taps_y, ivec2(at.y, table.y + LAYERS), 0);
+        counts = counts && x.x > -1.5 && y.x > -1.5;
+        vec3 lit = vec3(0.0);
+        if (x.x >= 0.0 && y.x >= 0.0) {
+            ivec2 texel = ivec2(x.y, y.y) * lenslets + ivec2(x.x, y.x);
+            lit = texelFetch(emission, ivec3(texel, slice), 0).rgb;
+        }
+#if FORMATION == 1
+        met += lit;
+#else
+        met *= lit;
+#endif
+#endif
+        sum += met;
+    }
+    return counts && slots.y > 0 ? vec4(sum / float(slots.y), 1.0) : vec4(0.0);
+}
+
+void main() {
+    // texture row 0 is the top of the picture
+    ivec2 at = ivec2(gl_FragCoord.xy);
+    vec4 sum = vec4(0.0);
+    float count = 0.0;
+    bool all = true;
+    for (int j = 0; j < places.x; j++) {
+        for (int i = 0; i < places.x; i++) {
+            if (on_disc[j * places.x + i] > 0.0) {
+                vec4 one = seen(at, ivec2(i, j));
+                sum += one;
+                count += 1.0;
+                all = all && one.a > 0.0;
+            }
+        }
+    }
+    vec3 light = gain * sum.rgb / count;
+    if (as_error) {
+        vec3 off = abs(light - srgb_decode(texelFetch(reference, at, 0).rgb));
+        float t = clamp(max(off.r, max(off.g, off.b)) / heat_top, 0.0, 1.0) * 5.0;
+        int first = min(int(t), 4);
+        colour = vec4(all ? mix(heat[first], heat[first + 1], t - float(first)) : vec3(0.0), 1.0);
+    } else {
+        colour = vec4(srgb_encode(light), 1.0);
+    }
+}

@@ -1,0 +1,117 @@
+//! `fixtures FOLDER [--bench]`: previews of small random stacks and the views that the forward model gives of the unrounded patterns, for the page's tests.
+//!
+//! With `--bench` one preview of 420 × 262 pixels, three layers and six frames, for `cargo xtask bench web`.
+//!
+//! Of every case `references.json`: nine slopes, and for each a file of L̃/β, little-endian `f32`, `[row][col][rgb]`.
+
+use std::path::Path;
+
+use lumistack_plugin::Time;
+use lumistack_plugin::core::seed::Stream;
+use lumistack_plugin::display::{
+    Backlight, Display, Layer, LayerStack, LensletBacklight, LightField, Missing, RayMap, Sampling, Simulator, ViewGrid,
+};
+use lumistack_plugin::serde_json::{Value, json};
+use lumistack_plugin::serve::{Output, OutputData, Plugin};
+use lumistack_plugin::testkit::MemoryHost;
+use lumistack_plugin_web_simulator::PLUGIN;
+
+/// Pixels of every case.
+const SIZE: [usize; 2] = [60, 40];
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let folder = std::env::args().nth(1).ok_or("usage: fixtures FOLDER [--bench]")?;
+    if std::env::args().nth(2).as_deref() == Some("--bench") {
+        let display = Display::uniform([420, 262], 0.64, [5, 5], [20.0, 20.0], &[-12.0, 0.0, 12.0], 6);
+        let display = Display { brightness: 0.2, ..display };
+        return write_case(&Path::new(&folder).join("bench"), &display);
+    }
+    for (name, display) in cases() {
+        write_case(&Path::new(&folder).join(name), &display)?;
+    }
+    Ok(())
+}
+
+fn cases() -> [(&'static str, Display); 4] {
+    let layers = |d_mm: &[f64], frames: usize| {
+        let plain = Display::uniform(SIZE, 1.0, [5, 5], [20.0, 20.0], d_mm, frames);
+        Display { brightness: 0.5, missing: Missing::Clear, ..plain }
+    };
+    let uniform = layers(&[-12.0, 0.0, 12.0], 3);
+    let mut directional = layers(&[-6.0, 6.0], 2);
+    let lenslets = LensletBacklight::new(-24.0, [34, 24], 2.0, [5, 5], [20.0, 20.0]);
+    directional.backlight = Backlight::Lenslets(lenslets);
+    let mut mixed = layers(&[-12.0, 0.0, 12.0], 2);
+    mixed.sampling = Sampling::Bilinear;
+    mixed.layers[0] = Layer::new(-12.0, [23, 16], 2.75);
+    mixed.layers[2] = Layer { blur_px: 0.7, ..Layer::new(12.0, [131, 90], 0.5) };
+    let eight: Vec<f64> = (0..8).map(|n| 4.0 * f64::from(n) - 14.0).collect();
+    [("uniform3", uniform), ("directional", directional), ("mixed", mixed), ("layers8", layers(&eight, 2))]
+}
+
+/// Smooth patterns with a little noise, bright enough that eight of them let light through.
+fn random_stack(display: &Display) -> LayerStack {
+    let mut stack = LayerStack::filled(display, 1.0);
+    let mut random = Stream::new(17);
+    let least = 1.0 - 1.0 / display.layers.len() as f32;
+    let parts = stack.layers.iter_mut().map(|layer| layer.data_mut());
+    for values in parts.chain(stack.emission.as_mut().map(|emission| emission.data_mut())) {
+        let (a, b) = (0.05 + 0.2 * random.next_f32(), 0.01 + 0.03 * random.next_f32());
+        for (i, value) in values.iter_mut().enumerate() {
+            let wave = 0.5 + 0.5 * (a * i as f32).sin() * (b * i as f32).cos();
+            *value = least + (1.0 - least) * (0.7 * wave + 0.3 * random.next_f32());
+        }
+    }
+    stack
+}
+
+fn write_case(folder: &Path, display: &Display) -> Result<(), Box<dyn std::error::Error>> {
+    let stack = random_stack(display);
+    let geometry = display.geometry()?;
+    let (simulator, map) = (Simulator::new(display, &stack), RayMap::new(display, &geometry));
+    // the target is what the display shows, a little darker, so that the error map has something to show
+    let mut target = LightField::black(geometry.clone())?;
+    for view in geometry.grid.iter() {
+        let emitted = simulator.view(&map, &geometry, view).radiance;
+        let scale = (0.9 / stack.brightness) as f32;
+        target.view_mut(view).iter_mut().zip(emitted.data()).for_each(|(value, l)| *value = (scale * l).min(1.0));
+    }
+    let (host, plugin) = (MemoryHost::new(), Plugin::compiled_in(&PLUGIN)?);
+    let output = Output::open(&plugin, &host, &json!({}), display)?;
+    output.submit(Time::default(), OutputData::LayerStack(&stack, Some(&target)))?;
+    output.finish()?;
+    for (path, bytes) in host.files() {
+        write(&folder.join(path), &bytes)?;
+    }
+    // centre, corners, edges' middles off the grid, three in between
+    let half = (10f64.to_radians()).tan();
+    let shares = [
+        [0.0, 0.0],
+        [0.8, 0.8],
+        [-0.8, 0.8],
+        [0.8, -0.8],
+        [-0.8, -0.8],
+        [0.8, 0.05],
+        [0.03, -0.8],
+        [0.21, -0.33],
+        [-0.47, 0.61],
+    ];
+    let slopes = shares.map(|share| share.map(|share| share * half));
+    let mut names = Vec::new();
+    for (i, slope) in slopes.into_iter().enumerate() {
+        let geometry = geometry.with_grid(ViewGrid::single(geometry.grid.projection, slope));
+        let view = simulator.view(&RayMap::new(display, &geometry), &geometry, [0, 0]).radiance;
+        let bytes = view.data().iter().flat_map(|value| (value / stack.brightness as f32).to_le_bytes());
+        names.push(format!("ref{i}.f32"));
+        write(&folder.join(&names[i]), &bytes.collect::<Vec<u8>>())?;
+    }
+    let references: Value = json!({
+        "slopes": slopes, "rows": geometry.rows, "cols": geometry.cols, "brightness": stack.brightness, "files": names,
+    });
+    write(&folder.join("references.json"), references.to_string().as_bytes())
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Box<dyn std::error::Error>> {
+    std::fs::create_dir_all(path.parent().ok_or("no folder")?)?;
+    Ok(std::fs::write(path, bytes)?)
+}

@@ -1,0 +1,160 @@
+//! Output plugin `web_simulator`: a static site that shows what the display shows, from wherever one looks.
+//!
+//! | file | what |
+//! |---|---|
+//! | `index.html`, `app/` | the page; works under any path of any server that hands out files |
+//! | `preview.html` | the same in one file, which a double click opens |
+//! | `stack/preview.json` | display, brightness, target, and the pictures in the order to fetch |
+//! | `stack/layerL_frameM.png` | patterns: value = code / 255, linear |
+//! | `stack/emission_frameM.png` | emission of a directional backlight, bins side by side: value = code / 255, linear |
+//! | `stack/target_YY_XX.png` | views of the light field that the patterns were made for, sRGB-encoded, where the host lends them |
+//!
+//! Later times of a sequence are sites of their own in `time_0001/`, ... Memory: one frame of patterns, and the compressed pictures of one time.
+
+mod page;
+mod pictures;
+
+use lumistack_plugin::display::{FieldGeometry, Projection};
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::serde_json::{Value, json};
+use lumistack_plugin::{
+    Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, StackInput, Time, export_plugin, serde_json,
+};
+
+use page::Site;
+use pictures::{Rounding, emission_picture, layer_picture, png_of, target_codes};
+
+pub use page::PREVIEW_JSON;
+
+/// The plugin.
+#[derive(Debug)]
+pub struct WebSimulator {
+    host: Host,
+    params: SimulatorParams,
+    display: Display,
+}
+
+/// Parameters; see [`WebSimulator::schema`](OutputPlugin::schema) for their meaning.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct SimulatorParams {
+    title: String,
+    target: bool,
+    single_file: bool,
+}
+
+impl OutputPlugin for WebSimulator {
+    const DOC: &'static str = "Writes a static site that shows what the display shows, from wherever the mouse, finger or phone is. \
+        Open preview.html by a double click, or `lumistack preview` on the run.";
+    const PORTS: &'static [Port] = &[Port::LayerStack];
+    type Params = SimulatorParams;
+
+    fn schema() -> Schema {
+        Schema::new([
+            Param::text("title", "", "Title of the page; empty for the display's name."),
+            Param::bool(
+                "target",
+                true,
+                "Also write the views that the patterns were made for, to compare with; they are a good part of the site's size.",
+            ),
+            Param::bool("single_file", true, "Also write the whole site as one file, preview.html."),
+        ])
+    }
+
+    fn open(host: Host, params: SimulatorParams, display: Display) -> Result<Self, PluginError> {
+        Ok(Self { host, params, display })
+    }
+
+    fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
+        let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
+        let folder = if time.index == 0 { String::new() } else { format!("time_{:04}/", time.index) };
+        let mut site = Site::new(&self.host, folder);
+        let mut files = Vec::new();
+        let targets = self.targets(stack)?;
+        let per_frame = stack.layer_count() + usize::from(stack.emission_shape().is_some());
+        let stage = self.host.stage("preview", (stack.frames() * per_frame + targets.len()) as u64, "pictures");
+        let mut rounding = Rounding::new(&self.display, stack.target());
+        for frame in 0..stack.frames() {
+            let mut layers = Vec::with_capacity(stack.layer_count());
+            for layer in 0..stack.layer_count() {
+                self.host.check_cancelled()?;
+                let (picture, exact) = layer_picture(&stack.layer(layer, frame)?);
+                let path = format!("stack/layer{layer}_frame{frame}.png");
+                let entry = json!({"kind": "layer", "layer": layer, "frame": frame});
+                files.push(site.picture(&path, entry, &picture, &png_of(&picture)?)?);
+                layers.push((picture, exact));
+                stage.advance(1, "");
+            }
+            let mut emission = None;
+            if let Some(shape) = stack.emission_shape() {
+                let (picture, exact) = emission_picture(stack, frame, shape)?;
+                let path = format!("stack/emission_frame{frame}.png");
+                let entry = json!({"kind": "emission", "frame": frame});
+                files.push(site.picture(&path, entry, &picture, &png_of(&picture)?)?);
+                emission = Some((picture, exact, shape));
+                stage.advance(1, "");
+            }
+            rounding.add(layers, emission, stack.brightness());
+        }
+        for view in targets {
+            self.host.check_cancelled()?;
+            let Some(plane) = stack.target_view(view)? else { continue };
+            let picture = target_codes(&plane);
+            let path = format!("stack/target_{:02}_{:02}.png", view[0], view[1]);
+            let entry = json!({"kind": "target", "view": view});
+            files.push(site.picture(&path, entry, &picture, &png_of(&picture)?)?);
+            stage.advance(1, "");
+        }
+        let title = if self.params.title.is_empty() { &self.display.name } else { &self.params.title };
+        let rounding_db = rounding.psnr();
+        let preview = json!({
+            "schema": "lumistack-preview",
+            "version": 1,
+            "title": title,
+            "display": self.display,
+            "brightness": stack.brightness(),
+            "frames": stack.frames(),
+            "target": geometry_json(stack.target()),
+            "files": files,
+            "rounding_db": rounding_db.is_finite().then_some(rounding_db),
+        });
+        let text = serde_json::to_string(&preview).expect("a preview holds nothing that JSON cannot");
+        site.finish(title, &text, self.params.single_file)
+    }
+
+    fn finish(self) -> Result<(), PluginError> {
+        Ok(self.host.check_cancelled()?)
+    }
+}
+
+impl WebSimulator {
+    /// The views of the target to write, from the middle outwards, so that the ones that are looked at first come first.
+    fn targets(&self, stack: &StackInput<'_>) -> Result<Vec<[usize; 2]>, PluginError> {
+        if !self.params.target || !stack.has_target_views() {
+            return Ok(Vec::new());
+        }
+        let [rows, cols] = stack.target().grid.views();
+        let off = |[y, x]: &[usize; 2]| (2 * y + 1).abs_diff(rows).pow(2) + (2 * x + 1).abs_diff(cols).pow(2);
+        let mut views: Vec<[usize; 2]> = stack.target().grid.iter().collect();
+        views.sort_by_key(off);
+        Ok(views)
+    }
+}
+
+fn geometry_json(geometry: &FieldGeometry) -> Value {
+    let (projection, distance_mm) = match geometry.grid.projection {
+        Projection::Oblique => ("oblique", None),
+        Projection::Perspective { distance_mm } => ("perspective", Some(distance_mm)),
+    };
+    json!({
+        "rows": geometry.rows,
+        "cols": geometry.cols,
+        "pitch_mm": geometry.pitch_mm,
+        "projection": projection,
+        "distance_mm": distance_mm,
+        "slope_x": geometry.grid.slope_x,
+        "slope_y": geometry.grid.slope_y,
+    })
+}
+
+export_plugin!("web_simulator", WebSimulator);

@@ -1,0 +1,67 @@
+// What the buttons of the top bar do: a picture, a video of a turn, a link.
+import { download, fileName, record, toPng, videoFormat, type Recording } from "./capture.js";
+import type { Face } from "./face.js";
+import type { Motion } from "./motion.js";
+import { problemOf } from "./problem.js";
+import type { Stage } from "./stage.js";
+
+/** Seconds of a recorded turn. */
+const TURN_S = 6;
+
+export interface Shown {
+  title: string;
+  mode: string;
+}
+
+export async function savePicture(stage: Stage, shown: Shown, motion: Motion): Promise<void> {
+  const [x, y] = motion.slope.map((value) => ((Math.atan(value) * 180) / Math.PI).toFixed(1));
+  download(await toPng(stage.snapshot()), `${fileName(shown.title)}_${shown.mode}_${x}_${y}.png`);
+}
+
+export class TurnRecorder {
+  private recording: Recording | undefined;
+
+  constructor(
+    private readonly face: Face,
+    private readonly stage: Stage,
+    private readonly motion: Motion,
+  ) {}
+
+  /** Adds the picture on show, if a turn is being recorded. */
+  frame(): void {
+    this.recording?.frame(this.stage.visible);
+  }
+
+  /** Goes once around the zone; `wake` starts the drawing. */
+  async save(shown: Shown, wake: () => void): Promise<void> {
+    const format = videoFormat();
+    if (this.recording || format === undefined) return;
+    const button = this.face.at("record");
+    button.classList.add("busy");
+    this.face.notice(`Recording a turn of ${TURN_S} seconds…`, "plain");
+    const { width, height } = this.stage.visible;
+    this.motion.startTurn(TURN_S);
+    try {
+      this.recording = record(width, height, format);
+      wake();
+      await new Promise((resolve) => setTimeout(resolve, TURN_S * 1000));
+      const { blob, extension } = await this.recording.stop();
+      download(blob, `${fileName(shown.title)}_turn.${extension}`);
+      this.face.silence();
+    } catch (error) {
+      this.face.notice(`No video was made: ${problemOf(error, "").message}`, "warn");
+    } finally {
+      this.recording = undefined;
+      button.classList.remove("busy");
+    }
+  }
+}
+
+export async function copyLink(url: string, face: Face): Promise<void> {
+  try {
+    await navigator.clipboard.writeText(url);
+    face.notice("The link to this view is copied.", "passing");
+  } catch {
+    face.notice(url, "plain");
+  }
+}

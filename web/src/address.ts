@@ -1,0 +1,32 @@
+// The state in the address bar, so that a link shows what one saw.
+import { toHash, type Slope, type State } from "./state.js";
+
+/** Milliseconds between two writes; browsers limit how often the address may change. */
+const REST_MS = 400;
+
+export class Address {
+  private timer: ReturnType<typeof setTimeout> | undefined;
+
+  /** `#…` of a state; with the place where one stands, unless the view moves by itself. */
+  static hash(state: State, slope: Slope, always: boolean): string {
+    const still = always || (!state.swing && slope.some((value) => value !== 0));
+    const text = toHash(state, still ? slope : undefined);
+    return text ? `#${text}` : "";
+  }
+
+  write(state: () => State, slope: () => Slope): void {
+    this.timer ??= setTimeout(() => {
+      this.timer = undefined;
+      try {
+        history.replaceState(history.state, "", `${location.pathname}${location.search}${Address.hash(state(), slope(), false)}`);
+      } catch {
+        // Pages from disk may not change their address.
+      }
+    }, REST_MS);
+  }
+
+  stop(): void {
+    clearTimeout(this.timer);
+    this.timer = undefined;
+  }
+}

@@ -1,0 +1,96 @@
+// What was dropped or chosen: a preview, a run folder with one, a quilt, or the views of a light field.
+import { Problem } from "./problem.js";
+
+export type Dropped =
+  | { kind: "preview"; files: ReadonlyMap<string, File>; json: string }
+  | { kind: "quilt"; file: File; cols: number; rows: number; aspect: number | undefined; title: string }
+  | { kind: "views"; views: readonly (readonly File[])[]; title: string };
+
+const PICTURE = /\.(png|jpe?g|webp|avif|gif|bmp)$/i;
+const QUILT = /_qs(\d+)x(\d+)(?:a([0-9.]+?))?\.[a-z]+$/i;
+/** Two indices at the end of a name: view_03_07.png, out_00_05_-381.9_1017.5_.png. */
+const ROW_COL = [/^view[_-](\d+)[_-](\d+)\b/i, /^out[_-](\d+)[_-](\d+)[_-]/i, /(\d+)[_-](\d+)\.[a-z]+$/i];
+/** One index: input_Cam004.png. */
+const RUNNING = /(\d+)\.[a-z]+$/i;
+const MOST_FILES = 20000;
+
+/** The files of a drop with their paths; folders are walked through. */
+export async function filesOf(transfer: DataTransfer): Promise<Map<string, File>> {
+  const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.() ?? null);
+  const files = new Map<string, File>();
+  if (entries.every((entry) => entry === null)) return filesByName(transfer.files);
+  const walk = async (entry: FileSystemEntry): Promise<void> => {
+    if (files.size > MOST_FILES) return;
+    if (entry.isFile) {
+      const file = await new Promise<File>((resolve, reject) => (entry as FileSystemFileEntry).file(resolve, reject));
+      files.set(entry.fullPath.replace(/^\//, ""), file);
+    } else {
+      const reader = (entry as FileSystemDirectoryEntry).createReader();
+      const read = (): Promise<FileSystemEntry[]> => new Promise((resolve, reject) => reader.readEntries(resolve, reject));
+      for (let batch = await read(); batch.length > 0; batch = await read()) for (const inner of batch) await walk(inner);
+    }
+  };
+  for (const entry of entries) if (entry) await walk(entry);
+  return files;
+}
+
+export function filesByName(list: Iterable<File>): Map<string, File> {
+  return new Map([...list].map((file) => [file.webkitRelativePath || file.name, file]));
+}
+
+/** Recognizes what the files are, or says what was found and what would do. */
+export function recognize(files: ReadonlyMap<string, File>): Dropped {
+  if (files.size === 0) throw new Problem("Nothing arrived: no files in what was dropped.", WANTED, false);
+  const json = [...files.keys()].filter((path) => /(^|\/)preview\.json$/.test(path)).sort((a, b) => a.length - b.length)[0];
+  if (json !== undefined) return { kind: "preview", files, json };
+  const pictures = [...files.entries()].filter(([path]) => PICTURE.test(path));
+  const quilts = pictures.filter(([path]) => QUILT.test(path));
+  if (quilts.length > 0 && quilts.length === pictures.length) return quiltOf(quilts[0]![1]);
+  const views = pictures.filter(([path]) => !QUILT.test(path));
+  if (views.length >= 2) return { kind: "views", views: gridOf(views), title: folderOf(views[0]![0]) ?? "Light field" };
+  if (quilts.length > 0) return quiltOf(quilts[0]![1]);
+  throw new Problem(refusal(files), WANTED, false);
+}
+
+const WANTED =
+  "Drop a preview folder, a run folder that has one, a quilt whose name ends in _qsCOLUMNSxROWSaASPECT.png, or a folder with the views of a light field as PNG or JPEG.";
+
+function refusal(files: ReadonlyMap<string, File>): string {
+  const paths = [...files.keys()];
+  if (paths.some((path) => /(^|\/)layers\/stack\.json$/.test(path))) return "This run folder holds no preview: write one with “lumistack preview” on it.";
+  if (paths.some((path) => /\.exr$/i.test(path))) return "These views are OpenEXR, which browsers do not read: the plugin “images” writes them as PNG.";
+  if (paths.length === 1 && PICTURE.test(paths[0]!)) return `${paths[0]} is a single picture and its name does not say how many views it has.`;
+  return `None of the ${paths.length} files is a preview.json or a picture.`;
+}
+
+function quiltOf(file: File): Dropped {
+  const found = QUILT.exec(file.name)!;
+  const [cols, rows] = [Number(found[1]), Number(found[2])];
+  if (!(cols >= 1 && rows >= 1 && cols * rows >= 2)) throw new Problem(`${file.name} names ${cols} × ${rows} views; expected at least two.`, WANTED, false);
+  const aspect = Number(found[3]);
+  return { kind: "quilt", file, cols, rows, aspect: aspect > 0 ? aspect : undefined, title: file.name.replace(QUILT, "") };
+}
+
+/** Views in rows from the top, columns from the left, as their names say. */
+export function gridOf(pictures: readonly (readonly [string, File])[]): File[][] {
+  const named = pictures.map(([path, file]) => ({ file, name: path.replace(/^.*\//, "") })).sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
+  for (const pattern of ROW_COL) {
+    const found = named.map(({ name }) => pattern.exec(name));
+    if (!found.every((match) => match)) continue;
+    const places = found.map((match) => [Number(match![1]), Number(match![2])] as const);
+    const rows = [...new Set(places.map(([row]) => row))].sort((a, b) => a - b);
+    const cols = [...new Set(places.map(([, col]) => col))].sort((a, b) => a - b);
+    if (rows.length * cols.length !== named.length) continue;
+    const grid: File[][] = rows.map(() => []);
+    places.forEach(([row, col], i) => (grid[rows.indexOf(row)]![cols.indexOf(col)] = named[i]!.file));
+    return grid;
+  }
+  const running = named.every(({ name }) => RUNNING.test(name));
+  const side = Math.round(Math.sqrt(named.length));
+  if (running && side * side === named.length) return Array.from({ length: side }, (_, row) => named.slice(row * side, (row + 1) * side).map(({ file }) => file));
+  return [named.map(({ file }) => file)];
+}
+
+function folderOf(path: string): string | undefined {
+  return path.split("/").slice(-2, -1)[0];
+}

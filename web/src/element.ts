@@ -1,0 +1,605 @@
+// <lumistack-viewer src="stack/preview.json">: loads a preview and shows it.
+//
+// Attributes: src; renderer="cpu" leaves WebGL2 alone; wasm names the module's file where it does not lie beside the script;
+// theme="dark" or "light" instead of what the system says; url-state keeps the state in the page's address; keyboard="page"
+// listens to keys anywhere on the page, not only on the focused picture; hold keeps the view from swinging.
+import { copyLink, savePicture, TurnRecorder } from "./actions.js";
+import { Address } from "./address.js";
+import { toPng, videoFormat } from "./capture.js";
+import { listenToChooser, listenToDrops } from "./chooser.js";
+import { FieldContent, readyFrame, StackContent, type Content } from "./content.js";
+import { recognize, type Dropped } from "./drop.js";
+import { Face } from "./face.js";
+import { handleKey, listenToDivider, listenToPad, listenToPointer, type InputTarget } from "./input.js";
+import { layOut } from "./layout.js";
+import { loadForeign } from "./lightfield.js";
+import { Ticker } from "./loop.js";
+import { Motion, Tilt } from "./motion.js";
+import { Problem, problemOf, REWRITE } from "./problem.js";
+import { lastMask, Sheet } from "./sheet.js";
+import { startModule, zoneSlope, type FileInfo, type Info } from "./simulator.js";
+import { Sliders } from "./sliders.js";
+import { FilesSource, sourceOf, type Source } from "./source.js";
+import { Stage, type Path } from "./stage.js";
+import { DEFAULTS, fromHash, type Comparison, type Mode, type Slope, type State } from "./state.js";
+import { stream } from "./stream.js";
+import { TEMPLATE } from "./template.js";
+import { restoreTheme, toggleTheme } from "./theme.js";
+import { ZoneMap } from "./zone.js";
+import sheetCss from "./sheet/viewer.css";
+
+export interface LumistackErrorDetail {
+  message: string;
+  /** What one can do about it. */
+  advice: string;
+  /** Nothing can be shown. */
+  fatal: boolean;
+}
+
+/** Width below which the sheet stacks everything, CSS pixels. */
+const NARROW_PX = 860;
+/** Milliseconds between two descriptions of where one stands, and of rest before PSNR is computed. */
+const WORDS_MS = 90;
+const PSNR_MS = 60;
+const FURTHEST_PITCH = 1.45;
+
+export class LumistackViewer extends HTMLElement {
+  static readonly observedAttributes = ["src", "renderer"];
+
+  private readonly root = this.attachShadow({ mode: "open" });
+  private readonly face: Face;
+  private readonly stageBox: HTMLElement;
+  private readonly picture: HTMLElement;
+  private readonly stage: Stage;
+  private readonly motion = new Motion();
+  private readonly ticker: Ticker;
+  private readonly tilt = new Tilt();
+  private readonly map: ZoneMap;
+  private readonly sliders: Sliders;
+  private readonly sheet: Sheet;
+  private readonly turn: TurnRecorder;
+  private readonly address = new Address();
+  private readonly target: InputTarget;
+
+  private state: State = { ...DEFAULTS };
+  private content: Content | undefined;
+  private loading: AbortController | undefined;
+  private decoding: AbortController | undefined;
+  private firstPicture = deferred();
+  private everything = deferred();
+
+  private frameClockS = 0;
+  private wordsTimer: ReturnType<typeof setTimeout> | undefined;
+  private psnrTimer: ReturnType<typeof setTimeout> | undefined;
+  private psnrKey = "";
+  private life: AbortController | undefined;
+
+  constructor() {
+    super();
+    const style = document.createElement("style");
+    style.textContent = sheetCss;
+    const template = document.createElement("template");
+    template.innerHTML = TEMPLATE;
+    this.root.append(style, template.content.cloneNode(true));
+    this.face = new Face(this.root);
+    this.stageBox = this.face.at("stage");
+    this.picture = this.face.at("picture");
+    this.stage = new Stage(this.picture, {
+      path: (path, why, lasting) => this.pathChanged(path, why, lasting),
+      stale: () => this.ticker.redraw(),
+    });
+    this.ticker = new Ticker(this.motion, {
+      can: () => this.isConnected && (this.content?.frames.length ?? 0) > 0,
+      play: (dtS) => this.playFrames(dtS),
+      draw: () => this.draw(),
+    });
+    this.map = new ZoneMap(
+      this.face.at("pad"),
+      (slope) => this.look(slope),
+      (down) => (down ? this.motion.hold() : this.motion.release(false)),
+    );
+    this.sliders = new Sliders(
+      this.root,
+      () => this.state,
+      () => this.stateChanged(),
+    );
+    this.sheet = new Sheet(this.face.at("sheet"), (layer, frame) => this.set({ layer, frame }));
+    this.turn = new TurnRecorder(this.face, this.stage, this.motion);
+    this.target = this.inputTarget();
+    this.listen();
+  }
+
+  // --- the public side
+
+  /** Resolves with the first picture, rejects when there will be none. */
+  get ready(): Promise<void> {
+    return this.firstPicture.promise;
+  }
+
+  /** Resolves when every file has arrived or failed and there is a picture. */
+  get complete(): Promise<void> {
+    return this.everything.promise;
+  }
+
+  get src(): string {
+    return this.getAttribute("src") ?? "";
+  }
+  set src(value: string) {
+    this.setAttribute("src", value);
+  }
+
+  get mode(): Mode {
+    return this.state.mode;
+  }
+  set mode(mode: Mode) {
+    this.set({ mode });
+  }
+
+  /** How the mode "compare" compares. */
+  get comparison(): Comparison {
+    return this.state.comparison;
+  }
+  set comparison(comparison: Comparison) {
+    this.set({ comparison });
+  }
+
+  /** Where one looks from. Setting it ends swing and inertia. */
+  get slope(): Slope {
+    return this.motion.slope;
+  }
+  set slope(slope: Slope) {
+    this.motion.standAt(slope);
+    this.set({ swing: false });
+    this.ticker.now();
+  }
+
+  /** Who draws: "webgl2" or "cpu". */
+  get path(): Path {
+    return this.stage.path;
+  }
+
+  /** RGBA bytes of the picture on show; of views at the light field's own size where `native`. */
+  pixels(native = false): ImageData {
+    this.draw();
+    return this.stage.pixels(native);
+  }
+
+  /** The picture on show as PNG. */
+  screenshot(): Promise<Blob> {
+    this.draw();
+    return toPng(this.stage.snapshot());
+  }
+
+  /** Shows what is among the files (path → file): a preview, a quilt, the views of a light field. */
+  async open(files: ReadonlyMap<string, File>): Promise<void> {
+    try {
+      const dropped = recognize(files);
+      if (dropped.kind === "preview") await this.load(new FilesSource(dropped.files, dropped.json));
+      else await this.loadField(dropped);
+    } catch (error) {
+      this.report(problemOf(error, "Open something else, or load this page again."));
+    }
+  }
+
+  // --- life
+
+  connectedCallback(): void {
+    this.life = new AbortController();
+    const { signal } = this.life;
+    const reduced = matchMedia("(prefers-reduced-motion: reduce)");
+    const calm = (): void => {
+      this.motion.calm = reduced.matches;
+      if (reduced.matches) this.set({ swing: false });
+    };
+    reduced.addEventListener("change", calm, { signal });
+    const resizer = new ResizeObserver(() => this.layOut());
+    resizer.observe(this.stageBox);
+    signal.addEventListener("abort", () => resizer.disconnect());
+    const keys: EventTarget = this.getAttribute("keyboard") === "page" ? document : this.stageBox;
+    keys.addEventListener("keydown", (event) => this.key(event as KeyboardEvent), { signal });
+    this.face.at("tilt").hidden = !Tilt.possible;
+    this.face.at("record").hidden = videoFormat() === undefined;
+    this.face.at("full").hidden = !document.fullscreenEnabled;
+    restoreTheme(this);
+    if (this.hasAttribute("hold")) this.state.swing = false;
+    calm();
+    if (this.keepsAddress) {
+      addEventListener("hashchange", () => this.readAddress(), { signal });
+      this.readAddress();
+    }
+    this.stateChanged();
+    if (this.src) void this.load(sourceOf(this.src));
+    else this.face.card("Open a preview", "Drop a preview folder, a quilt or a folder of views here.", "Nothing leaves this computer.");
+  }
+
+  disconnectedCallback(): void {
+    this.life?.abort();
+    this.loading?.abort();
+    this.decoding?.abort();
+    this.tilt.stop();
+    this.ticker.stop();
+    this.address.stop();
+    clearTimeout(this.wordsTimer);
+    clearTimeout(this.psnrTimer);
+    this.dropContent();
+  }
+
+  attributeChangedCallback(name: string, before: string | null, now: string | null): void {
+    if (!this.isConnected || before === now || !this.life) return;
+    if (name === "src" && now) void this.load(sourceOf(now));
+    if (name === "renderer" && this.content instanceof StackContent) this.stage.use(this.content.viewer, this.content.info, this.wantsCpu());
+  }
+
+  // --- loading
+
+  private async load(source: Source): Promise<void> {
+    const loading = this.begin();
+    this.dropContent();
+    this.progress(0);
+    try {
+      const [json] = await Promise.all([source.json(), startModule(this.getAttribute("wasm"))]);
+      if (loading.signal.aborted) return;
+      const content = new StackContent(json, this.stage);
+      const { info, viewer } = content;
+      this.show(content);
+      this.sheet.setUp(viewer, info);
+      this.sliders.setUp(info);
+      this.stage.use(viewer, info, this.wantsCpu());
+      this.stateChanged();
+      const failed: Problem[] = [];
+      const sink = {
+        progress: (share: number) => this.progress(share),
+        part: (file: FileInfo) => this.arrived(content, file),
+        problem: (problem: Problem) => void failed.push(problem),
+      };
+      await stream(source, viewer, info.files, sink, loading.signal);
+      if (!loading.signal.aborted) this.finish(content, failed);
+    } catch (error) {
+      if (!loading.signal.aborted) this.report(problemOf(error, REWRITE));
+    }
+  }
+
+  /** What is on show stays until the pictures of the other are decoded. */
+  private async loadField(dropped: Extract<Dropped, { kind: "quilt" | "views" }>): Promise<void> {
+    this.decoding?.abort();
+    const decoding = new AbortController();
+    this.decoding = decoding;
+    await startModule(this.getAttribute("wasm"));
+    const foreign = await loadForeign(dropped, (share) => this.progress(share), decoding.signal);
+    if (decoding.signal.aborted) return foreign.field.free();
+    this.begin();
+    this.dropContent();
+    this.state.mode = "perceived";
+    this.show(new FieldContent(foreign, this.stage));
+    this.stage.useLightField(foreign.field, foreign.info, this.wantsCpu());
+    this.progress(1);
+    this.stateChanged();
+    this.firstPicture.resolve();
+    this.everything.resolve();
+  }
+
+  private begin(): AbortController {
+    this.loading?.abort();
+    this.loading = new AbortController();
+    this.firstPicture = deferred();
+    this.everything = deferred();
+    return this.loading;
+  }
+
+  private dropContent(): void {
+    this.face.fresh();
+    this.stage.release();
+    this.sheet.clear();
+    this.content?.free();
+    this.content = undefined;
+  }
+
+  private show(content: Content): void {
+    this.content = content;
+    const { info } = content;
+    this.face.setUp(info);
+    this.motion.setZone(zoneSlope(info));
+    this.map.show(info);
+    if (this.keepsAddress) document.title = `${info.title || "Preview"} – Lumistack`;
+    this.fit(info);
+    this.psnrKey = "";
+  }
+
+  /** Keeps the state within what a display has. */
+  private fit(info: Info): void {
+    const { state } = this;
+    state.frame = Math.min(state.frame, info.frames - 1);
+    state.layer = Math.min(state.layer, lastMask(info));
+    const targets = info.files.some(({ kind }) => kind === "target");
+    for (const [mode, possible] of [
+      ["compare", targets],
+      ["slow", info.frames > 1],
+    ] as const) {
+      this.face.allow(mode, possible);
+      if (!possible && state.mode === mode) state.mode = "perceived";
+    }
+  }
+
+  private arrived(content: StackContent, file: FileInfo): void {
+    if (content.arrived(file)) {
+      this.stateChanged();
+      this.ticker.now();
+      this.firstPicture.resolve();
+      this.dispatchEvent(new CustomEvent("lumistack-ready"));
+    }
+    this.ticker.redraw();
+  }
+
+  private finish(content: StackContent, failed: readonly Problem[]): void {
+    const { info } = content;
+    const ready = content.frames.length;
+    this.progress(1);
+    this.stateChanged();
+    const first = failed[0];
+    if (first) {
+      const rest = failed.length > 1 ? ` (and ${failed.length - 1} more)` : "";
+      const mean = ready > 0 && ready < info.frames ? ` ${ready} of ${info.frames} frames are whole; the picture is their mean.` : "";
+      this.report(new Problem(`${first.message}${rest}${mean}`, first.advice, ready === 0));
+    }
+    if (ready > 0) this.everything.resolve();
+  }
+
+  private progress(share: number): void {
+    const { content } = this;
+    let text = "Loading…";
+    if (content instanceof StackContent) {
+      const { frames } = content.info;
+      text = content.frames.length < frames ? `Frame ${content.frames.length + 1} of ${frames}` : `${content.targetsReady} views of the target`;
+    }
+    this.face.progress(share, text);
+  }
+
+  private report(problem: Problem): void {
+    const { message, advice, fatal } = problem;
+    this.face.progress(1, "");
+    if (fatal || !this.content) {
+      this.face.refuse(problem);
+      this.firstPicture.reject(problem);
+      this.everything.reject(problem);
+    } else this.face.notice(`${message} ${advice}`, "warn");
+    const detail: LumistackErrorDetail = { message, advice, fatal };
+    this.dispatchEvent(new CustomEvent("lumistack-error", { detail, bubbles: true, composed: true }));
+  }
+
+  private pathChanged(path: Path, why: string | undefined, lasting: boolean): void {
+    this.face.path(path);
+    if (why) this.face.notice(why, lasting ? "passing" : "warn");
+    else this.face.silence();
+  }
+
+  // --- state
+
+  private get keepsAddress(): boolean {
+    return this.hasAttribute("url-state");
+  }
+
+  private wantsCpu(): boolean {
+    const asked = this.keepsAddress && new URLSearchParams(location.search).get("renderer") === "cpu";
+    return asked || this.getAttribute("renderer") === "cpu";
+  }
+
+  private readAddress(): void {
+    if (location.hash.length < 2) return;
+    const { state, slope } = fromHash(location.hash);
+    if (this.motion.calm || slope) state.swing = false;
+    this.state = state;
+    if (slope) this.motion.standAt(slope);
+    if (this.content) this.fit(this.content.info);
+    this.sliders.show();
+    this.stateChanged();
+  }
+
+  private set(change: Partial<State>): void {
+    Object.assign(this.state, change);
+    this.stateChanged();
+  }
+
+  /** Brings everything into line with the state and asks for a picture. */
+  private stateChanged(): void {
+    const { state, content } = this;
+    const info = content?.info;
+    this.motion.swing = state.swing && state.mode !== "layers";
+    this.face.showState(state, info);
+    if (content) {
+      content.apply(state);
+      if (state.mode === "layers" && content.frames.length > 0) this.sheet.show(state.layer, readyFrame(content.frames, state.frame), content.frames);
+    }
+    this.psnrKey = "";
+    this.layOut();
+    if (this.keepsAddress && content instanceof StackContent) this.writeAddress();
+  }
+
+  private writeAddress(): void {
+    if (!this.keepsAddress || !(this.content instanceof StackContent)) return;
+    this.address.write(
+      () => this.state,
+      () => this.slope,
+    );
+  }
+
+  // --- drawing
+
+  private layOut(): void {
+    const { content, state } = this;
+    if (!content || this.stageBox.clientWidth === 0) return;
+    const room: [number, number] = [this.stageBox.clientWidth, this.stageBox.clientHeight];
+    const { box, one, tall, aspect } = layOut(content.info, state, room, this.clientWidth <= NARROW_PX);
+    // A narrow page gives the picture no more height than it fills.
+    this.stageBox.style.setProperty("--aspect", String(aspect));
+    this.picture.classList.toggle("tall", tall);
+    [this.picture.style.width, this.picture.style.height] = [`${box[0]}px`, `${box[1]}px`];
+    this.stage.resize(...one);
+    this.ticker.redraw();
+  }
+
+  private draw(): void {
+    const { content, state } = this;
+    if (!content || content.frames.length === 0) return;
+    try {
+      content.draw(state, this.motion.slope);
+    } catch (error) {
+      return this.report(new Problem(problemOf(error, "").message, "Load this page again; if that does not help, add ?renderer=cpu to its address."));
+    }
+    this.turn.frame();
+    this.map.mark(this.motion.slope);
+    this.writeAddress();
+    this.wordsTimer ??= setTimeout(() => {
+      this.wordsTimer = undefined;
+      this.describe();
+    }, WORDS_MS);
+  }
+
+  private describe(): void {
+    const { content, state, motion } = this;
+    if (!content) return;
+    this.face.describe(content.info, state, motion.slope, !motion.active);
+    if (state.mode !== "compare" || !(content instanceof StackContent)) return;
+    const key = `${content.nearest(motion.slope).join()},${content.targetsReady}`;
+    if (key === this.psnrKey) return;
+    this.psnrKey = key;
+    clearTimeout(this.psnrTimer);
+    this.psnrTimer = setTimeout(() => {
+      if (content === this.content) this.face.at("psnr").textContent = content.psnr(motion.slope);
+    }, PSNR_MS);
+  }
+
+  private playFrames(dtS: number): { on: boolean; changed: boolean } {
+    const { state } = this;
+    const on = state.mode === "slow" && state.playing && (this.content?.frames.length ?? 0) > 1;
+    this.frameClockS = on ? this.frameClockS + dtS : 0;
+    const changed = this.frameClockS * state.rate >= 1;
+    if (changed) {
+      this.frameClockS = 0;
+      this.stepFrame(1);
+    }
+    return { on, changed };
+  }
+
+  private stepFrame(by: number): void {
+    const { content, state } = this;
+    if (!content || content.frames.length === 0) return;
+    const { frames } = content;
+    const at = frames.indexOf(readyFrame(frames, state.frame)) + by;
+    state.frame = frames[(at + frames.length) % frames.length]!;
+    this.face.showFrame(state, content.info);
+    content.apply(state);
+  }
+
+  // --- input
+
+  private look(slope: Slope): void {
+    this.motion.lookTo(slope);
+    this.ticker.wake();
+  }
+
+  private inputTarget(): InputTarget {
+    return {
+      mode: () => this.state.mode,
+      zone: () => (this.content ? zoneSlope(this.content.info) : [1, 1]),
+      setMode: (mode) => {
+        if (this.content instanceof StackContent && !this.face.radio("mode", mode).disabled) this.mode = mode;
+      },
+      turn: (yaw, pitch) => {
+        const turned = this.state.yaw + yaw;
+        this.state.yaw = Math.atan2(Math.sin(turned), Math.cos(turned));
+        this.state.pitch = Math.min(Math.max(this.state.pitch + pitch, -FURTHEST_PITCH), FURTHEST_PITCH);
+        this.ticker.redraw();
+      },
+      pause: () => {
+        this.motion.input();
+        this.set(this.state.mode === "slow" ? { playing: !this.state.playing } : { swing: !this.state.swing });
+      },
+      stepFrame: (by) => {
+        this.stepFrame(by);
+        this.set({ playing: false });
+      },
+      stepLayer: (by) => {
+        if (this.content) this.set({ layer: Math.min(Math.max(this.state.layer + by, 0), lastMask(this.content.info)) });
+      },
+      moved: () => {
+        this.motion.touched();
+        this.ticker.wake();
+      },
+    };
+  }
+
+  private listen(): void {
+    const { target, face } = this;
+    listenToPointer(this.stageBox, this.motion, target);
+    listenToPad(face.at("pad"), this.motion, target);
+    listenToDivider(
+      face.at("divider"),
+      this.picture,
+      (share) => this.set({ split: Math.min(Math.max(share, 0), 1) }),
+      () => this.state.split,
+    );
+    this.root.addEventListener("change", (event) => {
+      const input = event.target as HTMLInputElement;
+      if (input.name === "mode") this.mode = input.value as Mode;
+      if (input.name === "comparison") this.comparison = input.value as Comparison;
+    });
+    const onInput = (id: string, change: (value: number) => Partial<State>): void =>
+      face.at(id).addEventListener("input", (event) => this.set(change(Number((event.target as HTMLInputElement).value))));
+    onInput("rate", (value) => ({ rate: 2 ** value }));
+    onInput("spread", (spread) => ({ spread }));
+    onInput("exploded-frame", (frame) => ({ frame }));
+    const shown = (): { title: string; mode: string } => ({ title: this.content?.info.title ?? "", mode: this.state.mode });
+    const onClick = (id: string, action: () => unknown): void => face.at(id).addEventListener("click", () => void action());
+    onClick("step-back", () => target.stepFrame(-1));
+    onClick("step-on", () => target.stepFrame(1));
+    onClick("play", () => this.set({ playing: !this.state.playing }));
+    onClick("front", () => this.set({ yaw: 0, pitch: 0 }));
+    onClick("centre", () => this.look([0, 0]));
+    onClick("swing", () => {
+      this.motion.input();
+      this.set({ swing: !this.state.swing });
+      if (this.state.swing) this.motion.swingNow();
+    });
+    onClick("tilt", () => this.toggleTilt());
+    onClick("theme", () => toggleTheme(this));
+    onClick("full", () => (document.fullscreenElement ? document.exitFullscreen() : this.requestFullscreen()));
+    onClick("shot", () => this.content && savePicture(this.stage, shown(), this.motion));
+    onClick("record", () => this.content && this.turn.save(shown(), () => this.ticker.redraw()));
+    onClick("link", () => copyLink(`${location.href.replace(/#.*$/, "")}${Address.hash(this.state, this.slope, true)}`, face));
+    const open = (files: ReadonlyMap<string, File>): Promise<void> => this.open(files);
+    listenToChooser((id) => face.at(id), open);
+    listenToDrops(this, face.at("drop"), open, (problem) => this.report(problem));
+  }
+
+  private key(event: KeyboardEvent): void {
+    const from = event.composedPath()[0];
+    if (!(from instanceof HTMLElement) || event.defaultPrevented || !this.content || (this.face.at("chooser") as HTMLDialogElement).open) return;
+    // Sliders, fields and buttons keep the keys that they understand.
+    const own = { INPUT: /^(Arrow|Home|End|Page| )/, BUTTON: /^( |Enter)/, TEXTAREA: /./, SELECT: /./ }[from.tagName];
+    if (own?.test(event.key) || from.isContentEditable) return;
+    if (handleKey(event, this.motion, this.target)) event.preventDefault();
+  }
+
+  private async toggleTilt(): Promise<void> {
+    if (this.tilt.on) this.tilt.stop();
+    else if (!(await this.tilt.start((slope) => this.look(slope)))) {
+      this.face.notice("No tilt arrives from this device: allow motion sensors for this page in the browser’s settings and try again.", "passing");
+    }
+    this.face.at("tilt").setAttribute("aria-pressed", String(this.tilt.on));
+  }
+}
+
+interface Deferred {
+  promise: Promise<void>;
+  resolve: () => void;
+  reject: (error: Error) => void;
+}
+
+function deferred(): Deferred {
+  let resolve!: () => void;
+  let reject!: (error: Error) => void;
+  const promise = new Promise<void>((yes, no) => ([resolve, reject] = [yes, no]));
+  // Whoever does not ask is told by the page itself.
+  promise.catch(() => undefined);
+  return { promise, resolve, reject };
+}

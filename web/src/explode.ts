@@ -1,0 +1,101 @@
+// The layers pulled apart, without WebGL: in a parallel projection every layer is an affine picture.
+import type { Info, Viewer } from "./simulator.js";
+import type { Slope } from "./state.js";
+
+export interface Exploded {
+  slope: Slope;
+  yaw: number;
+  pitch: number;
+  spread: number;
+  frame: number;
+}
+
+/** Share of the canvas that the turned stack fills. */
+const FILL = 0.86;
+/** Rays across the field. */
+const RAYS = 5;
+
+export function explode(on: HTMLCanvasElement, viewer: Viewer, info: Info, { slope, yaw, pitch, spread, frame }: Exploded): void {
+  const context = on.getContext("2d")!;
+  const { width_mm, height_mm } = info.field;
+  const count = info.layers.length;
+  const apart = (spread * width_mm * 1.1) / Math.max(count, 2);
+  // Backlight at 0, layers at 1, 2, …: places along the normal, the middle one at the origin.
+  const place = (i: number): number => (i - count / 2) * apart;
+  const [cosY, sinY, cosP, sinP] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
+  const project = (x: number, y: number, z: number): [number, number] => {
+    const right = x * cosY + z * sinY;
+    const back = z * cosY - x * sinY;
+    return [right, y * cosP - back * sinP];
+  };
+  const halfX = (width_mm / 2) * Math.abs(cosY) + Math.abs(place(count) * sinY);
+  const halfY = (height_mm / 2) * cosP + (Math.abs(place(count) * cosY) + (width_mm / 2) * Math.abs(sinY)) * Math.abs(sinP);
+  const scale = FILL * Math.min(on.width / 2 / halfX, on.height / 2 / halfY);
+  const toCanvas = (x: number, y: number, z: number): [number, number] => {
+    const [u, v] = project(x, y, z);
+    return [on.width / 2 + u * scale, on.height / 2 - v * scale];
+  };
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  context.clearRect(0, 0, on.width, on.height);
+  const far = Math.cos(yaw) >= 0 ? 0 : count;
+  for (let n = 0; n <= count; n++) {
+    const i = far === 0 ? n : count - n;
+    const layer = info.layers[i - 1];
+    const wide = layer ? layer.cols * layer.pitch_mm : width_mm;
+    const high = layer ? layer.rows * layer.pitch_mm : height_mm;
+    const corner = toCanvas(-wide / 2, high / 2, place(i));
+    const right = toCanvas(wide / 2, high / 2, place(i));
+    const down = toCanvas(-wide / 2, -high / 2, place(i));
+    const picture = layer ? maskOf(viewer, i - 1, layer.cols, layer.rows, frame) : undefined;
+    const cols = picture?.width ?? 1;
+    const rows = picture?.height ?? 1;
+    context.setTransform((right[0] - corner[0]) / cols, (right[1] - corner[1]) / cols, (down[0] - corner[0]) / rows, (down[1] - corner[1]) / rows, ...corner);
+    context.globalAlpha = layer ? 0.82 : 1;
+    if (picture) context.drawImage(picture, 0, 0);
+    else {
+      context.fillStyle = "#fbf6ea";
+      context.fillRect(0, 0, 1, 1);
+    }
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    outline(context, [corner, right, [right[0] + down[0] - corner[0], right[1] + down[1] - corner[1]], down]);
+  }
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  const thin = Math.max(on.width / 600, 1.2);
+  const gap = count > 1 ? (info.layers[count - 1]!.d_mm - info.layers[0]!.d_mm) / (count - 1) : 1;
+  for (let r = 0; r < RAYS; r++) {
+    const x = ((r + 0.5) / RAYS - 0.5) * width_mm;
+    context.beginPath();
+    for (const i of [0, count + 0.7]) {
+      const drift = (i - (count + 1) / 2) * gap;
+      const point = toCanvas(x + slope[0] * drift, slope[1] * drift, place(i));
+      context.lineTo(point[0], point[1]);
+    }
+    // Dark below bright, so that a ray shows on any pattern and in either theme.
+    for (const [colour, width] of [
+      ["rgb(0 0 0 / 0.6)", 2.6 * thin],
+      ["#f2ad3f", thin],
+    ] as const) {
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      context.stroke();
+    }
+  }
+}
+
+function outline(context: CanvasRenderingContext2D, corners: readonly (readonly [number, number])[]): void {
+  context.globalAlpha = 1;
+  context.beginPath();
+  for (const [x, y] of corners) context.lineTo(x, y);
+  context.closePath();
+  context.strokeStyle = "rgb(128 132 142 / 0.8)";
+  context.lineWidth = 1;
+  context.stroke();
+}
+
+function maskOf(viewer: Viewer, layer: number, cols: number, rows: number, frame: number): HTMLCanvasElement {
+  const picture = document.createElement("canvas");
+  picture.width = cols;
+  picture.height = rows;
+  picture.getContext("2d")!.putImageData(new ImageData(new Uint8ClampedArray(viewer.render_layer(layer, frame)), cols, rows), 0, 0);
+  return picture;
+}

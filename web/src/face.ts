@@ -1,0 +1,166 @@
+// What stands around the picture: controls in line with the state, progress, messages, and in words where one stands.
+import type { Problem } from "./problem.js";
+import { layerName } from "./sheet.js";
+import { version, zoneSlope, type Info } from "./simulator.js";
+import { paintTrack } from "./sliders.js";
+import type { Path } from "./stage.js";
+import type { Slope, State } from "./state.js";
+import { ICONS } from "./template.js";
+import { inWords, isInside } from "./zone.js";
+
+/** Milliseconds after which a message that asks for nothing goes away. */
+const PASSING_MS = 8000;
+
+export class Face {
+  private readonly frame: HTMLElement;
+  private passing: ReturnType<typeof setTimeout> | undefined;
+
+  constructor(private readonly root: ShadowRoot) {
+    this.frame = root.querySelector(".frame")!;
+    (this.at("notice").lastElementChild as HTMLElement).addEventListener("click", () => this.silence());
+  }
+
+  at(id: string): HTMLElement {
+    return this.root.getElementById(id)!;
+  }
+
+  /** Names and limits of a display that has just been loaded. */
+  setUp(info: Info): void {
+    this.at("title").textContent = info.title || "Untitled";
+    this.at("facts").textContent = facts(info);
+    // A light field of somebody else's has no layers, and so no modes and nothing that could be built badly.
+    this.frame.classList.toggle("foreign", info.layers.length === 0);
+    (this.at("exploded-frame") as HTMLInputElement).max = String(info.frames - 1);
+    this.at("exploded-frame-label").hidden = info.frames < 2;
+    if (info.heat) {
+      (this.root.querySelector("#legend i") as HTMLElement).style.background = `linear-gradient(90deg, ${info.heat.stops.join(", ")})`;
+      this.at("legend-most").textContent = `${Math.round(info.heat.max * 100)} % of white`;
+    }
+  }
+
+  /** Makes a mode available or not. */
+  allow(mode: string, possible: boolean): void {
+    this.radio("mode", mode).disabled = !possible;
+  }
+
+  radio(name: "mode" | "comparison", value: string): HTMLInputElement {
+    return this.root.querySelector(`input[name="${name}"][value="${value}"]`)!;
+  }
+
+  /** Brings the controls into line with the state. */
+  showState(state: State, info: Info | undefined): void {
+    this.frame.dataset["mode"] = state.mode;
+    this.frame.dataset["comparison"] = state.comparison;
+    this.radio("mode", state.mode).checked = true;
+    this.radio("comparison", state.comparison).checked = true;
+    this.at("swing").setAttribute("aria-pressed", String(state.swing));
+    const comparing = state.mode === "compare";
+    const slider = comparing && state.comparison === "slider";
+    const side = comparing && state.comparison === "side";
+    for (const id of ["tag-left", "tag-right"]) this.at(id).hidden = !(slider || side);
+    const divider = this.at("divider");
+    divider.hidden = !slider;
+    divider.style.left = `${state.split * 100}%`;
+    divider.setAttribute("aria-valuenow", String(Math.round(state.split * 100)));
+    this.at("legend").hidden = !(comparing && state.comparison === "error" && info?.heat);
+    const picture = this.at("picture");
+    picture.classList.toggle("both", side);
+    picture.classList.toggle("bare", state.mode === "exploded");
+    picture.classList.toggle("grain", state.mode === "layers");
+    const play = this.at("play");
+    play.innerHTML = state.playing ? ICONS.pause : ICONS.play;
+    play.setAttribute("aria-label", state.playing ? "Pause" : "Play");
+    const digits = state.rate < 1 ? 2 : state.rate < 10 ? 1 : 0;
+    this.slider("rate", Math.log2(state.rate), `${state.rate.toFixed(digits)} per s`);
+    this.slider("spread", state.spread, undefined);
+    this.slider("exploded-frame", state.frame, info ? `${state.frame + 1} of ${info.frames}` : "");
+    this.showFrame(state, info);
+  }
+
+  showFrame(state: State, info: Info | undefined): void {
+    if (info) this.at("frame-count").textContent = `Frame ${state.frame + 1} of ${info.frames}`;
+  }
+
+  /** Says where one stands; `resting` also to screen readers. */
+  describe(info: Info, state: State, slope: Slope, resting: boolean): void {
+    const inside = isInside(slope, zoneSlope(info));
+    const place = this.at("place");
+    const words = inWords(slope);
+    const bold = document.createElement("b");
+    bold.textContent = words[0]!.toUpperCase() + words.slice(1);
+    const foreign = info.layers.length === 0;
+    const zone = inside ? (foreign ? "Among the views." : "Inside the zone that was optimised.") : foreign ? "Beyond the outermost view." : "Outside the zone that was optimised.";
+    place.replaceChildren(bold, zone);
+    place.classList.toggle("outside", !inside);
+    const shown = state.mode === "layers" ? `${layerName(state.layer, info.layers.length)}, frame ${state.frame + 1}` : `${info.title}, seen from ${words}`;
+    this.at("picture").setAttribute("aria-label", shown);
+    const live = this.at("live");
+    const said = `${words}${inside ? "" : ", outside the zone"}`;
+    if (resting && live.textContent !== said) live.textContent = said;
+  }
+
+  progress(share: number, text: string): void {
+    const bar = this.at("progress");
+    bar.hidden = share >= 1;
+    bar.setAttribute("aria-valuenow", String(Math.round(share * 100)));
+    (bar.firstElementChild as HTMLElement).style.width = `${(share * 100).toFixed(1)}%`;
+    bar.lastElementChild!.textContent = text;
+  }
+
+  /** A card in place of the picture. */
+  card(title: string, what: string, advice: string): void {
+    const card = this.at("card");
+    card.querySelector("h2")!.textContent = title;
+    card.querySelector(".what")!.textContent = what;
+    card.querySelector(".advice")!.textContent = advice;
+    card.hidden = false;
+  }
+
+  refuse({ message, advice }: Problem): void {
+    this.at("picture").hidden = true;
+    this.card("This preview cannot be shown", message, advice);
+  }
+
+  /** A line over the picture; one that passes goes away by itself. */
+  notice(text: string, kind: "warn" | "passing" | "plain"): void {
+    clearTimeout(this.passing);
+    const notice = this.at("notice");
+    notice.firstElementChild!.textContent = text;
+    notice.classList.toggle("warn", kind === "warn");
+    notice.hidden = false;
+    if (kind === "passing") this.passing = setTimeout(() => this.silence(), PASSING_MS);
+  }
+
+  silence(): void {
+    clearTimeout(this.passing);
+    this.at("notice").hidden = true;
+  }
+
+  /** A load begins: nothing is wrong yet. */
+  fresh(): void {
+    this.silence();
+    this.at("card").hidden = true;
+    this.at("picture").hidden = false;
+  }
+
+  path(path: Path): void {
+    this.frame.dataset["path"] = path;
+    this.at("footer").textContent = `Lumistack ${version()}${path === "cpu" ? " · drawn by the processor" : ""}`;
+  }
+
+  private slider(id: string, value: number, words: string | undefined): void {
+    const input = this.at(id) as HTMLInputElement;
+    input.value = String(value);
+    paintTrack(input);
+    if (words === undefined) return;
+    this.at(`${id}-value`).textContent = words;
+    input.setAttribute("aria-valuetext", words);
+  }
+}
+
+function facts(info: Info): string {
+  const size = `${info.field.cols} × ${info.field.rows}`;
+  if (info.layers.length === 0) return `${info.views.cols} × ${info.views.rows} views of ${size}`;
+  const plural = (n: number, word: string): string => `${n} ${word}${n === 1 ? "" : "s"}`;
+  return [plural(info.layers.length, "layer"), plural(info.frames, "frame"), size, info.directional ? "directional backlight" : "uniform backlight"].join(" · ");
+}

@@ -1,0 +1,44 @@
+// How large the picture is: the field's shape, or the mask's, as large as there is room.
+import type { Info } from "./simulator.js";
+import { sizeOf } from "./sheet.js";
+import type { State } from "./state.js";
+
+export interface Layout {
+  /** The box of one or two pictures, and one picture in it, CSS pixels. */
+  box: [number, number];
+  one: [number, number];
+  /** Two pictures, one above the other. */
+  tall: boolean;
+  /** Width over height of what fills the stage. */
+  aspect: number;
+}
+
+/** Space around the picture on wide pages and on narrow ones, and between two pictures. */
+const MARGIN = { wide: 28, narrow: 10 };
+const BETWEEN = 12;
+
+export function layOut(info: Info, state: State, room: [number, number], narrow: boolean): Layout {
+  const margin = narrow ? MARGIN.narrow : MARGIN.wide;
+  const [roomX, roomY] = [Math.max(room[0] - 2 * margin, 1), Math.max(room[1] - 2 * margin, 1)];
+  let aspect = info.field.width_mm / info.field.height_mm || info.field.cols / info.field.rows;
+  if (state.mode === "exploded") return { box: room, one: room, tall: false, aspect };
+  if (state.mode === "layers") {
+    const [cols, rows] = sizeOf(info, state.layer);
+    aspect = cols / rows;
+  }
+  if (state.mode === "compare" && state.comparison === "side") {
+    const across = Math.min((roomX - BETWEEN) / 2, roomY * aspect);
+    const down = Math.min(roomX, ((roomY - BETWEEN) / 2) * aspect);
+    const tall = down > across;
+    const width = Math.max(across, down);
+    const height = width / aspect;
+    return {
+      box: tall ? [width, 2 * height + BETWEEN] : [2 * width + BETWEEN, height],
+      one: [width, height],
+      tall,
+      aspect: tall ? aspect / 2 : aspect * 2,
+    };
+  }
+  const one: [number, number] = roomX / roomY > aspect ? [roomY * aspect, roomY] : [roomX, roomX / aspect];
+  return { box: one, one, tall: false, aspect };
+}

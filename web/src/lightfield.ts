@@ -1,0 +1,100 @@
+// Quilts and light fields: views as somebody else made them, shown as such.
+import type { Dropped } from "./drop.js";
+import { Problem, problemOf } from "./problem.js";
+import { LightField, type Info } from "./simulator.js";
+
+/** Half the angle over which views that say nothing of it are spread, degrees. */
+const HALF_ANGLE: readonly [number, number] = [17.5, 10];
+
+export interface Foreign {
+  field: LightField;
+  info: Info;
+}
+
+/** Decodes the pictures and makes the light field of them. */
+export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "views" }>, report: (share: number) => void, signal: AbortSignal): Promise<Foreign> {
+  if (dropped.kind === "quilt") {
+    const picture = await pixelsOf(dropped.file);
+    const { cols, rows } = dropped;
+    if (picture.width < cols || picture.height < rows) throw new Problem(`${dropped.file.name} has ${picture.width} × ${picture.height} pixels for ${cols} × ${rows} views.`, "See that the numbers in the file's name are right.", false);
+    const field = make(() => LightField.from_quilt(bytesOf(picture), picture.width, picture.height, cols, rows));
+    report(1);
+    const width = Math.floor(picture.width / cols);
+    const height = Math.floor(picture.height / rows);
+    // A quilt's views all lie on a line, left to right.
+    return foreign(field, dropped.title, height, width, 1, cols * rows, dropped.aspect);
+  }
+  const { views } = dropped;
+  const [rows, cols] = [views.length, views[0]!.length];
+  let field: LightField | undefined;
+  let size: [number, number] = [0, 0];
+  for (let row = 0; row < rows; row++) {
+    for (let col = 0; col < cols; col++) {
+      const file = views[row]![col]!;
+      const picture = await pixelsOf(file);
+      if (signal.aborted) throw signal.reason;
+      if (!field) {
+        size = [picture.height, picture.width];
+        field = make(() => new LightField(picture.height, picture.width, rows, cols));
+      } else if (picture.width !== size[1] || picture.height !== size[0]) {
+        throw new Problem(`${file.name} has ${picture.width} × ${picture.height} pixels, the views before it ${size[1]} × ${size[0]}.`, "All views of a light field have the same size: drop the folder of the views alone.", false);
+      }
+      const made = field;
+      make(() => made.put(row, col, bytesOf(picture)));
+      report((row * cols + col + 1) / (rows * cols));
+    }
+  }
+  return foreign(field!, dropped.title, size[0], size[1], rows, cols, undefined);
+}
+
+function foreign(field: LightField, title: string, rows: number, cols: number, viewRows: number, viewCols: number, aspect: number | undefined): Foreign {
+  const zone = { x_rad: viewCols > 1 ? rad(HALF_ANGLE[0]) : 0, y_rad: viewRows > 1 ? rad(HALF_ANGLE[1]) : 0 };
+  const slopes: [number, number][] = [];
+  const place = (i: number, n: number, angle: number): number => (n > 1 ? ((2 * i) / (n - 1) - 1) * Math.tan(angle) : 0);
+  for (let r = 0; r < viewRows; r++) for (let c = 0; c < viewCols; c++) slopes.push([place(c, viewCols, zone.x_rad), -place(r, viewRows, zone.y_rad)]);
+  const info: Info = {
+    title,
+    field: { cols, rows, width_mm: aspect ?? cols / rows, height_mm: 1 },
+    layers: [],
+    directional: false,
+    frames: 1,
+    brightness: 1,
+    views: { rows: viewRows, cols: viewCols, slopes, projection: "perspective" },
+    zone,
+    files: [],
+  };
+  return { field, info };
+}
+
+async function pixelsOf(file: File): Promise<ImageData> {
+  let bitmap: ImageBitmap;
+  try {
+    bitmap = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
+  } catch (error) {
+    throw new Problem(`${file.name} is not a picture that this browser reads: ${problemOf(error, "").message}`, "Convert it to PNG or JPEG and try again.", false);
+  }
+  const canvas = document.createElement("canvas");
+  canvas.width = bitmap.width;
+  canvas.height = bitmap.height;
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  if (!context) throw new Problem(`${file.name} is too large for this browser: ${bitmap.width} × ${bitmap.height} pixels.`, "Reduce it and try again.", false);
+  context.drawImage(bitmap, 0, 0);
+  bitmap.close();
+  return context.getImageData(0, 0, canvas.width, canvas.height);
+}
+
+function bytesOf(picture: ImageData): Uint8Array {
+  return new Uint8Array(picture.data.buffer);
+}
+
+function make<T>(action: () => T): T {
+  try {
+    return action();
+  } catch (error) {
+    throw new Problem(problemOf(error, "").message, "See that all views have the same size and that the quilt's name is right.", false);
+  }
+}
+
+function rad(degrees: number): number {
+  return (degrees * Math.PI) / 180;
+}

@@ -1,0 +1,78 @@
+// When to draw: while something moves, when something has changed, and not otherwise.
+import type { Motion } from "./motion.js";
+
+export interface Loop {
+  /** Whether there is anything to draw. */
+  can(): boolean;
+  /** Advances what plays by itself; whether it will go on, and whether the picture has changed. */
+  play(dtS: number): { on: boolean; changed: boolean };
+  draw(): void;
+}
+
+export class Ticker {
+  private dirty = false;
+  private request = 0;
+  private last = 0;
+  private idle: ReturnType<typeof setTimeout> | undefined;
+
+  constructor(
+    private readonly motion: Motion,
+    private readonly loop: Loop,
+  ) {}
+
+  /** Asks for a new picture. */
+  redraw(): void {
+    this.dirty = true;
+    this.wake();
+  }
+
+  /** Something may have begun to move. */
+  wake(): void {
+    if (this.request !== 0) return;
+    this.last = performance.now();
+    this.ask();
+  }
+
+  /** Draws at once what the next turn would. */
+  now(): void {
+    this.tick(performance.now());
+  }
+
+  stop(): void {
+    cancelAnimationFrame(this.request);
+    this.request = 0;
+    clearTimeout(this.idle);
+  }
+
+  private ask(): void {
+    this.request = requestAnimationFrame((now) => {
+      this.request = 0;
+      this.tick(now);
+    });
+  }
+
+  private tick(now: number): void {
+    const dtS = Math.max((now - this.last) / 1000, 0);
+    this.last = now;
+    if (!this.loop.can()) return;
+    const moved = this.motion.step(dtS);
+    const { on, changed } = this.loop.play(dtS);
+    if (this.dirty || moved || changed) {
+      this.dirty = false;
+      this.loop.draw();
+    }
+    if (this.request !== 0) return;
+    if (this.motion.active || on || this.dirty) this.ask();
+    else this.waitForSwing();
+  }
+
+  private waitForSwing(): void {
+    clearTimeout(this.idle);
+    const wait = this.motion.untilSwingS;
+    if (wait === undefined) return;
+    this.idle = setTimeout(() => {
+      this.motion.swingNow();
+      this.wake();
+    }, wait * 1000);
+  }
+}

@@ -1,0 +1,230 @@
+// From where one looks: pointer, touch, keys, tilt and an idle swing, joined by one spring.
+import type { Slope } from "./state.js";
+
+/** Stiffness of the spring, s⁻², and its damping relative to critical. */
+const STIFFNESS = 130;
+const DAMPING = 0.92;
+/** How far beyond the zone one can go, in half widths of it. */
+export const REACH = 1.4;
+/** Seconds without input after which the view swings, and of one swing. */
+const IDLE_S = 4;
+const PERIOD_S = 8;
+/** Amplitude of the swing, in half widths of the zone. */
+const SWING: Slope = [0.78, 0.3];
+/** Seconds that a flick of the finger carries on. */
+const FLING_S = 0.22;
+
+export class Motion {
+  /** Where the eye is, and where it is drawn to. */
+  private at: [number, number] = [0, 0];
+  private speed: [number, number] = [0, 0];
+  private told: Slope = [0, 0];
+  private goal: [number, number] = [0, 0];
+  private zone: Slope = [1, 1];
+  private quietS = 0;
+  private phaseS = 0;
+  private held = false;
+  private swinging = false;
+  /** Whether the view may swing when idle. */
+  swing = true;
+  /** Whether the user asked for less motion: no spring, no swing unless asked for. */
+  calm = false;
+  /** A turn that is being recorded: seconds since its start. */
+  private turnS: number | undefined;
+  private turnLengthS = 0;
+  /** Where the eye was before the turn, and goes afterwards. */
+  private home: [number, number] = [0, 0];
+
+  setZone(zone: Slope): void {
+    this.zone = zone;
+  }
+
+  get slope(): Slope {
+    return [this.at[0], this.at[1]];
+  }
+
+  /** Whether the next step may change something. */
+  get active(): boolean {
+    const restless = [0, 1].some((i) => Math.abs(this.goal[i]! - this.at[i]!) > 2e-5 || Math.abs(this.speed[i]!) > 2e-5);
+    return restless || this.swinging || this.turnS !== undefined;
+  }
+
+  /** Seconds until the swing begins; undefined where none will. */
+  get untilSwingS(): number | undefined {
+    return this.swing && !this.held && !this.swinging ? Math.max(IDLE_S - this.quietS, 0) : undefined;
+  }
+
+  /** Goes to a slope, as far as one can go. */
+  lookTo(slope: Slope): void {
+    this.input();
+    for (const i of [0, 1] as const) {
+      const most = this.zone[i] * REACH;
+      this.goal[i] = Math.min(Math.max(slope[i], -most), most);
+    }
+    if (this.calm) this.settle();
+  }
+
+  lookBy(step: Slope): void {
+    this.lookTo([this.goal[0] + step[0], this.goal[1] + step[1]]);
+  }
+
+  /** Stands at a slope at once, and stays there. */
+  standAt(slope: Slope): void {
+    this.swing = false;
+    this.input();
+    this.goal = [slope[0], slope[1]];
+    this.settle();
+  }
+
+  /** A finger or button is down: no swing until it is let go. */
+  hold(): void {
+    this.held = true;
+    this.input();
+  }
+
+  release(fling: boolean): void {
+    this.held = false;
+    if (fling && !this.calm) this.lookTo([this.at[0] + this.speed[0] * FLING_S, this.at[1] + this.speed[1] * FLING_S]);
+  }
+
+  /** The user did something. */
+  input(): void {
+    this.quietS = 0;
+    this.swinging = false;
+    this.turnS = undefined;
+  }
+
+  /** The user touched something that does not say where to look. */
+  touched(): void {
+    this.quietS = 0;
+    this.swinging = false;
+  }
+
+  /** Begins to swing now. */
+  swingNow(): void {
+    this.quietS = IDLE_S;
+  }
+
+  /** One turn around the zone, from its left to its left, and back to where the eye was. */
+  startTurn(lengthS: number): void {
+    this.input();
+    this.home = [this.goal[0], this.goal[1]];
+    this.turnS = 0;
+    this.turnLengthS = lengthS;
+    this.goal = this.turnAt(0);
+    this.settle();
+  }
+
+  /** Advances by `dtS` seconds; whether the slope is another than after the last step. */
+  step(dtS: number): boolean {
+    const dt = Math.min(dtS, 0.1);
+    if (this.turnS !== undefined) {
+      this.turnS += dtS;
+      this.goal = this.turnAt(Math.min(this.turnS / this.turnLengthS, 1));
+      this.settle();
+      if (this.turnS >= this.turnLengthS) {
+        this.turnS = undefined;
+        this.goal = this.home;
+      }
+    } else {
+      this.idle(dtS);
+      this.spring(dt);
+    }
+    const changed = this.told[0] !== this.at[0] || this.told[1] !== this.at[1];
+    this.told = this.slope;
+    return changed;
+  }
+
+  private idle(dtS: number): void {
+    this.quietS += dtS;
+    if (!this.swing || this.held || this.quietS < IDLE_S) return;
+    if (!this.swinging) {
+      this.swinging = true;
+      const side = this.at[0] / (this.zone[0] * SWING[0]);
+      this.phaseS = (Math.asin(Math.min(Math.max(side, -1), 1)) / (2 * Math.PI)) * PERIOD_S;
+    }
+    this.phaseS += dtS;
+    this.goal = this.turnAt(this.phaseS / PERIOD_S - 0.25);
+  }
+
+  /** A flat ellipse; `turn` counts rounds and begins at the left. */
+  private turnAt(turn: number): [number, number] {
+    const angle = 2 * Math.PI * turn;
+    return [-Math.cos(angle) * SWING[0] * this.zone[0], Math.sin(angle) * SWING[1] * this.zone[1]];
+  }
+
+  private spring(dt: number): void {
+    const steps = Math.ceil(dt / 0.008);
+    const h = dt / Math.max(steps, 1);
+    const damping = 2 * DAMPING * Math.sqrt(STIFFNESS);
+    for (let n = 0; n < steps; n++) {
+      for (const i of [0, 1] as const) {
+        this.speed[i] += (STIFFNESS * (this.goal[i] - this.at[i]) - damping * this.speed[i]) * h;
+        this.at[i] += this.speed[i] * h;
+      }
+    }
+    if (!this.swinging && !this.restless()) this.settle();
+  }
+
+  private restless(): boolean {
+    return [0, 1].some((i) => Math.abs(this.goal[i]! - this.at[i]!) > 1e-5 || Math.abs(this.speed[i]!) > 1e-5);
+  }
+
+  private settle(): void {
+    this.at = [this.goal[0], this.goal[1]];
+    this.speed = [0, 0];
+  }
+}
+
+/** The tilt of a phone as a slope; the pose at the start is straight ahead. */
+export class Tilt {
+  private rest: { beta: number; gamma: number } | undefined;
+  private listener: ((event: DeviceOrientationEvent) => void) | undefined;
+
+  /** Whether this device may have an orientation. */
+  static get possible(): boolean {
+    return typeof DeviceOrientationEvent !== "undefined" && matchMedia("(pointer: coarse)").matches && isSecureContext;
+  }
+
+  get on(): boolean {
+    return this.listener !== undefined;
+  }
+
+  /** To be called from a click: some browsers ask the user. False where the user or the device declines. */
+  async start(report: (slope: Slope) => void): Promise<boolean> {
+    const asks = DeviceOrientationEvent as unknown as { requestPermission?: () => Promise<string> };
+    if (asks.requestPermission && (await asks.requestPermission()) !== "granted") return false;
+    this.rest = undefined;
+    return new Promise((resolve) => {
+      const timer = setTimeout(() => {
+        this.stop();
+        resolve(false);
+      }, 1500);
+      this.listener = (event) => {
+        if (event.beta === null || event.gamma === null) return;
+        clearTimeout(timer);
+        resolve(true);
+        report(this.slopeOf(event.beta, event.gamma));
+      };
+      addEventListener("deviceorientation", this.listener);
+    });
+  }
+
+  stop(): void {
+    if (this.listener) removeEventListener("deviceorientation", this.listener);
+    this.listener = undefined;
+  }
+
+  private slopeOf(beta: number, gamma: number): Slope {
+    this.rest ??= { beta, gamma };
+    // Slowly takes the present pose for straight ahead, so that one may lie down.
+    this.rest.beta += (beta - this.rest.beta) * 0.004;
+    this.rest.gamma += (gamma - this.rest.gamma) * 0.004;
+    const tan = (degrees: number): number => Math.tan((Math.min(Math.max(degrees, -60), 60) * Math.PI) / 180);
+    const side = -tan(gamma - this.rest.gamma);
+    const tip = tan(beta - this.rest.beta);
+    const turned = ((screen.orientation?.angle ?? 0) * Math.PI) / 180;
+    // Turned anticlockwise by 90°, the device's right points up and its top to the left.
+    return [side * Math.cos(turned) - tip * Math.sin(turned), tip * Math.cos(turned) + side * Math.sin(turned)];
+  }
+}

@@ -1,0 +1,144 @@
+// The contact sheet of the layers mode: every layer's mask in every frame, and the backlight's.
+import { put } from "./stage.js";
+import type { Info, Viewer } from "./simulator.js";
+
+const THUMB_PX = 46;
+/** Thumbnails drawn per turn of the event loop. */
+const BATCH = 4;
+
+export class Sheet {
+  private readonly drawn = new Set<string>();
+  private cells = new Map<string, HTMLButtonElement>();
+  private viewer: Viewer | undefined;
+  private info: Info | undefined;
+  private busy = false;
+
+  constructor(
+    private readonly box: HTMLElement,
+    private readonly choose: (layer: number, frame: number) => void,
+  ) {
+    box.setAttribute("role", "group");
+    box.setAttribute("aria-label", "Masks: rows are layers from rear to front, columns are frames; arrow keys move");
+    box.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  /** Lays out empty cells for a stack. */
+  setUp(viewer: Viewer, info: Info): void {
+    this.viewer = viewer;
+    this.info = info;
+    this.drawn.clear();
+    this.cells = new Map();
+    this.box.style.gridTemplateColumns = "auto 1fr";
+    const names = rowNames(info);
+    this.box.replaceChildren(
+      ...names.flatMap(({ layer, name, detail }) => {
+        const label = document.createElement("div");
+        label.className = "name";
+        label.textContent = name;
+        const small = document.createElement("small");
+        small.textContent = detail;
+        label.append(small);
+        const strip = document.createElement("div");
+        strip.className = "strip";
+        for (let frame = 0; frame < info.frames; frame++) strip.append(this.cell(layer, frame, name));
+        return [label, strip];
+      }),
+    );
+  }
+
+  clear(): void {
+    this.viewer = undefined;
+    this.box.replaceChildren();
+  }
+
+  /** Marks the mask on show and draws the thumbnails that can be. */
+  show(layer: number, frame: number, ready: readonly number[]): void {
+    for (const [key, cell] of this.cells) {
+      const chosen = key === `${layer}/${frame}`;
+      cell.setAttribute("aria-pressed", String(chosen));
+      cell.tabIndex = chosen ? 0 : -1;
+      cell.disabled = !ready.includes(Number(key.split("/")[1]));
+    }
+    this.cells.get(`${layer}/${frame}`)?.scrollIntoView({ block: "nearest", inline: "nearest" });
+    if (!this.busy) void this.drawThumbs(ready);
+  }
+
+  private cell(layer: number, frame: number, name: string): HTMLButtonElement {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.setAttribute("aria-label", `${name}, frame ${frame + 1}`);
+    button.title = `${name}, frame ${frame + 1}`;
+    const [cols, rows] = sizeOf(this.info!, layer);
+    const canvas = document.createElement("canvas");
+    canvas.style.aspectRatio = `${cols} / ${rows}`;
+    canvas.style.width = `${Math.round((THUMB_PX * cols) / rows)}px`;
+    button.append(canvas);
+    button.addEventListener("click", () => this.choose(layer, frame));
+    this.cells.set(`${layer}/${frame}`, button);
+    return button;
+  }
+
+  private async drawThumbs(ready: readonly number[]): Promise<void> {
+    this.busy = true;
+    const viewer = this.viewer;
+    const whole = document.createElement("canvas");
+    let n = 0;
+    for (const [key, cell] of this.cells) {
+      const [layer, frame] = key.split("/").map(Number) as [number, number];
+      if (!ready.includes(frame) || this.drawn.has(key)) continue;
+      if (n++ % BATCH === BATCH - 1) await new Promise((resolve) => setTimeout(resolve));
+      if (viewer !== this.viewer || !viewer) break;
+      const [cols, rows] = sizeOf(this.info!, layer);
+      put(whole, layer < this.info!.layers.length ? viewer.render_layer(layer, frame) : viewer.render_backlight(frame), cols, rows);
+      const thumb = cell.firstElementChild as HTMLCanvasElement;
+      thumb.height = THUMB_PX * 2;
+      thumb.width = Math.max(Math.round((thumb.height * cols) / rows), 1);
+      const context = thumb.getContext("2d")!;
+      context.imageSmoothingQuality = "high";
+      context.drawImage(whole, 0, 0, thumb.width, thumb.height);
+      this.drawn.add(key);
+    }
+    this.busy = false;
+  }
+
+  private key(event: KeyboardEvent): void {
+    const step = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] }[event.key];
+    const focused = [...this.cells].find(([, cell]) => cell === (this.box.getRootNode() as ShadowRoot).activeElement);
+    if (!step || !focused || !this.info) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const order = rowNames(this.info).map(({ layer }) => layer);
+    const [layer, frame] = focused[0].split("/").map(Number) as [number, number];
+    const to = this.cells.get(`${order[order.indexOf(layer) + step[0]!]}/${frame + step[1]!}`);
+    to?.focus();
+    to?.click();
+  }
+}
+
+/** Rows of the sheet: the front layer on top, the backlight at the bottom. */
+function rowNames(info: Info): { layer: number; name: string; detail: string }[] {
+  const count = info.layers.length;
+  const rows = info.layers.map((layer, i) => ({
+    layer: i,
+    name: layerName(i, count),
+    detail: `${layer.d_mm > 0 ? "+" : layer.d_mm < 0 ? "−" : ""}${Math.abs(layer.d_mm).toFixed(1)} mm · ${layer.cols} × ${layer.rows}`,
+  }));
+  if (info.directional && info.backlight) rows.unshift({ layer: count, name: "Backlight", detail: `${info.backlight.cols} × ${info.backlight.rows}` });
+  return rows.reverse();
+}
+
+export function layerName(layer: number, count: number): string {
+  if (layer >= count) return "Backlight";
+  const where = count > 1 && layer === 0 ? " (rear)" : count > 1 && layer === count - 1 ? " (front)" : "";
+  return `Layer ${layer + 1}${where}`;
+}
+
+export function sizeOf(info: Info, layer: number): [number, number] {
+  const found = info.layers[layer] ?? info.backlight ?? info.field;
+  return [found.cols, found.rows];
+}
+
+/** Number of the last mask: the backlight's, where it has one. */
+export function lastMask(info: Info): number {
+  return Math.max(info.layers.length - (info.directional && info.backlight ? 0 : 1), 0);
+}

@@ -1,0 +1,14 @@
+// The entry of the package: defines <lumistack-viewer>.
+import { LumistackViewer } from "./element.js";
+
+export { LumistackViewer };
+export type { LumistackErrorDetail } from "./element.js";
+export type { Comparison, Mode, Slope } from "./state.js";
+
+if (!customElements.get("lumistack-viewer")) customElements.define("lumistack-viewer", LumistackViewer);
+
+declare global {
+  interface HTMLElementTagNameMap {
+    "lumistack-viewer": LumistackViewer;
+  }
+}

@@ -1,0 +1,137 @@
+// Whatever is wrong: a message that says what and what to do, and never a blank canvas.
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { complete, launch, open, pixels, site, text } from "./browser.mjs";
+import { altered, twoSquares } from "./fixture.mjs";
+
+const good = twoSquares();
+let browser;
+let server;
+before(async () => {
+  browser = await launch();
+  server = await site(good);
+});
+after(async () => {
+  await browser?.close();
+  await server?.close();
+});
+
+async function shown(files, options, query = "") {
+  server.state.files = files;
+  const page = await open(browser, `${server.url}/${query}`, options);
+  const error = await complete(page);
+  await page.waitForTimeout(120);
+  return { page, error };
+}
+
+async function isPicture(page) {
+  const { data } = await pixels(page);
+  return new Set(data.filter((_, i) => i % 4 !== 3)).size > 1;
+}
+
+/** Nothing can be shown: a card in place of the picture. */
+async function refuses(files, what, advice, options) {
+  const { page, error } = await shown(files, options);
+  assert.match(error ?? "", what);
+  assert.match((await text(page, "#card")) ?? "no card", what);
+  assert.match((await text(page, "#card .advice")) ?? "", advice);
+  assert.equal(await text(page, "#picture"), undefined, "a canvas shows beside the message");
+  await page.context().close();
+}
+
+test("preview.json is missing", () => refuses(altered(good, { "stack/preview.json": undefined }), /stack\/preview\.json is missing.*404/, /lumistack preview/));
+
+test("preview.json is not JSON", () => refuses(altered(good, { "stack/preview.json": Buffer.from("<!doctype html>") }), /preview\.json/, /lumistack preview/));
+
+test("another version", () => refuses(altered(good, {}, (p) => ({ ...p, version: 7 })), /version.*expected 1.*found 7/, /lumistack preview/));
+
+test("another format", () => refuses(altered(good, {}, (p) => ({ ...p, schema: "something" })), /schema.*expected.*lumistack-preview.*found.*something/, /lumistack preview/));
+
+test("every mask is missing", () => {
+  const none = Object.fromEntries([...good.keys()].filter((path) => path.includes("layer")).map((path) => [path, undefined]));
+  return refuses(altered(good, none), /stack\/layer0_frame0\.png is missing.*and 3 more/, /lumistack preview/);
+});
+
+test("no WebAssembly module", async () => {
+  server.state.files = good;
+  server.state.hook = (path, response) => path.endsWith(".wasm") && Boolean(response.writeHead(404).end());
+  await refuses(good, /simulator could not start/, /lumistack_web_bg\.wasm/);
+  server.state.hook = undefined;
+});
+
+test("a mask is missing: the other frame is shown, and it is said", async () => {
+  const { page, error } = await shown(altered(good, { "stack/layer1_frame1.png": undefined }));
+  assert.equal(error, undefined);
+  assert.match(await text(page, "#notice"), /layer1_frame1\.png is missing.*1 of 2 frames/);
+  assert.ok(await isPicture(page));
+  await page.context().close();
+});
+
+test("a mask is cut off: the other frame is shown, and it is said", async () => {
+  const path = "stack/layer0_frame1.png";
+  const { page, error } = await shown(altered(good, { [path]: good.get(path).subarray(0, 60) }));
+  assert.equal(error, undefined);
+  assert.match(await text(page, "#notice"), /layer0_frame1\.png/);
+  assert.match(await text(page, "#notice"), /damaged/);
+  assert.ok(await isPicture(page));
+  await page.context().close();
+});
+
+test("no WebGL: the processor draws the same picture, and it is said", async () => {
+  const reference = await shown(good);
+  const wanted = await pixels(reference.page, [0.125, 0]);
+  await reference.page.context().close();
+  const { page, error } = await shown(good, {
+    init: () => {
+      const real = HTMLCanvasElement.prototype.getContext;
+      HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+        return /webgl/.test(kind) ? null : real.call(this, kind, ...rest);
+      };
+    },
+  });
+  assert.equal(error, undefined);
+  assert.match(await text(page, "#notice"), /no WebGL2/);
+  assert.match(await text(page, "#footer"), /processor/);
+  assert.deepEqual((await pixels(page, [0.125, 0])).data, wanted.data);
+  assert.deepEqual(page.trouble, []);
+  await page.context().close();
+});
+
+test("a lost context: the processor draws until it is back", async () => {
+  const { page, error } = await shown(good);
+  assert.equal(error, undefined);
+  const before = await pixels(page, [0.125, 0]);
+  await page.evaluate(() => {
+    const canvas = document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas.gl");
+    window.lost = canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
+    window.lost.loseContext();
+  });
+  await page.waitForTimeout(300);
+  const path = () => page.evaluate(() => document.querySelector("lumistack-viewer").path);
+  assert.equal(await path(), "cpu");
+  assert.match(await text(page, "#notice"), /graphics context/);
+  assert.deepEqual((await pixels(page)).data, before.data);
+  await page.evaluate(() => window.lost.restoreContext());
+  await page.waitForTimeout(300);
+  assert.equal(await path(), "webgl2");
+  assert.equal(await text(page, "#notice"), undefined);
+  assert.deepEqual((await pixels(page)).data, before.data);
+  await page.context().close();
+});
+
+test("a context that never comes back: a new canvas takes over", async () => {
+  const { page } = await shown(good);
+  const before = await pixels(page, [0.125, 0]);
+  await page.evaluate(() => document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas.gl").getContext("webgl2").getExtension("WEBGL_lose_context").loseContext());
+  await page.waitForFunction(() => document.querySelector("lumistack-viewer").path === "webgl2", undefined, { timeout: 8000 });
+  assert.deepEqual((await pixels(page)).data, before.data);
+  await page.context().close();
+});
+
+test("the address holds nonsense: the defaults stand", async () => {
+  const { page, error } = await shown(good, {}, "#mode=sideways&x=NaN&gap=1e99&split=-3&frame=77&layer=9&gain=-1&rate=0");
+  assert.equal(error, undefined);
+  assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").mode), "perceived");
+  assert.deepEqual(page.trouble, []);
+  await page.context().close();
+});

@@ -1,0 +1,90 @@
+// The browser and the server of the tests.
+import { existsSync } from "node:fs";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+import { chromium } from "playwright-core";
+import { serve } from "./server.mjs";
+
+const WEB = dirname(dirname(fileURLToPath(import.meta.url)));
+export const DIST = join(WEB, "dist");
+/** Screenshots for people to look at. */
+export const SHOTS = process.env.LUMISTACK_WEB_SHOTS ?? join(WEB, "shots");
+
+const ARGUMENTS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"];
+
+export async function launch() {
+  const path = process.env.LUMISTACK_CHROMIUM ?? "/usr/bin/chromium";
+  if (!existsSync(path)) throw new Error(`no browser at ${path}: install Chromium (Debian: apt-get install chromium) or name one in LUMISTACK_CHROMIUM`);
+  return chromium.launch({ executablePath: path, headless: true, args: ARGUMENTS });
+}
+
+/** Serves the built page with a preview: a folder, or files in memory (path → bytes) that may be exchanged. */
+export async function site(preview) {
+  const memory = preview instanceof Map ? preview : undefined;
+  const state = { files: memory, hook: undefined };
+  const roots = { "/app/": DIST, "/": DIST };
+  if (!memory) roots["/stack/"] = join(preview, "stack");
+  const server = await serve(roots, (path, response) => {
+    if (state.hook?.(path, response)) return true;
+    const bytes = state.files?.get(path.slice(1));
+    if (!bytes) return false;
+    response.writeHead(200, { "content-type": path.endsWith(".json") ? "application/json" : "image/png", "cache-control": "no-store" }).end(bytes);
+    return true;
+  });
+  return { ...server, state };
+}
+
+/** A page whose console errors are collected in `page.trouble`. */
+export async function open(browser, url, options = {}) {
+  const { init, ...rest } = options;
+  const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, reducedMotion: "reduce", ...rest });
+  const page = await context.newPage();
+  page.trouble = [];
+  page.on("console", (message) => {
+    // The driver's remark on reading pixels back is about these tests alone.
+    if (/GPU stall due to ReadPixels/.test(message.text())) return;
+    if (message.type() === "error" || message.type() === "warning") page.trouble.push(message.text());
+  });
+  page.on("pageerror", (error) => page.trouble.push(error.message));
+  if (init) await page.addInitScript(init);
+  await page.goto(url);
+  await page.evaluate(() => customElements.whenDefined("lumistack-viewer"));
+  return page;
+}
+
+/** Waits until the element has loaded everything; the error's message where it cannot. */
+export function complete(page) {
+  return page.evaluate(() =>
+    document.querySelector("lumistack-viewer").complete.then(
+      () => undefined,
+      (error) => error.message,
+    ),
+  );
+}
+
+/** The picture on show, as {width, height, data: Buffer of RGBA}. */
+export async function pixels(page, slope) {
+  const { width, height, text } = await page.evaluate((at) => {
+    const viewer = document.querySelector("lumistack-viewer");
+    if (at) viewer.slope = at;
+    const { width, height, data } = viewer.pixels(true);
+    let text = "";
+    for (let i = 0; i < data.length; i += 8192) text += String.fromCharCode(...data.subarray(i, i + 8192));
+    return { width, height, text: btoa(text) };
+  }, slope);
+  return { width, height, data: Buffer.from(text, "base64") };
+}
+
+/** sRGB code → linear. */
+export const LINEAR = Float64Array.from({ length: 256 }, (_, code) => {
+  const v = code / 255;
+  return v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+});
+
+/** What a part of the element's shadow says, when it is visible. */
+export function text(page, selector) {
+  return page.evaluate((within) => {
+    const element = document.querySelector("lumistack-viewer").shadowRoot.querySelector(within);
+    return element && element.checkVisibility() ? element.textContent.trim() : undefined;
+  }, selector);
+}

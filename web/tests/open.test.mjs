@@ -1,0 +1,98 @@
+// Files that are dropped on the page: a preview, a quilt, the views of a light field, and what is none of them.
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { complete, launch, open, pixels, site, text } from "./browser.mjs";
+import { png, twoSquares } from "./fixture.mjs";
+
+let browser;
+let server;
+let page;
+before(async () => {
+  browser = await launch();
+  server = await site(twoSquares());
+});
+after(async () => {
+  await browser?.close();
+  await server?.close();
+});
+
+/** Drops files (path → bytes) on the element, as a browser does. */
+async function drop(files) {
+  const list = [...files].map(([name, bytes]) => ({ name, data: Buffer.from(bytes).toString("base64") }));
+  await page.evaluate(async (dropped) => {
+    const viewer = document.querySelector("lumistack-viewer");
+    const transfer = new DataTransfer();
+    for (const { name, data } of dropped) transfer.items.add(new File([Uint8Array.from(atob(data), (c) => c.charCodeAt(0))], name));
+    viewer.shadowRoot.querySelector("#stage").dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, composed: true, cancelable: true }));
+  }, list);
+  await page.waitForTimeout(600);
+}
+
+const flat = (colour) => png(24, 16, () => colour);
+const colourAt = ({ width, height, data }) => [...data.subarray(((height >> 1) * width + (width >> 1)) * 4, ((height >> 1) * width + (width >> 1)) * 4 + 3)];
+const near = (found, wanted) => assert.ok(found.every((v, i) => Math.abs(v - wanted[i]) <= 3), `${found}, expected ${wanted}`);
+
+test("a preview by its files", async () => {
+  page = await open(browser, server.url);
+  await complete(page);
+  const preview = JSON.parse(twoSquares().get("stack/preview.json").toString());
+  const files = new Map([...twoSquares()].map(([path, bytes]) => [path.replace("stack/", ""), bytes]));
+  files.set("preview.json", Buffer.from(JSON.stringify({ ...preview, title: "Dropped" })));
+  await drop(files);
+  assert.equal(await complete(page), undefined);
+  assert.equal(await text(page, "#title"), "Dropped");
+  assert.deepEqual(page.trouble, []);
+});
+
+test("a quilt, its first view at the bottom left", async () => {
+  const colours = [[200, 40, 40], [40, 200, 40], [40, 40, 200], [200, 200, 40]];
+  // 2 × 2 tiles of 24 × 16: views 0 and 1 below, 2 and 3 above.
+  const quilt = png(48, 32, (r, c) => colours[(r < 16 ? 2 : 0) + (c < 24 ? 0 : 1)]);
+  await drop(new Map([["holiday_qs2x2a1.5.png", quilt]]));
+  assert.equal(await text(page, "#title"), "holiday");
+  assert.match(await text(page, "#facts"), /4 × 1 views/);
+  const edge = Math.tan((17.5 * Math.PI) / 180);
+  near(colourAt(await pixels(page, [-edge, 0])), colours[0]);
+  near(colourAt(await pixels(page, [edge, 0])), colours[3]);
+  near(colourAt(await pixels(page, [-edge / 3, 0])), colours[1]);
+  assert.deepEqual(page.trouble, []);
+});
+
+test("the views of a light field, rows from the top", async () => {
+  const colour = (row, col) => [60 + 60 * row, 60 + 60 * col, 90];
+  const views = new Map();
+  for (let row = 0; row < 3; row++) for (let col = 0; col < 3; col++) views.set(`view_${row}_${col}.png`, flat(colour(row, col)));
+  await drop(views);
+  assert.match(await text(page, "#facts"), /3 × 3 views of 24 × 16/);
+  const [x, y] = [Math.tan((17.5 * Math.PI) / 180), Math.tan((10 * Math.PI) / 180)];
+  near(colourAt(await pixels(page, [-x, y])), colour(0, 0));
+  near(colourAt(await pixels(page, [x, -y])), colour(2, 2));
+  near(colourAt(await pixels(page, [x, y])), colour(0, 2));
+  near(colourAt(await pixels(page, [0, 0])), colour(1, 1));
+  assert.deepEqual(page.trouble, []);
+});
+
+test("what cannot be shown is refused, and what was there stays", async () => {
+  const title = await text(page, "#title");
+  for (const [files, what] of [
+    [[["notes.txt", "hello"]], /None of the 1 files/],
+    [[["picture.png", flat([1, 2, 3])]], /single picture/],
+    [[["view_00_00.exr", "x"], ["view_00_01.exr", "x"]], /OpenEXR/],
+    [[["view_0_0.png", flat([9, 9, 9])], ["view_0_1.png", png(8, 8, () => [0, 0, 0])]], /8 × 8 pixels/],
+    [[["a_qs2x2a1.png", "no picture"]], /not a picture/],
+  ]) {
+    await drop(new Map(files));
+    assert.match(await text(page, "#notice"), what);
+    assert.equal(await text(page, "#title"), title);
+    assert.equal(await text(page, "#card"), undefined);
+  }
+});
+
+test("back to a preview: the modes are there again", async () => {
+  await drop(new Map([...twoSquares()].map(([path, bytes]) => [path.replace("stack/", ""), bytes])));
+  assert.equal(await complete(page), undefined);
+  assert.equal(await text(page, "#title"), "Two squares");
+  await page.click('input[name="mode"][value="layers"]');
+  assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").mode), "layers");
+  await page.context().close();
+});

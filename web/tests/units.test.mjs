@@ -1,0 +1,107 @@
+// Parts of the page that need no browser: the state in the address, names of views, and the motion of the eye.
+import assert from "node:assert/strict";
+import { join } from "node:path";
+import { test } from "node:test";
+import { build } from "esbuild";
+import { DIST } from "./browser.mjs";
+
+async function source(name) {
+  const { outputFiles } = await build({ entryPoints: [join(DIST, "../src", name)], bundle: true, write: false, format: "esm", logLevel: "silent" });
+  return import(`data:text/javascript;base64,${Buffer.from(outputFiles[0].contents).toString("base64")}`);
+}
+
+test("a state comes back from its address", async () => {
+  const { DEFAULTS, fromHash, toHash } = await source("state.ts");
+  assert.equal(toHash(DEFAULTS, undefined), "");
+  assert.deepEqual(fromHash(""), { state: { ...DEFAULTS }, slope: undefined });
+  const state = { ...DEFAULTS, mode: "layers", comparison: "error", gain: 1.25, gapMm: -0.5, shiftXMm: 0.125, pupilMm: 4, frame: 3, layer: 2, rate: 0.5, playing: false, swing: false, yaw: 1.2 };
+  const back = fromHash(`#${toHash(state, [0.1, -0.2])}`);
+  assert.deepEqual(back, { state, slope: [0.1, -0.2] });
+});
+
+test("nonsense in an address is ignored, and values stay in range", async () => {
+  const { DEFAULTS, fromHash } = await source("state.ts");
+  const { state, slope } = fromHash("#mode=x&split=9&pupil=-1&gap=abc&frame=2.4&x=&rate=Infinity&gain=0");
+  assert.deepEqual(state, { ...DEFAULTS, split: 1, frame: 2 });
+  assert.equal(slope, undefined);
+});
+
+test("views are ordered by what their names say", async () => {
+  const { gridOf } = await source("drop.ts");
+  const grid = (names) => gridOf(names.map((name) => [`some/folder/${name}`, name])).map((row) => row.join(" "));
+  assert.deepEqual(grid(["view_01_00.png", "view_00_01.png", "view_00_00.png", "view_01_01.png"]), ["view_00_00.png view_00_01.png", "view_01_00.png view_01_01.png"]);
+  assert.deepEqual(grid(["out_00_01_-3.5_2.1_.png", "out_00_00_-3.5_9.9_.png", "out_00_02_1_1_.png"]), ["out_00_00_-3.5_9.9_.png out_00_01_-3.5_2.1_.png out_00_02_1_1_.png"]);
+  const cams = Array.from({ length: 9 }, (_, i) => `input_Cam${String(i).padStart(3, "0")}.png`);
+  assert.deepEqual(grid([...cams].reverse()), [cams.slice(0, 3).join(" "), cams.slice(3, 6).join(" "), cams.slice(6).join(" ")]);
+  // Numbers by their value, and no square: one row.
+  assert.deepEqual(grid(["frame10.jpg", "frame9.jpg", "frame11.jpg"]), ["frame9.jpg frame10.jpg frame11.jpg"]);
+  // A hole in the grid: not read as one.
+  assert.deepEqual(grid(["view_0_0.png", "view_0_1.png", "view_1_0.png"]), ["view_0_0.png view_0_1.png view_1_0.png"]);
+});
+
+test("the eye follows without overshooting far, comes to rest, and stays within reach", async () => {
+  const { Motion, REACH } = await source("motion.ts");
+  const motion = new Motion();
+  motion.swing = false;
+  motion.setZone([0.2, 0.1]);
+  motion.lookTo([0.1, -5]);
+  let most = 0;
+  for (let n = 0; n < 300; n++) {
+    motion.step(1 / 60);
+    most = Math.max(most, motion.slope[0]);
+  }
+  assert.deepEqual(motion.slope, [0.1, -0.1 * REACH]);
+  assert.equal(motion.active, false);
+  assert.ok(most < 0.102, `it went to ${most}`);
+});
+
+test("the swing begins where the eye is, stays in the zone, and ends when one moves", async () => {
+  const { Motion } = await source("motion.ts");
+  const motion = new Motion();
+  motion.setZone([0.2, 0.1]);
+  let last = motion.slope;
+  let furthest = [0, 0];
+  for (let n = 0; n < 60 * 30; n++) {
+    motion.step(1 / 60);
+    const slope = motion.slope;
+    for (const i of [0, 1]) {
+      assert.ok(Math.abs(slope[i] - last[i]) < 0.01, "it jumps");
+      furthest[i] = Math.max(furthest[i], Math.abs(slope[i]));
+    }
+    last = slope;
+  }
+  assert.ok(furthest[0] > 0.1 && furthest[0] < 0.2 && furthest[1] < 0.1, `it went to ${furthest}`);
+  motion.lookTo([0, 0]);
+  for (let n = 0; n < 180; n++) motion.step(1 / 60);
+  assert.deepEqual(motion.slope, [0, 0]);
+});
+
+test("a recorded turn begins and ends at the left, and the eye goes back to where it was", async () => {
+  const { Motion } = await source("motion.ts");
+  const motion = new Motion();
+  motion.swing = false;
+  motion.setZone([0.2, 0.1]);
+  motion.standAt([0.05, 0.02]);
+  motion.startTurn(2);
+  const start = motion.slope;
+  assert.ok(start[0] < -0.1);
+  let right = 0;
+  for (let n = 0; n < 8; n++) {
+    motion.step(0.25);
+    right = Math.max(right, motion.slope[0]);
+  }
+  assert.ok(right > 0.1, `it went to ${right}`);
+  assert.ok(Math.hypot(motion.slope[0] - start[0], motion.slope[1] - start[1]) < 1e-9);
+  for (let n = 0; n < 180; n++) motion.step(1 / 60);
+  assert.deepEqual(motion.slope, [0.05, 0.02]);
+});
+
+test("who prefers less motion is taken there at once", async () => {
+  const { Motion } = await source("motion.ts");
+  const motion = new Motion();
+  motion.calm = true;
+  motion.swing = false;
+  motion.setZone([0.2, 0.1]);
+  motion.lookTo([0.1, 0.05]);
+  assert.deepEqual(motion.slope, [0.1, 0.05]);
+});

@@ -1,0 +1,243 @@
+//! The simulator's module and page: built, made small, measured, tested in a browser, and compared with what is committed.
+//!
+//! `web/dist` is committed, so that a machine without a WebAssembly toolchain writes working previews. Beside it stands a hash of all that it is made
+//! from: where that differs from the sources, somebody changed them and did not build the page anew.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use serde_json::Value;
+
+use crate::tools::{self, Outcome, cargo, command, output_of, root};
+
+/// The module's name, of the files around it too.
+const NAME: &str = "lumistack_web";
+/// Where the module and its glue go; not committed.
+const PACKAGE: &str = "web/pkg";
+/// The page; committed.
+const DIST: &str = "web/dist";
+/// Of the sources of `web/dist`.
+const HASH: &str = "web/dist/sources.blake3";
+/// The page's files and what they are compressed to at most, all together, bytes.
+const PAGE: [&str; 4] = ["index.html", "viewer.css", "viewer.js", "lumistack_web_bg.wasm"];
+const BUDGET: usize = 150_000;
+/// Sources of the page, besides the lock entries of what they depend on.
+const SOURCES: [&str; 8] = [
+    "crates/core/src",
+    "crates/display/src",
+    "crates/web/Cargo.toml",
+    "crates/web/src",
+    "web/build.mjs",
+    "web/package-lock.json",
+    "web/src",
+    "xtask/examples/bindgen.rs",
+];
+
+/// Builds module and page into `web/dist`, and measures them.
+pub fn build() -> Outcome {
+    module()?;
+    tools::run(command("npm").args(["run", "--silent", "build", "--prefix", "web"]))?;
+    fs::write(root().join(HASH), format!("{}\n", sources_hash()?)).map_err(|error| format!("{HASH}: {error}"))?;
+    measure()
+}
+
+/// Fails where the committed page is not that of the sources, and tests the page that the sources give.
+pub fn check() -> Outcome {
+    let (now, committed) = (sources_hash()?, fs::read_to_string(root().join(HASH)).unwrap_or_default());
+    if now != committed.trim() {
+        let text = "was made from other sources: run `cargo xtask web` and commit what it writes";
+        return Err(format!("web: {DIST} {text} (found {}, sources {now})", committed.trim()));
+    }
+    build()?;
+    fixtures()?;
+    browser_tests()
+}
+
+/// Builds the module into `web/pkg`.
+pub fn module() -> Outcome {
+    if !tools::wasm_target() {
+        return Err(
+            "web: this machine cannot get the Rust target wasm32-unknown-unknown (`rustup target add` adds it)".into(),
+        );
+    }
+    let target = target_folder()?;
+    cargo(&[
+        "build",
+        "--quiet",
+        "--profile",
+        "web",
+        "--target",
+        WASM,
+        "--package",
+        "lumistack-web",
+        "--config",
+        SIMD128,
+    ])?;
+    let built = target.join(WASM).join("web").join(format!("{NAME}.wasm"));
+    let package = root().join(PACKAGE);
+    fs::create_dir_all(&package).map_err(|error| format!("{}: {error}", package.display()))?;
+    let mut bindgen = command("cargo");
+    bindgen.args(["run", "--quiet", "--package", "xtask", "--features", "bindgen", "--example", "bindgen", "--"]);
+    tools::run(bindgen.arg(&built).arg(&package).arg(NAME))?;
+    npm_packages()?;
+    let module = package.join(format!("{NAME}_bg.wasm"));
+    let mut optimize = command(root().join("web/node_modules/.bin/wasm-opt"));
+    optimize.args(["-Oz", "--converge", "--strip-debug", "--strip-producers"]).args(FEATURES);
+    tools::run(optimize.arg(&module).arg("-o").arg(&module))
+}
+
+const WASM: &str = "wasm32-unknown-unknown";
+/// Fixed-width vectors, which every browser has had since 2023.
+const SIMD128: &str = "target.wasm32-unknown-unknown.rustflags=['-Ctarget-feature=+simd128']";
+/// What the compiler and the glue may use.
+const FEATURES: [&str; 7] = [
+    "--enable-bulk-memory",
+    "--enable-nontrapping-float-to-int",
+    "--enable-sign-ext",
+    "--enable-mutable-globals",
+    "--enable-simd",
+    "--enable-reference-types",
+    "--enable-multivalue",
+];
+
+/// The previews and reference views that the browser tests compare with.
+pub fn fixtures() -> Outcome {
+    let folder = root().join("web/tests/fixtures");
+    let mut write = command("cargo");
+    write.args(["run", "--quiet", "--package", "lumistack-plugin-web-simulator", "--example", "fixtures", "--"]);
+    tools::run(write.arg(&folder))
+}
+
+/// Runs the tests of `web/tests` in a headless browser.
+pub fn browser_tests() -> Outcome {
+    let chromium = chromium()?;
+    let mut tests = command("npm");
+    tests.args(["test", "--silent", "--prefix", "web"]).env("LUMISTACK_CHROMIUM", chromium);
+    tools::run(tests.env("LUMISTACK_FIXTURES", root().join("web/tests/fixtures")))
+}
+
+/// Times the committed page.
+pub fn bench() -> Outcome {
+    npm_packages()?;
+    let folder = root().join("target/web-bench");
+    let mut write = command("cargo");
+    write.args([
+        "run",
+        "--quiet",
+        "--release",
+        "--package",
+        "lumistack-plugin-web-simulator",
+        "--example",
+        "fixtures",
+        "--",
+    ]);
+    tools::run(write.arg(&folder).arg("--bench"))?;
+    let mut bench = command("node");
+    bench.arg(root().join("xtask/bench/web.mjs")).arg(folder.join("bench"));
+    tools::run(bench.env("LUMISTACK_CHROMIUM", chromium()?))
+}
+
+/// Chromium: the one that `LUMISTACK_CHROMIUM` names, or the system's.
+fn chromium() -> Outcome<PathBuf> {
+    if let Some(path) = std::env::var_os("LUMISTACK_CHROMIUM") {
+        return Ok(path.into());
+    }
+    let found = || {
+        let places = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
+        places.into_iter().map(PathBuf::from).find(|path| path.is_file())
+    };
+    if let Some(path) = found() {
+        return Ok(path);
+    }
+    println!("\nfetching: the Debian package chromium (used only to test the simulator's page)");
+    let install = tools::run(command("apt-get").args(["install", "-y", "--no-install-recommends", "chromium"]));
+    found().ok_or_else(|| {
+        let error = install.err().unwrap_or_default();
+        format!("web: no browser to test the page with; install Chromium, or name one in LUMISTACK_CHROMIUM {error}")
+    })
+}
+
+/// Prints the sizes of the page's files; an error above the budget.
+fn measure() -> Outcome {
+    let mut total = 0;
+    for name in PAGE {
+        let path = root().join(DIST).join(name);
+        let bytes = fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+        let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+        let packed = encoder.write_all(&bytes).and_then(|()| encoder.finish()).map_err(|error| error.to_string())?;
+        println!("{name:>24} {:8} bytes {:8} compressed", bytes.len(), packed.len());
+        total += packed.len();
+    }
+    println!("{:>24} {total:24} compressed, of {BUDGET}", "page");
+    if total > BUDGET { Err(format!("web: the page has {total} bytes compressed, more than {BUDGET}")) } else { Ok(()) }
+}
+
+/// Hash of the names and contents of all sources, of the build profile, and of the lock entries of every crate that the module is made of.
+fn sources_hash() -> Outcome<String> {
+    let mut files = Vec::new();
+    for source in SOURCES {
+        collect(&root().join(source), &mut files)?;
+    }
+    files.sort();
+    let mut hash = blake3::Hasher::new();
+    for path in &files {
+        let name = path.strip_prefix(root()).map_err(|error| error.to_string())?.to_string_lossy().replace('\\', "/");
+        let bytes = fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        hash.update(name.as_bytes()).update(&(bytes.len() as u64).to_le_bytes()).update(&bytes);
+    }
+    let manifest = fs::read_to_string(root().join("Cargo.toml")).map_err(|error| format!("Cargo.toml: {error}"))?;
+    let profile = manifest.find("[profile.web]").ok_or("Cargo.toml has no [profile.web]")?;
+    hash.update(manifest[profile..].as_bytes());
+    // names, versions and checksums, as cargo says them
+    let tree = ["tree", "--package", "lumistack-web", "--target", WASM, "--edges", "normal,build", "--prefix", "none"];
+    let tree =
+        output_of(command("cargo").args(tree).args(["--format", "{p}", "--locked"])).ok_or("cargo tree failed")?;
+    let mut crates: Vec<&str> = tree.lines().map(|line| line.split(" (").next().unwrap_or(line)).collect();
+    crates.sort_unstable();
+    crates.dedup();
+    hash.update(crates.join("\n").as_bytes());
+    Ok(hash.finalize().to_hex().to_string())
+}
+
+fn collect(path: &Path, files: &mut Vec<PathBuf>) -> Outcome {
+    if path.is_file() {
+        files.push(path.to_owned());
+        return Ok(());
+    }
+    let entries = fs::read_dir(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    for entry in entries {
+        collect(&entry.map_err(|error| error.to_string())?.path(), files)?;
+    }
+    Ok(())
+}
+
+/// Cargo's target folder.
+fn target_folder() -> Outcome<PathBuf> {
+    let metadata = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
+        .and_then(|text| serde_json::from_str::<Value>(&text).ok())
+        .ok_or("cargo metadata failed")?;
+    let folder = metadata["target_directory"].as_str().map(PathBuf::from);
+    folder.ok_or_else(|| "cargo metadata names no target folder".into())
+}
+
+/// The npm packages of `web/package-lock.json`, fetched where they are not there yet.
+fn npm_packages() -> Outcome {
+    let web = root().join("web");
+    let (lock, installed) = (web.join("package-lock.json"), web.join("node_modules/.package-lock.json"));
+    let time = |path: &Path| fs::metadata(path).and_then(|data| data.modified()).ok();
+    if time(&installed).is_some_and(|installed| time(&lock).is_some_and(|lock| lock <= installed)) {
+        return Ok(());
+    }
+    if output_of(command("npm").arg("--version")).is_none() {
+        println!("\nfetching: the Debian packages nodejs and npm (used only to build and test the simulator's page)");
+        tools::run(command("apt-get").args(["install", "-y", "--no-install-recommends", "nodejs", "npm"]))
+            .map_err(|error| format!("web: npm does not start; install Node.js 20 or newer ({error})"))?;
+    }
+    println!(
+        "\nfetching: the npm packages of web/package-lock.json, in web/node_modules (used only to build and test the page)"
+    );
+    tools::run(command("npm").args(["ci", "--no-audit", "--no-fund", "--prefix"]).arg(&web))
+}
