@@ -31,42 +31,53 @@ for (const name of CASES) {
   for (const renderer of ["webgl2", "cpu"]) {
     test(`${name} on ${renderer}: nine positions`, async () => {
       const folder = join(FIXTURES, name);
-      const { slopes, rows, cols, files } = JSON.parse(readFileSync(join(folder, "references.json"), "utf8"));
+      const { slopes, rows, cols, files, brightness } = JSON.parse(readFileSync(join(folder, "references.json"), "utf8"));
       assert.equal(slopes.length, 9);
       const server = await site(folder);
-      const page = await open(browser, `${server.url}/${renderer === "cpu" ? "?renderer=cpu" : ""}`);
+      const query = renderer === "cpu" ? "?renderer=cpu" : "";
+      // Without gain nothing is brighter than white, so that no error hides in what is clipped.
+      const plain = await open(browser, `${server.url}/${query}#gain=1`);
+      const adapted = await open(browser, `${server.url}/${query}`);
       try {
-        assert.equal(await complete(page), undefined);
-        assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").path), renderer);
+        for (const page of [plain, adapted]) {
+          assert.equal(await complete(page), undefined);
+          assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").path), renderer);
+        }
         for (const [i, slope] of slopes.entries()) {
-          const shown = await pixels(page, slope);
-          assert.deepEqual([shown.width, shown.height], [cols, rows]);
           const bytes = readFileSync(join(folder, files[i]));
           const reference = new Float32Array(bytes.buffer, bytes.byteOffset, rows * cols * 3);
-          const { db, mean } = compare(shown.data, reference);
-          console.log(`  ${name} ${renderer} ${slope.map((s) => s.toFixed(3)).join(", ")}: ${db.toFixed(1)} dB`);
-          assert.ok(mean > 0.01, `the picture at ${slope} is black: mean ${mean}`);
-          assert.ok(db >= LEAST_DB, `${db.toFixed(1)} dB at ${slope}, expected ${LEAST_DB}`);
+          for (const [page, gain, white] of [[plain, 1, Infinity], [adapted, 1 / brightness, 1]]) {
+            const shown = await pixels(page, slope);
+            assert.deepEqual([shown.width, shown.height], [cols, rows]);
+            const { db, mean, deviation } = compare(shown.data, reference, gain * brightness, white);
+            const where = `gain ${gain} at ${slope.map((s) => s.toFixed(3)).join(", ")}`;
+            console.log(`  ${name} ${renderer} ${where}: ${db.toFixed(1)} dB`);
+            assert.ok(mean > 0.01, `black, ${where}: mean ${mean}`);
+            if (page === plain) assert.ok(deviation > 0.01, `one colour, ${where}: deviation ${deviation}`);
+            assert.ok(db >= LEAST_DB, `${db.toFixed(1)} dB, ${where}; expected ${LEAST_DB}`);
+          }
         }
-        assert.deepEqual(page.trouble, []);
+        for (const page of [plain, adapted]) assert.deepEqual(page.trouble, []);
       } finally {
-        await page.context().close();
+        await plain.context().close();
+        await adapted.context().close();
         await server.close();
       }
     });
   }
 }
 
-/** PSNR with peak 1 of what can be shown, 0..1, and the picture's mean. */
-function compare(rgba, reference) {
-  let squares = 0;
-  let sum = 0;
+/** PSNR with peak 1 of what is shown, divided by `scale`, against L̃/β, clipped at `white`; and mean and deviation of the picture. */
+function compare(rgba, reference, scale, white) {
+  let [squares, sum, sum2] = [0, 0, 0];
   for (let p = 0; p < reference.length / 3; p++) {
     for (let k = 0; k < 3; k++) {
-      const shown = LINEAR[rgba[p * 4 + k]];
-      squares += (shown - Math.min(Math.max(reference[p * 3 + k], 0), 1)) ** 2;
+      const shown = LINEAR[rgba[p * 4 + k]] / scale;
+      squares += (shown - Math.min(reference[p * 3 + k], white)) ** 2;
       sum += shown;
+      sum2 += shown * shown;
     }
   }
-  return { db: -10 * Math.log10(Math.max(squares / reference.length, 1e-12)), mean: sum / reference.length };
+  const mean = sum / reference.length;
+  return { db: -10 * Math.log10(Math.max(squares / reference.length, 1e-12)), mean, deviation: Math.sqrt(Math.max(sum2 / reference.length - mean * mean, 0)) };
 }

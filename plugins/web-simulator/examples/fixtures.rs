@@ -16,6 +16,8 @@ use lumistack_plugin::serve::{Output, OutputData, Plugin};
 use lumistack_plugin::testkit::MemoryHost;
 use lumistack_plugin_web_simulator::PLUGIN;
 
+/// Of every case; the front layer lets no more through, so that nothing is clipped and every error shows.
+const BRIGHTNESS: f64 = 0.8;
 /// Pixels of every case.
 const SIZE: [usize; 2] = [60, 40];
 
@@ -23,7 +25,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = std::env::args().nth(1).ok_or("usage: fixtures FOLDER [--bench]")?;
     if std::env::args().nth(2).as_deref() == Some("--bench") {
         let display = Display::uniform([420, 262], 0.64, [5, 5], [20.0, 20.0], &[-12.0, 0.0, 12.0], 6);
-        let display = Display { brightness: 0.2, ..display };
+        let display = Display { brightness: BRIGHTNESS, ..display };
         return write_case(&Path::new(&folder).join("bench"), &display);
     }
     for (name, display) in cases() {
@@ -35,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 fn cases() -> [(&'static str, Display); 4] {
     let layers = |d_mm: &[f64], frames: usize| {
         let plain = Display::uniform(SIZE, 1.0, [5, 5], [20.0, 20.0], d_mm, frames);
-        Display { brightness: 0.5, missing: Missing::Clear, ..plain }
+        Display { brightness: BRIGHTNESS, missing: Missing::Clear, ..plain }
     };
     let uniform = layers(&[-12.0, 0.0, 12.0], 3);
     let mut directional = layers(&[-6.0, 6.0], 2);
@@ -62,6 +64,8 @@ fn random_stack(display: &Display) -> LayerStack {
             *value = least + (1.0 - least) * (0.7 * wave + 0.3 * random.next_f32());
         }
     }
+    let front = stack.layers.iter_mut().last().into_iter().flat_map(|layer| layer.data_mut());
+    front.for_each(|value| *value *= BRIGHTNESS as f32);
     stack
 }
 
