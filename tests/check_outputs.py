@@ -2,6 +2,7 @@
 
 usage: check_outputs.py RUN_DIR
 """
+import base64
 import configparser
 import json
 import re
@@ -127,6 +128,19 @@ def transparencies(folder):
             count("pdftoppm")
 
 
+def web_simulator(folder):
+    preview = json.loads((folder / "stack/preview.json").read_text())
+    inline = (folder / "preview.html").read_text()
+    bundle = json.loads(re.search(r"LUMISTACK_INLINE\s*=\s*(\{.*?\})\s*;?\s*</script>", inline, re.S).group(1))
+    check(folder, "first file", [preview["files"][0][key] for key in ("kind", "frame")], ["layer", 0])
+    for file in preview["files"]:
+        path = folder / file["path"]
+        check(path, "bytes", path.stat().st_size, file["bytes"])
+        png(path, (file["cols"], file["rows"]), 8)
+        check(path, "copy in preview.html", base64.b64decode(bundle[file["path"]]) == path.read_bytes(), True)
+    check(folder, "module in preview.html", base64.b64decode(bundle["wasm"])[:4], b"\0asm")
+
+
 def image_magick(folder):
     """The whole folder once more, by a third reader of PNG files."""
     if not shutil.which("identify"):
@@ -137,7 +151,7 @@ def image_magick(folder):
         count("ImageMagick")
 
 
-readers = {"images": images, "quilt": quilt, "transparencies": transparencies}
+readers = {"images": images, "quilt": quilt, "transparencies": transparencies, "web_simulator": web_simulator}
 for folder in sorted(run.glob("outputs/*/*")):
     readers[folder.name](folder)
 image_magick(run / "outputs")

@@ -225,7 +225,10 @@ fn a_writer_that_fails_midway_leaves_the_old_output_whole() {
 fn a_preview_needs_a_run() {
     let folder = tempfile::tempdir().unwrap();
     let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
-    assert!(text.contains("expected a run or a preview, found neither stack/preview.json nor layers/stack.json"), "{text}");
+    assert!(
+        text.contains("expected a run or a preview, found neither stack/preview.json nor layers/stack.json"),
+        "{text}"
+    );
     std::fs::create_dir(folder.path().join("t0001")).unwrap();
     let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
     assert!(text.contains("name one of its times"), "{text}");

@@ -329,7 +329,7 @@ fn jobs() {
     check(&scene, "iterations = 3", &["sequence.times", "nothing"]);
     check(&scene, "times = 0", &["sequence.times", "1 to 9999", "0"]);
     check(&scene, "times = 2\nturn = 3", &["line 6", "turn", "turn_deg"]);
-    check(&input, "turn_deg = 3.0", &["sequence", "light fields"]);
+    check(&input, "turn_deg = 3.0", &["sequence", "without a scene"]);
     check(&input, "duration_s = 3.0", &["sequence", "duration_s", "light fields"]);
     check(&scene, "times = 2\nduration_s = inf", &["sequence.duration_s", "finite"]);
     check(&input, "[pose]\ntime_s = 1.0", &["pose", "a scene to pose"]);

@@ -196,7 +196,7 @@ fn sources_hash() -> Outcome<String> {
     }
     let manifest = fs::read_to_string(root().join("Cargo.toml")).map_err(|error| format!("Cargo.toml: {error}"))?;
     let profile = manifest.find("[profile.web]").ok_or("Cargo.toml has no [profile.web]")?;
-    hash.update(manifest[profile..].as_bytes());
+    hash.update(&manifest.as_bytes()[profile..]);
     // names, versions and checksums, as cargo says them
     let tree = ["tree", "--package", "lumistack-web", "--target", WASM, "--edges", "normal,build", "--prefix", "none"];
     let tree =

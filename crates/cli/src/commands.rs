@@ -111,7 +111,6 @@ fn finish(job: &Job, folder: &Path, registry: &Registry, json: bool, task: Task<
             say!("Depth: {sentence}");
         }
         say!("PSNR {:.1} dB at the target views{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
-        say!("{}", summary.report.display());
         if let Some(preview) = written_preview(folder) {
             say!("Look into the display: lumistack preview {}", folder.display());
             let single = preview.join("preview.html");
@@ -119,6 +118,7 @@ fn finish(job: &Job, folder: &Path, registry: &Registry, json: bool, task: Task<
                 say!("or open {} by a double click", single.display());
             }
         }
+        say!("{}", summary.report.display());
     }
     Ok(())
 }

@@ -45,7 +45,7 @@ impl DisplayJob {
     /// The display that is asked for.
     ///
     /// # Errors
-    /// As [`Job::resolve_display`].
+    /// As [`Job::resolve_display`](super::Job::resolve_display).
     pub fn resolve(&self) -> Result<Display, PipelineError> {
         let job = self;
         let (place, mut display) = match (&job.preset, &job.file) {

@@ -2,7 +2,7 @@
 
 use std::ffi::c_void;
 use std::marker::PhantomData;
-use std::sync::Arc;
+use std::rc::Rc;
 
 use lumistack_display::Display;
 use lumistack_plugin_abi::{ErrorSink, HostServices, OutputVtable, Status, Str};
@@ -23,7 +23,7 @@ pub struct Output<'a> {
     ports: Vec<Port>,
     display: &'a Display,
     /// The plugin keeps a pointer to it.
-    _table: Arc<HostServices>,
+    _table: Rc<HostServices>,
     _services: PhantomData<&'a ()>,
 }
 
@@ -59,13 +59,13 @@ impl<'a> Output<'a> {
     ) -> Result<Self, PluginError> {
         let display_json = serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))?;
         // not a `Box`: moving one would invalidate the plugin's pointer
-        let table = Arc::new(table(services));
+        let table = Rc::new(table(services));
         let Vtable::Output(vtable) = plugin.vtable else { return Err(plugin.is_no("output")) };
         let open = function(vtable.open)?;
         let mut instance = std::ptr::null_mut();
         // SAFETY: the table lives until `close` has returned (fields are dropped after `drop`); the rest is lent for the call.
         call(|error| unsafe {
-            open(Arc::as_ptr(&table), Str::new(params_json), Str::new(&display_json), &mut instance, error)
+            open(Rc::as_ptr(&table), Str::new(params_json), Str::new(&display_json), &mut instance, error)
         })?;
         Ok(Self {
             vtable,
