@@ -93,7 +93,7 @@ impl Options {
         self.eye_distance_mm.map_or(target, |distance_mm| Projection::Perspective { distance_mm })
     }
 
-    /// The places on the pupil from which one picture is put together: slopes relative to its centre along either axis, and which pairs [y][x] of
+    /// The places on the pupil from which one picture is put together: slopes relative to its centre along either axis, and which pairs `[y][x]` of
     /// them lie on the disc. One place for a pinhole.
     pub fn pupil(&self, display: &Display, target: Projection) -> Pupil {
         let distance_mm = match self.projection(target) {
@@ -120,7 +120,7 @@ impl Options {
 pub struct Pupil {
     /// Slopes relative to the centre, along either axis.
     pub offsets: Vec<f64>,
-    /// Of the place [y][x], row by row: whether it lies on the disc.
+    /// Of the place `[y][x]`, row by row: whether it lies on the disc.
     pub on_disc: Vec<bool>,
 }
 

@@ -18,7 +18,7 @@ use crate::Pupil;
 pub struct Tables {
     /// Places on the pupil along either axis.
     pub places: usize,
-    /// Which places [y][x] count, row by row.
+    /// Which places `[y][x]` count, row by row.
     pub on_disc: Vec<bool>,
     /// Layers, and one more where the backlight is directional.
     pub rows_per_place: usize,

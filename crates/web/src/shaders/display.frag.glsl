@@ -40,15 +40,18 @@ vec3 read(sampler2DArray layer, vec4 x, vec4 y, int slice) {
 }
 
 #define MEET(N, LAYER) \
-    x = texelFetch(taps_x, ivec2(at.x, table.x + N), 0); \
-    y = texelFetch(taps_y, ivec2(at.y, table.y + N), 0); \
-    if (x.x < 0.0 || y.x < 0.0) { counts = counts && !dropped; } \
-    else { met JOIN black + (1.0 - black) * read(LAYER, x, y, slice); }
+    if (x[N].x < 0.0 || y[N].x < 0.0) { counts = counts && !dropped; } \
+    else { met JOIN black + (1.0 - black) * read(LAYER, x[N], y[N], slice); }
 
 // Of one place on the pupil; fourth: whether the ray counts.
 vec4 seen(ivec2 at, ivec2 place) {
     ivec2 table = place * places.y;
-    vec4 x, y;
+    // the same in every frame
+    vec4 x[LAYERS + DIRECTIONAL], y[LAYERS + DIRECTIONAL];
+    for (int n = 0; n < LAYERS + DIRECTIONAL; n++) {
+        x[n] = texelFetch(taps_x, ivec2(at.x, table.x + n), 0);
+        y[n] = texelFetch(taps_y, ivec2(at.y, table.y + n), 0);
+    }
     vec3 sum = vec3(0.0);
     bool counts = true;
     for (int m = 0; m < slots.y; m++) {
@@ -60,12 +63,11 @@ vec4 seen(ivec2 at, ivec2 place) {
         met = turned * turned;
 #endif
 #if DIRECTIONAL
-        x = texelFetch(taps_x, ivec2(at.x, table.x + LAYERS), 0);
-        y = texelFetch(taps_y, ivec2(at.y, table.y + LAYERS), 0);
-        counts = counts && x.x > -1.5 && y.x > -1.5;
+        vec4 across = x[LAYERS], down = y[LAYERS];
+        counts = counts && across.x > -1.5 && down.x > -1.5;
         vec3 lit = vec3(0.0);
-        if (x.x >= 0.0 && y.x >= 0.0) {
-            ivec2 texel = ivec2(x.y, y.y) * lenslets + ivec2(x.x, y.x);
+        if (across.x >= 0.0 && down.x >= 0.0) {
+            ivec2 texel = ivec2(across.y, down.y) * lenslets + ivec2(across.x, down.x);
             lit = texelFetch(emission, ivec3(texel, slice), 0).rgb;
         }
 #if FORMATION == 1
