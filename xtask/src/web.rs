@@ -61,18 +61,9 @@ pub fn module() -> Outcome {
         );
     }
     let target = target_folder()?;
-    cargo(&[
-        "build",
-        "--quiet",
-        "--profile",
-        "web",
-        "--target",
-        WASM,
-        "--package",
-        "lumistack-web",
-        "--config",
-        SIMD128,
-    ])?;
+    let rustflags = format!("target.{WASM}.rustflags={:?}", rustflags());
+    let build = ["build", "--quiet", "--profile", "web", "--target", WASM, "--package", "lumistack-web"];
+    cargo(&[&build[..], &["--config", &rustflags]].concat())?;
     let built = target.join(WASM).join("web").join(format!("{NAME}.wasm"));
     let package = root().join(PACKAGE);
     fs::create_dir_all(&package).map_err(|error| format!("{}: {error}", package.display()))?;
@@ -87,8 +78,16 @@ pub fn module() -> Outcome {
 }
 
 const WASM: &str = "wasm32-unknown-unknown";
-/// Fixed-width vectors, which every browser has had since 2023.
-const SIMD128: &str = "target.wasm32-unknown-unknown.rustflags=['-Ctarget-feature=+simd128']";
+/// Fixed-width vectors, which every browser has had since 2023; and no paths of the machine that built the module in its messages.
+fn rustflags() -> Vec<String> {
+    let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
+    let home = home.or_else(|| std::env::home_dir().map(|home| home.join(".cargo"))).unwrap_or_default();
+    let registries = fs::read_dir(home.join("registry/src")).into_iter().flatten().flatten();
+    let mut flags = vec!["-Ctarget-feature=+simd128".to_owned()];
+    flags.extend(registries.map(|folder| format!("--remap-path-prefix={}=crates", folder.path().display())));
+    flags.sort();
+    flags
+}
 /// What the compiler and the glue may use.
 const FEATURES: [&str; 7] = [
     "--enable-bulk-memory",
