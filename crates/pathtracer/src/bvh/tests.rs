@@ -230,8 +230,8 @@ fn vectors_and_scalars_give_the_same_bits() {
         // SAFETY: every machine has the portable set
         let (slow, slow_passed) = unsafe {
             (
-                bvh.nearest_in::<Portable>(&ray, &mut stack, accept),
-                bvh.transmittance_in::<Portable>(&ray, &mut stack, pass),
+                bvh.nearest_in::<Portable, true>(&ray, &mut stack, accept),
+                bvh.transmittance_in::<Portable, true>(&ray, &mut stack, pass),
             )
         };
         found += usize::from(fast.is_some());

@@ -38,25 +38,31 @@ pub(crate) struct Stack(Vec<u64>);
 const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY as u64;
 
 /// The longest axis, by whether x is longer than y, x than z and y than z, one bit each.
-const LONGEST: [usize; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
-/// The axes that follow an axis when the ray runs up it and when it runs down it: exchanged, which keeps the winding.
-const OTHERS: [[usize; 2]; 6] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0]];
+const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
+/// The axes that follow an axis when the ray runs up it and when it runs down it: exchanged, which keeps the winding. Padded: an index
+/// of three bits needs no check.
+const OTHERS: [[u8; 2]; 8] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0], [0, 0], [0, 0]];
 
-/// A ray prepared for the slab and triangle tests.
+/// A ray prepared for the slab test.
 #[derive(Clone, Copy)]
-struct Prepared<V> {
+struct Slabs<V> {
     inverse: [V; 3],
     /// −o/d, less and plus the rounding.
     near_shift: [V; 3],
     far_shift: [V; 3],
-    /// Index of the near and the far plane per axis in [`Node::bounds`].
+    /// Index of the near plane per axis in [`Node::bounds`].
     near: [usize; 3],
     far: [usize; 3],
-    /// Axes of the triangle test: the last is the one along which the ray is longest.
+}
+
+/// A ray prepared for the triangle test. Numbers, not vectors: a block reads them as it needs them, and rays that meet no block pay little.
+#[derive(Clone, Copy)]
+struct Shear {
+    /// The last is the axis along which the ray is longest.
     axes: [usize; 3],
     /// Origin along these axes.
-    origin: [V; 3],
-    shear: [V; 3],
+    origin: [f32; 3],
+    shear: [f32; 3],
 }
 
 /// Result of the triangle test, one lane per triangle.
@@ -80,13 +86,13 @@ impl Bvh {
         // SAFETY: an `InstructionSet` is only made where the machine has it
         unsafe {
             match self.set {
-                InstructionSet::Portable => self.nearest_in::<Portable>(ray, stack, accept),
+                InstructionSet::Portable => self.nearest_in::<Portable, true>(ray, stack, accept),
                 #[cfg(target_arch = "x86_64")]
                 InstructionSet::Avx2 => self.nearest_avx2(ray, stack, accept),
                 #[cfg(target_arch = "aarch64")]
-                InstructionSet::Neon => self.nearest_in::<super::lanes::neon::Neon>(ray, stack, accept),
+                InstructionSet::Neon => self.nearest_in::<super::lanes::neon::Neon, true>(ray, stack, accept),
                 #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-                InstructionSet::Simd128 => self.nearest_in::<super::lanes::wasm::Simd128>(ray, stack, accept),
+                InstructionSet::Simd128 => self.nearest_in::<super::lanes::wasm::Simd128, true>(ray, stack, accept),
             }
         }
     }
@@ -98,14 +104,16 @@ impl Bvh {
         // SAFETY: an `InstructionSet` is only made where the machine has it
         unsafe {
             match self.set {
-                InstructionSet::Portable => self.transmittance_in::<Portable>(ray, stack, transmittance),
+                InstructionSet::Portable => self.transmittance_in::<Portable, true>(ray, stack, transmittance),
                 #[cfg(target_arch = "x86_64")]
                 InstructionSet::Avx2 => self.transmittance_avx2(ray, stack, transmittance),
                 #[cfg(target_arch = "aarch64")]
-                InstructionSet::Neon => self.transmittance_in::<super::lanes::neon::Neon>(ray, stack, transmittance),
+                InstructionSet::Neon => {
+                    self.transmittance_in::<super::lanes::neon::Neon, true>(ray, stack, transmittance)
+                }
                 #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
                 InstructionSet::Simd128 => {
-                    self.transmittance_in::<super::lanes::wasm::Simd128>(ray, stack, transmittance)
+                    self.transmittance_in::<super::lanes::wasm::Simd128, true>(ray, stack, transmittance)
                 }
             }
         }
@@ -115,14 +123,26 @@ impl Bvh {
     #[target_feature(enable = "avx2,fma")]
     unsafe fn nearest_avx2(&self, ray: &Ray, stack: &mut Stack, accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
         // SAFETY: passed on from the caller
-        unsafe { self.nearest_in::<super::lanes::x86::Avx2>(ray, stack, accept) }
+        unsafe {
+            if self.instances.is_empty() {
+                self.nearest_in::<super::lanes::x86::Avx2, false>(ray, stack, accept)
+            } else {
+                self.nearest_in::<super::lanes::x86::Avx2, true>(ray, stack, accept)
+            }
+        }
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
     unsafe fn transmittance_avx2(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
         // SAFETY: passed on from the caller
-        unsafe { self.transmittance_in::<super::lanes::x86::Avx2>(ray, stack, transmittance) }
+        unsafe {
+            if self.instances.is_empty() {
+                self.transmittance_in::<super::lanes::x86::Avx2, false>(ray, stack, transmittance)
+            } else {
+                self.transmittance_in::<super::lanes::x86::Avx2, true>(ray, stack, transmittance)
+            }
+        }
     }
 
     /// Asks for a child's memory, which a ray waits for more than for anything else; sorting its siblings hides a part of that.
@@ -148,10 +168,12 @@ impl Bvh {
         let _ = child;
     }
 
+    /// Without `INSTANCED` there are no instances, and rays never change.
+    ///
     /// # Safety
     /// The machine has `V`'s instruction set.
     #[inline(always)]
-    pub(super) unsafe fn nearest_in<V: Lanes>(
+    pub(super) unsafe fn nearest_in<V: Lanes, const INSTANCED: bool>(
         &self,
         ray: &Ray,
         stack: &mut Stack,
@@ -164,7 +186,8 @@ impl Bvh {
         // SAFETY: the caller has the instruction set. Child references point into the arrays they were made with, and no more than
         // `stack_depth` children are ever postponed, which `build` counts and the assertion above checks.
         unsafe {
-            let mut prepared = Prepared::<V>::new(ray, self.extent);
+            let mut slabs = Slabs::<V>::new(ray, self.extent);
+            let mut shear = Shear::new(ray);
             let mut instance = NO_INSTANCE;
             let postponed = stack.0.as_mut_ptr();
             let mut depth = 0;
@@ -191,7 +214,7 @@ impl Bvh {
                 // a loop of its own, so that what nodes need stays in registers rather than what blocks need
                 while current & LEAF == 0 {
                     let node = self.nodes.get_unchecked(current as usize);
-                    let (t_near, mut hits) = prepared.enters(node, t_max);
+                    let (t_near, mut hits) = slabs.enters(node, t_max);
                     if hits == 0 {
                         pop!();
                         continue;
@@ -244,9 +267,9 @@ impl Bvh {
                     }
                     current = a as u32;
                 }
-                if current & INSTANCE == 0 {
+                if !INSTANCED || current & INSTANCE == 0 {
                     let block = self.blocks.get_unchecked((current & !LEAF) as usize);
-                    let (mut hits, test) = prepared.meets(block, t_max);
+                    let (mut hits, test) = shear.meets::<V>(block, t_max);
                     if hits != 0 {
                         let test = Test {
                             t: test.t.store(),
@@ -267,11 +290,12 @@ impl Bvh {
                         }
                     }
                 } else if current == EMPTY {
-                    prepared = Prepared::new(ray, self.extent);
+                    (slabs, shear) = (Slabs::new(ray, self.extent), Shear::new(ray));
                     instance = NO_INSTANCE;
                 } else {
                     let placed = self.instances.get_unchecked((current & !(LEAF | INSTANCE)) as usize);
-                    prepared = Prepared::new(&placed.tree_ray(ray), placed.extent);
+                    let tree_ray = placed.tree_ray(ray);
+                    (slabs, shear) = (Slabs::new(&tree_ray, placed.extent), Shear::new(&tree_ray));
                     instance = placed.id;
                     *postponed.add(depth) = END_OF_INSTANCE;
                     depth += 1;
@@ -286,7 +310,7 @@ impl Bvh {
     /// # Safety
     /// The machine has `V`'s instruction set.
     #[inline(always)]
-    pub(super) unsafe fn transmittance_in<V: Lanes>(
+    pub(super) unsafe fn transmittance_in<V: Lanes, const INSTANCED: bool>(
         &self,
         ray: &Ray,
         stack: &mut Stack,
@@ -299,7 +323,8 @@ impl Bvh {
         assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
         // SAFETY: as in `nearest_in`
         unsafe {
-            let mut prepared = Prepared::<V>::new(ray, self.extent);
+            let mut slabs = Slabs::<V>::new(ray, self.extent);
+            let mut shear = Shear::new(ray);
             let mut instance = NO_INSTANCE;
             let postponed = stack.0.as_mut_ptr();
             let mut depth = 0;
@@ -307,7 +332,7 @@ impl Bvh {
             loop {
                 while current & LEAF == 0 {
                     let node = self.nodes.get_unchecked(current as usize);
-                    let (_, mut hits) = prepared.enters(node, ray.t_max);
+                    let (_, mut hits) = slabs.enters(node, ray.t_max);
                     if hits == 0 {
                         if depth == 0 {
                             return product;
@@ -325,9 +350,9 @@ impl Bvh {
                         depth += 1;
                     }
                 }
-                if current & INSTANCE == 0 {
+                if !INSTANCED || current & INSTANCE == 0 {
                     let block = self.blocks.get_unchecked((current & !LEAF) as usize);
-                    let (mut hits, test) = prepared.meets(block, ray.t_max);
+                    let (mut hits, test) = shear.meets::<V>(block, ray.t_max);
                     if hits != 0 {
                         let test = Test {
                             t: test.t.store(),
@@ -351,11 +376,12 @@ impl Bvh {
                         }
                     }
                 } else if current == EMPTY {
-                    prepared = Prepared::new(ray, self.extent);
+                    (slabs, shear) = (Slabs::new(ray, self.extent), Shear::new(ray));
                     instance = NO_INSTANCE;
                 } else {
                     let placed = self.instances.get_unchecked((current & !(LEAF | INSTANCE)) as usize);
-                    prepared = Prepared::new(&placed.tree_ray(ray), placed.extent);
+                    let tree_ray = placed.tree_ray(ray);
+                    (slabs, shear) = (Slabs::new(&tree_ray, placed.extent), Shear::new(&tree_ray));
                     instance = placed.id;
                     *postponed.add(depth) = u64::from(EMPTY);
                     depth += 1;
@@ -394,23 +420,17 @@ impl Hit {
 
 // SAFETY of every block and function below: the callers have `V`'s instruction set
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
-impl<V: Lanes> Prepared<V> {
+impl<V: Lanes> Slabs<V> {
     /// `extent`: largest coordinate of the tree's bounds.
     #[inline(always)]
     unsafe fn new(ray: &Ray, extent: f32) -> Self {
-        let d = ray.direction.to_array();
-        let o = ray.origin.to_array();
-        let magnitude = d.map(f32::abs);
-        // looked up: which axis is the longest is another coin toss
-        let greater = |a: usize, b: usize| usize::from(magnitude[a] > magnitude[b]);
-        let z = LONGEST[greater(0, 1) | greater(0, 2) << 1 | greater(1, 2) << 2];
-        let [x, y] = OTHERS[2 * z + usize::from(d[z] < 0.0)];
+        let (d, o) = (ray.direction.to_array(), ray.origin.to_array());
         let inverse = d.map(|c| 1.0 / if c.abs() < SMALLEST_SLOPE { SMALLEST_SLOPE.copysign(c) } else { c });
         let shift: [f32; 3] = std::array::from_fn(|axis| -o[axis] * inverse[axis]);
         let rounding: [f32; 3] =
             std::array::from_fn(|axis| SLAB_ROUNDING * (o[axis].abs() + extent) * inverse[axis].abs());
-        let near: [usize; 3] = std::array::from_fn(|axis| if inverse[axis] < 0.0 { axis + 3 } else { axis });
-        let along_z = 1.0 / d[z];
+        let sign = |axis: usize| (inverse[axis].to_bits() >> 31) as usize;
+        let near = [3 * sign(0) * WIDTH, (1 + 3 * sign(1)) * WIDTH, (2 + 3 * sign(2)) * WIDTH];
         // written out: a closure would not have the instruction set, and the vector operations in it would become calls
         unsafe {
             Self {
@@ -426,57 +446,90 @@ impl<V: Lanes> Prepared<V> {
                     V::splat(shift[2] + rounding[2]),
                 ],
                 near,
-                far: near.map(|plane| if plane < 3 { plane + 3 } else { plane - 3 }),
-                axes: [x, y, z],
-                origin: [V::splat(o[x]), V::splat(o[y]), V::splat(o[z])],
-                shear: [V::splat(d[x] * along_z), V::splat(d[y] * along_z), V::splat(along_z)],
+                far: [3 * WIDTH - near[0], 5 * WIDTH - near[1], 7 * WIDTH - near[2]],
             }
         }
     }
 
-    /// Distances to the near plane of an axis of eight boxes.
+    /// Distances to a plane of an axis of eight boxes; `row` is an entry of `near` or `far`.
     #[inline(always)]
-    unsafe fn near(&self, node: &Node, axis: usize) -> V {
-        unsafe {
-            V::load(node.bounds.get_unchecked(self.near[axis])).mul_add(self.inverse[axis], self.near_shift[axis])
-        }
-    }
-
-    /// As [`near`](Self::near), the far plane.
-    #[inline(always)]
-    unsafe fn far(&self, node: &Node, axis: usize) -> V {
-        unsafe { V::load(node.bounds.get_unchecked(self.far[axis])).mul_add(self.inverse[axis], self.far_shift[axis]) }
-    }
-
-    /// A vertex of eight triangles in the space where the ray starts at the origin and is the z axis; z is not scaled yet.
-    #[inline(always)]
-    unsafe fn sheared(&self, block: &Block, vertex: usize) -> (V, V, V) {
-        unsafe {
-            let axes = &block.vertices[vertex];
-            let x = V::load(axes.get_unchecked(self.axes[0])).sub(self.origin[0]);
-            let y = V::load(axes.get_unchecked(self.axes[1])).sub(self.origin[1]);
-            let z = V::load(axes.get_unchecked(self.axes[2])).sub(self.origin[2]);
-            (self.shear[0].neg_mul_add(z, x), self.shear[1].neg_mul_add(z, y), z)
-        }
+    unsafe fn distance(&self, node: &Node, row: usize, axis: usize, shift: V) -> V {
+        unsafe { V::load(eight(node.bounds.as_flattened(), row)).mul_add(self.inverse[axis], shift) }
     }
 
     /// Distances at which the ray enters eight boxes, and a bit per box that it enters before `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, node: &Node, t_max: f32) -> (V, u32) {
         unsafe {
-            let entry = self.near(node, 0).max(self.near(node, 1)).max(self.near(node, 2).max(V::splat(0.0)));
-            let exit = self.far(node, 0).min(self.far(node, 1)).min(self.far(node, 2).min(V::splat(t_max)));
+            let [near_x, near_y, near_z] = [
+                self.distance(node, self.near[0], 0, self.near_shift[0]),
+                self.distance(node, self.near[1], 1, self.near_shift[1]),
+                self.distance(node, self.near[2], 2, self.near_shift[2]),
+            ];
+            let [far_x, far_y, far_z] = [
+                self.distance(node, self.far[0], 0, self.far_shift[0]),
+                self.distance(node, self.far[1], 1, self.far_shift[1]),
+                self.distance(node, self.far[2], 2, self.far_shift[2]),
+            ];
+            let entry = near_x.max(near_y).max(near_z.max(V::splat(0.0)));
+            let exit = far_x.min(far_y).min(far_z.min(V::splat(t_max)));
             (entry, V::bits(entry.at_most(exit)))
+        }
+    }
+}
+
+/// Eight values of an array of rows of eight, from where a row starts.
+///
+/// # Safety
+/// `row` is the start of a row.
+#[inline(always)]
+unsafe fn eight(rows: &[f32], row: usize) -> &[f32; WIDTH] {
+    debug_assert!(row + WIDTH <= rows.len());
+    // SAFETY: the row lies within the array
+    unsafe { &*rows.as_ptr().add(row).cast() }
+}
+
+#[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
+impl Shear {
+    #[inline(always)]
+    fn new(ray: &Ray) -> Self {
+        let (d, o) = (ray.direction.to_array(), ray.origin.to_array());
+        let magnitude = d.map(f32::abs);
+        // looked up: which axis is the longest is another coin toss
+        let greater = |a: usize, b: usize| usize::from(magnitude[a] > magnitude[b]);
+        let z = LONGEST[greater(0, 1) | greater(0, 2) << 1 | greater(1, 2) << 2];
+        // padded as the tables are
+        let (d, o) = ([d[0], d[1], d[2], 0.0], [o[0], o[1], o[2], 0.0]);
+        let along = d[usize::from(z & 3)];
+        let [x, y] = OTHERS[usize::from(2 * z + u8::from(along < 0.0)) & 7];
+        let axes = [x, y, z].map(|axis| usize::from(axis & 3));
+        let along = 1.0 / along;
+        Self {
+            axes: axes.map(|axis| axis * WIDTH),
+            origin: axes.map(|axis| o[axis]),
+            shear: [d[axes[0]] * along, d[axes[1]] * along, along],
+        }
+    }
+
+    /// A vertex of eight triangles in the space where the ray starts at the origin and is the z axis; z is not scaled yet.
+    #[inline(always)]
+    unsafe fn vertex<V: Lanes>(&self, block: &Block, vertex: usize) -> (V, V, V) {
+        unsafe {
+            let rows = block.vertices.get_unchecked(vertex).as_flattened();
+            let x = V::load(eight(rows, self.axes[0])).sub(V::splat(self.origin[0]));
+            let y = V::load(eight(rows, self.axes[1])).sub(V::splat(self.origin[1]));
+            let z = V::load(eight(rows, self.axes[2])).sub(V::splat(self.origin[2]));
+            (V::splat(self.shear[0]).neg_mul_add(z, x), V::splat(self.shear[1]).neg_mul_add(z, y), z)
         }
     }
 
     /// Tests eight triangles; a bit per triangle that is met at 0 < t < `t_max`.
     #[inline(always)]
-    unsafe fn meets(&self, block: &Block, t_max: f32) -> (u32, Test<V>) {
+    unsafe fn meets<V: Lanes>(&self, block: &Block, t_max: f32) -> (u32, Test<V>) {
         unsafe {
-            let (ax, ay, az) = self.sheared(block, 0);
-            let (bx, by, bz) = self.sheared(block, 1);
-            let (cx, cy, cz) = self.sheared(block, 2);
+            let (ax, ay, az) = self.vertex::<V>(block, 0);
+            let (bx, by, bz) = self.vertex::<V>(block, 1);
+            let (cx, cy, cz) = self.vertex::<V>(block, 2);
             let u = cx.mul(by).sub(cy.mul(bx));
             let v = ax.mul(cy).sub(ay.mul(cx));
             let w = bx.mul(ay).sub(by.mul(ax));
@@ -489,7 +542,7 @@ impl<V: Lanes> Prepared<V> {
             if V::bits(inside) == 0 {
                 return (0, Test { t: zero, u, v, determinant });
             }
-            let t = w.mul_add(cz, v.mul_add(bz, u.mul(az))).mul(self.shear[2]).div(determinant);
+            let t = w.mul_add(cz, v.mul_add(bz, u.mul(az))).mul(V::splat(self.shear[2])).div(determinant);
             let within = V::both(zero.below(t), t.below(V::splat(t_max)));
             (V::bits(V::both(inside, within)), Test { t, u, v, determinant })
         }
