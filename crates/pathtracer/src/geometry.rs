@@ -49,20 +49,42 @@ pub(crate) enum Sharing {
 pub(crate) struct Geometry {
     scene: Arc<Scene>,
     pub(crate) space: RenderSpace,
-    /// Corners: first of the `loose` triangles, in render space, wound counter-clockwise seen from the front; then those of shared
-    /// meshes in the spaces of their trees, wound as the mesh is.
-    pub(crate) triangles: Vec<[Vec3; 3]>,
+    /// First the `loose` triangles, in render space, wound counter-clockwise seen from the front; then those of shared meshes in the
+    /// spaces of their trees, wound as the mesh is.
+    records: Vec<Record>,
     pub(crate) loose: Range<usize>,
     /// Triangles of each shared mesh.
     pub(crate) shared: Vec<Range<usize>>,
     pub(crate) placements: Vec<Placement>,
-    /// Instance and triangle of its mesh; for shared triangles any instance.
-    sources: Vec<(u32, u32)>,
     instances: Vec<PlacedInstance>,
 }
 
+/// What a hit needs of its triangle, side by side in two cache lines: to collect it from the mesh's arrays takes a dozen.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+struct Record {
+    corners: [Vec3; 3],
+    /// Of loose triangles in render space, of shared ones in the mesh's; interpolated, then normalized.
+    normals: [Vec3; 3],
+    /// Of set 0; zeros where the mesh has none.
+    uvs: [Vec2; 3],
+    geometric_normal: Vec3,
+    doubled_area: f32,
+    material: u32,
+    /// For shared triangles any instance.
+    instance: u32,
+    triangle_in_mesh: u32,
+    /// [`SWAPPED`], [`COLORED`].
+    flags: u32,
+}
+
+/// Two corners have changed places: the instance mirrors.
+const SWAPPED: u32 = 1;
+/// The mesh has vertex colours.
+const COLORED: u32 = 2;
+
 struct PlacedInstance {
-    /// Inverse transpose of the linear part, for normals.
+    /// Inverse transpose of the linear part, for normals of shared meshes.
     normal_matrix: Mat3,
     tangent_matrix: Mat3,
     mirrored: bool,
@@ -72,9 +94,11 @@ struct PlacedInstance {
 
 /// A point of a surface.
 pub(crate) struct SurfacePoint<'a> {
-    pub(crate) mesh: &'a Mesh,
-    pub(crate) indices: [usize; 3],
-    pub(crate) weights: [f32; 3],
+    geometry: &'a Geometry,
+    record: &'a Record,
+    /// Instance of a shared triangle.
+    placed: Option<&'a PlacedInstance>,
+    weights: [f32; 3],
     pub(crate) position: Vec3,
     /// On the front side.
     pub(crate) geometric_normal: Vec3,
@@ -82,7 +106,6 @@ pub(crate) struct SurfacePoint<'a> {
     pub(crate) doubled_area: f32,
     /// Distance by which a ray must start off the surface.
     pub(crate) offset: f32,
-    instance: &'a PlacedInstance,
 }
 
 impl RenderSpace {
@@ -115,11 +138,10 @@ impl Geometry {
         let shares = shared_meshes(&scene, sharing);
         let mut geometry = Self {
             space,
-            triangles: Vec::with_capacity(unique_triangles(&scene, sharing)),
+            records: Vec::with_capacity(unique_triangles(&scene, sharing)),
             loose: 0..0,
             shared: Vec::new(),
             placements: Vec::new(),
-            sources: Vec::with_capacity(unique_triangles(&scene, sharing)),
             instances: Vec::with_capacity(scene.instances.len()),
             scene: scene.clone(),
         };
@@ -131,7 +153,8 @@ impl Geometry {
             if !shares[instance.mesh] {
                 let origin = space.point(instance.scene_from_mesh.translation.as_dvec3());
                 let render_from_mesh = DAffine3::from_mat3_translation(tangent_matrix, origin);
-                geometry.add(mesh, index, mirrored, |p| render_from_mesh.transform_point3(p));
+                let normal_matrix = tangent_matrix.inverse().transpose().as_mat3();
+                geometry.add(mesh, index, mirrored, normal_matrix, |p| render_from_mesh.transform_point3(p));
             }
             geometry.instances.push(PlacedInstance {
                 normal_matrix: tangent_matrix.inverse().transpose().as_mat3(),
@@ -140,7 +163,7 @@ impl Geometry {
                 placement: NO_INSTANCE,
             });
         }
-        geometry.loose = 0..geometry.triangles.len();
+        geometry.loose = 0..geometry.records.len();
         // per mesh: its tree and the map from the tree's space to the mesh
         let mut trees: Vec<Option<(usize, f64, DVec3)>> = vec![None; scene.meshes.len()];
         for (index, instance) in scene.instances.iter().enumerate() {
@@ -152,9 +175,9 @@ impl Geometry {
                 let mut bounds = Bounds::EMPTY;
                 mesh.triangles.iter().flatten().for_each(|&i| bounds.include(mesh.positions[i as usize]));
                 let own = RenderSpace::around(bounds);
-                let first = geometry.triangles.len();
-                geometry.add(mesh, index, false, |p| own.point(p));
-                geometry.shared.push(first..geometry.triangles.len());
+                let first = geometry.records.len();
+                geometry.add(mesh, index, false, Mat3::IDENTITY, |p| own.point(p));
+                geometry.shared.push(first..geometry.records.len());
                 (geometry.shared.len() - 1, own.scale, own.centre)
             });
             let linear = linear(instance);
@@ -169,31 +192,61 @@ impl Geometry {
                 translation: space.point(origin).as_vec3(),
             });
         }
-        geometry.triangles = in_large_pages(geometry.triangles);
-        geometry.sources = in_large_pages(geometry.sources);
+        geometry.records = in_large_pages(geometry.records);
         geometry
     }
 
-    fn add(&mut self, mesh: &Mesh, instance: usize, mirrored: bool, place: impl Fn(DVec3) -> DVec3) {
+    fn add(
+        &mut self,
+        mesh: &Mesh,
+        instance: usize,
+        mirrored: bool,
+        normal_matrix: Mat3,
+        place: impl Fn(DVec3) -> DVec3,
+    ) {
+        let colored = if mesh.colors.is_empty() { 0 } else { COLORED };
         for (triangle, corners) in mesh.triangles.iter().enumerate() {
-            let [a, b, c] = corners.map(|i| place(mesh.positions[i as usize].as_dvec3()).as_vec3());
-            self.triangles.push(if mirrored { [a, c, b] } else { [a, b, c] });
-            self.sources.push((instance as u32, triangle as u32));
+            let mut indices = corners.map(|i| i as usize);
+            if mirrored {
+                indices.swap(1, 2);
+            }
+            let corners = indices.map(|i| place(mesh.positions[i].as_dvec3()).as_vec3());
+            let (geometric_normal, doubled_area) = normal_and_doubled_area(corners);
+            self.records.push(Record {
+                corners,
+                normals: indices.map(|i| normal_matrix * mesh.normals[i]),
+                uvs: indices.map(|i| mesh.uvs[0].get(i).copied().unwrap_or_default()),
+                geometric_normal,
+                doubled_area,
+                material: mesh.material as u32,
+                instance: instance as u32,
+                triangle_in_mesh: triangle as u32,
+                flags: colored | if mirrored { SWAPPED } else { 0 },
+            });
         }
     }
 
     /// Bytes of what is kept per triangle and instance.
     pub(crate) fn bytes(&self) -> usize {
-        size_of_val(self.triangles.as_slice())
-            + size_of_val(self.sources.as_slice())
+        size_of_val(self.records.as_slice())
             + size_of_val(self.instances.as_slice())
             + size_of_val(self.placements.as_slice())
     }
 
+    /// Number of triangles that are kept.
+    pub(crate) fn triangle_count(&self) -> usize {
+        self.records.len()
+    }
+
+    /// Corners of a triangle; of a shared one in the space of its tree.
+    pub(crate) fn corners(&self, triangle: u32) -> [Vec3; 3] {
+        self.records[triangle as usize].corners
+    }
+
     /// Index of the material of a triangle.
+    #[inline]
     pub(crate) fn material_index(&self, triangle: u32) -> usize {
-        let (instance, _) = self.sources[triangle as usize];
-        self.scene.meshes[self.scene.instances[instance as usize].mesh].material
+        self.records[triangle as usize].material as usize
     }
 
     /// Material of a triangle.
@@ -202,11 +255,19 @@ impl Geometry {
     }
 
     /// The point of a triangle of no shared mesh with these vertex weights (in render-space winding).
+    #[inline]
     pub(crate) fn point(&self, triangle: u32, barycentric: [f32; 3]) -> SurfacePoint<'_> {
-        let (instance, in_mesh) = self.sources[triangle as usize];
-        let corners = self.triangles[triangle as usize];
-        let largest = largest_coordinate(corners);
-        self.point_of(instance, in_mesh, corners, barycentric, largest)
+        let record = &self.records[triangle as usize];
+        SurfacePoint {
+            geometry: self,
+            record,
+            placed: None,
+            weights: barycentric,
+            position: weighted(barycentric, record.corners),
+            geometric_normal: record.geometric_normal,
+            doubled_area: record.doubled_area,
+            offset: OFFSET_SHARE * largest_coordinate(record.corners),
+        }
     }
 
     /// The point of a hit.
@@ -215,49 +276,44 @@ impl Geometry {
         if hit.instance == NO_INSTANCE {
             return self.point(hit.triangle, hit.barycentric);
         }
-        let (_, in_mesh) = self.sources[hit.triangle as usize];
+        self.placed_point(hit)
+    }
+
+    fn placed_point(&self, hit: &Hit) -> SurfacePoint<'_> {
+        let record = &self.records[hit.triangle as usize];
         let instance = &self.instances[hit.instance as usize];
         let placement = &self.placements[instance.placement as usize];
         // positions are rounded as sums of this and of the instance's place
-        let turned = self.triangles[hit.triangle as usize].map(|corner| placement.render_from_tree * corner);
-        let [a, b, c] = turned.map(|corner| corner + placement.translation);
-        let [wa, wb, wc] = hit.barycentric;
-        let (corners, weights) = if instance.mirrored { ([a, c, b], [wa, wc, wb]) } else { ([a, b, c], [wa, wb, wc]) };
-        let largest = largest_coordinate(corners) + largest_coordinate(turned);
-        self.point_of(hit.instance, in_mesh, corners, weights, largest)
-    }
-
-    #[inline]
-    fn point_of(
-        &self,
-        instance_index: u32,
-        in_mesh: u32,
-        [a, b, c]: [Vec3; 3],
-        weights: [f32; 3],
-        largest: f32,
-    ) -> SurfacePoint<'_> {
-        let instance = &self.instances[instance_index as usize];
-        let mesh = &self.scene.meshes[self.scene.instances[instance_index as usize].mesh];
-        let mut indices = mesh.triangles[in_mesh as usize].map(|i| i as usize);
-        if instance.mirrored {
-            indices.swap(1, 2);
-        }
-        let [wa, wb, wc] = weights;
-        let cross = (b - a).cross(c - a);
-        let doubled_area = cross.length();
+        let turned = record.corners.map(|corner| placement.render_from_tree * corner);
+        let corners = turned.map(|corner| corner + placement.translation);
+        let (normal, doubled_area) = normal_and_doubled_area(corners);
         SurfacePoint {
-            mesh,
-            indices,
-            weights,
-            position: wa * a + wb * b + wc * c,
-            geometric_normal: if doubled_area > 0.0 { cross / doubled_area } else { Vec3::Z },
+            geometry: self,
+            record,
+            placed: Some(instance),
+            weights: hit.barycentric,
+            position: weighted(hit.barycentric, corners),
+            // a mirrored triangle winds the other way
+            geometric_normal: if instance.mirrored { -normal } else { normal },
             doubled_area,
-            offset: OFFSET_SHARE * largest,
-            instance,
+            offset: OFFSET_SHARE * (largest_coordinate(corners) + largest_coordinate(turned)),
         }
     }
 }
 
+/// Unit normal of the side from which the corners wind counter-clockwise, and twice the area.
+fn normal_and_doubled_area([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
+    let cross = (b - a).cross(c - a);
+    let doubled_area = cross.length();
+    (if doubled_area > 0.0 { cross / doubled_area } else { Vec3::Z }, doubled_area)
+}
+
+#[inline]
+fn weighted<T: std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>>(weights: [f32; 3], [a, b, c]: [T; 3]) -> T {
+    a * weights[0] + b * weights[1] + c * weights[2]
+}
+
+#[inline]
 fn largest_coordinate([a, b, c]: [Vec3; 3]) -> f32 {
     a.abs().max(b.abs()).max(c.abs()).max_element()
 }
@@ -292,46 +348,76 @@ pub(crate) fn unique_triangles(scene: &Scene, sharing: Sharing) -> usize {
 }
 
 impl SurfacePoint<'_> {
+    fn mesh(&self) -> &Mesh {
+        &self.geometry.scene.meshes[self.geometry.scene.instances[self.record.instance as usize].mesh]
+    }
+
+    /// Of three corners of a mesh's array, their mean by this point's weights.
+    fn interpolated<T>(&self, values: &[T]) -> T
+    where
+        T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
+    {
+        let mut indices = self.mesh().triangles[self.record.triangle_in_mesh as usize].map(|i| i as usize);
+        if self.record.flags & SWAPPED != 0 {
+            indices.swap(1, 2);
+        }
+        weighted(self.weights, indices.map(|i| values[i]))
+    }
+
     /// Texture coordinates of a set; (0, 0) where the mesh has none.
+    #[inline]
     pub(crate) fn uv(&self, set: usize) -> Vec2 {
-        let uvs = &self.mesh.uvs[set];
-        if uvs.is_empty() { Vec2::ZERO } else { (0..3).map(|k| self.weights[k] * uvs[self.indices[k]]).sum() }
+        if set == 0 {
+            return weighted(self.weights, self.record.uvs);
+        }
+        let uvs = &self.mesh().uvs[set];
+        if uvs.is_empty() { Vec2::ZERO } else { self.interpolated(uvs) }
     }
 
     /// Texture coordinates per render-space length: √(area in texture space / area).
+    #[inline]
     pub(crate) fn uv_per_length(&self, set: usize, determinant: f32) -> f32 {
-        let uvs = &self.mesh.uvs[set];
-        if uvs.is_empty() {
-            return 0.0;
-        }
-        let [a, b, c] = self.indices.map(|i| uvs[i]);
+        let [a, b, c] = if set == 0 {
+            self.record.uvs
+        } else {
+            let mesh = self.mesh();
+            mesh.triangles[self.record.triangle_in_mesh as usize]
+                .map(|i| mesh.uvs[set].get(i as usize).copied().unwrap_or_default())
+        };
         ((b - a).perp_dot(c - a) * determinant / self.doubled_area.max(f32::MIN_POSITIVE)).abs().sqrt()
     }
 
+    /// Whether the mesh has vertex colours.
+    pub(crate) fn is_colored(&self) -> bool {
+        self.record.flags & COLORED != 0
+    }
+
     /// Vertex colour; white where the mesh has none.
+    #[inline]
     pub(crate) fn color(&self) -> Vec4 {
-        let colors = &self.mesh.colors;
-        if colors.is_empty() { Vec4::ONE } else { (0..3).map(|k| self.weights[k] * colors[self.indices[k]]).sum() }
+        if self.is_colored() { self.interpolated(&self.mesh().colors) } else { Vec4::ONE }
     }
 
     /// Interpolated normal on the front side; the geometric normal where interpolation fails or contradicts the winding.
+    #[inline]
     pub(crate) fn shading_normal(&self) -> Vec3 {
-        let normals = &self.mesh.normals;
-        let sum: Vec3 = (0..3).map(|k| self.weights[k] * normals[self.indices[k]]).sum();
-        let normal = (self.instance.normal_matrix * sum).normalize_or(self.geometric_normal);
+        let sum = weighted(self.weights, self.record.normals);
+        let turned = self.placed.map_or(sum, |instance| instance.normal_matrix * sum);
+        let normal = turned.normalize_or(self.geometric_normal);
         if normal.dot(self.geometric_normal) > 0.0 { normal } else { self.geometric_normal }
     }
 
     /// `normal` turned by a tangent-space normal (glTF: x along u, y up in the picture). `None` without tangents.
     pub(crate) fn mapped_normal(&self, normal: Vec3, mapped: Vec3) -> Option<Vec3> {
-        let tangents = &self.mesh.tangents;
+        let tangents = &self.mesh().tangents;
         if tangents.is_empty() {
             return None;
         }
-        let sum: Vec4 = (0..3).map(|k| self.weights[k] * tangents[self.indices[k]]).sum();
-        let tangent = self.instance.tangent_matrix * sum.truncate();
+        let sum: Vec4 = self.interpolated(tangents);
+        let instance = self.placed.unwrap_or(&self.geometry.instances[self.record.instance as usize]);
+        let tangent = instance.tangent_matrix * sum.truncate();
         let tangent = (tangent - normal * normal.dot(tangent)).try_normalize()?;
-        let handedness = if (sum.w < 0.0) != self.instance.mirrored { -1.0 } else { 1.0 };
+        let handedness = if (sum.w < 0.0) != instance.mirrored { -1.0 } else { 1.0 };
         let bitangent = handedness * normal.cross(tangent);
         (mapped.x * tangent + mapped.y * bitangent + mapped.z * normal).try_normalize()
     }

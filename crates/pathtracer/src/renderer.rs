@@ -151,13 +151,15 @@ impl Renderer {
         let materials = Materials::new(scene.clone());
         task.cancel.check()?;
         let flags: Vec<u32> = (0..found as u32).map(|t| materials.flags(geometry.material_index(t))).collect();
+        let corners: Vec<_> = (0..found as u32).map(|t| geometry.corners(t)).collect();
         let bvh = Bvh::new(&bvh::Input {
-            triangles: &geometry.triangles,
+            triangles: &corners,
             flags: &flags,
             loose: geometry.loose.clone(),
             shared: &geometry.shared,
             placements: &geometry.placements,
         });
+        drop((corners, flags));
         task.cancel.check()?;
         let lights = Lights::new(&scene, &geometry, &materials);
         if lights.is_dark() {

@@ -83,7 +83,7 @@ impl Lights {
         let (triangles, mut emitters) = emitting_triangles(geometry, materials);
         let mut light_of_triangle = Vec::new();
         if !triangles.is_empty() {
-            light_of_triangle = vec![NONE; geometry.triangles.len()];
+            light_of_triangle = vec![NONE; geometry.triangle_count()];
             for (index, light) in triangles.iter().enumerate() {
                 for triangle in [Some(light.triangle), light.partner].into_iter().flatten() {
                     light_of_triangle[triangle as usize] = index as u32;
@@ -269,7 +269,7 @@ fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>, cos
 fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<TriangleLight>, Vec<Emitter>) {
     let mut lights: Vec<TriangleLight> = Vec::new();
     let mut emitters: Vec<Emitter> = Vec::new();
-    for triangle in 0..geometry.triangles.len() as u32 {
+    for triangle in 0..geometry.triangle_count() as u32 {
         let material = geometry.material(triangle);
         if !material.is_emissive() {
             continue;
@@ -277,8 +277,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         let index = geometry.material_index(triangle);
         let at = |k: usize| (k as f32 + 0.5) / POWER_POINTS as f32;
         let centre = geometry.point(triangle, [1.0 / 3.0; 3]);
-        let varies =
-            material.textures().next().is_some() || material.clearcoat.is_some() || !centre.mesh.colors.is_empty();
+        let varies = material.textures().next().is_some() || material.clearcoat.is_some() || centre.is_colored();
         let uniform = (!varies).then(|| emitted(materials, index, &centre, 1.0));
         let mean = match uniform {
             Some(radiance) => radiance,
@@ -294,7 +293,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         let strength = area * luminance(mean.to_array());
         // what light sampling cannot choose is still found by scattering
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
-            let corners @ [a, b, c] = geometry.triangles[triangle as usize];
+            let corners @ [a, b, c] = geometry.corners(triangle);
             let light = TriangleLight {
                 triangle,
                 partner: None,
@@ -407,8 +406,9 @@ mod tests {
         let cells = PARTS * PARTS * PARTS;
         for (seed, receiver) in receivers.iter().enumerate() {
             let draws = 60_000;
-            let mut expected = vec![0.0f64; geometry.triangles.len() * cells + 1];
-            for (triangle, &[a, b, c]) in geometry.triangles.iter().enumerate() {
+            let mut expected = vec![0.0f64; geometry.triangle_count() * cells + 1];
+            for triangle in 0..geometry.triangle_count() {
+                let [a, b, c] = geometry.corners(triangle as u32);
                 let area = 0.5 * (b - a).cross(c - a).length();
                 let normal = (b - a).cross(c - a).normalize();
                 // any point will do: the density per area is the same all over a light
@@ -435,8 +435,8 @@ mod tests {
             for _ in 0..draws {
                 let [u0, u1, fine] = [stream.next_f32(), stream.next_f32(), stream.next_f32()];
                 let cell = lights.sample(&geometry, &materials, receiver, [u0, u1], fine).and_then(|sample| {
-                    (0..geometry.triangles.len()).find_map(|triangle| {
-                        let [a, b, c] = geometry.triangles[triangle];
+                    (0..geometry.triangle_count()).find_map(|triangle| {
+                        let [a, b, c] = geometry.corners(triangle as u32);
                         let normal = (b - a).cross(c - a);
                         // the sample ends just before its light
                         let end = sample.end? - a;
