@@ -89,7 +89,7 @@ impl<'a> PrimaryRays<'a> {
         let on_plane = self.origin + point[0] * x + point[1] * y;
         let along = -(slope[0] * x + slope[1] * y + z);
         let length = along.length();
-        let direction = along / length;
+        let direction = along * length.recip();
         // distance from the start of the ray to the plane z = 0, and the growth of a pixel's width behind it
         let (start, spread) = match grid.projection {
             Projection::Oblique => (f64::NEG_INFINITY, 0.0),
@@ -120,19 +120,15 @@ impl<'a> PrimaryRays<'a> {
     #[inline]
     fn enter_bounds(&self, origin: DVec3, direction: DVec3) -> Option<f64> {
         let half = self.half_size;
-        let (mut near, mut far) = (f64::NEG_INFINITY, f64::INFINITY);
-        for axis in 0..3 {
-            if direction[axis] == 0.0 {
-                if origin[axis].abs() > half[axis] {
-                    return None;
-                }
-                continue;
-            }
-            let inverse = 1.0 / direction[axis];
-            let (a, b) = ((-half[axis] - origin[axis]) * inverse, (half[axis] - origin[axis]) * inverse);
-            near = near.max(a.min(b));
-            far = far.min(a.max(b));
+        // no 0 · ∞: along an axis that the line runs across, it is inside all the way or never
+        let across = direction.cmpeq(DVec3::ZERO);
+        if (across & origin.abs().cmpgt(half)).any() {
+            return None;
         }
+        let inverse = direction.recip();
+        let (a, b) = ((-half - origin) * inverse, (half - origin) * inverse);
+        let near = DVec3::select(across, DVec3::NEG_INFINITY, a.min(b)).max_element();
+        let far = DVec3::select(across, DVec3::INFINITY, a.max(b)).min_element();
         (near <= far).then_some(near)
     }
 }

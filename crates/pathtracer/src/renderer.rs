@@ -15,12 +15,11 @@ use crate::bvh::{self, Bvh, Stack};
 use crate::clamp::Clamped;
 use crate::geometry::{self, Geometry, Sharing};
 use crate::light::Lights;
-use crate::matt::is_matt;
 use crate::primary::{PrimaryRay, PrimaryRays};
 use crate::sampler::SampleBank;
 use crate::settings::{AngularFilter, Settings, SettingsError};
 use crate::shading::Materials;
-use crate::tracer::Tracer;
+use crate::tracer::{Tracer, traits};
 
 mod checks;
 mod depth;
@@ -70,7 +69,7 @@ pub struct Renderer {
     bvh: Bvh,
     materials: Materials,
     lights: Lights,
-    matt: Vec<bool>,
+    traits: Vec<u8>,
     memory: Memory,
 }
 
@@ -173,8 +172,8 @@ impl Renderer {
             scene_bytes: scene_bytes(&scene),
             texture_bytes: materials.bytes(),
         };
-        let matt = scene.materials.iter().map(is_matt).collect();
-        Ok(Self { geometry, bvh, materials, lights, matt, memory })
+        let traits = scene.materials.iter().map(traits).collect();
+        Ok(Self { geometry, bvh, materials, lights, traits, memory })
     }
 
     /// What the prepared scene occupies.
@@ -305,7 +304,7 @@ impl Renderer {
             bvh: &self.bvh,
             materials: &self.materials,
             lights: &self.lights,
-            matt: &self.matt,
+            traits: &self.traits,
         }
     }
 

@@ -235,7 +235,7 @@ impl Materials {
     pub(crate) fn appearance(&self, index: usize, point: &SurfacePoint<'_>, width: f32) -> Appearance {
         let material = &self.scene.materials[index];
         let slots = &self.slots[index];
-        let base = self.base(index, point, width).truncate().clamp(Vec3::ZERO, Vec3::ONE);
+        let base = self.base_color(index, point, width);
         let (mut metallic, mut roughness) = (material.metallic, material.roughness);
         if let Some(slot) = &slots.metallic_roughness {
             let texel = self.lookup(slot, point, width);
@@ -258,6 +258,12 @@ impl Materials {
             compensated: self.compensated,
             extras: slots.extras.as_ref().map(|slots| self.extras(material, slots, point, width)),
         }
+    }
+
+    /// Base colour, 0..1.
+    #[inline]
+    pub(crate) fn base_color(&self, index: usize, point: &SurfacePoint<'_>, width: f32) -> Vec3 {
+        self.base(index, point, width).truncate().clamp(Vec3::ZERO, Vec3::ONE)
     }
 
     fn extras(&self, material: &Material, slots: &ExtraSlots, point: &SurfacePoint<'_>, width: f32) -> Extras {
@@ -313,11 +319,7 @@ impl Materials {
         let material = &self.scene.materials[index];
         let slots = &self.slots[index];
         let smooth = point.shading_normal();
-        let turned = |slot: &Option<Slot>, scale: f32| {
-            let Some(slot) = slot else { return smooth };
-            let texel = 2.0 * self.lookup(slot, point, width).truncate() - 1.0;
-            point.mapped_normal(smooth, Vec3::new(scale * texel.x, scale * texel.y, texel.z)).unwrap_or(smooth)
-        };
+        let turned = |slot: &Option<Slot>, scale: f32| self.turned(slot, scale, smooth, point, width);
         let seen = |normal: Vec3| bend_normal(if front { normal } else { -normal }, geometric, to_viewer);
         let mapped = turned(&slots.normal, material.normal_scale);
         let mut frame = Frame::flat(geometric, seen(mapped));
@@ -337,9 +339,28 @@ impl Materials {
         frame
     }
 
-    /// Whether the surface shows its base colour and scatters nothing.
-    pub(crate) fn is_unlit(&self, index: usize) -> bool {
-        self.scene.materials[index].unlit
+    /// [`Frame::shading`] alone.
+    #[inline]
+    pub(crate) fn shading_normal(
+        &self,
+        index: usize,
+        point: &SurfacePoint<'_>,
+        width: f32,
+        geometric: Vec3,
+        front: bool,
+        to_viewer: Vec3,
+    ) -> Vec3 {
+        let scale = self.scene.materials[index].normal_scale;
+        let mapped = self.turned(&self.slots[index].normal, scale, point.shading_normal(), point, width);
+        bend_normal(if front { mapped } else { -mapped }, geometric, to_viewer)
+    }
+
+    /// A normal turned by a normal map, if there is one.
+    #[inline]
+    fn turned(&self, slot: &Option<Slot>, scale: f32, normal: Vec3, point: &SurfacePoint<'_>, width: f32) -> Vec3 {
+        let Some(slot) = slot else { return normal };
+        let texel = 2.0 * self.lookup(slot, point, width).truncate() - 1.0;
+        point.mapped_normal(normal, Vec3::new(scale * texel.x, scale * texel.y, texel.z)).unwrap_or(normal)
     }
 
     /// Colour of white light after the given distance (scene units) inside the solid.
@@ -348,6 +369,7 @@ impl Materials {
         (material.attenuation_color, material.attenuation_distance)
     }
 
+    #[inline]
     fn base(&self, index: usize, point: &SurfacePoint<'_>, width: f32) -> Vec4 {
         let factor = self.scene.materials[index].base_color * point.color();
         match &self.slots[index].base {
@@ -356,6 +378,7 @@ impl Materials {
         }
     }
 
+    #[inline]
     fn lookup(&self, slot: &Slot, point: &SurfacePoint<'_>, width: f32) -> Vec4 {
         let set = slot.source.uv_set;
         let size = self.textures.size(slot);

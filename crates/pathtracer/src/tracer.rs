@@ -10,12 +10,13 @@
 //! shadow rays, so both have the right mean.
 
 use glam::Vec3;
+use lumistack_scene::Material;
 
 use crate::bsdf::{Bsdf, Scatter};
 use crate::bvh::{ALPHA, Bvh, Hit, Ray, Stack, TINT};
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::light::{Lights, Receiver};
-use crate::matt::Matt;
+use crate::matt::{Matt, is_matt};
 use crate::sampler::Sampler;
 use crate::settings::Settings;
 use crate::shading::{Appearance, Materials};
@@ -43,6 +44,19 @@ pub(crate) struct Cone {
     pub(crate) spread: f32,
 }
 
+/// A material is nothing but Lambert's law, as [`is_matt`] says.
+const MATT: u8 = 1;
+/// It may emit light.
+const EMISSIVE: u8 = 2;
+/// It shows its colour and scatters nothing.
+const UNLIT: u8 = 4;
+
+/// What the path loop asks of a material at every hit, in one byte.
+pub(crate) fn traits(material: &Material) -> u8 {
+    let flag = |is: bool, flag: u8| if is { flag } else { 0 };
+    flag(is_matt(material), MATT) | flag(material.is_emissive(), EMISSIVE) | flag(material.unlit, UNLIT)
+}
+
 /// Everything that rays meet.
 #[derive(Clone, Copy)]
 pub(crate) struct Tracer<'a> {
@@ -50,8 +64,8 @@ pub(crate) struct Tracer<'a> {
     pub(crate) bvh: &'a Bvh,
     pub(crate) materials: &'a Materials,
     pub(crate) lights: &'a Lights,
-    /// Whether a material is nothing but Lambert's law, as [`is_matt`] says.
-    pub(crate) matt: &'a [bool],
+    /// What is known of every material beforehand: [`MATT`], [`EMISSIVE`], [`UNLIT`].
+    pub(crate) traits: &'a [u8],
 }
 
 /// How a point scatters.
@@ -106,7 +120,12 @@ impl Tracer<'_> {
                 throughput *= self.absorption(material, hit.t);
             }
             let cosine = vertex.normal.dot(ray.direction);
-            let emission = self.materials.emission(vertex.material, &vertex.point, vertex.width, vertex.front, cosine);
+            let traits = self.traits[vertex.material];
+            let emission = if traits & EMISSIVE == 0 {
+                Vec3::ZERO
+            } else {
+                self.materials.emission(vertex.material, &vertex.point, vertex.width, vertex.front, cosine)
+            };
             if emission != Vec3::ZERO {
                 // a mirror's light is found no other way
                 let light_pdf = if scattered_pdf.is_infinite() {
@@ -117,12 +136,17 @@ impl Tracer<'_> {
                 };
                 radiance += throughput * emission * heuristic(scattered_pdf, light_pdf);
             }
-            if bounce == settings.max_bounces || self.materials.is_unlit(vertex.material) {
+            if bounce == settings.max_bounces || traits & UNLIT != 0 {
                 break;
             }
-            let mut appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
-            let vertex_nm = appearance.disperse(wave_nm, || sampler.pair_at(WAVE_PAIR)[0]);
-            let surface = self.surface(&vertex, &appearance, -ray.direction);
+            let mut vertex_nm = None;
+            let surface = if traits & MATT != 0 {
+                Surface::Matt(self.matt(&vertex, -ray.direction))
+            } else {
+                let mut appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
+                vertex_nm = appearance.disperse(wave_nm, || sampler.pair_at(WAVE_PAIR)[0]);
+                Surface::General(self.bsdf(&vertex, &appearance, -ray.direction))
+            };
             let [u_roulette, u_fresnel] = sampler.pair_at(pairs + 2);
             if surface.is_smooth() && self.lights.can_be_sampled() {
                 // the roulette's number may serve twice: this term and the rest of the path only add up
@@ -191,14 +215,18 @@ impl Tracer<'_> {
         }
     }
 
-    fn surface(&self, vertex: &Vertex<'_>, appearance: &Appearance, to_viewer: Vec3) -> Surface {
+    fn bsdf(&self, vertex: &Vertex<'_>, appearance: &Appearance, to_viewer: Vec3) -> Bsdf {
         let Vertex { material, point, front, normal, width } = vertex;
         let frame = self.materials.frame(*material, point, *width, *normal, *front, to_viewer);
-        if self.matt[*material] {
-            Surface::Matt(Matt::new(appearance.base, frame.geometric, frame.shading))
-        } else {
-            Surface::General(Bsdf::new(appearance, to_viewer, &frame, *front))
-        }
+        Bsdf::new(appearance, to_viewer, &frame, *front)
+    }
+
+    /// What [`bsdf`](Self::bsdf) is for a matt material, without what only others have.
+    #[inline]
+    fn matt(&self, vertex: &Vertex<'_>, to_viewer: Vec3) -> Matt {
+        let Vertex { material, point, front, normal, width } = vertex;
+        let shading = self.materials.shading_normal(*material, point, *width, *normal, *front, to_viewer);
+        Matt::new(self.materials.base_color(*material, point, *width), *normal, shading)
     }
 
     /// Light from one sampled light.
@@ -249,7 +277,7 @@ impl Tracer<'_> {
         let ray = Ray { origin: Vec3::ZERO, direction, t_max: hit.t };
         let vertex = self.vertex(&ray, Cone { width: 0.0, spread: 0.0 }, hit);
         let appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
-        open + coverage * self.surface(&vertex, &appearance, -direction).straight()
+        open + coverage * self.bsdf(&vertex, &appearance, -direction).straight()
     }
 
     /// What a solid leaves of light after `distance`: attenuation_color^(distance / attenuation_distance).
@@ -289,13 +317,6 @@ impl Surface {
         match self {
             Self::Matt(_) => false,
             Self::General(bsdf) => bsdf.transmits(),
-        }
-    }
-
-    fn straight(&self) -> Vec3 {
-        match self {
-            Self::Matt(_) => Vec3::ZERO,
-            Self::General(bsdf) => bsdf.straight(),
         }
     }
 }
