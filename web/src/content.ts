@@ -9,6 +9,8 @@ export interface Content {
   readonly info: Info;
   /** Frames that can be drawn, rising. */
   readonly frames: readonly number[];
+  /** Hands its pictures to the stage; `force_cpu` leaves WebGL2 alone. */
+  attach(forceCpu: boolean): void;
   /** Takes over what the user has chosen. */
   apply(state: State): void;
   draw(state: State, slope: Slope): void;
@@ -49,6 +51,10 @@ export class StackContent implements Content {
 
   get targetsReady(): number {
     return this.targets.size;
+  }
+
+  attach(forceCpu: boolean): void {
+    this.stage.use(this.viewer, this.info, forceCpu);
   }
 
   apply(state: State): void {
@@ -113,6 +119,10 @@ export class FieldContent implements Content {
     private readonly stage: Stage,
   ) {
     this.info = foreign.info;
+  }
+
+  attach(): void {
+    this.stage.useLightField(this.foreign.field, this.info);
   }
 
   apply(): void {

@@ -3,28 +3,25 @@
 // Attributes: src; renderer="cpu" leaves WebGL2 alone; wasm names the module's file where it does not lie beside the script;
 // theme="dark" or "light" instead of what the system says; url-state keeps the state in the page's address; keyboard="page"
 // listens to keys anywhere on the page, not only on the focused picture; hold keeps the view from swinging.
-import { copyLink, savePicture, TurnRecorder } from "./actions.js";
 import { Address } from "./address.js";
 import { toPng, videoFormat } from "./capture.js";
-import { listenToChooser, listenToDrops } from "./chooser.js";
-import { FieldContent, readyFrame, StackContent, type Content } from "./content.js";
-import { recognize, type Dropped } from "./drop.js";
+import { readyFrame, StackContent, type Content } from "./content.js";
+import { Controls } from "./controls.js";
+import { recognize } from "./drop.js";
 import { Face } from "./face.js";
-import { handleKey, listenToDivider, listenToPad, listenToPointer, type InputTarget } from "./input.js";
 import { layOut } from "./layout.js";
-import { loadForeign } from "./lightfield.js";
+import { Loader } from "./loader.js";
 import { Ticker } from "./loop.js";
 import { Motion, Tilt } from "./motion.js";
-import { Problem, problemOf, REWRITE } from "./problem.js";
+import { Problem, problemOf } from "./problem.js";
 import { lastMask, Sheet } from "./sheet.js";
-import { startModule, zoneSlope, type FileInfo, type Info } from "./simulator.js";
+import { zoneSlope, type FileInfo, type Info } from "./simulator.js";
 import { Sliders } from "./sliders.js";
-import { FilesSource, sourceOf, type Source } from "./source.js";
+import { FilesSource, sourceOf } from "./source.js";
 import { Stage, type Path } from "./stage.js";
 import { DEFAULTS, fromHash, type Comparison, type Mode, type Slope, type State } from "./state.js";
-import { stream } from "./stream.js";
 import { TEMPLATE } from "./template.js";
-import { restoreTheme, toggleTheme } from "./theme.js";
+import { restoreTheme } from "./theme.js";
 import { ZoneMap } from "./zone.js";
 import sheetCss from "./sheet/viewer.css";
 
@@ -41,7 +38,6 @@ const NARROW_PX = 860;
 /** Milliseconds between two descriptions of where one stands, and of rest before PSNR is computed. */
 const WORDS_MS = 90;
 const PSNR_MS = 60;
-const FURTHEST_PITCH = 1.45;
 
 export class LumistackViewer extends HTMLElement {
   static readonly observedAttributes = ["src", "renderer"];
@@ -53,20 +49,15 @@ export class LumistackViewer extends HTMLElement {
   private readonly stage: Stage;
   private readonly motion = new Motion();
   private readonly ticker: Ticker;
-  private readonly tilt = new Tilt();
   private readonly map: ZoneMap;
   private readonly sliders: Sliders;
   private readonly sheet: Sheet;
-  private readonly turn: TurnRecorder;
+  private readonly controls: Controls;
   private readonly address = new Address();
-  private readonly target: InputTarget;
+  private readonly loader: Loader;
 
   private state: State = { ...DEFAULTS };
   private content: Content | undefined;
-  private loading: AbortController | undefined;
-  private decoding: AbortController | undefined;
-  private firstPicture = deferred();
-  private everything = deferred();
 
   private frameClockS = 0;
   private wordsTimer: ReturnType<typeof setTimeout> | undefined;
@@ -104,21 +95,41 @@ export class LumistackViewer extends HTMLElement {
       () => this.stateChanged(),
     );
     this.sheet = new Sheet(this.face.at("sheet"), (layer, frame) => this.set({ layer, frame }));
-    this.turn = new TurnRecorder(this.face, this.stage, this.motion);
-    this.target = this.inputTarget();
-    this.listen();
+    this.loader = new Loader(this.stage, {
+      clear: () => this.dropContent(),
+      shown: (content) => this.show(content),
+      progress: (share) => this.progress(share),
+      part: (content, file) => this.arrived(content, file),
+      finished: (content, failed) => this.finish(content, failed),
+      problem: (problem) => this.report(problem),
+    });
+    this.controls = new Controls({
+      element: this,
+      root: this.root,
+      face: this.face,
+      stage: this.stage,
+      motion: this.motion,
+      ticker: this.ticker,
+      state: () => this.state,
+      content: () => this.content,
+      set: (change) => this.set(change),
+      look: (slope) => this.look(slope),
+      stepFrame: (by) => this.stepFrame(by),
+      open: (files) => this.open(files),
+      report: (problem) => this.report(problem),
+    });
   }
 
   // --- the public side
 
   /** Resolves with the first picture, rejects when there will be none. */
   get ready(): Promise<void> {
-    return this.firstPicture.promise;
+    return this.loader.firstPicture.promise;
   }
 
   /** Resolves when every file has arrived or failed and there is a picture. */
   get complete(): Promise<void> {
-    return this.everything.promise;
+    return this.loader.everything.promise;
   }
 
   get src(): string {
@@ -174,8 +185,8 @@ export class LumistackViewer extends HTMLElement {
   async open(files: ReadonlyMap<string, File>): Promise<void> {
     try {
       const dropped = recognize(files);
-      if (dropped.kind === "preview") await this.load(new FilesSource(dropped.files, dropped.json));
-      else await this.loadField(dropped);
+      if (dropped.kind === "preview") await this.loader.preview(new FilesSource(dropped.files, dropped.json), this.module);
+      else await this.loader.field(dropped, this.module);
     } catch (error) {
       this.report(problemOf(error, "Open something else, or load this page again."));
     }
@@ -194,9 +205,14 @@ export class LumistackViewer extends HTMLElement {
     reduced.addEventListener("change", calm, { signal });
     const resizer = new ResizeObserver(() => this.layOut());
     resizer.observe(this.stageBox);
-    signal.addEventListener("abort", () => resizer.disconnect());
+    const watcher = new IntersectionObserver((seen) => this.ticker.show(seen.at(-1)!.isIntersecting));
+    watcher.observe(this);
+    signal.addEventListener("abort", () => {
+      resizer.disconnect();
+      watcher.disconnect();
+    });
     const keys: EventTarget = this.getAttribute("keyboard") === "page" ? document : this.stageBox;
-    keys.addEventListener("keydown", (event) => this.key(event as KeyboardEvent), { signal });
+    keys.addEventListener("keydown", (event) => this.controls.key(event as KeyboardEvent), { signal });
     this.face.at("tilt").hidden = !Tilt.possible;
     this.face.at("record").hidden = videoFormat() === undefined;
     this.face.at("full").hidden = !document.fullscreenEnabled;
@@ -208,15 +224,14 @@ export class LumistackViewer extends HTMLElement {
       this.readAddress();
     }
     this.stateChanged();
-    if (this.src) void this.load(sourceOf(this.src));
+    if (this.src) void this.load();
     else this.face.card("Open a preview", "Drop a preview folder, a quilt or a folder of views here.", "Nothing leaves this computer.");
   }
 
   disconnectedCallback(): void {
     this.life?.abort();
-    this.loading?.abort();
-    this.decoding?.abort();
-    this.tilt.stop();
+    this.loader.stop();
+    this.controls.stop();
     this.ticker.stop();
     this.address.stop();
     clearTimeout(this.wordsTimer);
@@ -226,64 +241,18 @@ export class LumistackViewer extends HTMLElement {
 
   attributeChangedCallback(name: string, before: string | null, now: string | null): void {
     if (!this.isConnected || before === now || !this.life) return;
-    if (name === "src" && now) void this.load(sourceOf(now));
-    if (name === "renderer" && this.content instanceof StackContent) this.stage.use(this.content.viewer, this.content.info, this.wantsCpu());
+    if (name === "src" && now) void this.load();
+    if (name === "renderer") this.content?.attach(this.wantsCpu());
   }
 
   // --- loading
 
-  private async load(source: Source): Promise<void> {
-    const loading = this.begin();
-    this.dropContent();
-    this.progress(0);
-    try {
-      const [json] = await Promise.all([source.json(), startModule(this.getAttribute("wasm"))]);
-      if (loading.signal.aborted) return;
-      const content = new StackContent(json, this.stage);
-      const { info, viewer } = content;
-      this.show(content);
-      this.sheet.setUp(viewer, info);
-      this.sliders.setUp(info);
-      this.stage.use(viewer, info, this.wantsCpu());
-      this.stateChanged();
-      const failed: Problem[] = [];
-      const sink = {
-        progress: (share: number) => this.progress(share),
-        part: (file: FileInfo) => this.arrived(content, file),
-        problem: (problem: Problem) => void failed.push(problem),
-      };
-      await stream(source, viewer, info.files, sink, loading.signal);
-      if (!loading.signal.aborted) this.finish(content, failed);
-    } catch (error) {
-      if (!loading.signal.aborted) this.report(problemOf(error, REWRITE));
-    }
+  private get module(): string | null {
+    return this.getAttribute("wasm");
   }
 
-  /** What is on show stays until the pictures of the other are decoded. */
-  private async loadField(dropped: Extract<Dropped, { kind: "quilt" | "views" }>): Promise<void> {
-    this.decoding?.abort();
-    const decoding = new AbortController();
-    this.decoding = decoding;
-    await startModule(this.getAttribute("wasm"));
-    const foreign = await loadForeign(dropped, (share) => this.progress(share), decoding.signal);
-    if (decoding.signal.aborted) return foreign.field.free();
-    this.begin();
-    this.dropContent();
-    this.state.mode = "perceived";
-    this.show(new FieldContent(foreign, this.stage));
-    this.stage.useLightField(foreign.field, foreign.info, this.wantsCpu());
-    this.progress(1);
-    this.stateChanged();
-    this.firstPicture.resolve();
-    this.everything.resolve();
-  }
-
-  private begin(): AbortController {
-    this.loading?.abort();
-    this.loading = new AbortController();
-    this.firstPicture = deferred();
-    this.everything = deferred();
-    return this.loading;
+  private load(): Promise<void> {
+    return this.loader.preview(sourceOf(this.src), this.module);
   }
 
   private dropContent(): void {
@@ -301,8 +270,13 @@ export class LumistackViewer extends HTMLElement {
     this.motion.setZone(zoneSlope(info));
     this.map.show(info);
     if (this.keepsAddress) document.title = `${info.title || "Preview"} – Lumistack`;
+    if (content instanceof StackContent) {
+      this.sheet.setUp(content.viewer, info);
+      this.sliders.setUp(info);
+    } else this.state.mode = "perceived";
     this.fit(info);
-    this.psnrKey = "";
+    content.attach(this.wantsCpu());
+    this.stateChanged();
   }
 
   /** Keeps the state within what a display has. */
@@ -324,7 +298,7 @@ export class LumistackViewer extends HTMLElement {
     if (content.arrived(file)) {
       this.stateChanged();
       this.ticker.now();
-      this.firstPicture.resolve();
+      this.loader.firstPicture.resolve();
       this.dispatchEvent(new CustomEvent("lumistack-ready"));
     }
     this.ticker.redraw();
@@ -341,7 +315,7 @@ export class LumistackViewer extends HTMLElement {
       const mean = ready > 0 && ready < info.frames ? ` ${ready} of ${info.frames} frames are whole; the picture is their mean.` : "";
       this.report(new Problem(`${first.message}${rest}${mean}`, first.advice, ready === 0));
     }
-    if (ready > 0) this.everything.resolve();
+    if (ready > 0) this.loader.everything.resolve();
   }
 
   private progress(share: number): void {
@@ -359,8 +333,8 @@ export class LumistackViewer extends HTMLElement {
     this.face.progress(1, "");
     if (fatal || !this.content) {
       this.face.refuse(problem);
-      this.firstPicture.reject(problem);
-      this.everything.reject(problem);
+      this.loader.firstPicture.reject(problem);
+      this.loader.everything.reject(problem);
     } else this.face.notice(`${message} ${advice}`, "warn");
     const detail: LumistackErrorDetail = { message, advice, fatal };
     this.dispatchEvent(new CustomEvent("lumistack-error", { detail, bubbles: true, composed: true }));
@@ -445,7 +419,7 @@ export class LumistackViewer extends HTMLElement {
     } catch (error) {
       return this.report(new Problem(problemOf(error, "").message, "Load this page again; if that does not help, add ?renderer=cpu to its address."));
     }
-    this.turn.frame();
+    this.controls.drawn();
     this.map.mark(this.motion.slope);
     this.writeAddress();
     this.wordsTimer ??= setTimeout(() => {
@@ -496,110 +470,4 @@ export class LumistackViewer extends HTMLElement {
     this.motion.lookTo(slope);
     this.ticker.wake();
   }
-
-  private inputTarget(): InputTarget {
-    return {
-      mode: () => this.state.mode,
-      zone: () => (this.content ? zoneSlope(this.content.info) : [1, 1]),
-      setMode: (mode) => {
-        if (this.content instanceof StackContent && !this.face.radio("mode", mode).disabled) this.mode = mode;
-      },
-      turn: (yaw, pitch) => {
-        const turned = this.state.yaw + yaw;
-        this.state.yaw = Math.atan2(Math.sin(turned), Math.cos(turned));
-        this.state.pitch = Math.min(Math.max(this.state.pitch + pitch, -FURTHEST_PITCH), FURTHEST_PITCH);
-        this.ticker.redraw();
-      },
-      pause: () => {
-        this.motion.input();
-        this.set(this.state.mode === "slow" ? { playing: !this.state.playing } : { swing: !this.state.swing });
-      },
-      stepFrame: (by) => {
-        this.stepFrame(by);
-        this.set({ playing: false });
-      },
-      stepLayer: (by) => {
-        if (this.content) this.set({ layer: Math.min(Math.max(this.state.layer + by, 0), lastMask(this.content.info)) });
-      },
-      moved: () => {
-        this.motion.touched();
-        this.ticker.wake();
-      },
-    };
-  }
-
-  private listen(): void {
-    const { target, face } = this;
-    listenToPointer(this.stageBox, this.motion, target);
-    listenToPad(face.at("pad"), this.motion, target);
-    listenToDivider(
-      face.at("divider"),
-      this.picture,
-      (share) => this.set({ split: Math.min(Math.max(share, 0), 1) }),
-      () => this.state.split,
-    );
-    this.root.addEventListener("change", (event) => {
-      const input = event.target as HTMLInputElement;
-      if (input.name === "mode") this.mode = input.value as Mode;
-      if (input.name === "comparison") this.comparison = input.value as Comparison;
-    });
-    const onInput = (id: string, change: (value: number) => Partial<State>): void =>
-      face.at(id).addEventListener("input", (event) => this.set(change(Number((event.target as HTMLInputElement).value))));
-    onInput("rate", (value) => ({ rate: 2 ** value }));
-    onInput("spread", (spread) => ({ spread }));
-    onInput("exploded-frame", (frame) => ({ frame }));
-    const shown = (): { title: string; mode: string } => ({ title: this.content?.info.title ?? "", mode: this.state.mode });
-    const onClick = (id: string, action: () => unknown): void => face.at(id).addEventListener("click", () => void action());
-    onClick("step-back", () => target.stepFrame(-1));
-    onClick("step-on", () => target.stepFrame(1));
-    onClick("play", () => this.set({ playing: !this.state.playing }));
-    onClick("front", () => this.set({ yaw: 0, pitch: 0 }));
-    onClick("centre", () => this.look([0, 0]));
-    onClick("swing", () => {
-      this.motion.input();
-      this.set({ swing: !this.state.swing });
-      if (this.state.swing) this.motion.swingNow();
-    });
-    onClick("tilt", () => this.toggleTilt());
-    onClick("theme", () => toggleTheme(this));
-    onClick("full", () => (document.fullscreenElement ? document.exitFullscreen() : this.requestFullscreen()));
-    onClick("shot", () => this.content && savePicture(this.stage, shown(), this.motion));
-    onClick("record", () => this.content && this.turn.save(shown(), () => this.ticker.redraw()));
-    onClick("link", () => copyLink(`${location.href.replace(/#.*$/, "")}${Address.hash(this.state, this.slope, true)}`, face));
-    const open = (files: ReadonlyMap<string, File>): Promise<void> => this.open(files);
-    listenToChooser((id) => face.at(id), open);
-    listenToDrops(this, face.at("drop"), open, (problem) => this.report(problem));
-  }
-
-  private key(event: KeyboardEvent): void {
-    const from = event.composedPath()[0];
-    if (!(from instanceof HTMLElement) || event.defaultPrevented || !this.content || (this.face.at("chooser") as HTMLDialogElement).open) return;
-    // Sliders, fields and buttons keep the keys that they understand.
-    const own = { INPUT: /^(Arrow|Home|End|Page| )/, BUTTON: /^( |Enter)/, TEXTAREA: /./, SELECT: /./ }[from.tagName];
-    if (own?.test(event.key) || from.isContentEditable) return;
-    if (handleKey(event, this.motion, this.target)) event.preventDefault();
-  }
-
-  private async toggleTilt(): Promise<void> {
-    if (this.tilt.on) this.tilt.stop();
-    else if (!(await this.tilt.start((slope) => this.look(slope)))) {
-      this.face.notice("No tilt arrives from this device: allow motion sensors for this page in the browser’s settings and try again.", "passing");
-    }
-    this.face.at("tilt").setAttribute("aria-pressed", String(this.tilt.on));
-  }
-}
-
-interface Deferred {
-  promise: Promise<void>;
-  resolve: () => void;
-  reject: (error: Error) => void;
-}
-
-function deferred(): Deferred {
-  let resolve!: () => void;
-  let reject!: (error: Error) => void;
-  const promise = new Promise<void>((yes, no) => ([resolve, reject] = [yes, no]));
-  // Whoever does not ask is told by the page itself.
-  promise.catch(() => undefined);
-  return { promise, resolve, reject };
 }

@@ -6,7 +6,7 @@ import { paintTrack } from "./sliders.js";
 import type { Path } from "./stage.js";
 import type { Slope, State } from "./state.js";
 import { ICONS } from "./template.js";
-import { inWords, isInside } from "./zone.js";
+import { inWords, isAtView, isInside } from "./zone.js";
 
 /** Milliseconds after which a message that asks for nothing goes away. */
 const PASSING_MS = 8000;
@@ -88,9 +88,7 @@ export class Face {
     const words = inWords(slope);
     const bold = document.createElement("b");
     bold.textContent = words[0]!.toUpperCase() + words.slice(1);
-    const foreign = info.layers.length === 0;
-    const zone = inside ? (foreign ? "Among the views." : "Inside the zone that was optimised.") : foreign ? "Beyond the outermost view." : "Outside the zone that was optimised.";
-    place.replaceChildren(bold, zone);
+    place.replaceChildren(bold, whereabouts(info, slope, inside));
     place.classList.toggle("outside", !inside);
     const shown = state.mode === "layers" ? `${layerName(state.layer, info.layers.length)}, frame ${state.frame + 1}` : `${info.title}, seen from ${words}`;
     this.at("picture").setAttribute("aria-label", shown);
@@ -156,6 +154,13 @@ export class Face {
     this.at(`${id}-value`).textContent = words;
     input.setAttribute("aria-valuetext", words);
   }
+}
+
+/** What one may expect of the picture from here. */
+function whereabouts(info: Info, slope: Slope, inside: boolean): string {
+  if (info.layers.length === 0) return inside ? "Among the views." : "Beyond the outermost view.";
+  if (!inside) return "Outside the zone that was optimised.";
+  return isAtView(slope, info.views) ? "At a view that was optimised." : "Between optimised views: expect ghosts and grain.";
 }
 
 function facts(info: Info): string {

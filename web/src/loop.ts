@@ -1,4 +1,4 @@
-// When to draw: while something moves, when something has changed, and not otherwise.
+// When to draw: while something moves, when something has changed, and neither out of sight nor otherwise.
 import type { Motion } from "./motion.js";
 
 export interface Loop {
@@ -13,6 +13,7 @@ export class Ticker {
   private dirty = false;
   private request = 0;
   private last = 0;
+  private visible = true;
   private idle: ReturnType<typeof setTimeout> | undefined;
 
   constructor(
@@ -28,7 +29,7 @@ export class Ticker {
 
   /** Something may have begun to move. */
   wake(): void {
-    if (this.request !== 0) return;
+    if (this.request !== 0 || !this.visible) return;
     this.last = performance.now();
     this.ask();
   }
@@ -36,6 +37,14 @@ export class Ticker {
   /** Draws at once what the next turn would. */
   now(): void {
     this.tick(performance.now());
+  }
+
+  /** Whether the element is within the window: beyond it nothing moves and nothing is drawn. */
+  show(visible: boolean): void {
+    if (visible === this.visible) return;
+    this.visible = visible;
+    if (visible) this.redraw();
+    else this.stop();
   }
 
   stop(): void {
@@ -54,7 +63,7 @@ export class Ticker {
   private tick(now: number): void {
     const dtS = Math.max((now - this.last) / 1000, 0);
     this.last = now;
-    if (!this.loop.can()) return;
+    if (!this.visible || !this.loop.can()) return;
     const moved = this.motion.step(dtS);
     const { on, changed } = this.loop.play(dtS);
     if (this.dirty || moved || changed) {

@@ -59,40 +59,25 @@ export class Stage {
     else this.attach();
   }
 
-  /** Shows a light field. */
-  useLightField(field: LightField, info: Info, forceCpu: boolean): void {
+  /** Shows a light field, whose views the processor blends. */
+  useLightField(field: LightField, info: Info): void {
     this.release();
     this.lightField = field;
     this.info = info;
-    this.path = "cpu";
-    if (forceCpu) return;
-    try {
-      field.attach(this.gl);
-      this.path = "webgl2";
-    } catch {
-      // The processor blends views as well.
-    }
   }
 
   /** A picture between the views of the light field, 0..1 from the left and from the top. */
   drawLightField(u: number, v: number): void {
-    const field = this.lightField;
-    if (!field || !this.info) return;
+    if (!this.lightField || !this.info) return;
     this.aside.hidden = true;
-    if (this.path === "cpu") {
-      this.show(this.flat);
-      return put(this.flat, field.render(u, v), this.info.field.cols, this.info.field.rows);
-    }
-    this.show(this.gl);
-    [this.gl.width, this.gl.height] = this.size;
-    field.draw(u, v);
+    this.show(this.flat);
+    put(this.flat, this.lightField.render(u, v), this.info.field.cols, this.info.field.rows);
   }
 
   /** Lets go of the simulator before it is freed. */
   release(): void {
     clearTimeout(this.retry);
     if (this.viewer && this.path === "webgl2") this.viewer.detach();
-    if (this.lightField && this.path === "webgl2") this.lightField.detach();
     this.viewer = undefined;
     this.lightField = undefined;
     this.drawn = undefined;

@@ -110,8 +110,14 @@ pub fn fixtures() -> Outcome {
 /// Runs the tests of `web/tests` in a headless browser.
 pub fn browser_tests() -> Outcome {
     let chromium = chromium()?;
+    // for `lumistack preview`
+    cargo(&["build", "--quiet", "--package", "lumistack-cli"])?;
+    let binary = target_folder()?.join("debug").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
     let mut tests = command("npm");
-    tests.args(["test", "--silent", "--prefix", "web"]).env("LUMISTACK_CHROMIUM", chromium);
+    tests
+        .args(["test", "--silent", "--prefix", "web"])
+        .env("LUMISTACK_CHROMIUM", chromium)
+        .env("LUMISTACK_BIN", binary);
     tools::run(tests.env("LUMISTACK_FIXTURES", root().join("web/tests/fixtures")))
 }
 

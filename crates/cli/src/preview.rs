@@ -30,7 +30,7 @@ pub(crate) fn preview_command(
     json: bool,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let source = source_of(&args.dir)?;
+    let source = source_of(&args.dir, task)?;
     source.refresh(registry, task)?;
     let server = listen(args.port).map_err(|error| {
         PipelineError::value("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
@@ -62,11 +62,17 @@ pub(crate) fn preview_command(
 }
 
 /// A preview's folder, or a run: the preview that an output of it wrote, or one that is made now.
-fn source_of(dir: &Path) -> Result<Source, PipelineError> {
+fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join(PREVIEW_JSON).is_file() {
         return Ok(Source { site: dir.to_owned(), run: None });
     }
-    if let Some(site) = outputs_of(dir).into_iter().next() {
+    let mut written = outputs_of(dir).into_iter();
+    if let Some(site) = written.next() {
+        let others: Vec<String> = written.map(|site| site.display().to_string()).collect();
+        if !others.is_empty() {
+            let text = format!("shows {}; this run also has {}", site.display(), others.join(", "));
+            task.warn("preview", text);
+        }
         return Ok(Source { site, run: None });
     }
     if dir.join("layers/stack.json").is_file() {

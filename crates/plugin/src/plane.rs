@@ -1,5 +1,6 @@
 //! Lent planes of numbers.
 
+use std::borrow::Cow;
 use std::marker::PhantomData;
 
 use lumistack_plugin_abi::{Plane, dtype};
@@ -92,7 +93,12 @@ impl PlaneView<'_> {
 
     /// All values `[row][col][channel]`.
     pub fn to_vec(&self) -> Vec<f32> {
-        self.as_slice().map_or_else(|| self.iter_rows().flatten().collect(), <[f32]>::to_vec)
+        self.values().into_owned()
+    }
+
+    /// All values `[row][col][channel]`, copied only where they lie otherwise in memory.
+    pub fn values(&self) -> Cow<'_, [f32]> {
+        self.as_slice().map_or_else(|| self.iter_rows().flatten().collect(), Cow::Borrowed)
     }
 
     fn count(&self) -> usize {
@@ -140,6 +146,7 @@ mod tests {
         assert_eq!(view.get(1, 0, 2), 102.0);
         let expected: Vec<f32> = (0..12).map(|i| value(i / 6, i / 3 % 2, i % 3)).collect();
         assert_eq!(view.to_vec(), expected);
+        assert!(matches!(view.values(), Cow::Owned(_)));
         // SAFETY: as above, dense.
         let dense = unsafe { PlaneView::new(plane(expected.as_ptr().cast(), [2, 2, 3], [24, 12, 4])) }.unwrap();
         assert_eq!(dense.as_slice(), Some(expected.as_slice()));

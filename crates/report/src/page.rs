@@ -37,6 +37,7 @@ pub(crate) fn render(
         (settings::warnings(input.warnings))
         nav {
             a href="#views" { "Views" }
+            @if input.denoising.is_some() { a href="#denoising" { "Denoising" } }
             @if input.depth.is_some() { a href="#depth" { "Depth" } }
             a href="#limits" { "Limits" }
             a href="#layers" { "Layers" }

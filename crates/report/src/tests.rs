@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 mod figures;
 
-use crate::{Iteration, Output, Report, ReportError, ReportInput, Solution, Stage, build};
+use crate::{DenoisedView, Denoising, Iteration, Output, Report, ReportError, ReportInput, Solution, Stage, build};
 
 /// PSNR in report.json against the display crate's, dB; both sum in f64 in the same order.
 const SAME_DB: f64 = 1e-9;
@@ -80,6 +80,7 @@ fn built(input: &ReportInput) -> Result<Report, ReportError> {
 /// Checks what every page must keep; returns the number of its embedded pictures.
 fn check_page(html: &str) -> usize {
     check_balanced(html);
+    check_links(html);
     let without_namespace = html.replace("http://www.w3.org/2000/svg", "");
     assert!(!without_namespace.contains("http://") && !without_namespace.contains("https://"), "an outside reference");
     let mut pictures = 0;
@@ -121,6 +122,15 @@ fn check_balanced(html: &str) {
         }
     }
     assert!(open.is_empty(), "left open: {open:?}");
+}
+
+/// Where a page has links to its sections, they lead to all of them, in order.
+fn check_links(html: &str) {
+    let names = |before: &str| -> Vec<String> {
+        html.split(before).skip(1).map(|rest| rest[..rest.find('"').unwrap()].to_string()).collect()
+    };
+    let links = names("href=\"#");
+    assert!(links.is_empty() || links == names("<section id=\""), "{links:?}");
 }
 
 fn json_psnr(value: &Value) -> f64 {
@@ -314,4 +324,34 @@ fn the_simulated_view_is_divided_by_the_brightness() {
     let uri = simulated.rsplit("base64,").next().unwrap();
     let bytes = STANDARD.decode(&uri[..uri.find('"').unwrap()]).unwrap();
     assert_eq!(image::load_from_memory(&bytes).unwrap().to_rgb8().into_raw(), [255; 3]);
+}
+
+#[test]
+fn a_denoised_target_is_told_of() {
+    let display = display(2, 2, [3, 2], [16, 8], "");
+    let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
+    let plain = plain(&display, &stack, &target);
+    assert!(!built(&plain).unwrap().html.contains("denoising"));
+    let view =
+        DenoisedView { mean: 0.5, mean_change: [0.001, 0.0005], mse_before: [2e-3, 1e-5], mse_after: [3e-4, 2e-5] };
+    let mut filtered = target.view([0, 1]).to_vec();
+    filtered[0] += 0.25;
+    let denoising = Denoising {
+        name: "a filter",
+        overall: view,
+        views: vec![view; 6],
+        unbiased: target.view([0, 1]),
+        filtered: &filtered,
+    };
+    let report = built(&ReportInput { denoising: Some(&denoising), ..plain }).unwrap();
+    check_page(&report.html);
+    for text in [
+        "Every view went through a filter",
+        "2.00e-3 ± 1e-5 before, 3.00e-4 ± 2e-5 after",
+        "+0.200 %",
+        "href=\"#denoising\"",
+    ] {
+        assert!(report.html.contains(text), "{text}");
+    }
+    assert_eq!(report.json["denoising"]["views"].as_array().unwrap().len(), 6);
 }

@@ -4,7 +4,7 @@ use js_sys::{Float32Array, Uint8ClampedArray, Uint32Array};
 use wasm_bindgen::prelude::*;
 use web_sys::HtmlCanvasElement;
 
-use crate::gl::{Canvas, Gpu, Picture};
+use crate::gl::Gpu;
 use crate::{Error, Field, Model, err};
 
 impl From<Error> for JsValue {
@@ -161,61 +161,38 @@ impl Viewer {
 
 /// A light field that is shown as such.
 #[wasm_bindgen]
-pub struct LightField {
-    field: Field,
-    canvas: Option<Canvas>,
-}
+pub struct LightField(Field);
 
 #[wasm_bindgen]
 impl LightField {
     /// Views of rows × cols pixels, of which none has arrived.
     #[wasm_bindgen(constructor)]
     pub fn new(rows: usize, cols: usize, view_rows: usize, view_cols: usize) -> Thrown<LightField> {
-        Ok(Self { field: Field::new([rows, cols], [view_rows, view_cols])?, canvas: None })
+        Ok(Self(Field::new([rows, cols], [view_rows, view_cols])?))
     }
 
     /// A quilt of cols × rows tiles, view 0 at the bottom left; becomes one row of views.
     pub fn from_quilt(rgba: &[u8], width: usize, height: usize, cols: usize, rows: usize) -> Thrown<LightField> {
-        Ok(Self { field: Field::from_quilt(rgba, [width, height], [cols, rows])?, canvas: None })
+        Ok(Self(Field::from_quilt(rgba, [width, height], [cols, rows])?))
     }
 
     /// Takes a view, sRGB bytes [row][col][rgba].
     pub fn put(&mut self, view_row: usize, view_col: usize, rgba: &[u8]) -> Thrown<()> {
-        Ok(self.field.put([view_row, view_col], rgba.to_vec())?)
+        Ok(self.0.put([view_row, view_col], rgba.to_vec())?)
     }
 
     /// Pixel rows.
     pub fn rows(&self) -> usize {
-        self.field.size[0]
+        self.0.size[0]
     }
 
     /// Pixel columns.
     pub fn cols(&self) -> usize {
-        self.field.size[1]
+        self.0.size[1]
     }
 
     /// The picture at (u, v) in 0..1 across the views, from left to right and from top to bottom, as sRGB bytes.
     pub fn render(&self, u: f64, v: f64) -> Uint8ClampedArray {
-        clamped(&self.field.render(u, v))
-    }
-
-    /// Draws to a canvas through WebGL2 from now on.
-    pub fn attach(&mut self, canvas: HtmlCanvasElement) -> Thrown<()> {
-        self.canvas = None;
-        self.canvas = Some(Canvas::new(canvas)?);
-        Ok(())
-    }
-
-    /// Gives the canvas back.
-    pub fn detach(&mut self) {
-        self.canvas = None;
-    }
-
-    /// The picture at (u, v) on the canvas.
-    pub fn draw(&self, u: f64, v: f64) -> Thrown<()> {
-        let [rows, cols] = self.field.size;
-        let rgba = self.field.render(u, v);
-        let canvas = self.canvas.as_ref().ok_or_else(detached)?;
-        Ok(canvas.show(Picture::Bytes { rows, cols, rgba: &rgba }, None, cols as f64 / rows as f64)?)
+        clamped(&self.0.render(u, v))
     }
 }

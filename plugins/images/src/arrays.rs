@@ -100,11 +100,7 @@ fn write(
 
 fn plane(archive: &mut Archive<'_>, host: &Host, plane: &PlaneView<'_>) -> Result<(), Failure> {
     host.check_cancelled()?;
-    match plane.as_slice() {
-        Some(values) => archive.values(values)?,
-        None => archive.values(&plane.to_vec())?,
-    }
-    Ok(())
+    Ok(archive.values(&plane.values())?)
 }
 
 fn small(archive: &mut Archive<'_>, name: &str, values: &[f32]) -> Result<(), Failure> {

@@ -25,7 +25,7 @@ struct Picture<'a> {
     /// [rows, cols].
     size: [usize; 2],
     /// `[row][col][rgb]`.
-    rgb: Vec<f32>,
+    rgb: Cow<'a, [f32]>,
     transfer: &'a Transfer,
     /// The panel that the codes drive; none for codes that stand for the values themselves.
     panel: Option<Panel<'a>>,
@@ -100,7 +100,7 @@ impl Images {
                     stem: format!("{}view_{}", folder(time), view_name(view, views)),
                     content: Content::View { view, slope: [grid.slope_x[view[1]], grid.slope_y[view[0]]] },
                     size: [plane.rows(), plane.cols()],
-                    rgb: plane.to_vec(),
+                    rgb: plane.values(),
                     transfer: self.params.encode.of_other(),
                     panel: None,
                 };
@@ -142,7 +142,7 @@ impl Images {
                 stem: format!("{folder}layer_{layer:0layer_digits$}_frame_{frame:0frame_digits$}"),
                 content: Content::Layer { layer, frame, d_mm: own.d_mm },
                 size: [plane.rows(), plane.cols()],
-                rgb: plane.to_vec(),
+                rgb: plane.values(),
                 transfer: self.params.encode.of_panel(&own.transfer),
                 panel: self.panel(PanelKind::Layer(own), layer + layers * frame),
             };
@@ -157,7 +157,7 @@ impl Images {
                     stem: format!("{folder}backlight_frame_{frame:0frame_digits$}"),
                     content: Content::Backlight { frame, bins, lenslets },
                     size: [rows * bins_y, cols * bins_x],
-                    rgb: backlight_picture(bins, lenslets, bin)?,
+                    rgb: backlight_picture(bins, lenslets, bin)?.into(),
                     transfer: self.params.encode.of_other(),
                     panel: None,
                 };
@@ -179,7 +179,7 @@ impl Images {
                     pixels_per_lens: lenses.lens_pitch_mm / lenses.pitch_mm,
                 },
                 size: [lenses.resolution[1], lenses.resolution[0]],
-                rgb: panel::picture(&self.host, &lenses, stack, frame, self.params.lens_samples)?,
+                rgb: panel::picture(&self.host, &lenses, stack, frame, self.params.lens_samples)?.into(),
                 transfer: self.params.encode.of_panel(&backlight.transfer),
                 panel: self.panel(PanelKind::Backlight(backlight), layers * frames + frame),
             };
@@ -204,7 +204,7 @@ impl Images {
                 stem: format!("{}simulated_{}", folder(time), view_name(view, grid.views())),
                 content: Content::SimulatedView { view, slope, divided_by: stack.brightness() },
                 size: [stack.target().rows, stack.target().cols],
-                rgb: ViewSource::Stack(stack).view(view)?,
+                rgb: ViewSource::Stack(stack).view(view)?.into(),
                 transfer: self.params.encode.of_other(),
                 panel: None,
             };
@@ -363,9 +363,9 @@ impl Images {
     fn layer_samples(&self, stack: &StackInput<'_>, layer: usize, frame: usize) -> Result<Vec<u8>, PluginError> {
         let own = self.layer_of(layer)?;
         let plane = stack.layer(layer, frame)?;
-        let (size, rgb) = ([plane.rows(), plane.cols()], plane.to_vec());
+        let (size, rgb) = ([plane.rows(), plane.cols()], plane.values());
         let panel = self.panel(PanelKind::Layer(own), layer + stack.layer_count() * frame);
-        let driven = panel.map_or_else(|| rgb.clone(), |panel| panel.driven(&rgb));
+        let driven = panel.map_or_else(|| rgb.clone(), |panel| panel.driven(&rgb).into());
         Ok(samples8(self.params.encode.of_panel(&own.transfer), panel.map(|panel| panel.codes), size, &driven))
     }
 

@@ -9,7 +9,7 @@
 //! | `stack/emission_frameM.png` | emission of a directional backlight, bins side by side: value = code / 255, linear |
 //! | `stack/target_YY_XX.png` | views of the light field that the patterns were made for, sRGB-encoded, where the host lends them |
 //!
-//! Later times of a sequence are sites of their own in `time_0001/`, ... Memory: one frame of patterns, and the compressed pictures of one time.
+//! Later times of a sequence are sites of their own in `time_0001/`, ... Memory: one frame of patterns, whatever their number.
 
 mod page;
 mod pictures;
@@ -68,7 +68,8 @@ impl OutputPlugin for WebSimulator {
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
         let folder = if time.index == 0 { String::new() } else { format!("time_{:04}/", time.index) };
-        let mut site = Site::new(&self.host, folder);
+        let title = if self.params.title.is_empty() { &self.display.name } else { &self.params.title };
+        let mut site = Site::new(&self.host, folder, title, self.params.single_file)?;
         let mut files = Vec::new();
         let targets = self.targets(stack)?;
         let per_frame = stack.layer_count() + usize::from(stack.emission_shape().is_some());
@@ -105,7 +106,6 @@ impl OutputPlugin for WebSimulator {
             files.push(site.picture(&path, entry, &picture, &png_of(&picture)?)?);
             stage.advance(1, "");
         }
-        let title = if self.params.title.is_empty() { &self.display.name } else { &self.params.title };
         let rounding_db = rounding.psnr();
         let preview = json!({
             "schema": "lumistack-preview",
@@ -119,7 +119,7 @@ impl OutputPlugin for WebSimulator {
             "rounding_db": rounding_db.is_finite().then_some(rounding_db),
         });
         let text = serde_json::to_string(&preview).expect("a preview holds nothing that JSON cannot");
-        site.finish(title, &text, self.params.single_file)
+        site.finish(&text)
     }
 
     fn finish(self) -> Result<(), PluginError> {

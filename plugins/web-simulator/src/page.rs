@@ -17,19 +17,30 @@ const MODULE: &[u8] = include_bytes!("../../../web/dist/lumistack_web_bg.wasm");
 /// What of the page is replaced in the single file.
 const STYLE_LINK: &str = r#"<link rel="stylesheet" href="app/viewer.css">"#;
 const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>"#;
+/// Bytes; a multiple of 3, so that the parts' texts join to the text of the whole.
+const ENCODED_AT_ONCE: usize = 3 << 16;
 
 /// A site that is being written.
 pub(crate) struct Site<'a> {
     host: &'a Host,
     folder: String,
-    /// Path and bytes of every picture, for the single file.
-    pictures: Vec<(String, Vec<u8>)>,
+    index: String,
+    single: Option<SingleFile>,
+}
+
+/// The site in one file; every picture is added when it is there, so that none is kept.
+struct SingleFile {
+    file: OutputFile,
+    /// What of the page follows its script.
+    end: String,
 }
 
 impl<'a> Site<'a> {
     /// `folder` is empty or ends with `/`.
-    pub(crate) fn new(host: &'a Host, folder: String) -> Self {
-        Self { host, folder, pictures: Vec::new() }
+    pub(crate) fn new(host: &'a Host, folder: String, title: &str, single_file: bool) -> Result<Self, PluginError> {
+        let index = titled(title);
+        let single = if single_file { Some(SingleFile::new(host, &folder, &index)?) } else { None };
+        Ok(Self { host, folder, index, single })
     }
 
     /// Writes a picture; gives its entry in preview.json.
@@ -49,15 +60,17 @@ impl<'a> Site<'a> {
         ] {
             entry[key] = value;
         }
-        self.pictures.push((path.into(), bytes.to_vec()));
+        if let Some(single) = &mut self.single {
+            single.text(",")?;
+            single.entry(path, bytes)?;
+        }
         Ok(entry)
     }
 
     /// Writes the page and preview.json.
-    pub(crate) fn finish(self, title: &str, preview_json: &str, single_file: bool) -> Result<(), PluginError> {
-        let index = titled(title);
+    pub(crate) fn finish(self, preview_json: &str) -> Result<(), PluginError> {
         for (path, bytes) in [
-            ("index.html", index.as_bytes()),
+            ("index.html", self.index.as_bytes()),
             ("app/viewer.js", SCRIPT.as_bytes()),
             ("app/viewer.css", STYLE.as_bytes()),
             ("app/lumistack_web_bg.wasm", MODULE),
@@ -65,10 +78,12 @@ impl<'a> Site<'a> {
         ] {
             self.host.write(&format!("{}{path}", self.folder), bytes)?;
         }
-        if single_file { self.single_file(&index, preview_json) } else { Ok(()) }
+        self.single.map_or(Ok(()), |single| single.finish(preview_json))
     }
+}
 
-    fn single_file(&self, index: &str, preview_json: &str) -> Result<(), PluginError> {
+impl SingleFile {
+    fn new(host: &Host, folder: &str, index: &str) -> Result<Self, PluginError> {
         let parts = index
             .split_once(STYLE_LINK)
             .and_then(|(head, rest)| rest.split_once(SCRIPT_LINK).map(|(middle, end)| [head, middle, end]));
@@ -76,24 +91,35 @@ impl<'a> Site<'a> {
             let text = "web/dist/index.html: expected links to app/viewer.css and, after it, app/viewer.js, found none";
             return Err(PluginError::Failed(text.into()));
         };
-        let mut file = self.host.create(&format!("{}preview.html", self.folder))?;
-        file.append(format!("{head}<style>{STYLE}</style>{middle}<script>window.LUMISTACK_INLINE={{").as_bytes())?;
-        let fixed = [("wasm", MODULE), (PREVIEW_JSON, preview_json.as_bytes())];
-        let pictures = self.pictures.iter().map(|(path, bytes)| (path.as_str(), bytes.as_slice()));
-        for (i, (key, bytes)) in fixed.into_iter().chain(pictures).enumerate() {
-            entry(&mut file, i, key, bytes)?;
-        }
-        file.append(b"};</script><script type=\"module\">")?;
-        file.append(SCRIPT.as_bytes())?;
-        file.append(format!("</script>{end}").as_bytes())?;
-        file.commit()
+        let file = host.create(&format!("{folder}preview.html"))?;
+        let mut single = Self { file, end: end.into() };
+        single.text(&format!("{head}<style>{STYLE}</style>{middle}<script>window.LUMISTACK_INLINE={{"))?;
+        single.entry("wasm", MODULE)?;
+        Ok(single)
     }
-}
 
-/// One picture of the single file. Keys are our own paths and base64 has nothing that a script would take for its end.
-fn entry(file: &mut OutputFile, number: usize, key: &str, bytes: &[u8]) -> Result<(), PluginError> {
-    let comma = if number == 0 { "" } else { "," };
-    file.append(format!("{comma}\"{key}\":\"{}\"", STANDARD.encode(bytes)).as_bytes())
+    /// A file of the site. Keys are our own paths and base64 has nothing that a script would take for its end.
+    fn entry(&mut self, key: &str, bytes: &[u8]) -> Result<(), PluginError> {
+        self.text(&format!("\"{key}\":\""))?;
+        for part in bytes.chunks(ENCODED_AT_ONCE) {
+            self.text(&STANDARD.encode(part))?;
+        }
+        self.text("\"")
+    }
+
+    fn finish(mut self, preview_json: &str) -> Result<(), PluginError> {
+        self.text(",")?;
+        self.entry(PREVIEW_JSON, preview_json.as_bytes())?;
+        self.text("};</script><script type=\"module\">")?;
+        self.text(SCRIPT)?;
+        let end = format!("</script>{}", self.end);
+        self.text(&end)?;
+        self.file.commit()
+    }
+
+    fn text(&mut self, text: &str) -> Result<(), PluginError> {
+        self.file.append(text.as_bytes())
+    }
 }
 
 /// The page under a title.

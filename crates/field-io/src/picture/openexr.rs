@@ -4,10 +4,11 @@ use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::Path;
 
+use exr::image::write::channels::WritableChannels;
 use exr::meta::MetaData;
 use exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
-    ReadChannels, ReadLayers, SmallVec, Text, WritableImage, f16, read as read_exr,
+    ReadChannels, ReadLayers, SmallVec, SpecificChannels, Text, Vec2, WritableImage, f16, read as read_exr,
 };
 
 use super::{PIXEL_LIMIT, Picture, Samples};
@@ -49,9 +50,22 @@ pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Res
     Ok(bytes)
 }
 
+/// Pixels are taken from `rgb` when their block is compressed: a copy of all of them would be the most memory that a large picture takes.
 fn encode(writer: impl io::Write + io::Seek, size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Result<()> {
-    let layer = LayerAttributes::default();
-    write_layer(writer, size, layer, channels("", size, rgb, precision).into_iter().collect())
+    assert_eq!(rgb.len(), 3 * size[0] * size[1], "values fill the picture");
+    let attributes = LayerAttributes::default();
+    let value = |Vec2(x, y): Vec2<usize>, channel: usize| rgb[3 * (y * size[0] + x) + channel];
+    match precision {
+        Precision::Half => {
+            let half = |at, channel| f16::from_f32(value(at, channel));
+            let pixels = |at| (half(at, 0), half(at, 1), half(at, 2));
+            write_image(writer, &image(size, attributes, SpecificChannels::rgb(pixels)))
+        }
+        Precision::Float => {
+            let pixels = |at| (value(at, 0), value(at, 1), value(at, 2));
+            write_image(writer, &image(size, attributes, SpecificChannels::rgb(pixels)))
+        }
+    }
 }
 
 /// B, G and R of a picture, their names after a prefix.
@@ -67,17 +81,22 @@ fn channels(prefix: &str, size: [usize; 2], rgb: &[f32], precision: Precision) -
     })
 }
 
-fn write_layer(
-    writer: impl io::Write + io::Seek,
+fn image<'a, C: WritableChannels<'a> + 'a>(
     size: [usize; 2],
     attributes: LayerAttributes,
-    channels: SmallVec<[AnyChannel<FlatSamples>; 4]>,
-) -> io::Result<()> {
+    channels: C,
+) -> Image<Layer<C>> {
     // On grainy pictures PIZ takes half the time and half the space of ZIP.
     let encoding =
         Encoding { compression: Compression::PIZ, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
-    let layer = Layer::new((size[0], size[1]), attributes, encoding, AnyChannels::sort(channels));
-    Image::from_layer(layer).write().non_parallel().to_buffered(writer).map_err(|error| match error {
+    Image::from_layer(Layer::new((size[0], size[1]), attributes, encoding, channels))
+}
+
+fn write_image<'a, C: WritableChannels<'a>>(
+    writer: impl io::Write + io::Seek,
+    image: &'a Image<Layer<C>>,
+) -> io::Result<()> {
+    image.write().non_parallel().to_buffered(writer).map_err(|error| match error {
         exr::error::Error::Io(error) => error,
         other => io::Error::other(other),
     })
@@ -118,7 +137,8 @@ impl MultiView {
     pub fn into_bytes(self) -> io::Result<Vec<u8>> {
         let attributes = LayerAttributes { multi_view_names: Some(self.names), ..LayerAttributes::default() };
         let mut bytes = Vec::new();
-        write_layer(io::Cursor::new(&mut bytes), self.size, attributes, self.channels)?;
+        let image = image(self.size, attributes, AnyChannels::sort(self.channels));
+        write_image(io::Cursor::new(&mut bytes), &image)?;
         Ok(bytes)
     }
 }
@@ -218,6 +238,19 @@ mod tests {
             let picture = Picture::read(&paths[0]).unwrap();
             assert_eq!(picture.size(), [7, 5]);
             assert_eq!(picture.into_linear(), rgb);
+        }
+    }
+
+    #[test]
+    fn a_picture_without_copies_of_its_channels_has_the_bytes_of_one_with_them() {
+        let rgb: Vec<f32> = (0..3 * 90 * 70).map(|i| ((i * i) as f32 * 0.001).sin().abs()).collect();
+        for precision in [Precision::Half, Precision::Float] {
+            let copied: SmallVec<_> = channels("", [90, 70], &rgb, precision).into_iter().collect();
+            let mut bytes = Vec::new();
+            let layer = LayerAttributes::default();
+            let copied = image([90, 70], layer, AnyChannels::sort(copied));
+            write_image(io::Cursor::new(&mut bytes), &copied).unwrap();
+            assert!(exr_bytes([90, 70], &rgb, precision).unwrap() == bytes, "{precision:?}");
         }
     }
 

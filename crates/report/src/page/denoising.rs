@@ -34,7 +34,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
                 strong { (relative(overall.mean_change[0] / overall.mean)) } " ± " (format!("{:.3} %", 100.0 * overall.mean_change[1] / overall.mean))
                 ". What stands behind ± is a standard error."
             }
-            div class="compare group" {
+            div class="compare three group" {
                 (figure(&before, "The middle view as rendered", "As rendered, unbiased"))
                 (figure(&after, "The middle view filtered", "Filtered"))
                 (figure(&taken, "What the filter changed", &format!("Filtered − as rendered, × {gain}: where it is more than grain, the filter took away a part of the picture")))

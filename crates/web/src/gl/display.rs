@@ -5,8 +5,8 @@ use lumistack_display::{Backlight, Formation, Missing, Projection};
 use web_sys::WebGl2RenderingContext as Gl;
 use web_sys::{HtmlCanvasElement, WebGlBuffer, WebGlFramebuffer, WebGlProgram, WebGlTexture};
 
+use super::canvas::{Canvas, Picture};
 use super::canvas::{location, message, program, texture, upload_rgba};
-use super::{Canvas, Picture};
 use crate::colour::{HEAT_TOP, heat_table};
 use crate::explode::{Kind, Look, scene};
 use crate::preview::Part;

@@ -3,5 +3,4 @@
 mod canvas;
 mod display;
 
-pub(crate) use canvas::{Canvas, Picture};
 pub(crate) use display::Gpu;

@@ -1,0 +1,168 @@
+// Fingers, the tilt of a phone, and an element that nobody sees.
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { complete, launch, open, site, text } from "./browser.mjs";
+import { SCENE, twoSquares } from "./fixture.mjs";
+
+const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
+const ZONE = Math.tan(((SCENE.fovDeg / 2) * Math.PI) / 180);
+/** A slope that has come to rest, tangent. */
+const AT_REST = 1e-3;
+
+let browser;
+let server;
+before(async () => {
+  browser = await launch();
+  server = await site(twoSquares());
+});
+after(async () => {
+  await browser?.close();
+  await server?.close();
+});
+
+const slope = (page) => page.evaluate(() => document.querySelector("lumistack-viewer").slope);
+const shadow = (page, script) => page.evaluate(`(${script})(document.querySelector("lumistack-viewer").shadowRoot)`);
+const near = (found, wanted, by = AT_REST) => assert.ok(found.every((v, i) => Math.abs(v - wanted[i]) <= by), `the eye is at ${found}, expected ${wanted}`);
+
+/** The middle of a part and its size, CSS pixels of the window. */
+const box = (page, selector) =>
+  page.evaluate((within) => {
+    const { x, y, width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector(within).getBoundingClientRect();
+    return { x: x + width / 2, y: y + height / 2, width, height };
+  }, selector);
+
+/** One finger from a place by (dx, dy) in steps; the last of them wait, so that nothing is flung. */
+async function drag(page, from, [dx, dy], fling = false) {
+  const touch = await page.context().newCDPSession(page);
+  const send = (type, points) => touch.send("Input.dispatchTouchEvent", { type, touchPoints: points });
+  await send("touchStart", [from]);
+  for (let n = 1; n <= 10; n++) {
+    await send("touchMove", [{ x: from.x + (dx * n) / 10, y: from.y + (dy * n) / 10 }]);
+    await page.waitForTimeout(16);
+  }
+  if (!fling) await page.waitForTimeout(900);
+  await send("touchEnd", []);
+}
+
+test("a finger turns the display: to the left shows it from the right, downwards from above", async () => {
+  const page = await open(browser, server.url, PHONE);
+  assert.equal(await complete(page), undefined);
+  const stage = await box(page, "#stage");
+  // a third of the stage's width crosses half the zone
+  await drag(page, stage, [-0.16 * stage.width, 0.08 * stage.width]);
+  await page.waitForTimeout(300);
+  const [x, y] = await slope(page);
+  near([x, y], [0.5 * ZONE, 0.25 * ZONE], 0.02);
+  assert.equal(await page.evaluate(() => scrollY), 0, "the page scrolled with the finger");
+  // the same way back
+  await drag(page, stage, [0.16 * stage.width, -0.08 * stage.width]);
+  await page.waitForTimeout(300);
+  near(await slope(page), [0, 0], 0.02);
+  assert.deepEqual(page.trouble, []);
+  await page.context().close();
+});
+
+test("a flick carries on, unless one prefers less motion, and stays within reach", async () => {
+  const rest = [];
+  for (const reducedMotion of ["no-preference", "reduce"]) {
+    const page = await open(browser, `${server.url}/#swing=0`, { ...PHONE, reducedMotion });
+    assert.equal(await complete(page), undefined);
+    const stage = await box(page, "#stage");
+    await drag(page, stage, [-0.1 * stage.width, 0], true);
+    await page.waitForTimeout(900);
+    rest.push((await slope(page))[0]);
+    for (let n = 0; n < 6; n++) await drag(page, stage, [-0.4 * stage.width, 0], true);
+    await page.waitForTimeout(900);
+    near(await slope(page), [1.4 * ZONE, 0], 0.02);
+    await page.context().close();
+  }
+  const [flung, still] = rest;
+  assert.ok(Math.abs(still - (0.1 / 0.32) * ZONE) < 0.02, `without motion the eye is at ${still}`);
+  assert.ok(flung > still + 0.005, `a flick went to ${flung}, a drag to ${still}`);
+});
+
+test("a finger on the pad goes where it points", async () => {
+  const page = await open(browser, server.url, PHONE);
+  assert.equal(await complete(page), undefined);
+  await shadow(page, `(root) => root.querySelector("#pad").scrollIntoView({ block: "center" })`);
+  const pad = await box(page, ".zone");
+  await drag(page, { x: pad.x, y: pad.y }, [pad.width / 2, -pad.height / 4]);
+  await page.waitForTimeout(300);
+  near(await slope(page), [ZONE, ZONE / 2], 0.03);
+  await page.context().close();
+});
+
+test("a finger turns the exploded stack", async () => {
+  const page = await open(browser, `${server.url}/#mode=exploded`, PHONE);
+  assert.equal(await complete(page), undefined);
+  const stage = await box(page, "#stage");
+  await drag(page, stage, [60, 20]);
+  await page.waitForTimeout(700);
+  const turned = new URLSearchParams(new URL(page.url()).hash.slice(1));
+  assert.ok(turned.has("yaw") && turned.has("pitch"), page.url());
+  near(await slope(page), [0, 0]);
+  await page.context().close();
+});
+
+test("tilting the phone moves the eye, from the pose at the start", async () => {
+  const page = await open(browser, server.url, PHONE);
+  assert.equal(await complete(page), undefined);
+  const device = await page.context().newCDPSession(page);
+  const pose = (beta, gamma) => device.send("DeviceOrientation.setDeviceOrientationOverride", { alpha: 0, beta, gamma });
+  assert.ok(await text(page, "#tilt"), "no button for tilt on a phone");
+  await pose(40, 0);
+  await page.tap("#tilt");
+  await page.waitForTimeout(300);
+  assert.equal(await shadow(page, `(root) => root.querySelector("#tilt").ariaPressed`), "true");
+  near(await slope(page), [0, 0]);
+  // its right edge towards the viewer shows what is seen from the left; its top towards the viewer what is seen from below
+  await pose(40, 10);
+  await page.waitForTimeout(700);
+  near(await slope(page), [-Math.tan((10 * Math.PI) / 180), 0], 0.01);
+  await pose(50, 0);
+  await page.waitForTimeout(700);
+  near(await slope(page), [0, Math.tan((10 * Math.PI) / 180)], 0.012);
+  await page.tap("#tilt");
+  await pose(40, -20);
+  await page.waitForTimeout(500);
+  assert.ok((await slope(page))[0] < 0.02, "the tilt is still followed");
+  assert.deepEqual(page.trouble, []);
+  await page.context().close();
+});
+
+test("a phone that tells no pose says so", async () => {
+  const page = await open(browser, server.url, PHONE);
+  assert.equal(await complete(page), undefined);
+  await page.tap("#tilt");
+  await page.waitForTimeout(1800);
+  assert.match((await text(page, "#notice")) ?? "", /No tilt arrives/);
+  assert.equal(await shadow(page, `(root) => root.querySelector("#tilt").ariaPressed`), "false");
+  await page.context().close();
+});
+
+test("an element out of sight draws nothing, and goes on when it is seen", async () => {
+  const page = await open(browser, `${server.url}/#mode=slow&rate=8`, { reducedMotion: "no-preference" });
+  assert.equal(await complete(page), undefined);
+  await page.evaluate(() => {
+    const before = document.createElement("div");
+    before.style.height = "200vh";
+    document.body.prepend(before);
+  });
+  const frame = () => page.evaluate(() => document.querySelector("lumistack-viewer").shadowRoot.querySelector("#frame-count").textContent);
+  const seen = async () => {
+    const shown = new Set();
+    for (let n = 0; n < 12; n++) {
+      shown.add(await frame());
+      await page.waitForTimeout(60);
+    }
+    return shown.size;
+  };
+  await page.evaluate(() => scrollTo(0, 0));
+  await page.waitForTimeout(300);
+  assert.equal(await seen(), 1, "frames go on out of sight");
+  await page.evaluate(() => document.querySelector("lumistack-viewer").scrollIntoView());
+  await page.waitForTimeout(300);
+  assert.ok((await seen()) > 1, "frames stand still in sight");
+  assert.deepEqual(page.trouble, []);
+  await page.context().close();
+});
