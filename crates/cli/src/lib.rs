@@ -1,4 +1,4 @@
-//! The `lumistack` command: a thin shell over the pipeline.
+//! The `lumistack` command: a thin shell over the pipeline. The program and the Python package both call [`run`].
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 
@@ -9,29 +9,30 @@ mod info;
 mod preview;
 mod server;
 
-use std::process::ExitCode;
+use std::ffi::OsString;
 
 use clap::Parser;
 use lumistack_core::Cancel;
 use lumistack_pipeline::PipelineError;
 
-fn main() -> ExitCode {
-    let args = args::Args::parse();
-    let cancel = Cancel::default();
-    let flag = cancel.clone();
-    // a second Ctrl-C ends the program at once: everything is written beside and renamed, so nothing is left half-written
-    let handler = ctrlc::set_handler(move || {
-        if flag.is_cancelled() {
-            std::process::exit(130);
+pub use commands::DEFAULT_DISPLAY;
+pub use info::describe_path;
+
+/// Runs a command line, of which the first word is the program's name, and gives its exit code. What it has to say goes to the process's standard output
+/// and standard error. Setting `cancel` stops it cleanly.
+pub fn run(words: &[OsString], cancel: &Cancel) -> u8 {
+    let args = match args::Args::try_parse_from(words) {
+        Ok(args) => args,
+        Err(error) => {
+            // a closed pipe is nobody's fault
+            let _ = error.print();
+            return u8::try_from(error.exit_code()).unwrap_or(2);
         }
-        flag.cancel();
-    });
-    if let Err(error) = handler {
-        eprintln!("warning: Ctrl-C will not stop cleanly: {error}");
-    }
+    };
     let verbose = args.verbose;
-    match commands::run(args, &cancel) {
-        Ok(()) => ExitCode::SUCCESS,
+    let words: Vec<_> = words.iter().skip(1).map(|word| word.to_string_lossy()).collect();
+    match commands::run(args, &format!("lumistack {}", words.join(" ")), cancel) {
+        Ok(()) => 0,
         Err(error) => {
             eprintln!("error: {error}");
             if verbose {
@@ -41,11 +42,7 @@ fn main() -> ExitCode {
                     source = cause.source();
                 }
             }
-            if cancel.is_cancelled() || matches!(error, PipelineError::Cancelled) {
-                ExitCode::from(130)
-            } else {
-                ExitCode::FAILURE
-            }
+            if cancel.is_cancelled() || matches!(error, PipelineError::Cancelled) { 130 } else { 1 }
         }
     }
 }
