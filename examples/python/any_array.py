@@ -38,7 +38,8 @@ def discs(display: lumistack.Display) -> NDArray[np.float32]:
         disc_x, disc_y = seen(z)
         inside = np.hypot(disc_x - place[0] * width, disc_y - place[1] * height) < 0.16 * height
         radiance = np.where(inside[..., None], np.array(colour), radiance)
-    return radiance.astype(np.float32)
+    result: NDArray[np.float32] = radiance.astype(np.float32)
+    return result
 
 
 def main() -> None:

@@ -30,20 +30,16 @@ impl Values {
     /// Reads `object`; `what` it is goes into messages.
     pub(crate) fn read(object: &Bound<'_, PyAny>, what: &str) -> PyResult<Self> {
         let py = object.py();
-        let converted;
-        let mut object = object;
-        let buffer = match PyUntypedBuffer::get(object) {
-            Ok(buffer) => buffer,
-            // tensors of other libraries
-            Err(_) if object.hasattr("__array__")? => {
-                converted = object.call_method0("__array__")?;
-                object = &converted;
-                PyUntypedBuffer::get(object)?
-            }
-            Err(_) => {
-                let found = object.get_type().name()?;
-                return Err(PyTypeError::new_err(format!("{what}: expected an array of floats, found {found}")));
-            }
+        let mut object = object.clone();
+        let mut buffer = PyUntypedBuffer::get(&object);
+        // tensors of other libraries
+        if buffer.is_err() && object.hasattr("__array__")? {
+            object = object.call_method0("__array__")?;
+            buffer = PyUntypedBuffer::get(&object);
+        }
+        let Ok(buffer) = buffer else {
+            let found = object.get_type().name()?;
+            return Err(PyTypeError::new_err(format!("{what}: expected an array of floats, found {found}")));
         };
         let scalar = Scalar::of(&buffer).ok_or_else(|| {
             let named = object.getattr("dtype").and_then(|dtype| Ok(dtype.str()?.to_string()));
@@ -51,6 +47,9 @@ impl Values {
             let expected = "float32, float64 or float16, or uint8 or uint16 for sRGB code values";
             PyTypeError::new_err(format!("{what}: expected an array of {expected}, found {found}"))
         })?;
+        if buffer.suboffsets().is_some() {
+            return Err(PyTypeError::new_err(format!("{what}: expected an array in one piece, found one of pointers")));
+        }
         let shape = buffer.shape().to_vec();
         if scalar == Scalar::NATIVE && buffer.is_c_contiguous() && buffer.buf_ptr().cast::<f32>().is_aligned() {
             return Ok(Self { shape, data: Data::Lent(Arc::new(Borrowed(buffer))) });
@@ -160,37 +159,35 @@ fn copied(buffer: &PyUntypedBuffer, scalar: Scalar) -> Vec<f32> {
 
 /// Calls `take` with the bytes of every item, in row-major order.
 fn each<const BYTES: usize>(buffer: &PyUntypedBuffer, swapped: bool, mut take: impl FnMut([u8; BYTES])) {
-    let (shape, strides) = (buffer.shape(), buffer.strides());
     if buffer.item_count() == 0 {
         return;
     }
-    let (last, last_stride) = match (shape.last(), strides.last()) {
-        (Some(&last), Some(&stride)) => (last, stride),
-        _ => (1, 0),
-    };
-    let mut index = vec![0; shape.len()];
-    loop {
-        let line = buffer.get_ptr(&index).cast::<u8>();
-        for i in 0..last {
-            let item = if buffer.suboffsets().is_some() {
-                index[shape.len() - 1] = i;
-                buffer.get_ptr(&index).cast::<u8>()
-            } else {
-                line.wrapping_offset(i as isize * last_stride)
-            };
-            // SAFETY: an item of `BYTES` bytes lies at every index of the shape; it may be misaligned
-            let mut bytes = unsafe { item.cast::<[u8; BYTES]>().read_unaligned() };
-            if swapped {
-                bytes.reverse();
-            }
-            take(bytes);
+    // neighbouring axes that lie one after another are one
+    let mut axes: Vec<(usize, isize)> = Vec::new();
+    for (&count, &stride) in buffer.shape().iter().zip(buffer.strides()) {
+        match axes.last_mut() {
+            Some(outer) if outer.1 == count as isize * stride => *outer = (outer.0 * count, stride),
+            _ => axes.push((count, stride)),
         }
-        // the next line
-        let Some(outer) = shape.len().checked_sub(1) else { return };
-        index[outer] = 0;
-        let Some(axis) = (0..outer).rev().find(|&axis| index[axis] + 1 < shape[axis]) else { return };
-        index[axis] += 1;
-        index[axis + 1..].fill(0);
+    }
+    walk(buffer.buf_ptr().cast::<u8>(), &axes, &mut |item| {
+        // SAFETY: an item of `BYTES` bytes lies at every index of the shape, at the sum of index times stride; it may be misaligned
+        let mut bytes = unsafe { item.cast::<[u8; BYTES]>().read_unaligned() };
+        if swapped {
+            bytes.reverse();
+        }
+        take(bytes);
+    });
+}
+
+/// Calls `take` with the place of every item below `axes`, outermost first.
+fn walk(place: *const u8, axes: &[(usize, isize)], take: &mut impl FnMut(*const u8)) {
+    match axes {
+        [] => take(place),
+        [(count, stride)] => (0..*count as isize).for_each(|i| take(place.wrapping_offset(i * stride))),
+        [(count, stride), inner @ ..] => {
+            (0..*count as isize).for_each(|i| walk(place.wrapping_offset(i * stride), inner, take));
+        }
     }
 }
 

@@ -35,6 +35,7 @@ fn class_of(error: &PipelineError) -> &'static str {
         PipelineError::Read { source, .. } | PipelineError::Write { source, .. } => file(source.kind()),
         PipelineError::Field(FieldError::Io { source, .. }) => file(source.kind()),
         PipelineError::NotAFolder { .. } => "FileError",
+        PipelineError::Field(FieldError::Malformed { place, .. }) if place == "output folder" => "FileError",
         PipelineError::Config { .. }
         | PipelineError::Display { .. }
         | PipelineError::UnknownDisplay { .. }
@@ -50,7 +51,9 @@ fn class_of(error: &PipelineError) -> &'static str {
 }
 
 /// Flags of the command line under the names that they have here.
-const FLAGS: [(&str, &str); 18] = [
+const FLAGS: [(&str, &str); 20] = [
+    ("--fit-depth=compress", "fit_depth=\"compress\""),
+    ("--fit-depth", "fit_depth=\"move\""),
     ("--pitch-mm 0.5", "pitch_mm=0.5"),
     ("--fov 20x20", "fov_deg=(20, 20)"),
     ("--distance-mm 600", "distance_mm=600"),

@@ -13,7 +13,7 @@ use serde_json::{Map, Value};
 use crate::array::{Array, Part, Values};
 use crate::display::{Display, display_of};
 use crate::error::{exception, raised, setting};
-use crate::json::{map_of, table, to_python};
+use crate::json::{map_of, numbers, table, to_python};
 use crate::work::long;
 
 /// A light field: linear radiance, 0 to 1 after exposure, of every view, and where its rays are.
@@ -59,9 +59,9 @@ impl LightField {
         radiance: &Bound<'_, PyAny>,
         display: Option<&Bound<'_, PyAny>>,
         pitch_mm: Option<f64>,
-        fov_deg: Option<(f64, f64)>,
-        slope_x: Option<Vec<f64>>,
-        slope_y: Option<Vec<f64>>,
+        fov_deg: Option<&Bound<'_, PyAny>>,
+        slope_x: Option<&Bound<'_, PyAny>>,
+        slope_y: Option<&Bound<'_, PyAny>>,
         distance_mm: Option<f64>,
     ) -> PyResult<Self> {
         let radiance = Values::read(radiance, "radiance")?.tensor("radiance", Field::AXES)?;
@@ -70,6 +70,9 @@ impl LightField {
             let message = format!("radiance: expected 3 channels on the last axis, rgb, found {channels}");
             return Err(exception(py, "DataError", &message));
         }
+        let fov_deg: Option<[f64; 2]> = numbers("fov_deg", fov_deg)?;
+        let slope_x: Option<Vec<f64>> = numbers("slope_x", slope_x)?;
+        let slope_y: Option<Vec<f64>> = numbers("slope_y", slope_y)?;
         let own = [pitch_mm.is_some(), fov_deg.is_some(), slope_x.is_some(), slope_y.is_some(), distance_mm.is_some()];
         let (grid, pitch_mm, display) = if let Some(display) = display {
             if own.contains(&true) {
@@ -91,7 +94,7 @@ impl LightField {
                 Some(distance_mm) => Projection::Perspective { distance_mm },
             };
             let grid = match (fov_deg, slope_x, slope_y) {
-                (Some((x, y)), None, None) => ViewGrid::uniform(projection, [view_cols, view_rows], [x, y])
+                (Some(fov_deg), None, None) => ViewGrid::uniform(projection, [view_cols, view_rows], fov_deg)
                     .map_err(|error| raised(py, &PipelineError::Grid(error)))?,
                 (None, Some(slope_x), Some(slope_y)) => ViewGrid { projection, slope_x, slope_y },
                 (None, None, None) if [view_rows, view_cols] == [1, 1] => ViewGrid::single(projection, [0.0, 0.0]),

@@ -20,7 +20,7 @@ use crate::array::{Array, Part, Values};
 use crate::display::{adapted, display_of};
 use crate::error::{raised, setting};
 use crate::field::LightField;
-use crate::json::{map_of, parsed, table, table_of, to_python, value_of};
+use crate::json::{map_of, numbers, parsed, table, table_of, to_python, value_of};
 use crate::scene::Scene;
 use crate::stack::{LayerStack, Solved};
 use crate::work::{command, long};
@@ -231,16 +231,17 @@ pub(crate) fn factorize(
 pub(crate) fn simulate<'py>(
     py: Python<'py>,
     stack: &LayerStack,
-    slope: Option<(f64, f64)>,
-    angle_deg: Option<(f64, f64)>,
-    eye_mm: Option<(f64, f64, f64)>,
+    slope: Option<&Bound<'_, PyAny>>,
+    angle_deg: Option<&Bound<'_, PyAny>>,
+    eye_mm: Option<&Bound<'_, PyAny>>,
     raw: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let viewpoint = match (slope, angle_deg, eye_mm) {
+    let (slope, angle) = (numbers("slope", slope)?, numbers("angle_deg", angle_deg)?);
+    let viewpoint = match (slope, angle, numbers("eye_mm", eye_mm)?) {
         (None, None, None) => Viewpoint::Slope([0.0, 0.0]),
-        (Some((x, y)), None, None) => Viewpoint::Slope([x, y]),
-        (None, Some((x, y)), None) => Viewpoint::Angle([x, y]),
-        (None, None, Some((x, y, z))) => Viewpoint::Eye([x, y, z]),
+        (Some(slope), None, None) => Viewpoint::Slope(slope),
+        (None, Some(angle), None) => Viewpoint::Angle(angle),
+        (None, None, Some(eye_mm)) => Viewpoint::Eye(eye_mm),
         _ => return Err(setting(py, "simulate: expected one of `slope`, `angle_deg` and `eye_mm`, found several")),
     };
     let picture = py.detach(|| picture_from(&stack.display, &stack.stack, viewpoint, raw));

@@ -30,6 +30,13 @@ pub(crate) fn table_of<T: DeserializeOwned>(place: &str, mapping: &Bound<'_, PyA
     parsed(mapping.py(), place, map_of(place, mapping)?)
 }
 
+/// Numbers in a row: a sequence or an array of NumPy.
+pub(crate) fn numbers<T: DeserializeOwned>(place: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<T>> {
+    let Some(value) = value.filter(|value| !value.is_none()) else { return Ok(None) };
+    let numbers = serde_json::from_value(value_of(value)?);
+    numbers.map(Some).map_err(|error| setting(value.py(), format!("{place}: {error}")))
+}
+
 /// Reads a table; a value that does not fit is told with its key.
 pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<String, Value>) -> PyResult<T> {
     let error = match serde_json::from_value::<T>(Value::Object(map.clone())) {

@@ -69,7 +69,7 @@ impl Scene {
         Self::load(py, path, pose, light, importer, callback)
     }
 
-    /// The file.
+    /// The file that it was read from.
     #[getter]
     fn path(&self) -> PathBuf {
         self.path.clone()

@@ -22,7 +22,8 @@ def waves(display: lumistack.Display) -> NDArray[numpy.float32]:
     place_x = x[None, :] + 6.0 * numpy.array(slope_x)[:, None]
     place_y = y[None, :] + 6.0 * numpy.array(slope_y)[:, None]
     wave = numpy.sin(0.7 * place_x)[None, :, None, :] * numpy.cos(0.5 * place_y)[:, None, :, None]
-    return (0.5 + 0.4 * wave[..., None] * numpy.array([1.0, 0.6, -0.8])).astype(numpy.float32)
+    radiance: NDArray[numpy.float32] = (0.5 + 0.4 * wave[..., None] * numpy.array([1.0, 0.6, -0.8])).astype(numpy.float32)
+    return radiance
 
 
 @pytest.fixture

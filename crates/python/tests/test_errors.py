@@ -125,7 +125,7 @@ def test_wrong_settings_of_rendering(scene: Path) -> None:
         ({"window": 3}, "window: expected a mapping"),
     ):
         with pytest.raises((lumistack.SettingError, TypeError), match=message):
-            lumistack.render(loaded, "fig7-uniform", **settings)  # type: ignore[arg-type]
+            lumistack.render(loaded, "fig7-uniform", **settings)
 
 
 def test_wrong_settings_of_factorization(light_field: LightField, display: Display) -> None:
@@ -169,7 +169,7 @@ def test_geometry_of_arrays(radiance: Any) -> None:
         ({"display": "paper-three-layer", "pitch_mm": 1.0}, "found both"),
     ):
         with pytest.raises((lumistack.SettingError, lumistack.DataError), match=message):
-            LightField(radiance, **how)  # type: ignore[arg-type]
+            LightField(radiance, **how)
 
 
 def test_patterns_that_do_not_fit(light_field: LightField, display: Display) -> None:
@@ -196,10 +196,12 @@ def test_viewpoints(light_field: LightField) -> None:
         ({"slope": (0, 0), "eye_mm": (0, 0, 1)}, "found several"),
         ({"angle_deg": (90, 0)}, "angle_deg: expected angles between -90 and 90"),
         ({"eye_mm": (0, 0, 0)}, r"eye_mm\[2\]: expected a distance above 0"),
-        ({"slope": (float("nan"), 0)}, "finite tangents"),
+        ({"slope": (float("nan"), 0)}, "expected a finite number"),
+        ({"slope": (0, 0, 0)}, "slope: invalid length 3"),
+        ({"eye_mm": "here"}, "eye_mm: invalid type"),
     ):
         with pytest.raises(lumistack.SettingError, match=message):
-            lumistack.simulate(stack, **how)  # type: ignore[arg-type]
+            lumistack.simulate(stack, **how)
 
 
 def test_jobs(tmp_path: Path) -> None:

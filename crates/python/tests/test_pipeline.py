@@ -146,6 +146,8 @@ def test_an_array_file_takes_its_geometry_from_arguments(radiance: Any, tmp_path
 def test_geometry_of_an_array_may_be_slopes(radiance: Any) -> None:
     uneven = LightField(radiance, pitch_mm=1.0, slope_x=[-0.2, 0.0, 0.1], slope_y=[0.1, 0.0, -0.1])
     assert uneven.slope_x == [-0.2, 0.0, 0.1]
+    same = LightField(radiance, pitch_mm=1.0, slope_x=numpy.array(uneven.slope_x), slope_y=tuple(uneven.slope_y))
+    assert (same.slope_x, same.slope_y) == (uneven.slope_x, uneven.slope_y)
     assert lumistack.factorize(uneven, "paper-three-layer", frames=1, iterations=1).frames == 1
 
 

@@ -12,8 +12,9 @@ class _HasArray(Protocol):
 
 _Path: TypeAlias = str | PathLike[str]
 _Callback: TypeAlias = Callable[[str, float], object]
-_Pair: TypeAlias = Sequence[float]
-_Size: TypeAlias = Sequence[int]
+_Numbers: TypeAlias = Sequence[float] | NDArray[Any]
+_Pair: TypeAlias = _Numbers
+_Size: TypeAlias = Sequence[int] | NDArray[Any]
 _ArrayLike: TypeAlias = ReadableBuffer | _HasArray
 _DisplayLike: TypeAlias = Display | str | PathLike[str] | Mapping[str, Any]
 
@@ -77,8 +78,8 @@ class LightField:
         display: _DisplayLike | None = None,
         pitch_mm: float | None = None,
         fov_deg: _Pair | None = None,
-        slope_x: Sequence[float] | None = None,
-        slope_y: Sequence[float] | None = None,
+        slope_x: _Numbers | None = None,
+        slope_y: _Numbers | None = None,
         distance_mm: float | None = None,
     ) -> LightField: ...
     @classmethod
@@ -218,7 +219,7 @@ def simulate(
     slope: _Pair | None = None,
     *,
     angle_deg: _Pair | None = None,
-    eye_mm: Sequence[float] | None = None,
+    eye_mm: _Numbers | None = None,
     raw: bool = False,
 ) -> NDArray[float32]: ...
 def write(
