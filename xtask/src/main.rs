@@ -7,6 +7,7 @@ mod fuzz;
 mod gallery;
 mod layers;
 mod plugins;
+mod python;
 mod tools;
 mod web;
 
@@ -21,6 +22,9 @@ cargo xtask <task>
   plugins [--write]
                 build every plugin as a library and compare it with its compiled-in self, build the samples, and compare
                 docs/plugins.json and the pages made from it with what the program says; --write writes them anew
+  python [--release]
+                build the Python package as a wheel, install it into target/python, test it there, check its types, and print
+                what importing and calling it costs; --release builds and measures the wheel as users get it
   web [--check | module | fixtures | test]
                 build the simulator's module and page into web/dist, optimize and measure them; --check fails where web/dist
                 is not that of the sources, and tests the page in a browser; the others are single steps of it
@@ -38,6 +42,8 @@ fn main() -> ExitCode {
         ["layers"] => layers::check(),
         ["plugins"] => plugins::run(false),
         ["plugins", "--write"] => plugins::run(true),
+        ["python"] => python::check(),
+        ["python", "--release"] => python::release(),
         ["web"] => web::build(),
         ["web", "--check"] => web::check(),
         ["web", "module"] => web::module(),

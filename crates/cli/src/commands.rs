@@ -19,9 +19,10 @@ use crate::info;
 use crate::preview::{preview_command, written_preview};
 
 /// The display of `run` and `render` when nobody names one.
-const DEFAULT_DISPLAY: &str = "paper-three-layer";
+pub const DEFAULT_DISPLAY: &str = "paper-three-layer";
 
-pub(crate) fn run(args: Args, cancel: &Cancel) -> Result<(), PipelineError> {
+/// Runs a command; `line` is what was typed, for reports.
+pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), PipelineError> {
     if let Some(threads) = args.threads {
         set_threads(threads)
             .map_err(|error| PipelineError::value("--threads", "N", "a number of threads that can start", error))?;
@@ -39,9 +40,9 @@ pub(crate) fn run(args: Args, cancel: &Cancel) -> Result<(), PipelineError> {
         Ok::<_, PipelineError>(registry)
     };
     match args.command {
-        Command::Run(run) => run_command(&run, &registry_for_work()?, args.json, task),
+        Command::Run(run) => run_command(&run, line, &registry_for_work()?, args.json, task),
         Command::Render(render) => render_command(&render, &registry_for_work()?, args.json, task),
-        Command::Factorize(factorize) => factorize_command(&factorize, &registry_for_work()?, args.json, task),
+        Command::Factorize(factorize) => factorize_command(&factorize, line, &registry_for_work()?, args.json, task),
         Command::Simulate(simulate) => simulate_command(&simulate, args.json),
         Command::Preview(preview) => preview_command(&preview, &registry_for_work()?, args.json, task),
         Command::Info(info) => info::print(&info, &registry_for_work()?, args.json, task),
@@ -57,17 +58,23 @@ pub(crate) fn run(args: Args, cancel: &Cancel) -> Result<(), PipelineError> {
     }
 }
 
-fn run_command(args: &Run, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+fn run_command(args: &Run, line: &str, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let mut job = job_or_scene(&args.input)?;
     change_display(&mut job, &args.display);
     change_render(&mut job, &args.render);
     change_factorize(&mut job, &args.factorize);
     change_sequence(&mut job, &args.sequence);
     let folder = args.output.clone().unwrap_or_else(|| Path::new("runs").join(&job.name));
-    finish(&job, &folder, registry, json, task)
+    finish(&job, &folder, line, registry, json, task)
 }
 
-fn factorize_command(args: &Factorize, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+fn factorize_command(
+    args: &Factorize,
+    line: &str,
+    registry: &Registry,
+    json: bool,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
     let mut job = Job::new(presets::by_name_or_path(&args.display.display));
     job.name = stem(&args.light_field);
     job.light_field = Some(args.light_field.clone());
@@ -81,13 +88,18 @@ fn factorize_command(args: &Factorize, registry: &Registry, json: bool, task: Ta
         let iterations = args.sequence_iterations.unwrap_or(default.iterations);
         job.sequence = Some(SequenceJob { iterations, ..default });
     }
-    finish(&job, &args.output, registry, json, task)
+    finish(&job, &args.output, line, registry, json, task)
 }
 
-fn finish(job: &Job, folder: &Path, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
-    let words: Vec<String> = std::env::args().skip(1).collect();
-    let command = format!("lumistack {}", words.join(" "));
-    let summary = run_job(job, folder, registry, Some(&command), task)?;
+fn finish(
+    job: &Job,
+    folder: &Path,
+    line: &str,
+    registry: &Registry,
+    json: bool,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    let summary = run_job(job, folder, registry, Some(line), task)?;
     if json {
         let mut event = serde_json::to_value(&summary).expect("summaries serialize");
         event["event"] = "done".into();

@@ -10,7 +10,7 @@ use lumistack_pipeline::{
 };
 use serde_json::{Value, json};
 
-use crate::args::{DisplayArgs, Info, RenderArgs};
+use crate::args::{DisplayArgs, GeometryArgs, Info, RenderArgs};
 use crate::commands::{change_display, change_render, geometry, job_or_scene};
 use crate::console::say;
 
@@ -25,6 +25,16 @@ pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<
         show(&value, 0);
     }
     Ok(())
+}
+
+/// What is in a scene, a light field, a layer stack, a run folder, a display or a job: what `lumistack info --json` prints of a path or preset.
+///
+/// # Errors
+/// When it cannot be read, or is none of these.
+pub fn describe_path(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
+    let args =
+        Info { file: path.to_owned(), display: None, camera: None, fit_depth: None, geometry: GeometryArgs::default() };
+    describe(&args, registry, task)
 }
 
 fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {

@@ -1,22 +1,10 @@
-//! The `lumistack` command: a thin shell over the pipeline.
-//!
-//! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
-
-mod args;
-mod commands;
-mod console;
-mod info;
-mod preview;
-mod server;
+//! The `lumistack` program: Ctrl-C, then the commands.
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use lumistack_core::Cancel;
-use lumistack_pipeline::PipelineError;
 
 fn main() -> ExitCode {
-    let args = args::Args::parse();
     let cancel = Cancel::default();
     let flag = cancel.clone();
     // a second Ctrl-C ends the program at once: everything is written beside and renamed, so nothing is left half-written
@@ -29,23 +17,6 @@ fn main() -> ExitCode {
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will not stop cleanly: {error}");
     }
-    let verbose = args.verbose;
-    match commands::run(args, &cancel) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            if verbose {
-                let mut source = std::error::Error::source(&error);
-                while let Some(cause) = source {
-                    eprintln!("  caused by: {cause}");
-                    source = cause.source();
-                }
-            }
-            if cancel.is_cancelled() || matches!(error, PipelineError::Cancelled) {
-                ExitCode::from(130)
-            } else {
-                ExitCode::FAILURE
-            }
-        }
-    }
+    let words: Vec<_> = std::env::args_os().collect();
+    ExitCode::from(lumistack_cli::run(&words, &cancel))
 }

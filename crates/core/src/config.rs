@@ -38,8 +38,8 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     })
 }
 
-/// Reads the unknown and the expected names out of serde's message and picks the closest pair.
-fn nearest_key(message: &str) -> Option<String> {
+/// Reads the unknown and the expected names out of serde's message and picks the expected one that is spelled most like the other.
+pub fn nearest_key(message: &str) -> Option<String> {
     if !message.starts_with("unknown ") {
         return None;
     }

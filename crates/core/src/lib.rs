@@ -12,4 +12,4 @@ mod tensor;
 pub mod tone;
 
 pub use task::{Cancel, Cancelled, Collector, NoProgress, Progress, Task, Warning, Warnings};
-pub use tensor::{ShapeError, Tensor};
+pub use tensor::{Lender, ShapeError, Tensor};

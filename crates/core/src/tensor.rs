@@ -3,14 +3,47 @@
 //! The names are the ones of the design document (`view_y`, `row`, `rgb`, ...): error messages and
 //! file headers use them, so that a swapped axis is visible at once.
 
+use std::sync::Arc;
+
 use thiserror::Error;
 
-/// Dense row-major tensor of order `N`; the last axis is contiguous.
+/// Dense row-major tensor of order `N`; the last axis is contiguous. Its values are its own, or [lent](Tensor::lent) by somebody else.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tensor<const N: usize> {
     axes: [&'static str; N],
     shape: [usize; N],
-    data: Vec<f32>,
+    data: Values,
+}
+
+/// Values of a tensor that belong to somebody else, such as an array of another program part.
+pub type Lender = Arc<dyn AsRef<[f32]> + Send + Sync>;
+
+#[derive(Clone)]
+enum Values {
+    Own(Vec<f32>),
+    Lent(Lender),
+}
+
+impl Values {
+    #[inline]
+    fn as_slice(&self) -> &[f32] {
+        match self {
+            Self::Own(values) => values,
+            Self::Lent(lender) => (**lender).as_ref(),
+        }
+    }
+}
+
+impl std::fmt::Debug for Values {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.as_slice().fmt(f)
+    }
+}
+
+impl PartialEq for Values {
+    fn eq(&self, other: &Self) -> bool {
+        self.as_slice() == other.as_slice()
+    }
 }
 
 /// Data whose length or shape does not fit the axes.
@@ -31,7 +64,7 @@ impl<const N: usize> Tensor<N> {
     /// [`Tensor::from_vec`] or [`element_count`](Self::element_count) first.
     pub fn filled(axes: [&'static str; N], shape: [usize; N], value: f32) -> Self {
         let count = Self::element_count(shape).expect("tensor size fits in memory");
-        Self { axes, shape, data: vec![value; count] }
+        Self { axes, shape, data: Values::Own(vec![value; count]) }
     }
 
     /// Tensor of zeros.
@@ -44,14 +77,27 @@ impl<const N: usize> Tensor<N> {
     /// # Errors
     /// If `data.len()` is not the product of `shape`.
     pub fn from_vec(axes: [&'static str; N], shape: [usize; N], data: Vec<f32>) -> Result<Self, ShapeError> {
-        if Self::element_count(shape) == Some(data.len()) {
+        Self::with_values(axes, shape, Values::Own(data))
+    }
+
+    /// Uses row-major data where it is, without a copy; writing to the tensor copies it first.
+    ///
+    /// # Errors
+    /// If the number of values is not the product of `shape`.
+    pub fn lent(axes: [&'static str; N], shape: [usize; N], lender: Lender) -> Result<Self, ShapeError> {
+        Self::with_values(axes, shape, Values::Lent(lender))
+    }
+
+    fn with_values(axes: [&'static str; N], shape: [usize; N], data: Values) -> Result<Self, ShapeError> {
+        let found = data.as_slice().len();
+        if Self::element_count(shape) == Some(found) {
             Ok(Self { axes, shape, data })
         } else {
             Err(ShapeError {
                 axes: format!("[{}]", axes.join("][")),
                 expected: format!("{shape:?}"),
                 count: Self::element_count(shape).map_or("too many".into(), |n| n.to_string()),
-                found: data.len(),
+                found,
             })
         }
     }
@@ -72,18 +118,28 @@ impl<const N: usize> Tensor<N> {
     }
 
     /// All values, row-major.
+    #[inline]
     pub fn data(&self) -> &[f32] {
-        &self.data
+        self.data.as_slice()
     }
 
     /// All values, row-major, writable.
     pub fn data_mut(&mut self) -> &mut [f32] {
-        &mut self.data
+        if let Values::Lent(lender) = &self.data {
+            self.data = Values::Own((**lender).as_ref().to_vec());
+        }
+        match &mut self.data {
+            Values::Own(values) => values,
+            Values::Lent(_) => unreachable!("lent values have just been copied"),
+        }
     }
 
     /// Releases the values.
     pub fn into_data(self) -> Vec<f32> {
-        self.data
+        match self.data {
+            Values::Own(values) => values,
+            Values::Lent(lender) => (*lender).as_ref().to_vec(),
+        }
     }
 
     /// Offset of an element in [`data`](Self::data).
@@ -100,26 +156,26 @@ impl<const N: usize> Tensor<N> {
     /// One value.
     #[inline]
     pub fn get(&self, index: [usize; N]) -> f32 {
-        self.data[self.offset(index)]
+        self.data()[self.offset(index)]
     }
 
     /// One value, writable.
     #[inline]
     pub fn at_mut(&mut self, index: [usize; N]) -> &mut f32 {
         let offset = self.offset(index);
-        &mut self.data[offset]
+        &mut self.data_mut()[offset]
     }
 
     /// The contiguous block under the first `K` indices: `tensor.block([m, n])` of a tensor of
     /// order 5 is a slice that holds the last three axes.
     pub fn block<const K: usize>(&self, outer: [usize; K]) -> &[f32] {
-        &self.data[self.block_range(outer)]
+        &self.data()[self.block_range(outer)]
     }
 
     /// Writable form of [`block`](Self::block).
     pub fn block_mut<const K: usize>(&mut self, outer: [usize; K]) -> &mut [f32] {
         let range = self.block_range(outer);
-        &mut self.data[range]
+        &mut self.data_mut()[range]
     }
 
     fn block_range<const K: usize>(&self, outer: [usize; K]) -> std::ops::Range<usize> {
@@ -144,6 +200,19 @@ mod tests {
         assert_eq!(t.block([1, 0]), &[6.0, 7.0, 8.0]);
         assert_eq!(t.block([1]).len(), 6);
         assert_eq!(t.get([0, 1, 2]), 5.0);
+    }
+
+    #[test]
+    fn lent_values_are_copied_before_they_are_written() {
+        let lender: Lender = Arc::new(vec![1.0, 2.0, 3.0, 4.0]);
+        let mut t = Tensor::lent(["row", "col"], [2, 2], lender.clone()).unwrap();
+        assert_eq!(t.data().as_ptr(), (*lender).as_ref().as_ptr());
+        assert_eq!((t.get([1, 0]), t.block([1])), (3.0, &[3.0, 4.0][..]));
+        assert_eq!(t, Tensor::from_vec(["row", "col"], [2, 2], vec![1.0, 2.0, 3.0, 4.0]).unwrap());
+        *t.at_mut([0, 0]) = 9.0;
+        assert_eq!((t.get([0, 0]), (*lender).as_ref()[0]), (9.0, 1.0));
+        assert!(Tensor::lent(["row", "col"], [2, 3], lender.clone()).is_err());
+        assert_eq!(Tensor::lent(["row"], [4], lender).unwrap().into_data(), [1.0, 2.0, 3.0, 4.0]);
     }
 
     #[test]

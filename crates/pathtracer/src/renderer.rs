@@ -32,7 +32,7 @@ pub use checks::Checks;
 pub(crate) use features::FEATURES;
 pub use features::{Feature, Features};
 
-/// Edge of a tile in pixels: the unit of work, of progress and of cancellation.
+/// Edge of a tile in pixels: the unit of work and of progress.
 const TILE: usize = 16;
 
 /// A scene prepared for rendering. Shared by all views and threads.
@@ -352,9 +352,13 @@ impl Renderer {
     ) -> Result<Tensor<3>, RenderError> {
         let tiles = Tiles::new(geometry);
         let fill = |tile: usize| -> Result<Vec<[f32; K]>, Cancelled> {
-            task.cancel.check()?;
             let mut stack = self.bvh.stack();
-            let values = tiles.pixels(tile).map(|(row, col)| pixel(row, col, &mut stack)).collect();
+            let one = |(row, col)| {
+                // a pixel of very many samples takes as long as one should wait
+                task.cancel.check()?;
+                Ok(pixel(row, col, &mut stack))
+            };
+            let values = tiles.pixels(tile).map(one).collect::<Result<_, Cancelled>>()?;
             task.progress.advance(1, "");
             Ok(values)
         };

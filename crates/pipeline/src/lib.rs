@@ -29,6 +29,7 @@ mod render;
 mod run;
 mod sequence;
 mod simulate;
+mod steps;
 
 pub use cache::{KeyBuilder, Stamps};
 pub use depth::{Outlook, outlook};
@@ -41,10 +42,13 @@ pub use job::{
     PoseJob, RenderJob, ReportJob, SequenceJob, SourceJob, Tone, WindowFrom, WindowJob,
 };
 pub use look::automatic_look;
-pub use lumistack_plugin_host::Registry;
+pub use lumistack_plugin_host::{OutputData, Registry};
 pub use run::{Summary, render_only, run};
 pub use sequence::SequenceSummary;
-pub use simulate::{RunFolder, Viewpoint, simulate_to_file};
+pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file};
+pub use steps::{
+    ReportOn, Traced, WeightsFrom, factorize_field, open_field, render_field, weights_of, write_output, write_report_on,
+};
 
 /// Sets the number of worker threads of the whole program; results do not depend on it. Call it before any work.
 ///

@@ -17,8 +17,9 @@ use serde_json::Value;
 
 pub(crate) use self::input::Input;
 pub use self::input::render_only;
+pub(crate) use self::input::warn_of_depth;
 use self::patterns::start_kind;
-pub(crate) use self::patterns::{add_stack, add_weights};
+pub(crate) use self::patterns::{add_stack, add_weights, array_weights, eye_weights, solver_settings};
 use crate::cache::Stamps;
 use crate::denoise::Denoised;
 use crate::error::PipelineError;

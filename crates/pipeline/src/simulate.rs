@@ -27,6 +27,8 @@ pub struct RunFolder {
 pub enum Viewpoint {
     /// A parallel projection from these angles, degrees: right and up.
     Angle([f64; 2]),
+    /// A parallel projection from this slope: tangents, right and up.
+    Slope([f64; 2]),
     /// An eye in display space, millimetres: right, up, in front.
     Eye([f64; 3]),
     /// This many parallel projections side by side, from left to right across the horizontal field of view.
@@ -64,65 +66,75 @@ impl RunFolder {
         written.map(drop).map_err(host_error)
     }
 
-    /// The picture from a viewpoint: `[row][col][rgb]`, linear; L̃/β, or L̃ itself when `raw`.
+    /// [`picture_from`] the viewpoint.
     ///
     /// # Errors
     /// When the viewpoint is behind the display or beside all views.
     pub fn picture(&self, viewpoint: Viewpoint, raw: bool) -> Result<Tensor<3>, PipelineError> {
-        let scale = if raw { 1.0 } else { (1.0 / self.stack.brightness) as f32 };
-        let mut picture = match viewpoint {
-            Viewpoint::Angle(degrees) => {
-                if degrees.iter().any(|angle| angle.abs() >= 90.0) {
-                    let found = format!("{degrees:?}");
-                    return Err(PipelineError::value("--view", "X,Y", "angles between -90 and 90 degrees", found));
-                }
-                self.simulator().from_slope(degrees.map(|angle| angle.to_radians().tan())).radiance
-            }
-            Viewpoint::Eye(eye_mm) => {
-                if eye_mm[2] <= 0.0 {
-                    let found = eye_mm[2].to_string();
-                    return Err(PipelineError::value(
-                        "--eye",
-                        "Z",
-                        "a distance above 0 in front of the display",
-                        found,
-                    ));
-                }
-                self.simulator().from_eye(eye_mm).radiance
-            }
-            Viewpoint::Sweep(count) => self.strip(count)?,
-        };
-        picture.data_mut().iter_mut().for_each(|value| *value *= scale);
-        Ok(picture)
+        picture_from(&self.display, &self.stack, viewpoint, raw)
     }
+}
 
-    fn simulator(&self) -> Simulator<'_> {
-        Simulator::new(&self.display, &self.stack)
-    }
-
-    fn strip(&self, count: usize) -> Result<Tensor<3>, PipelineError> {
-        if !(1..=64).contains(&count) {
-            return Err(PipelineError::value("--sweep", "N", "1 to 64 views", count.to_string()));
-        }
-        let simulator = self.simulator();
-        let half_width = (0.5 * self.display.field.fov_deg[0].to_radians()).tan();
-        let views: Vec<Tensor<3>> = (0..count)
-            .map(|i| {
-                // the same bin centres as a view grid of `count` views
-                let slope = (2.0 * i as f64 + 1.0 - count as f64) / count as f64 * half_width;
-                simulator.from_slope([slope, 0.0]).radiance
-            })
-            .collect();
-        let [rows, cols, _] = views[0].shape();
-        let mut strip = Tensor::zeros(["row", "col", "rgb"], [rows, cols * count, 3]);
-        for row in 0..rows {
-            let line = strip.block_mut([row]);
-            for (i, view) in views.iter().enumerate() {
-                line[3 * cols * i..3 * cols * (i + 1)].copy_from_slice(view.block([row]));
+/// What a display that shows a stack of its shape looks like from a viewpoint: `[row][col][rgb]`, linear; L̃/β, or L̃ itself when `raw`.
+///
+/// # Errors
+/// When the viewpoint is behind the display or beside all views.
+pub fn picture_from(
+    display: &Display,
+    stack: &LayerStack,
+    viewpoint: Viewpoint,
+    raw: bool,
+) -> Result<Tensor<3>, PipelineError> {
+    let scale = if raw { 1.0 } else { (1.0 / stack.brightness) as f32 };
+    let simulator = Simulator::new(display, stack);
+    let mut picture = match viewpoint {
+        Viewpoint::Angle(degrees) => {
+            if !degrees.iter().all(|angle| angle.abs() < 90.0) {
+                let found = format!("{degrees:?}");
+                return Err(PipelineError::value("--view", "X,Y", "angles between -90 and 90 degrees", found));
             }
+            simulator.from_slope(degrees.map(|angle| angle.to_radians().tan())).radiance
         }
-        Ok(strip)
+        Viewpoint::Slope(slope) => {
+            if !slope.iter().all(|slope| slope.is_finite()) {
+                return Err(PipelineError::value("simulate", "slope", "finite tangents", format!("{slope:?}")));
+            }
+            simulator.from_slope(slope).radiance
+        }
+        Viewpoint::Eye(eye_mm) => {
+            if !(eye_mm[2] > 0.0 && eye_mm.iter().all(|x| x.is_finite())) {
+                let found = eye_mm[2].to_string();
+                return Err(PipelineError::value("--eye", "Z", "a distance above 0 in front of the display", found));
+            }
+            simulator.from_eye(eye_mm).radiance
+        }
+        Viewpoint::Sweep(count) => strip(display, &simulator, count)?,
+    };
+    picture.data_mut().iter_mut().for_each(|value| *value *= scale);
+    Ok(picture)
+}
+
+fn strip(display: &Display, simulator: &Simulator<'_>, count: usize) -> Result<Tensor<3>, PipelineError> {
+    if !(1..=64).contains(&count) {
+        return Err(PipelineError::value("--sweep", "N", "1 to 64 views", count.to_string()));
     }
+    let half_width = (0.5 * display.field.fov_deg[0].to_radians()).tan();
+    let views: Vec<Tensor<3>> = (0..count)
+        .map(|i| {
+            // the same bin centres as a view grid of `count` views
+            let slope = (2.0 * i as f64 + 1.0 - count as f64) / count as f64 * half_width;
+            simulator.from_slope([slope, 0.0]).radiance
+        })
+        .collect();
+    let [rows, cols, _] = views[0].shape();
+    let mut strip = Tensor::zeros(["row", "col", "rgb"], [rows, cols * count, 3]);
+    for row in 0..rows {
+        let line = strip.block_mut([row]);
+        for (i, view) in views.iter().enumerate() {
+            line[3 * cols * i..3 * cols * (i + 1)].copy_from_slice(view.block([row]));
+        }
+    }
+    Ok(strip)
 }
 
 /// Writes a linear picture as PNG (sRGB-encoded) or EXR (linear), by the file's extension.

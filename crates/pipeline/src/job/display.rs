@@ -1,6 +1,6 @@
 //! `[display]`: which display, and what to change about it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use lumistack_display::{Display, Missing, Sampling};
 use serde::{Deserialize, Serialize};
@@ -47,15 +47,23 @@ impl DisplayJob {
     /// # Errors
     /// As [`Job::resolve_display`](super::Job::resolve_display).
     pub fn resolve(&self) -> Result<Display, PipelineError> {
-        let job = self;
-        let (place, mut display) = match (&job.preset, &job.file) {
+        let (place, display) = match (&self.preset, &self.file) {
             (Some(name), None) => (PathBuf::from(name), presets::load(name)?),
             (None, Some(path)) => (path.clone(), presets::load_file(path)?),
             _ => {
-                let found = if job.preset.is_some() { "both" } else { "neither" };
+                let found = if self.preset.is_some() { "both" } else { "neither" };
                 return Err(PipelineError::value("job", "display", "either `preset` or `file`", found));
             }
         };
+        self.changed(&place, display)
+    }
+
+    /// A display from `place` with what the job changes about it.
+    ///
+    /// # Errors
+    /// When a changed value is out of range.
+    pub fn changed(&self, place: &Path, mut display: Display) -> Result<Display, PipelineError> {
+        let job = self;
         if let Some(views) = job.views {
             display.field.views = views;
         }
@@ -73,6 +81,7 @@ impl DisplayJob {
             }
             display = display.with_resolution(resolution);
         }
+        let place = place.to_owned();
         display.check().map_err(|source| PipelineError::Display { path: place, text: String::new(), source })?;
         Ok(display)
     }

@@ -174,7 +174,7 @@ impl Run<'_> {
     }
 }
 
-fn warn_of_depth(budget: &DepthBudget, task: Task<'_>) {
+pub(crate) fn warn_of_depth(budget: &DepthBudget, task: Task<'_>) {
     if let Some(advice) = budget.advice() {
         task.warn("depth", advice);
     }

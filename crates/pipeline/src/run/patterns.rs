@@ -73,35 +73,13 @@ struct Choice {
 
 impl Run<'_> {
     pub(super) fn weights(&self, target: &LightField) -> Result<Weights, PipelineError> {
-        let eyes = &self.job.factorize.eyes;
-        let Some(path) = &self.job.factorize.weights else {
-            if eyes.is_empty() {
-                return Ok(Weights::Uniform);
-            }
-            let boxes: Vec<EyeBox> = eyes
-                .iter()
-                .map(|eye| EyeBox { eye_mm: eye.eye_mm, sigma_mm: eye.sigma_mm, weight: eye.weight })
-                .collect();
-            return Weights::eye_boxes(target.geometry(), &boxes, self.job.factorize.eye_floor as f32)
-                .map_err(|error| PipelineError::value("job", "factorize.eyes", error.expected, error.found));
-        };
-        if !eyes.is_empty() {
+        let job = &self.job.factorize;
+        let Some(path) = &job.weights else { return eye_weights(job, target) };
+        if !job.eyes.is_empty() {
             return Err(PipelineError::value("job", "factorize.eyes", "either `weights` or `eyes`", "both"));
         }
         let (shape, data) = lumistack_field_io::npy::read(path).map_err(field_error)?;
-        let weights = match shape.as_slice() {
-            &[y, x] => Tensor::from_vec(["view_y", "view_x"], [y, x], data).map(Weights::PerView),
-            &[y, x, rows, cols] => {
-                Tensor::from_vec(["view_y", "view_x", "row", "col"], [y, x, rows, cols], data).map(Weights::PerRay)
-            }
-            other => {
-                let expected = "[view_y][view_x] or [view_y][view_x][row][col]";
-                return Err(PipelineError::value(path, "shape", expected, format!("{other:?}")));
-            }
-        }
-        .map_err(|error| PipelineError::value(path, "weights", "values that fill the shape", error.to_string()))?;
-        weights.check(target.geometry()).map_err(|source| PipelineError::Weights { path: path.clone(), source })?;
-        Ok(weights)
+        array_weights(path, &shape, data, target)
     }
 
     /// Takes the job's warm start away, and `fresh` instead, where a fresh start gets nearer to the target.
@@ -253,6 +231,39 @@ impl Run<'_> {
     }
 }
 
+/// The weights of expected eyes; uniform where there are none.
+pub(crate) fn eye_weights(job: &FactorizeJob, target: &LightField) -> Result<Weights, PipelineError> {
+    if job.eyes.is_empty() {
+        return Ok(Weights::Uniform);
+    }
+    let boxes: Vec<EyeBox> =
+        job.eyes.iter().map(|eye| EyeBox { eye_mm: eye.eye_mm, sigma_mm: eye.sigma_mm, weight: eye.weight }).collect();
+    Weights::eye_boxes(target.geometry(), &boxes, job.eye_floor as f32)
+        .map_err(|error| PipelineError::value("job", "factorize.eyes", error.expected, error.found))
+}
+
+/// Weights from an array that came from `path`.
+pub(crate) fn array_weights(
+    path: &Path,
+    shape: &[usize],
+    data: Vec<f32>,
+    target: &LightField,
+) -> Result<Weights, PipelineError> {
+    let weights = match shape {
+        &[y, x] => Tensor::from_vec(["view_y", "view_x"], [y, x], data).map(Weights::PerView),
+        &[y, x, rows, cols] => {
+            Tensor::from_vec(["view_y", "view_x", "row", "col"], [y, x, rows, cols], data).map(Weights::PerRay)
+        }
+        other => {
+            let expected = "[view_y][view_x] or [view_y][view_x][row][col]";
+            return Err(PipelineError::value(path, "shape", expected, format!("{other:?}")));
+        }
+    }
+    .map_err(|error| PipelineError::value(path, "weights", "values that fill the shape", error.to_string()))?;
+    weights.check(target.geometry()).map_err(|source| PipelineError::Weights { path: path.to_owned(), source })?;
+    Ok(weights)
+}
+
 /// The patterns that a job starts from.
 fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack>, PipelineError> {
     let Some(path) = &job.warm_start else { return Ok(None) };
@@ -261,7 +272,7 @@ fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack
     Ok(Some(stack))
 }
 
-fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack_factorizer::Settings, PipelineError> {
+pub(crate) fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack_factorizer::Settings, PipelineError> {
     Ok(lumistack_factorizer::Settings {
         solver: job.solver.clone(),
         iterations: job.iterations,

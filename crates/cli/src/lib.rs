@@ -1,0 +1,48 @@
+//! The `lumistack` command: a thin shell over the pipeline. The program and the Python package both call [`run`].
+//!
+//! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+
+mod args;
+mod commands;
+mod console;
+mod info;
+mod preview;
+mod server;
+
+use std::ffi::OsString;
+
+use clap::Parser;
+use lumistack_core::Cancel;
+use lumistack_pipeline::PipelineError;
+
+pub use commands::DEFAULT_DISPLAY;
+pub use info::describe_path;
+
+/// Runs a command line, of which the first word is the program's name, and gives its exit code. What it has to say goes to the process's standard output
+/// and standard error. Setting `cancel` stops it cleanly.
+pub fn run(words: &[OsString], cancel: &Cancel) -> u8 {
+    let args = match args::Args::try_parse_from(words) {
+        Ok(args) => args,
+        Err(error) => {
+            // a closed pipe is nobody's fault
+            let _ = error.print();
+            return u8::try_from(error.exit_code()).unwrap_or(2);
+        }
+    };
+    let verbose = args.verbose;
+    let words: Vec<_> = words.iter().skip(1).map(|word| word.to_string_lossy()).collect();
+    match commands::run(args, &format!("lumistack {}", words.join(" ")), cancel) {
+        Ok(()) => 0,
+        Err(error) => {
+            eprintln!("error: {error}");
+            if verbose {
+                let mut source = std::error::Error::source(&error);
+                while let Some(cause) = source {
+                    eprintln!("  caused by: {cause}");
+                    source = cause.source();
+                }
+            }
+            if cancel.is_cancelled() || matches!(error, PipelineError::Cancelled) { 130 } else { 1 }
+        }
+    }
+}

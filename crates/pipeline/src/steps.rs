@@ -1,0 +1,180 @@
+//! Single stages of a run, for callers that hold the data themselves: nothing is kept but what they ask for.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::{Collector, Task};
+use lumistack_display::{Display, LayerStack, LightField, Weights};
+use lumistack_factorizer::{Factorization, Iteration, Problem};
+use lumistack_field_io::{GeometryDefaults, GeometryFlags};
+use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
+use lumistack_report::{DepthBudget, ReportInput, Solution};
+use serde_json::{Map, Value};
+
+use crate::error::{PipelineError, display_error, factorize_error, field_error, host_error};
+use crate::files::{check_folder, write_report};
+use crate::fit;
+use crate::ingest::Ingested;
+use crate::job::{FactorizeJob, Job};
+use crate::render;
+use crate::run::{array_weights, eye_weights, solver_settings, warn_of_depth};
+
+/// A light field that was rendered.
+pub struct Traced {
+    /// The views, rounded to half floats, as a run's target.
+    pub field: LightField,
+    /// What its depth asks of the display.
+    pub depth: DepthBudget,
+    /// Factor from scene-linear radiance to what is shown, before the tone curve.
+    pub exposure: f64,
+    /// Name of the tone curve.
+    pub tone: &'static str,
+}
+
+/// Renders the views that a display needs of a scene. Of the job `window`, `light`, `render` and `seed` count, save for the views for reports; traced views are
+/// kept in `cache_dir` and taken from there.
+///
+/// # Errors
+/// When a value makes no sense, or rendering fails or is cancelled.
+pub fn render_field(
+    job: &Job,
+    display: &Display,
+    ingested: &Ingested,
+    cache_dir: &Path,
+    task: Task<'_>,
+) -> Result<Traced, PipelineError> {
+    job.check()?;
+    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let placement = fit::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
+    let mut job = job.clone();
+    (job.render.held_out, job.render.outside) = (0, 0);
+    let rendered = render::render(&job, ingested, &placement, &geometry, cache_dir, task)?;
+    let depth = rendered.depths.budget(display, &geometry, &placement);
+    warn_of_depth(&depth, task);
+    let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());
+    Ok(Traced { field: rendered.target, depth, exposure, tone })
+}
+
+/// Reads a light field of any kind, as it is: values are not rounded. Where it says no size or angles, those of `display` are taken, if there is one.
+///
+/// # Errors
+/// When it cannot be read, or its geometry is incomplete.
+pub fn open_field(
+    path: &Path,
+    flags: &GeometryFlags,
+    display: Option<&Display>,
+    task: Task<'_>,
+) -> Result<LightField, PipelineError> {
+    let defaults = GeometryDefaults {
+        width_mm: display.map(|display| display.field_pixels().size_mm()[0]),
+        fov_deg: display.map(|display| display.field.fov_deg),
+    };
+    lumistack_field_io::open(path, flags, &defaults, task).map_err(field_error)
+}
+
+/// Where weights come from, if not from the job.
+pub type WeightsFrom = Option<(Vec<usize>, Vec<f32>)>;
+
+/// The weights of an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`, or of the job's eyes.
+///
+/// # Errors
+/// When they do not fit the light field, or both are given.
+pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -> Result<Weights, PipelineError> {
+    match array {
+        Some(_) if !job.eyes.is_empty() => {
+            Err(PipelineError::value("factorize", "eyes", "either `weights` or `eyes`", "both"))
+        }
+        Some((shape, data)) => array_weights(Path::new("weights"), &shape, data, target),
+        None => eye_weights(job, target),
+    }
+}
+
+/// Factorizes a light field; the files that the job names are not read. `on_iteration` sees every evaluation of the objective.
+///
+/// # Errors
+/// When display, light field, weights and settings do not fit, or when cancelled.
+pub fn factorize_field(
+    problem: &Problem<'_>,
+    job: &FactorizeJob,
+    seed: u64,
+    warm: Option<&LayerStack>,
+    task: Task<'_>,
+    on_iteration: &mut dyn FnMut(&Iteration),
+) -> Result<Factorization, PipelineError> {
+    let settings = solver_settings(job, seed)?;
+    lumistack_factorizer::factorize(problem, &settings, warm, task, on_iteration).map_err(factorize_error)
+}
+
+/// Writes with an output plugin into `out_dir`; gives the files, relative to it.
+///
+/// # Errors
+/// When there is no such plugin, it does not take the parameters or the data, or the files cannot be written.
+pub fn write_output(
+    registry: &Registry,
+    plugin: &str,
+    params: Map<String, Value>,
+    display: &Display,
+    data: OutputData<'_>,
+    out_dir: &Path,
+    task: Task<'_>,
+) -> Result<Vec<PathBuf>, PipelineError> {
+    let context = OutputContext { display, data, time: Time::default(), out_dir, task };
+    lumistack_plugin_host::run_output(registry, plugin, &params.into(), context).map_err(host_error)
+}
+
+/// What a report is about.
+pub struct ReportOn<'a> {
+    /// Headline.
+    pub title: &'a str,
+    /// The display.
+    pub display: &'a Display,
+    /// Its patterns.
+    pub stack: &'a LayerStack,
+    /// What it should show.
+    pub target: &'a LightField,
+    /// Weights of the target's rays.
+    pub weights: &'a Weights,
+    /// Where a solver made the patterns: how.
+    pub solution: Option<(&'a Solution, &'a [lumistack_report::Iteration])>,
+    /// How it was made, for its table of settings.
+    pub settings: &'a Value,
+}
+
+/// Writes `report.html` and `report.json` into `folder`; gives the latter's content.
+///
+/// # Errors
+/// When the parts do not fit, the files cannot be written, or when cancelled.
+pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
+    check_folder(folder)?;
+    let warnings = Collector::default();
+    let report = lumistack_report::build(
+        &ReportInput {
+            title: on.title,
+            display: on.display,
+            stack: on.stack,
+            target: on.target,
+            weights: on.weights,
+            held_out: None,
+            outside: None,
+            pixels_per_degree: crate::job::ReportJob::default().pixels_per_degree,
+            convergence: on.solution.map_or(&[], |(_, steps)| steps),
+            solution: on.solution.map(|(solution, _)| solution),
+            stages: &[],
+            settings: on.settings,
+            denoising: None,
+            scene: None,
+            depth: None,
+            warnings: &warnings.take(),
+            outputs: &[],
+            command: None,
+            version: env!("CARGO_PKG_VERSION"),
+        },
+        task,
+    )
+    .map_err(|error| match error {
+        lumistack_report::ReportError::Cancelled(_) => PipelineError::Cancelled,
+        other => PipelineError::Report(other),
+    })?;
+    lumistack_field_io::atomic::create_folder(folder).map_err(field_error)?;
+    write_report(folder, &report.html, &report.json)?;
+    Ok(report.json)
+}

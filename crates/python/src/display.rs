@@ -1,0 +1,211 @@
+//! Displays.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use lumistack_display::{Display as Description, LightField as Field, ProjectionKind};
+use lumistack_pipeline::{DisplayJob, PipelineError, presets};
+use pyo3::prelude::*;
+use pyo3::types::{PyMapping, PyString, PyTuple};
+
+use crate::error::raised;
+use crate::field::LightField;
+use crate::json::{map_of, parsed, table, to_python};
+
+/// A tensor display and the light field that it is made for.
+///
+/// what: name of a preset (displays() lists them), path of a display file (.toml), a mapping with the keys of such a file, or another Display;
+/// without it the preset "paper-three-layer". What else is given changes it:
+///
+/// * resolution: (columns, rows) of the light field; masks and lenslets scale along, the size in millimetres stays
+/// * views: (horizontal, vertical) views
+/// * fov_deg: (horizontal, vertical) full angles of view, degrees, 0 to less than 180
+/// * frames: time-multiplexed frames M, 1 to 1000
+/// * brightness: brightness scale β, above 0 and at most 1: the display emits β times the target
+/// * sampling: "nearest" or "bilinear", how a ray reads a layer between pixel centres
+/// * missing: "drop" or "clear", what a ray does that leaves a layer
+///
+/// Displays do not change; they compare by value and can be pickled.
+///
+/// >>> display = Display("fig7-uniform", resolution=(64, 40), views=(3, 3), frames=4)
+/// >>> display.frames, display.light_field_shape
+/// (4, (3, 3, 40, 64, 3))
+#[pyclass(frozen, eq, module = "lumistack")]
+#[derive(PartialEq)]
+pub(crate) struct Display(pub(crate) Arc<Description>);
+
+#[pymethods]
+impl Display {
+    #[new]
+    #[pyo3(signature = (what=None, *, resolution=None, views=None, fov_deg=None, frames=None, brightness=None, sampling=None, missing=None))]
+    fn new(
+        py: Python<'_>,
+        what: Option<&Bound<'_, PyAny>>,
+        resolution: Option<&Bound<'_, PyAny>>,
+        views: Option<&Bound<'_, PyAny>>,
+        fov_deg: Option<&Bound<'_, PyAny>>,
+        frames: Option<&Bound<'_, PyAny>>,
+        brightness: Option<&Bound<'_, PyAny>>,
+        sampling: Option<&Bound<'_, PyAny>>,
+        missing: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let arguments = [
+            ("resolution", resolution),
+            ("views", views),
+            ("fov_deg", fov_deg),
+            ("frames", frames),
+            ("brightness", brightness),
+            ("sampling", sampling),
+            ("missing", missing),
+        ];
+        let changes: DisplayJob = table(py, "display", &arguments)?;
+        let display = display_of(py, what)?;
+        let changed = changes.changed(Path::new(&display.name), (*display).clone());
+        changed.map(|display| Self(Arc::new(display))).map_err(|error| raised(py, &error))
+    }
+
+    /// Name for people.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    /// Time-multiplexed frames M of a period.
+    #[getter]
+    fn frames(&self) -> usize {
+        self.0.frames
+    }
+
+    /// Brightness scale β: the display emits β times the target.
+    #[getter]
+    fn brightness(&self) -> f64 {
+        self.0.brightness
+    }
+
+    /// Distances of the layers from the plane of zero parallax, rear to front, millimetres; above 0 towards the viewer.
+    #[getter]
+    fn layer_distances_mm<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, self.0.layers.iter().map(|layer| layer.d_mm))
+    }
+
+    /// Shapes of the layers' patterns, rear to front: (frame, row, col, rgb).
+    #[getter]
+    fn layer_shapes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let shape = |n| lumistack_display::LayerStack::layer_shape(&self.0, n).into();
+        PyTuple::new(py, (0..self.0.layers.len()).map(shape).collect::<Vec<(usize, usize, usize, usize)>>())
+    }
+
+    /// Shape of the emission of a directional backlight, (frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb); None of a uniform one.
+    #[getter]
+    fn emission_shape(&self) -> Option<(usize, usize, usize, usize, usize, usize)> {
+        lumistack_display::LayerStack::emission_shape(&self.0).map(Into::into)
+    }
+
+    /// Shape of the light field that the display is made for: (view_y, view_x, row, col, rgb).
+    #[getter]
+    fn light_field_shape(&self) -> (usize, usize, usize, usize, usize) {
+        let field = &self.0.field;
+        (field.views[1], field.views[0], field.resolution[1], field.resolution[0], 3)
+    }
+
+    /// Tangents of the view columns, left to right, and of the view rows, y up, top to bottom.
+    #[getter]
+    fn slopes(&self, py: Python<'_>) -> PyResult<(Vec<f64>, Vec<f64>)> {
+        let place = PathBuf::from(&self.0.name);
+        let geometry = self
+            .0
+            .geometry()
+            .map_err(|source| raised(py, &PipelineError::Display { path: place, text: String::new(), source }))?;
+        Ok((geometry.grid.slope_x, geometry.grid.slope_y))
+    }
+
+    /// Pixel pitch of the light field on the plane of zero parallax, millimetres.
+    #[getter]
+    fn pitch_mm(&self) -> f64 {
+        self.0.field.pitch_mm
+    }
+
+    /// Viewing distance of a display whose views are perspective, millimetres; None where they are parallel projections.
+    #[getter]
+    fn distance_mm(&self) -> Option<f64> {
+        (self.0.field.projection == ProjectionKind::Perspective).then_some(self.0.field.distance_mm).flatten()
+    }
+
+    /// The depths (low, high) at which the finest detail of the light field's pixels can be shown, millimetres, above 0 towards the viewer; None where
+    /// there are none.
+    fn depth_of_field_mm(&self) -> Option<(f64, f64)> {
+        self.0.depth_of_field(self.0.field.pitch_mm).map(Into::into)
+    }
+
+    /// The same display for a light field that is there already: masks take its resolution and size, views and angles are its own.
+    fn adapted_to(&self, light_field: &LightField) -> Self {
+        Self(adapted(&self.0, &light_field.field))
+    }
+
+    /// Every key of a display file as plain objects; Display(d) reads them.
+    fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &serde_json::to_value(&*self.0).expect("displays serialize"))
+    }
+
+    /// The text of a display file, every default written out.
+    fn to_toml(&self) -> String {
+        self.0.to_toml()
+    }
+
+    /// Writes a display file.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        lumistack_field_io::atomic::write_bytes(&path, self.0.to_toml().as_bytes())
+            .map_err(|error| raised(py, &PipelineError::Field(error)))
+    }
+
+    fn __repr__(&self) -> String {
+        let field = &self.0.field;
+        let [cols, rows] = field.resolution;
+        let [x, y] = field.views;
+        let layers = self.0.layers.len();
+        let backlight =
+            if self.0.backlight == lumistack_display::Backlight::Uniform { "" } else { ", directional backlight" };
+        let frames = self.0.frames;
+        format!(
+            "<lumistack.Display \"{}\": {layers} layers, {frames} frames, {x}×{y} views of {cols}×{rows}{backlight}>",
+            self.0.name
+        )
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyAny>,))> {
+        Ok((py.get_type::<Self>().into_any(), (self.to_dict(py)?,)))
+    }
+}
+
+/// The display that an argument means.
+pub(crate) fn display_of(py: Python<'_>, what: Option<&Bound<'_, PyAny>>) -> PyResult<Arc<Description>> {
+    let Some(what) = what.filter(|what| !what.is_none()) else { return preset(py, lumistack_cli::DEFAULT_DISPLAY) };
+    if let Ok(display) = what.cast::<Display>() {
+        return Ok(display.get().0.clone());
+    }
+    if let Ok(text) = what.cast::<PyString>() {
+        return preset(py, text.to_str()?);
+    }
+    if what.cast::<PyMapping>().is_ok() {
+        let display: Description = parsed(py, "display", map_of("display", what)?)?;
+        let place = PathBuf::from(&display.name);
+        let checked = display.check();
+        return checked
+            .map(|()| Arc::new(display))
+            .map_err(|source| raised(py, &PipelineError::Display { path: place, text: String::new(), source }));
+    }
+    let path: PathBuf = what.extract()?;
+    presets::load_file(&path).map(Arc::new).map_err(|error| raised(py, &error))
+}
+
+fn preset(py: Python<'_>, name: &str) -> PyResult<Arc<Description>> {
+    presets::by_name_or_path(name).resolve().map(Arc::new).map_err(|error| raised(py, &error))
+}
+
+/// The display that shows this light field: itself where it is made for it.
+pub(crate) fn adapted(display: &Arc<Description>, field: &Field) -> Arc<Description> {
+    match display.geometry() {
+        Ok(geometry) if geometry == *field.geometry() => display.clone(),
+        _ => Arc::new(display.adapted_to(field.geometry())),
+    }
+}

@@ -1,0 +1,80 @@
+//! Errors of the pipeline as Python exceptions, with the messages that the command prints. The classes are in `lumistack/_errors.py`.
+
+use std::io::ErrorKind;
+
+use lumistack_field_io::FieldError;
+use lumistack_pipeline::PipelineError;
+use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::prelude::*;
+
+/// The exception for an error of the pipeline.
+pub(crate) fn raised(py: Python<'_>, error: &PipelineError) -> PyErr {
+    if matches!(error, PipelineError::Cancelled) {
+        return PyKeyboardInterrupt::new_err(());
+    }
+    exception(py, class_of(error), &in_python(&error.to_string()))
+}
+
+/// An exception of the package by the name of its class.
+pub(crate) fn exception(py: Python<'_>, class: &str, message: &str) -> PyErr {
+    let made = || py.import("lumistack._errors")?.getattr(class)?.call1((message,));
+    match made() {
+        Ok(exception) => PyErr::from_value(exception),
+        Err(error) => error,
+    }
+}
+
+/// A value that makes no sense.
+pub(crate) fn setting(py: Python<'_>, message: impl AsRef<str>) -> PyErr {
+    exception(py, "SettingError", message.as_ref())
+}
+
+fn class_of(error: &PipelineError) -> &'static str {
+    let file = |kind: ErrorKind| if kind == ErrorKind::NotFound { "MissingFileError" } else { "FileError" };
+    match error {
+        PipelineError::Read { source, .. } | PipelineError::Write { source, .. } => file(source.kind()),
+        PipelineError::Field(FieldError::Io { source, .. }) => file(source.kind()),
+        PipelineError::NotAFolder { .. } => "FileError",
+        PipelineError::Field(FieldError::Malformed { place, .. }) if place == "output folder" => "FileError",
+        PipelineError::Config { .. }
+        | PipelineError::Display { .. }
+        | PipelineError::UnknownDisplay { .. }
+        | PipelineError::Value { .. }
+        | PipelineError::Weights { .. } => "SettingError",
+        PipelineError::Gltf(_) | PipelineError::Scene { .. } | PipelineError::Window { .. } => "SceneError",
+        PipelineError::Field(_) | PipelineError::Grid(_) | PipelineError::Stack { .. } => "DataError",
+        PipelineError::Render(_) => "RenderError",
+        PipelineError::Factorize(_) => "FactorizeError",
+        PipelineError::Output(_) => "PluginError",
+        _ => "Error",
+    }
+}
+
+/// Flags of the command line under the names that they have here.
+const FLAGS: [(&str, &str); 20] = [
+    ("--fit-depth=compress", "fit_depth=\"compress\""),
+    ("--fit-depth", "fit_depth=\"move\""),
+    ("--pitch-mm 0.5", "pitch_mm=0.5"),
+    ("--fov 20x20", "fov_deg=(20, 20)"),
+    ("--distance-mm 600", "distance_mm=600"),
+    ("--grid oblique", "grid=\"oblique\""),
+    ("--pitch-mm", "pitch_mm"),
+    ("--fov", "fov_deg"),
+    ("--distance-mm", "distance_mm"),
+    ("--grid", "grid"),
+    ("--views", "views"),
+    ("--view: X,Y", "angle_deg"),
+    ("--eye: Z", "eye_mm[2]"),
+    ("--quilt", "quilt"),
+    ("--tiles", "tiles"),
+    ("--resolution", "resolution"),
+    ("--focus-px", "focus_px"),
+    ("--mirror", "mirror"),
+    ("--threads: N", "set_threads"),
+    ("`lumistack displays` lists the presets", "lumistack.displays() lists the presets"),
+];
+
+/// A message in which flags of the command line have the names of arguments.
+pub(crate) fn in_python(message: &str) -> String {
+    FLAGS.iter().fold(message.into(), |text, (flag, name)| text.replace(flag, name))
+}

@@ -1,0 +1,418 @@
+//! The package's functions.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+use std::time::Instant;
+
+use lumistack_core::Task;
+use lumistack_factorizer::Problem;
+use lumistack_pipeline::{
+    FactorizeJob, Job, OutputData, PipelineError, Registry, RenderJob, ReportOn, Viewpoint, WindowJob, factorize_field,
+    picture_from, plugin_list, presets, render_field, weights_of, write_output, write_report_on,
+};
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyMapping, PyString};
+use serde_json::{Map, Value, json};
+
+use crate::array::{Array, Part, Values};
+use crate::display::{adapted, display_of};
+use crate::error::{raised, setting};
+use crate::field::LightField;
+use crate::json::{map_of, numbers, parsed, table, table_of, to_python, value_of};
+use crate::scene::Scene;
+use crate::stack::{LayerStack, Solved};
+use crate::work::{command, long};
+
+/// The plugins, found once.
+pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
+    static REGISTRY: OnceLock<Registry> = OnceLock::new();
+    if let Some(registry) = REGISTRY.get() {
+        return Ok(registry);
+    }
+    let found = py.detach(|| lumistack_pipeline::plugins(&[])).map_err(|error| raised(py, &error))?;
+    Ok(REGISTRY.get_or_init(|| found))
+}
+
+/// Path-traces the views that a display needs of a scene.
+///
+/// scene: a Scene, or the path of one; display: a Display, or what makes one ("paper-three-layer" without it). The rest is optional and means what it means
+/// in a job file (docs/JOB.md; defaults() has the defaults):
+///
+/// * samples: paths per pixel and view, 1 to 65536; max_bounces: bounces after the first hit, 0 to 1024; clamp: largest value of a single path
+/// * denoise: "off", "guided" or "oidn"; angular_filter: "point" or "bin"; lens_deg: angle of a lens, degrees, 0 to 90
+/// * camera: name or number of the camera whose plane of focus the display takes; fit_depth: "off", "move" or "compress"; depth_scale: factor on parallax,
+///   0.001 to 10; window: a mapping with the other keys of [window], such as {"from": "bounds"}
+/// * exposure_ev: stops added to the automatic exposure; tone: "auto", "linear", "khronos-neutral" or "agx"; light: a mapping with other keys of [light]
+/// * seed: of all random streams; the same seed gives the same values on any number of threads
+/// * cache: a folder that keeps traced views, from which a call that was stopped goes on; without it they are forgotten
+/// * callback: callback(stage, fraction) hears of progress
+///
+/// Gives a LightField that is ready for factorize(). Ctrl-C stops it.
+#[pyfunction]
+#[pyo3(signature = (
+    scene, display=None, *, samples=None, max_bounces=None, clamp=None, denoise=None, angular_filter=None, lens_deg=None, camera=None, fit_depth=None,
+    depth_scale=None, window=None, exposure_ev=None, tone=None, light=None, seed=None, cache=None, callback=None
+))]
+pub(crate) fn render(
+    py: Python<'_>,
+    scene: &Bound<'_, PyAny>,
+    display: Option<&Bound<'_, PyAny>>,
+    samples: Option<&Bound<'_, PyAny>>,
+    max_bounces: Option<&Bound<'_, PyAny>>,
+    clamp: Option<&Bound<'_, PyAny>>,
+    denoise: Option<&Bound<'_, PyAny>>,
+    angular_filter: Option<&Bound<'_, PyAny>>,
+    lens_deg: Option<&Bound<'_, PyAny>>,
+    camera: Option<&Bound<'_, PyAny>>,
+    fit_depth: Option<&Bound<'_, PyAny>>,
+    depth_scale: Option<&Bound<'_, PyAny>>,
+    window: Option<&Bound<'_, PyAny>>,
+    exposure_ev: Option<&Bound<'_, PyAny>>,
+    tone: Option<&Bound<'_, PyAny>>,
+    light: Option<&Bound<'_, PyAny>>,
+    seed: Option<u64>,
+    cache: Option<PathBuf>,
+    callback: Option<&Bound<'_, PyAny>>,
+) -> PyResult<LightField> {
+    let render: RenderJob = table(
+        py,
+        "render",
+        &[
+            ("samples", samples),
+            ("max_bounces", max_bounces),
+            ("clamp", clamp),
+            ("denoise", denoise),
+            ("angular_filter", angular_filter),
+            ("lens_deg", lens_deg),
+        ],
+    )?;
+    let camera = camera.map(|camera| camera.str()).transpose()?.map(Bound::into_any);
+    let fit = [("camera", camera.as_ref()), ("fit_depth", fit_depth), ("depth_scale", depth_scale)];
+    let window: WindowJob = parsed(py, "window", merged("window", window, &fit)?)?;
+    let loaded;
+    let scene = match scene.cast::<Scene>() {
+        Ok(scene) => scene.get(),
+        Err(_) => {
+            let light = light.map(|light| table_of("light", light)).transpose()?.unwrap_or_default();
+            loaded = Scene::load(py, scene.extract()?, Default::default(), light, Default::default(), callback)?;
+            &loaded
+        }
+    };
+    let Value::Object(mut lit) = serde_json::to_value(&scene.light).expect("settings serialize") else {
+        unreachable!("a table is an object")
+    };
+    lit.extend(merged("light", light, &[("exposure_ev", exposure_ev), ("tone", tone)])?);
+    let display = display_of(py, display)?;
+    let mut job = Job::new(Default::default());
+    (job.render, job.window, job.light) = (render, window, parsed(py, "light", lit)?);
+    for (key, differs) in [
+        ("environment", job.light.environment != scene.light.environment),
+        ("environment_strength", job.light.environment_strength != scene.light.environment_strength),
+        ("automatic", job.light.automatic != scene.light.automatic),
+    ] {
+        if differs {
+            let message = format!("light.{key}: expected it from the Scene, whose light it is, found another here");
+            return Err(setting(py, message));
+        }
+    }
+    (job.scene, job.seed) = (Some(scene.path.clone()), seed.unwrap_or(job.seed));
+    let traced = long(py, callback, |task| {
+        let forgotten = match &cache {
+            Some(_) => None,
+            None => Some(tempfile::tempdir().map_err(PipelineError::write(&std::env::temp_dir()))?),
+        };
+        let folder = forgotten.as_ref().map(tempfile::TempDir::path).or(cache.as_deref()).unwrap_or(Path::new("."));
+        render_field(&job, &display, &scene.ingested, folder, task)
+    })?;
+    let mut info = Map::new();
+    info.insert("scene".into(), scene.path.display().to_string().into());
+    info.insert("exposure".into(), traced.exposure.into());
+    info.insert("tone".into(), traced.tone.into());
+    info.insert("depth".into(), traced.depth.to_json());
+    info.insert("depth_sentence".into(), traced.depth.sentence().into());
+    Ok(LightField { field: Arc::new(traced.field), display: Some(display), info })
+}
+
+/// Factorizes a light field into the patterns of a display.
+///
+/// light_field: a LightField, rendered by render() or from any array; display: a Display, or what makes one; without it the one that the light field was made
+/// for, else "paper-three-layer". The display takes the light field's resolution, size and views. The rest is optional and means what it means in a job
+/// file (docs/JOB.md; defaults() has the defaults):
+///
+/// * brightness: β, above 0 and at most 1, and frames: M, 1 to 1000, instead of the display's
+/// * solver: "auto", "multiplicative" (the paper's), "block-exact" or "extrapolated"; iterations: full updates
+/// * start: "auto", "random", "smooth" or "content"; coarse_levels, coarse_iterations: levels of half the resolution to begin at
+/// * levels: whether patterns for layers of few bits are re-optimized on the values that the panel can show
+/// * weights: an array ≥ 0, [view_y, view_x] or [view_y, view_x, row, col]; or eyes: a list of {"eye_mm": (x, y, z), "sigma_mm": s, "weight": w} with eye_floor
+/// * warm_start: a LayerStack of the same display to start from
+/// * seed: of everything random; the same seed gives the same patterns on any number of threads
+/// * callback: callback(stage, fraction) hears of progress
+///
+/// Gives a LayerStack. Python's lock is released; Ctrl-C stops it.
+#[pyfunction]
+#[pyo3(signature = (
+    light_field, display=None, *, brightness=None, frames=None, solver=None, iterations=None, start=None, coarse_levels=None, coarse_iterations=None,
+    levels=None, weights=None, eyes=None, eye_floor=None, warm_start=None, seed=None, callback=None
+))]
+pub(crate) fn factorize(
+    py: Python<'_>,
+    light_field: &LightField,
+    display: Option<&Bound<'_, PyAny>>,
+    brightness: Option<f64>,
+    frames: Option<usize>,
+    solver: Option<&Bound<'_, PyAny>>,
+    iterations: Option<&Bound<'_, PyAny>>,
+    start: Option<&Bound<'_, PyAny>>,
+    coarse_levels: Option<&Bound<'_, PyAny>>,
+    coarse_iterations: Option<&Bound<'_, PyAny>>,
+    levels: Option<&Bound<'_, PyAny>>,
+    weights: Option<&Bound<'_, PyAny>>,
+    eyes: Option<&Bound<'_, PyAny>>,
+    eye_floor: Option<&Bound<'_, PyAny>>,
+    warm_start: Option<&LayerStack>,
+    seed: Option<u64>,
+    callback: Option<&Bound<'_, PyAny>>,
+) -> PyResult<LayerStack> {
+    let arguments = [
+        ("solver", solver),
+        ("iterations", iterations),
+        ("start", start),
+        ("coarse_levels", coarse_levels),
+        ("coarse_iterations", coarse_iterations),
+        ("levels", levels),
+        ("eyes", eyes),
+        ("eye_floor", eye_floor),
+    ];
+    let job: FactorizeJob = table(py, "factorize", &arguments)?;
+    let display = match (display, &light_field.display) {
+        (None, Some(display)) => display.clone(),
+        (display, _) => display_of(py, display)?,
+    };
+    let mut display = adapted(&display, &light_field.field);
+    if brightness.is_some() || frames.is_some() {
+        let changed = Arc::make_mut(&mut display);
+        changed.brightness = brightness.unwrap_or(changed.brightness);
+        changed.frames = frames.unwrap_or(changed.frames);
+    }
+    if let Err(source) = display.check() {
+        let path = PathBuf::from(&display.name);
+        return Err(raised(py, &PipelineError::Display { path, text: String::new(), source }));
+    }
+    let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
+    let seed = seed.unwrap_or(Job::new(Default::default()).seed);
+    let warm = warm_start.map(|warm| &*warm.stack);
+    let target = &*light_field.field;
+    let (made, seconds) = long(py, callback, |task| {
+        if let Some(warm) = warm {
+            let path = "warm_start".into();
+            warm.check(&display).map_err(|source| PipelineError::Stack { path, source })?;
+        }
+        let weights = weights_of(&job, weights, target)?;
+        let problem = Problem { display: &display, target, weights: &weights };
+        let (start, mut seconds) = (Instant::now(), Vec::new());
+        let mut watch = |_: &_| seconds.push(start.elapsed().as_secs_f64());
+        let made = factorize_field(&problem, &job, seed, warm, task, &mut watch)?;
+        Ok((made, seconds))
+    })?;
+    let solved = Some(Solved::of(&made, &seconds, warm.is_some()));
+    Ok(LayerStack { stack: Arc::new(made.stack), display, solved })
+}
+
+/// What a display shows from somewhere: an array [row, col, rgb] of NumPy, linear.
+///
+/// From where: slope = (x, y), tangents to the right and up, or angle_deg = (x, y), the same in degrees: a parallel projection, as from far away; or eye_mm = (x, y, z),
+/// an eye in millimetres from the display's centre, right, up and in front: a perspective view. Without any: straight on.
+///
+/// The picture is what an adapted viewer sees, L̃/β; with raw=True the emitted light L̃ itself.
+#[pyfunction]
+#[pyo3(signature = (stack, slope=None, *, angle_deg=None, eye_mm=None, raw=false))]
+pub(crate) fn simulate<'py>(
+    py: Python<'py>,
+    stack: &LayerStack,
+    slope: Option<&Bound<'_, PyAny>>,
+    angle_deg: Option<&Bound<'_, PyAny>>,
+    eye_mm: Option<&Bound<'_, PyAny>>,
+    raw: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let (slope, angle) = (numbers("slope", slope)?, numbers("angle_deg", angle_deg)?);
+    let viewpoint = match (slope, angle, numbers("eye_mm", eye_mm)?) {
+        (None, None, None) => Viewpoint::Slope([0.0, 0.0]),
+        (Some(slope), None, None) => Viewpoint::Slope(slope),
+        (None, Some(angle), None) => Viewpoint::Angle(angle),
+        (None, None, Some(eye_mm)) => Viewpoint::Eye(eye_mm),
+        _ => return Err(setting(py, "simulate: expected one of `slope`, `angle_deg` and `eye_mm`, found several")),
+    };
+    let picture = py.detach(|| picture_from(&stack.display, &stack.stack, viewpoint, raw));
+    let picture = picture.map_err(|error| raised(py, &error))?;
+    Array::numpy(py, Part::Picture(Arc::new(picture)))
+}
+
+/// Writes patterns or a light field with an output plugin; plugins() lists them.
+///
+/// what: a LayerStack or a LightField; plugin: its id; folder: where to, made if need be; params: the plugin's own parameters by name. display: of a light field, the
+/// display that it is for; target: of patterns, the light field that they should show, for plugins that compare. Gives the files, relative to the folder.
+/// They appear together when the plugin has finished, or not at all.
+#[pyfunction]
+#[pyo3(signature = (what, plugin, folder, *, display=None, target=None, callback=None, **params))]
+pub(crate) fn write(
+    py: Python<'_>,
+    what: &Bound<'_, PyAny>,
+    plugin: &str,
+    folder: PathBuf,
+    display: Option<&Bound<'_, PyAny>>,
+    target: Option<&LightField>,
+    callback: Option<&Bound<'_, PyAny>>,
+    params: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Vec<PathBuf>> {
+    let registry = registry(py)?;
+    let params = params.map(|params| map_of("params", params.as_any())).transpose()?.unwrap_or_default();
+    let (display, stack, field) = if let Ok(stack) = what.cast::<LayerStack>() {
+        let stack = stack.get();
+        if display.is_some() {
+            return Err(setting(py, "write: expected no `display`, as patterns have one, found one"));
+        }
+        (stack.display.clone(), Some(stack.stack.clone()), target.map(|target| target.field.clone()))
+    } else if let Ok(field) = what.cast::<LightField>() {
+        let field = field.get();
+        let display = match (display, &field.display) {
+            (None, Some(display)) => display.clone(),
+            (display, _) => adapted(&display_of(py, display)?, &field.field),
+        };
+        (display, None, Some(field.field.clone()))
+    } else {
+        let found = what.get_type().name()?;
+        return Err(PyTypeError::new_err(format!("write: expected a LayerStack or a LightField, found {found}")));
+    };
+    long(py, callback, |task| {
+        let data = match (&stack, &field) {
+            (Some(stack), target) => OutputData::LayerStack(stack, target.as_deref()),
+            (None, Some(field)) => OutputData::LightField(field),
+            (None, None) => return Err(PipelineError::value("write", "what", "patterns or a light field", "neither")),
+        };
+        write_output(registry, plugin, params, &display, data, &folder, task)
+    })
+}
+
+/// Measures patterns against the light field that they should show and writes report.html and report.json into a folder. Gives the content of the latter.
+#[pyfunction]
+#[pyo3(signature = (stack, light_field, folder, *, title=None, weights=None, callback=None))]
+pub(crate) fn report<'py>(
+    py: Python<'py>,
+    stack: &LayerStack,
+    light_field: &LightField,
+    folder: PathBuf,
+    title: Option<&str>,
+    weights: Option<&Bound<'_, PyAny>>,
+    callback: Option<&Bound<'_, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
+    let target = &*light_field.field;
+    let title = title.unwrap_or(&stack.display.name);
+    let settings = json!({ "light field": light_field.info, "display": stack.display.name });
+    let answer = long(py, callback, |task| {
+        let weights = &weights_of(&FactorizeJob::default(), weights, target)?;
+        let solution = stack.solved.as_ref().map(|solved| (&solved.solution, solved.steps.as_slice()));
+        let (display, stack, settings) = (&*stack.display, &*stack.stack, &settings);
+        write_report_on(&ReportOn { title, display, stack, target, weights, solution, settings }, &folder, task)
+    })?;
+    to_python(py, &answer)
+}
+
+/// Runs a whole job into a folder: what `lumistack run` does. What is finished is kept, and the same call goes on from it.
+///
+/// job: path of a job file, or a mapping with its keys (docs/JOB.md), in which paths are relative to the working folder; folder: the run's, by default
+/// runs/NAME. Gives the summary: report, psnr_view, psnr_raw, and so on.
+#[pyfunction]
+#[pyo3(signature = (job, folder=None, *, callback=None))]
+pub(crate) fn run<'py>(
+    py: Python<'py>,
+    job: &Bound<'_, PyAny>,
+    folder: Option<PathBuf>,
+    callback: Option<&Bound<'_, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let is_mapping = job.cast::<PyMapping>().is_ok() && job.cast::<PyString>().is_err();
+    let job = if is_mapping {
+        let mut job: Job = parsed(py, "job", map_of("job", job)?)?;
+        if job.name.is_empty() {
+            job.name = "job".into();
+        }
+        job
+    } else {
+        Job::load(&job.extract::<PathBuf>()?).map_err(|error| raised(py, &error))?
+    };
+    let folder = folder.unwrap_or_else(|| Path::new("runs").join(&job.name));
+    let registry = registry(py)?;
+    let summary = long(py, callback, |task| {
+        warn_of_plugins(registry, task);
+        lumistack_pipeline::run(&job, &folder, registry, None, task)
+    })?;
+    to_python(py, &serde_json::to_value(&summary).expect("summaries serialize"))
+}
+
+fn warn_of_plugins(registry: &Registry, task: Task<'_>) {
+    registry.failed().iter().for_each(|error| task.warn("plugin", error.to_string()));
+}
+
+/// What is in a file or folder: a scene, a light field, patterns, a run, a display or a job; what `lumistack info --json` prints.
+#[pyfunction]
+#[pyo3(signature = (path, *, callback=None))]
+pub(crate) fn info<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    callback: Option<&Bound<'_, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let registry = registry(py)?;
+    let value = long(py, callback, |task| lumistack_cli::describe_path(&path, registry, task))?;
+    to_python(py, &value)
+}
+
+/// All plugins: dictionaries with id, kind, version, doc, ports, origin and params (name, help, kind, default, range and unit of each).
+#[pyfunction]
+pub(crate) fn plugins(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    to_python(py, &plugin_list(registry(py)?)["plugins"])
+}
+
+/// Names of the displays that come with the package; Display(name) makes one.
+#[pyfunction]
+pub(crate) fn displays() -> Vec<&'static str> {
+    presets::PRESETS.iter().map(|(name, _)| *name).collect()
+}
+
+/// Every setting of a job that has a default, with that.
+///
+/// >>> defaults()["factorize"]["iterations"]
+/// 50
+#[pyfunction]
+pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    to_python(py, &serde_json::to_value(Job::new(Default::default())).expect("jobs serialize"))
+}
+
+/// Sets the number of worker threads of the process; results do not depend on it. Call it before any work.
+#[pyfunction]
+pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
+    lumistack_pipeline::set_threads(count).map_err(|error| setting(py, format!("set_threads: {error}")))
+}
+
+/// Runs the command `lumistack` with these arguments and gives its exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+#[pyfunction]
+pub(crate) fn main(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<u8> {
+    let words: Vec<OsString> = std::iter::once("lumistack".into()).chain(arguments).collect();
+    command(py, &words)
+}
+
+/// A table from a mapping and from named arguments, which win.
+fn merged(
+    place: &str,
+    mapping: Option<&Bound<'_, PyAny>>,
+    arguments: crate::json::Arguments<'_, '_>,
+) -> PyResult<Map<String, Value>> {
+    let mut map = mapping.map(|mapping| map_of(place, mapping)).transpose()?.unwrap_or_default();
+    for (name, value) in arguments {
+        if let Some(value) = value {
+            map.insert((*name).into(), value_of(value)?);
+        }
+    }
+    Ok(map)
+}

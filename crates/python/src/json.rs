@@ -1,0 +1,163 @@
+//! Settings from Python and answers to it, by way of JSON: what reads job files reads settings.
+
+use std::path::PathBuf;
+
+use lumistack_core::config::nearest_key;
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyMapping, PySequence, PyString};
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Number, Value};
+
+use crate::error::setting;
+
+/// Named arguments; `None` leaves the default.
+pub(crate) type Arguments<'a, 'py> = &'a [(&'a str, Option<&'a Bound<'py, PyAny>>)];
+
+/// A table of settings from named arguments.
+pub(crate) fn table<T: DeserializeOwned>(py: Python<'_>, place: &str, arguments: Arguments<'_, '_>) -> PyResult<T> {
+    let mut map = Map::new();
+    for (name, value) in arguments {
+        if let Some(value) = value {
+            map.insert((*name).into(), value_of(value)?);
+        }
+    }
+    parsed(py, place, map)
+}
+
+/// A table of settings from a mapping, or its default.
+pub(crate) fn table_of<T: DeserializeOwned>(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<T> {
+    parsed(mapping.py(), place, map_of(place, mapping)?)
+}
+
+/// Numbers in a row: a sequence or an array of NumPy.
+pub(crate) fn numbers<T: DeserializeOwned>(place: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<T>> {
+    let Some(value) = value.filter(|value| !value.is_none()) else { return Ok(None) };
+    let numbers = serde_json::from_value(value_of(value)?);
+    numbers.map(Some).map_err(|error| setting(value.py(), format!("{place}: {error}")))
+}
+
+/// Reads a table; a value that does not fit is told with its key.
+pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<String, Value>) -> PyResult<T> {
+    let error = match serde_json::from_value::<T>(Value::Object(map.clone())) {
+        Ok(table) => return Ok(table),
+        Err(error) => error.to_string(),
+    };
+    // every key has a default in most tables, so alone it fails as it does among the others
+    let alone = |(key, value): (String, Value)| {
+        let found = serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).err()?;
+        (found.to_string() == error && !error.contains(&format!("`{key}`"))).then_some(key)
+    };
+    let key = map.into_iter().find_map(alone).map_or(String::new(), |key| format!("{key}: "));
+    let near = nearest_key(&error).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
+    Err(setting(py, format!("{place}: {key}{error}{near}")))
+}
+
+/// A mapping with names as keys.
+pub(crate) fn map_of(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<Map<String, Value>> {
+    match value_of(mapping)? {
+        Value::Object(map) => Ok(map),
+        _ => {
+            let found = mapping.get_type().name()?;
+            Err(PyTypeError::new_err(format!("{place}: expected a mapping of settings, found {found}")))
+        }
+    }
+}
+
+/// A value as JSON: numbers, texts, paths, mappings and sequences of them, and scalars of NumPy.
+pub(crate) fn value_of(value: &Bound<'_, PyAny>) -> PyResult<Value> {
+    if value.is_none() {
+        return Ok(Value::Null);
+    }
+    if let Ok(yes) = value.cast::<PyBool>() {
+        return Ok(yes.is_true().into());
+    }
+    if let Ok(text) = value.cast::<PyString>() {
+        return Ok(text.to_string().into());
+    }
+    if value.is_instance_of::<PyInt>() {
+        return integer(value);
+    }
+    if value.is_instance_of::<PyFloat>() {
+        return float(value);
+    }
+    if let Ok(mapping) = value.cast::<PyMapping>() {
+        let mut map = Map::new();
+        for item in mapping.items()? {
+            let (key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
+            let Ok(key) = key.cast::<PyString>() else {
+                let found = key.get_type().name()?;
+                return Err(PyTypeError::new_err(format!("expected texts as keys, found {found}")));
+            };
+            // as an argument that is not given
+            if !value.is_none() {
+                map.insert(key.to_string(), value_of(&value)?);
+            }
+        }
+        return Ok(Value::Object(map));
+    }
+    if value.hasattr("__fspath__")? {
+        return Ok(value.extract::<PathBuf>()?.to_string_lossy().into_owned().into());
+    }
+    // NumPy's numbers and arrays
+    if value.hasattr("tolist")? {
+        let plain = value.call_method0("tolist")?;
+        if !plain.hasattr("tolist")? {
+            return value_of(&plain);
+        }
+    }
+    if let Ok(sequence) = value.cast::<PySequence>() {
+        let items = sequence.try_iter()?.map(|item| value_of(&item?));
+        return Ok(Value::Array(items.collect::<PyResult<_>>()?));
+    }
+    if value.hasattr("__index__")? {
+        return integer(&value.call_method0("__index__")?);
+    }
+    if value.hasattr("__float__")? {
+        return float(value);
+    }
+    let found = value.get_type().name()?;
+    Err(PyTypeError::new_err(format!("expected a number, a text, a path, a mapping or a sequence, found {found}")))
+}
+
+fn integer(value: &Bound<'_, PyAny>) -> PyResult<Value> {
+    if let Ok(number) = value.extract::<i64>() {
+        return Ok(number.into());
+    }
+    Ok(value.extract::<u64>()?.into())
+}
+
+fn float(value: &Bound<'_, PyAny>) -> PyResult<Value> {
+    let number: f64 = value.extract()?;
+    Number::from_f64(number)
+        .map(Value::Number)
+        .ok_or_else(|| setting(value.py(), format!("expected a finite number, found {number}")))
+}
+
+/// JSON as plain objects of Python.
+pub(crate) fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
+    Ok(match value {
+        Value::Null => py.None().into_bound(py),
+        Value::Bool(yes) => PyBool::new(py, *yes).to_owned().into_any(),
+        Value::String(text) => PyString::new(py, text).into_any(),
+        Value::Number(number) => match (number.as_i64(), number.as_u64()) {
+            (Some(number), _) => number.into_pyobject(py)?.into_any(),
+            (_, Some(number)) => number.into_pyobject(py)?.into_any(),
+            _ => PyFloat::new(py, number.as_f64().unwrap_or(f64::NAN)).into_any(),
+        },
+        Value::Array(items) => {
+            let list = PyList::empty(py);
+            for item in items {
+                list.append(to_python(py, item)?)?;
+            }
+            list.into_any()
+        }
+        Value::Object(map) => {
+            let dict = PyDict::new(py);
+            for (key, value) in map {
+                dict.set_item(key, to_python(py, value)?)?;
+            }
+            dict.into_any()
+        }
+    })
+}

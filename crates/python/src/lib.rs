@@ -1,0 +1,46 @@
+//! The Python package: scenes, displays, light fields and patterns as objects, arrays in and out, and the `lumistack` command.
+//!
+//! ```text
+//! Python arrays ──array──▶ LightField ─┐                     ┌──▶ arrays (buffer protocol)
+//! Scene ──render──────────▶ LightField ─┴─factorize─▶ LayerStack ──▶ simulate, write, report
+//! ```
+//!
+//! A thin shell over the pipeline: settings are checked by the types that read job files, so names, defaults and ranges stand in one place. Long work runs on a
+//! thread of its own without Python's lock, while the calling thread passes progress and warnings on and looks for Ctrl-C ([`work`]).
+
+mod array;
+mod display;
+mod error;
+mod field;
+mod functions;
+mod json;
+mod scene;
+mod stack;
+mod work;
+
+use pyo3::prelude::*;
+
+/// The compiled part of the package `lumistack`.
+#[pymodule]
+mod _lumistack {
+    use super::*;
+    #[pymodule_export]
+    use crate::array::Array;
+    #[pymodule_export]
+    use crate::display::Display;
+    #[pymodule_export]
+    use crate::field::LightField;
+    #[pymodule_export]
+    use crate::functions::{
+        defaults, displays, factorize, info, main, plugins, render, report, run, set_threads, simulate, write,
+    };
+    #[pymodule_export]
+    use crate::scene::Scene;
+    #[pymodule_export]
+    use crate::stack::LayerStack;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

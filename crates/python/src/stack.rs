@@ -1,0 +1,252 @@
+//! Layer stacks.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use lumistack_display::{Display as Description, LayerStack as Stack, LightField as Field, RayMap, Simulator, score};
+use lumistack_factorizer::{Factorization, Iteration};
+use lumistack_pipeline::{FactorizeJob, PipelineError, RunFolder, weights_of};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple, PyType};
+
+use crate::array::{Array, Part, Values};
+use crate::display::{Display, display_of};
+use crate::error::raised;
+use crate::field::LightField;
+use crate::work::long;
+
+/// The patterns of a display: transmittances 0 to 1, linear, of every layer and frame.
+///
+/// layers: one array [frame, row, col, rgb] per layer, rear to front; display: the Display that shows them, or what makes one; emission: for a directional
+/// backlight [frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb]; brightness: β for which they were made, above 0 and at most 1, by default
+/// the display's. Arrays are taken as by LightField.
+///
+/// >>> display = Display("fig7-uniform", resolution=(8, 8), frames=1)
+/// >>> grey = [memoryview(bytes(4 * 8 * 8 * 3)).cast("f", (1, 8, 8, 3)) for _ in display.layer_shapes]
+/// >>> LayerStack(grey, display).frames
+/// 1
+#[pyclass(frozen, module = "lumistack")]
+pub(crate) struct LayerStack {
+    pub(crate) stack: Arc<Stack>,
+    pub(crate) display: Arc<Description>,
+    pub(crate) solved: Option<Solved>,
+}
+
+/// How a solver came to patterns.
+pub(crate) struct Solved {
+    pub(crate) solution: lumistack_report::Solution,
+    pub(crate) steps: Vec<lumistack_report::Iteration>,
+}
+
+impl Solved {
+    /// `seconds` after the start of every evaluation.
+    pub(crate) fn of(made: &Factorization, seconds: &[f64], warm: bool) -> Self {
+        let settings = &made.settings;
+        let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
+        let step = |(step, &seconds): (&Iteration, &f64)| lumistack_report::Iteration {
+            iteration: step.iteration,
+            objective: step.objective,
+            psnr_view: step.psnr_view,
+            seconds,
+        };
+        Self {
+            solution: lumistack_report::Solution {
+                solver: settings.solver.clone(),
+                start: start.into(),
+                coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
+                unsettled: made.unsettled,
+                levels: made.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized]),
+            },
+            steps: made.history.iter().zip(seconds).map(step).collect(),
+        }
+    }
+}
+
+#[pymethods]
+impl LayerStack {
+    #[new]
+    #[pyo3(signature = (layers, display, *, emission=None, brightness=None))]
+    fn new(
+        py: Python<'_>,
+        layers: &Bound<'_, PyAny>,
+        display: &Bound<'_, PyAny>,
+        emission: Option<&Bound<'_, PyAny>>,
+        brightness: Option<f64>,
+    ) -> PyResult<Self> {
+        let display = display_of(py, Some(display))?;
+        let mut tensors = Vec::new();
+        for (n, layer) in layers.try_iter()?.enumerate() {
+            let what = format!("layers[{n}]");
+            tensors.push(Values::read(&layer?, &what)?.tensor(&what, Stack::LAYER_AXES)?);
+        }
+        let emission = match emission.filter(|emission| !emission.is_none()) {
+            None => None,
+            Some(emission) => Some(Values::read(emission, "emission")?.tensor("emission", Stack::EMISSION_AXES)?),
+        };
+        let brightness = brightness.unwrap_or(display.brightness);
+        let stack = Stack { layers: tensors, emission, brightness };
+        stack
+            .check(&display)
+            .map_err(|source| raised(py, &PipelineError::Stack { path: "layer stack".into(), source }))?;
+        Ok(Self { stack: Arc::new(stack), display, solved: None })
+    }
+
+    /// Reads patterns: of a run's folder, or of a `layers` folder with the display that they are for.
+    #[classmethod]
+    #[pyo3(signature = (folder, *, display=None))]
+    fn open(
+        _class: &Bound<'_, PyType>,
+        py: Python<'_>,
+        folder: PathBuf,
+        display: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let display = display.map(|display| display_of(py, Some(display))).transpose()?;
+        let (stack, display) = long(py, None, |_| opened(&folder, display))?;
+        Ok(Self { stack: Arc::new(stack), display, solved: None })
+    }
+
+    /// Writes a run's folder: display.toml and `layers` with stack.json and one .npy array per layer.
+    fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        long(py, None, |_| {
+            let layers = folder.join("layers");
+            lumistack_field_io::write_stack(&layers, &self.display, &self.stack).map_err(PipelineError::Field)?;
+            let path = folder.join("display.toml");
+            lumistack_field_io::atomic::write_bytes(&path, self.display.to_toml().as_bytes())
+                .map_err(PipelineError::Field)
+        })
+    }
+
+    /// One read-only array of NumPy [frame, row, col, rgb] per layer, rear to front: no copies are made.
+    #[getter]
+    fn layers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let layers = (0..self.stack.layers.len()).map(|n| Array::numpy(py, Part::Layer(self.stack.clone(), n)));
+        PyTuple::new(py, layers.collect::<PyResult<Vec<_>>>()?)
+    }
+
+    /// The same for those without NumPy: objects of which memoryview(...) can be taken.
+    #[getter]
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let layers =
+            (0..self.stack.layers.len()).map(|n| Bound::new(py, Array::new(Part::Layer(self.stack.clone(), n))));
+        PyTuple::new(py, layers.collect::<PyResult<Vec<_>>>()?)
+    }
+
+    /// Of a directional backlight a read-only array [frame, bin_y, bin_x, lenslet_row, lenslet_col, rgb]; None of a uniform one.
+    #[getter]
+    fn emission<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let lent = || Array::numpy(py, Part::Emission(self.stack.clone()));
+        self.stack.emission.is_some().then(lent).transpose()
+    }
+
+    /// The display that shows them.
+    #[getter]
+    fn display(&self) -> Display {
+        Display(self.display.clone())
+    }
+
+    /// Time-multiplexed frames M.
+    #[getter]
+    fn frames(&self) -> usize {
+        self.stack.frames()
+    }
+
+    /// β: the display emits β times the target.
+    #[getter]
+    fn brightness(&self) -> f64 {
+        self.stack.brightness
+    }
+
+    /// Of factorized patterns: (iterations done, Σ w (βL − L̃)², PSNR in dB) from the start on. Otherwise empty.
+    #[getter]
+    fn history(&self) -> Vec<(u32, f64, f64)> {
+        let steps = self.solved.iter().flat_map(|solved| &solved.steps);
+        steps.map(|step| (step.iteration, step.objective, step.psnr_view)).collect()
+    }
+
+    /// Of factorized patterns: solver, start and coarse_levels as they were chosen, unsettled (how far the patterns are from the first-order conditions, rms)
+    /// and, where layers have few bits, the PSNRs of continuous, rounded and re-optimized patterns. Otherwise None.
+    #[getter]
+    fn solution<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let Some(Solved { solution, .. }) = &self.solved else { return Ok(None) };
+        let dict = PyDict::new(py);
+        dict.set_item("solver", &solution.solver)?;
+        dict.set_item("start", &solution.start)?;
+        dict.set_item("coarse_levels", solution.coarse_levels)?;
+        dict.set_item("unsettled", solution.unsettled)?;
+        dict.set_item("levels", solution.levels)?;
+        Ok(Some(dict))
+    }
+
+    /// PSNR in dB of what the display shows against what it should, peak 1, over all rays that count: weights as for factorize().
+    ///
+    /// It compares L̃/β with L, what an adapted viewer sees; with raw=True L̃ with βL, which is higher by −20 log10 β.
+    #[pyo3(signature = (light_field, *, weights=None, raw=false))]
+    fn psnr(
+        &self,
+        py: Python<'_>,
+        light_field: &LightField,
+        weights: Option<&Bound<'_, PyAny>>,
+        raw: bool,
+    ) -> PyResult<f64> {
+        let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
+        let target = &*light_field.field;
+        long(py, None, |_| {
+            let weights = weights_of(&FactorizeJob::default(), weights, target)?;
+            let score = score(&self.display, &self.stack, target, &weights);
+            Ok(if raw { score.psnr_raw() } else { score.psnr_view() })
+        })
+    }
+
+    /// What the display shows along the rays of a light field, as one: L̃/β, or L̃ itself with raw=True. Rays that leave the display are 0.
+    #[pyo3(signature = (like, *, raw=false, callback=None))]
+    fn views(
+        &self,
+        py: Python<'_>,
+        like: &LightField,
+        raw: bool,
+        callback: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<LightField> {
+        let scale = if raw { 1.0 } else { (1.0 / self.stack.brightness) as f32 };
+        let field = long(py, callback, |task| {
+            let mut shown = Field::black(like.field.geometry().clone())?;
+            let geometry = like.field.geometry();
+            let (simulator, map) = (Simulator::new(&self.display, &self.stack), RayMap::new(&self.display, geometry));
+            task.progress.begin("simulate", geometry.grid.iter().count() as u64, "views");
+            for view in geometry.grid.iter() {
+                task.cancel.check()?;
+                let emitted = simulator.view(&map, geometry, view);
+                shown.view_mut(view).iter_mut().zip(emitted.radiance.data()).for_each(|(to, from)| *to = from * scale);
+                task.progress.advance(1, "");
+            }
+            task.progress.end();
+            Ok(shown)
+        })?;
+        Ok(LightField::plain(field))
+    }
+
+    fn __repr__(&self) -> String {
+        let psnr = self.solved.as_ref().and_then(|solved| solved.steps.last());
+        let psnr = psnr.map_or(String::new(), |step| format!(", {:.2} dB", step.psnr_view));
+        let (layers, frames) = (self.stack.layers.len(), self.stack.frames());
+        format!("<lumistack.LayerStack for \"{}\": {layers} layers, {frames} frames{psnr}>", self.display.name)
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let rebuild = py.import("lumistack._pickle")?.getattr("layer_stack")?;
+        let display = Bound::new(py, self.display())?;
+        let parts = (self.layers(py)?, self.emission(py)?, display, self.brightness());
+        Ok((rebuild, parts.into_pyobject(py)?))
+    }
+}
+
+fn opened(folder: &Path, display: Option<Arc<Description>>) -> Result<(Stack, Arc<Description>), PipelineError> {
+    let Some(display) = display else {
+        let run = RunFolder::open(folder)?;
+        return Ok((run.stack, Arc::new(run.display)));
+    };
+    let layers = folder.join("layers");
+    let layers = if layers.join("stack.json").is_file() { &layers } else { folder };
+    let stack = lumistack_field_io::read_stack(layers).map_err(PipelineError::Field)?;
+    stack.check(&display).map_err(|source| PipelineError::Stack { path: layers.to_owned(), source })?;
+    Ok((stack, display))
+}

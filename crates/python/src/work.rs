@@ -1,0 +1,201 @@
+//! Long work: on a thread of its own, without Python's lock.
+//!
+//! The calling thread looks every [`TICK`] for signals (Python delivers Ctrl-C to its main thread alone), calls back with progress and passes warnings on. What
+//! it meets there – a `KeyboardInterrupt`, an exception of the callback, a warning that is an error – cancels the work and is raised once it has stopped.
+
+use std::any::Any;
+use std::ffi::OsString;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use lumistack_core::{Cancel, Progress, Task, Warning, Warnings};
+use lumistack_pipeline::PipelineError;
+use pyo3::prelude::*;
+
+use crate::error::{exception, in_python, raised};
+
+/// Time between two looks.
+const TICK: Duration = Duration::from_millis(30);
+
+/// Does `work` and gives its result. `callback(stage, fraction)` hears of its progress.
+pub(crate) fn long<T: Send>(
+    py: Python<'_>,
+    callback: Option<&Bound<'_, PyAny>>,
+    work: impl FnOnce(Task<'_>) -> Result<T, PipelineError> + Send,
+) -> PyResult<T> {
+    let cancel = Cancel::default();
+    let sink = Sink::default();
+    let task = Task { progress: &sink, warnings: &sink, cancel: &cancel };
+    let (result, problem) = beside(
+        py,
+        &sink,
+        || work(task),
+        || {
+            let told = py.check_signals().and_then(|()| sink.tell(py, callback));
+            told.inspect_err(|_| cancel.cancel())
+        },
+    );
+    match (problem, result) {
+        (Some(problem), _) => Err(problem),
+        (None, Ok(Ok(value))) => Ok(value),
+        (None, Ok(Err(error))) => Err(raised(py, &error)),
+        (None, Err(panic)) => Err(panicked(py, &*panic)),
+    }
+}
+
+/// Runs a command line as the program does: Ctrl-C stops it cleanly, a second one at once.
+pub(crate) fn command(py: Python<'_>, words: &[OsString]) -> PyResult<u8> {
+    let cancel = Cancel::default();
+    let (result, _) = beside(
+        py,
+        &Sink::default(),
+        || lumistack_cli::run(words, &cancel),
+        || {
+            if py.check_signals().is_err() {
+                if cancel.is_cancelled() {
+                    std::process::exit(130);
+                }
+                cancel.cancel();
+            }
+            Ok(())
+        },
+    );
+    result.map_err(|panic| panicked(py, &*panic))
+}
+
+/// Runs `work` on another thread, and `look` on this one again and again until it is done or `look` has failed.
+fn beside<T: Send>(
+    py: Python<'_>,
+    sink: &Sink,
+    work: impl FnOnce() -> T + Send,
+    mut look: impl FnMut() -> PyResult<()>,
+) -> (std::thread::Result<T>, Option<PyErr>) {
+    std::thread::scope(|scope| {
+        let worker = scope.spawn(|| {
+            let result = catch_unwind(AssertUnwindSafe(work));
+            sink.finish();
+            result
+        });
+        let mut problem = None;
+        loop {
+            let finished = py.detach(|| sink.wait());
+            if problem.is_none() {
+                problem = look().err();
+            }
+            if finished {
+                break;
+            }
+        }
+        let result = py.detach(|| worker.join());
+        (result.and_then(|result| result), problem)
+    })
+}
+
+fn panicked(py: Python<'_>, panic: &(dyn Any + Send)) -> PyErr {
+    let text = panic.downcast_ref::<&str>().map(|text| (*text).to_string());
+    let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into());
+    exception(py, "InternalError", &format!("a mistake in Lumistack: {text}"))
+}
+
+/// What the work has said since the last look.
+#[derive(Default)]
+struct Sink {
+    state: Mutex<State>,
+    wake: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    stage: String,
+    total: u64,
+    done: u64,
+    /// Stage and share; of one stage only the newest, and its end.
+    news: Vec<(String, f64)>,
+    warnings: Vec<Warning>,
+    seen: Vec<Warning>,
+    finished: bool,
+}
+
+impl State {
+    fn note(&mut self) {
+        let share = if self.total == 0 { 1.0 } else { (self.done as f64 / self.total as f64).min(1.0) };
+        match self.news.last_mut() {
+            Some((stage, last)) if *stage == self.stage && *last < 1.0 => *last = share,
+            _ => self.news.push((self.stage.clone(), share)),
+        }
+    }
+}
+
+impl Sink {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for the end, but not longer than a tick; whether it has come.
+    fn wait(&self) -> bool {
+        let state = self.lock();
+        let waited = self.wake.wait_timeout_while(state, TICK, |state| !state.finished);
+        waited.unwrap_or_else(PoisonError::into_inner).0.finished
+    }
+
+    fn finish(&self) {
+        self.lock().finished = true;
+        self.wake.notify_all();
+    }
+
+    /// Tells Python what has come in.
+    fn tell(&self, py: Python<'_>, callback: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let (news, warnings) = {
+            let mut state = self.lock();
+            (std::mem::take(&mut state.news), std::mem::take(&mut state.warnings))
+        };
+        if !warnings.is_empty() {
+            let warn = py.import("warnings")?.getattr("warn")?;
+            let category = py.import("lumistack._errors")?.getattr("LumistackWarning")?;
+            for warning in warnings {
+                warn.call1((in_python(&warning.to_string()), &category))?;
+            }
+        }
+        if let Some(callback) = callback {
+            for (stage, share) in news {
+                callback.call1((stage, share))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Progress for Sink {
+    fn begin(&self, stage: &str, total: u64, _unit: &str) {
+        let mut state = self.lock();
+        (state.stage, state.total, state.done) = (stage.into(), total, 0);
+        if total > 0 {
+            state.note();
+        }
+    }
+
+    fn advance(&self, steps: u64, _note: &str) {
+        let mut state = self.lock();
+        state.done += steps;
+        state.note();
+    }
+
+    fn end(&self) {
+        let mut state = self.lock();
+        if state.done < state.total || state.total == 0 {
+            state.done = state.total;
+            state.note();
+        }
+    }
+}
+
+impl Warnings for Sink {
+    fn warn(&self, warning: Warning) {
+        let mut state = self.lock();
+        if !state.seen.contains(&warning) {
+            state.seen.push(warning.clone());
+            state.warnings.push(warning);
+        }
+    }
+}

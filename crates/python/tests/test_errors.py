@@ -1,0 +1,227 @@
+"""Errors: their classes, and that they say what was expected and what was found."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy
+import pytest
+
+import lumistack
+from lumistack import Display, LayerStack, LightField, Scene
+
+
+def test_classes_fit_what_python_programs_catch() -> None:
+    assert issubclass(lumistack.MissingFileError, FileNotFoundError)
+    assert issubclass(lumistack.FileError, OSError)
+    assert issubclass(lumistack.SettingError, ValueError)
+    for name in lumistack.__all__:
+        thing = getattr(lumistack, name)
+        if isinstance(thing, type) and issubclass(thing, Exception) and not issubclass(thing, Warning):
+            assert issubclass(thing, lumistack.Error) and thing.__module__ == "lumistack" and thing.__doc__
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("no-such-display",), "expected a preset or a .toml file; lumistack.displays\\(\\) lists the presets"),
+        (("paper-three-layers",), "did you mean `paper-three-layer`"),
+    ],
+)
+def test_unknown_displays(arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(lumistack.SettingError, match=message):
+        Display(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"frames": 0}, "frames: expected 1 to 1000, found 0"),
+        ({"frames": 2.5}, "display: frames: invalid type: floating point `2.5`"),
+        ({"frames": "two"}, "display: frames: invalid type: string"),
+        ({"brightness": 1.5}, "brightness: expected above 0, at most 1, found 1.5"),
+        ({"brightness": float("nan")}, "expected a finite number"),
+        ({"resolution": (0, 4)}, "resolution"),
+        ({"resolution": 4}, "display: resolution: invalid type"),
+        ({"sampling": "nearesst"}, "unknown variant `nearesst`.*did you mean `nearest`"),
+    ],
+)
+def test_wrong_changes_of_displays(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(lumistack.SettingError, match=message):
+        Display("paper-three-layer", **changes)
+
+
+def test_wrong_mappings_and_files(tmp_path: Path, display: Display) -> None:
+    with pytest.raises(lumistack.SettingError, match="unknown field `framse`.*did you mean `frames`"):
+        Display({**display.to_dict(), "framse": 3})
+    with pytest.raises(lumistack.SettingError, match="layers: expected at least one layer"):
+        Display({**display.to_dict(), "layers": []})
+    with pytest.raises(lumistack.MissingFileError, match="nowhere.toml: expected a readable file"):
+        Display(tmp_path / "nowhere.toml")
+    (tmp_path / "bad.toml").write_text("name = 3")
+    with pytest.raises(lumistack.SettingError, match="line 1, column 8"):
+        Display(tmp_path / "bad.toml")
+    with pytest.raises(TypeError):
+        Display(3)  # type: ignore[arg-type]
+    with pytest.raises(TypeError):
+        Display(paper=True)  # type: ignore[call-arg]
+
+
+def test_missing_files_are_not_found(tmp_path: Path) -> None:
+    for call in (
+        lambda: Scene(tmp_path / "no.glb"),
+        lambda: lumistack.render(tmp_path / "no.glb"),
+        lambda: LightField.open(tmp_path / "no.npy", pitch_mm=1.0),
+        lambda: LayerStack.open(tmp_path / "no"),
+        lambda: lumistack.run(tmp_path / "no.toml"),
+        lambda: lumistack.info(tmp_path / "no.npy"),
+    ):
+        with pytest.raises(FileNotFoundError, match="no"):
+            call()
+
+
+def test_folders_that_are_files(light_field: LightField, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("")
+    stack = lumistack.factorize(light_field, iterations=0)
+    for call in (
+        lambda: light_field.save(tmp_path / "taken"),
+        lambda: stack.save(tmp_path / "taken"),
+        lambda: lumistack.report(stack, light_field, tmp_path / "taken"),
+        lambda: display_save(stack.display, tmp_path / "taken" / "d.toml"),
+    ):
+        with pytest.raises(OSError, match="taken"):
+            call()
+    with pytest.raises(lumistack.PluginError, match="expected a folder or a free name"):
+        lumistack.write(stack, "images", tmp_path / "taken")
+
+
+def display_save(display: Display, path: Path) -> None:
+    display.save(path)
+
+
+def test_broken_scenes(tmp_path: Path) -> None:
+    (tmp_path / "bad.glb").write_bytes(b"glTF broken")
+    with pytest.raises(lumistack.SceneError, match="bad.glb"):
+        Scene(tmp_path / "bad.glb")
+    (tmp_path / "x.docx").write_bytes(b"")
+    with pytest.raises(lumistack.SettingError, match="expected a file .gltf, .glb"):
+        Scene(tmp_path / "x.docx")
+
+
+def test_wrong_settings_of_rendering(scene: Path) -> None:
+    loaded = Scene(scene)
+    for settings, message in (
+        ({"samples": 0}, "render.samples: expected 1 to 65536, found 0"),
+        ({"samples": 1.5}, "render: samples: invalid type"),
+        ({"denoise": "strong"}, "unknown variant `strong`"),
+        ({"lens_deg": 91}, "render.lens_deg: expected 0 to 90, found 91"),
+        ({"camera": "Nobody"}, "window.camera: expected one of"),
+        ({"depth_scale": 0}, "window.depth_scale"),
+        ({"window": {"form": "bounds"}}, "unknown field `form`.*did you mean `from`"),
+        ({"tone": "film"}, "unknown variant `film`"),
+        ({"light": {"automatic": False}}, "light.automatic: expected it from the Scene"),
+        ({"window": 3}, "window: expected a mapping"),
+    ):
+        with pytest.raises((lumistack.SettingError, TypeError), match=message):
+            lumistack.render(loaded, "fig7-uniform", **settings)
+
+
+def test_wrong_settings_of_factorization(light_field: LightField, display: Display) -> None:
+    for settings, error, message in (
+        ({"solver": "newton"}, lumistack.FactorizeError, "solver: expected one of .*found newton"),
+        ({"start": "middle"}, lumistack.SettingError, "factorize.start: expected one of"),
+        ({"iterations": -1}, lumistack.SettingError, "factorize: iterations: invalid value"),
+        ({"brightness": 0.0}, lumistack.SettingError, "brightness: expected above 0"),
+        ({"frames": 0}, lumistack.SettingError, "frames: expected 1 to 1000"),
+        ({"weights": numpy.ones((2, 2), "f4")}, lumistack.SettingError, r"weights: expected shape \[3, 3\]"),
+        ({"weights": numpy.ones(3, "f4")}, lumistack.SettingError, r"weights: shape: expected \[view_y\]"),
+        ({"weights": -numpy.ones((3, 3), "f4")}, lumistack.SettingError, "finite values ≥ 0"),
+        ({"weights": numpy.ones((3, 3), int)}, TypeError, "weights: expected an array of float32"),
+        ({"eyes": [{"eye_mm": (0, 0, -5), "sigma_mm": 1}]}, lumistack.SettingError, "factorize.eyes"),
+        ({"eyes": [{"eye": 3}]}, lumistack.SettingError, "unknown field `eye`"),
+        ({"iteration": 3}, TypeError, "iteration"),
+    ):
+        with pytest.raises(error, match=message):
+            lumistack.factorize(light_field, display, **settings)
+    with pytest.raises(TypeError, match="light_field"):
+        lumistack.factorize(numpy.zeros((3, 3)), display)  # type: ignore[arg-type]
+
+
+def test_values_that_are_no_light(radiance: Any, display: Display) -> None:
+    radiance[1, 2, 3, 4, 0] = numpy.nan
+    bad = LightField(radiance, display=display)
+    with pytest.raises(lumistack.FactorizeError, match=r"view \[1, 2\], row 3, column 4, red: expected a finite value, found NaN"):
+        lumistack.factorize(bad, iterations=1)
+
+
+def test_geometry_of_arrays(radiance: Any) -> None:
+    for how, message in (
+        ({}, "expected `display`, or `pitch_mm`"),
+        ({"pitch_mm": 1.0}, "expected either `fov_deg` or"),
+        ({"pitch_mm": 1.0, "fov_deg": (20, 20), "slope_x": [0, 0, 0]}, "expected either `fov_deg` or"),
+        ({"pitch_mm": 0.0, "fov_deg": (20, 20)}, "pitch_mm: expected a number above 0, found 0"),
+        ({"pitch_mm": 1.0, "fov_deg": (180, 20)}, "fov_deg: expected full angles"),
+        ({"pitch_mm": 1.0, "slope_x": [0.0], "slope_y": [0.0]}, "expected the shape of its geometry"),
+        ({"pitch_mm": 1.0, "fov_deg": (20, 20), "distance_mm": -1.0}, "distance_mm: expected a viewing distance"),
+        ({"display": "paper-three-layer"}, "expected views of 525 × 840 pixels"),
+        ({"display": "paper-three-layer", "pitch_mm": 1.0}, "found both"),
+    ):
+        with pytest.raises((lumistack.SettingError, lumistack.DataError), match=message):
+            LightField(radiance, **how)
+
+
+def test_patterns_that_do_not_fit(light_field: LightField, display: Display) -> None:
+    layers = [numpy.zeros(shape, "f4") for shape in display.layer_shapes]
+    with pytest.raises(lumistack.DataError, match="layers: expected 3, found 2"):
+        LayerStack(layers[:2], display)
+    with pytest.raises(lumistack.DataError, match="shape of layer 1"):
+        LayerStack([layers[0], layers[1][:, 1:], layers[2]], display)
+    layers[2][0, 0, 0, 0] = 1.5
+    with pytest.raises(lumistack.DataError, match="layer 2: expected values in 0..1, found 1.5"):
+        LayerStack(layers, display)
+    with pytest.raises(TypeError, match=r"layers\[0\]: expected an array \[frame, row, col, rgb\]"):
+        LayerStack([numpy.zeros(3, "f4")], display)
+    stack = lumistack.factorize(light_field, iterations=0)
+    other = Display("paper-three-layer", resolution=(12, 8))
+    field = LightField(numpy.zeros(other.light_field_shape, "f4"), display=other)
+    with pytest.raises(lumistack.DataError, match="warm_start"):
+        lumistack.factorize(field, warm_start=stack)
+
+
+def test_viewpoints(light_field: LightField) -> None:
+    stack = lumistack.factorize(light_field, iterations=0)
+    for how, message in (
+        ({"slope": (0, 0), "eye_mm": (0, 0, 1)}, "found several"),
+        ({"angle_deg": (90, 0)}, "angle_deg: expected angles between -90 and 90"),
+        ({"eye_mm": (0, 0, 0)}, r"eye_mm\[2\]: expected a distance above 0"),
+        ({"slope": (float("nan"), 0)}, "expected a finite number"),
+        ({"slope": (0, 0, 0)}, "slope: invalid length 3"),
+        ({"eye_mm": "here"}, "eye_mm: invalid type"),
+    ):
+        with pytest.raises(lumistack.SettingError, match=message):
+            lumistack.simulate(stack, **how)
+
+
+def test_jobs(tmp_path: Path) -> None:
+    with pytest.raises(lumistack.SettingError, match="unknown field `scen`.*did you mean `scene`"):
+        lumistack.run({"scen": "a.glb"}, tmp_path)
+    with pytest.raises(lumistack.SettingError, match="expected one of `scene`, `light_field` and `source`"):
+        lumistack.run({"display": {"preset": "fig7-uniform"}}, tmp_path)
+    with pytest.raises(TypeError, match="expected texts as keys"):
+        lumistack.run({3: 4}, tmp_path)  # type: ignore[dict-item]
+    with pytest.raises(TypeError, match="expected a number, a text, a path"):
+        lumistack.run({"scene": object()}, tmp_path)
+
+
+def test_warnings_are_warnings_of_python(display: Display) -> None:
+    # frames that are equal stay equal, which the solver says
+    equal = LayerStack([numpy.full(shape, 0.5, "f4") for shape in display.layer_shapes], display)
+    field = LightField(numpy.full(display.light_field_shape, 0.2, "f4"), display=display)
+    with pytest.warns(lumistack.LumistackWarning, match="warm start: all frames are equal"):
+        lumistack.factorize(field, warm_start=equal, iterations=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(lumistack.LumistackWarning):
+            lumistack.factorize(field, warm_start=equal, iterations=1)

@@ -1,0 +1,86 @@
+//! The Python package: built as a wheel, installed into `target/python`, tested there as a stranger would use it, and measured.
+
+use std::path::{Path, PathBuf};
+
+use crate::tools::{self, Outcome, command, install, output_of, run};
+
+/// What builds and checks the package, as pip takes it.
+const TOOLS: [&str; 4] = ["--only-binary=:all:", "maturin==1.16.*", "pytest==9.*", "mypy==2.*"];
+
+/// The oldest Python for which the wheel is made.
+const OLDEST: (u32, u32) = (3, 11);
+
+/// Builds the wheel from the artefacts of the workspace's tests, installs it, and checks and measures it. Skips with a message where this machine's Python is too old or
+/// the tools cannot be fetched.
+pub fn check() -> Outcome {
+    let python = tools::python()?;
+    if !is_new_enough(&python) {
+        println!("python: skipped, the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1);
+        return Ok(());
+    }
+    if !can_import(&python, "maturin, pytest, mypy") {
+        println!(
+            "fetching: maturin, pytest and mypy, in target/python (used only to build and check the Python package)"
+        );
+        if let Err(error) = install(&python, &TOOLS) {
+            println!("python: skipped, the tools of the package cannot be had: {error}");
+            return Ok(());
+        }
+    }
+    let wheel = build(&python, "dev")?;
+    install(&python, &["--force-reinstall", "--no-deps", &wheel.to_string_lossy()])?;
+    types(&python)?;
+    run(command(&python).args(["-m", "pytest", "-q", "--durations=5"]))?;
+    run(command(&python).arg("examples/python/any_array.py"))?;
+    measure(&python, &wheel)
+}
+
+/// The wheel as users get it, in `target/wheels`.
+pub fn release() -> Outcome {
+    let python = tools::python()?;
+    if !can_import(&python, "maturin") {
+        install(&python, &TOOLS)?;
+    }
+    let wheel = build(&python, "release")?;
+    install(&python, &["--force-reinstall", "--no-deps", &wheel.to_string_lossy()])?;
+    measure(&python, &wheel)
+}
+
+fn can_import(python: &Path, modules: &str) -> bool {
+    output_of(command(python).args(["-c", &format!("import {modules}")])).is_some()
+}
+
+fn is_new_enough(python: &Path) -> bool {
+    let test = format!("import sys; sys.exit(sys.version_info < ({}, {}))", OLDEST.0, OLDEST.1);
+    output_of(command(python).args(["-c", &test])).is_some()
+}
+
+/// Builds the wheel with a profile of the workspace; its path.
+fn build(python: &Path, profile: &str) -> Outcome<PathBuf> {
+    let folder = tools::root().join("target/wheels").join(profile);
+    let _ = std::fs::remove_dir_all(&folder);
+    let maturin = python.with_file_name("maturin");
+    run(command(maturin).args(["build", "--profile", profile, "--interpreter"]).arg(python).arg("--out").arg(&folder))?;
+    let mut files = std::fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?.flatten();
+    files.next().map(|file| file.path()).ok_or_else(|| format!("maturin left no wheel in {}", folder.display()))
+}
+
+/// mypy over the examples and tests, and the stubs against the module.
+fn types(python: &Path) -> Outcome {
+    run(command(python).args(["-m", "mypy", "examples/python"]))?;
+    run(command(python).args(["-m", "mypy", "crates/python/tests"]))?;
+    run(command(python).args([
+        "-m",
+        "mypy.stubtest",
+        "lumistack",
+        "--allowlist",
+        "crates/python/tests/stubtest.txt",
+        "--ignore-unused-allowlist",
+    ]))
+}
+
+fn measure(python: &Path, wheel: &Path) -> Outcome {
+    let bytes = std::fs::metadata(wheel).map_err(|error| error.to_string())?.len();
+    println!("wheel: {:.1} MB, {}", bytes as f64 / 1e6, wheel.display());
+    run(command(python).arg("crates/python/bench.py"))
+}
