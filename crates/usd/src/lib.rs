@@ -16,6 +16,7 @@ mod package;
 mod polygons;
 mod python;
 mod scene;
+mod setup;
 
 use std::path::{Path, PathBuf};
 
@@ -26,6 +27,7 @@ pub use child::MODULES;
 pub use error::UsdError;
 pub use package::{Array, Contents, Failure, Header, Note, Package, TimeRange, VariantSet};
 pub use scene::scene_from_package;
+pub use setup::Setup;
 
 /// Extensions of USD files.
 pub const EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];

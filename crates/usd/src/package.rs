@@ -144,6 +144,9 @@ pub(crate) struct MeshEntry {
     pub(crate) indices: Option<Array>,
     #[serde(default)]
     pub(crate) left_handed: bool,
+    /// Whether the file says that only the front is seen.
+    #[serde(default)]
+    pub(crate) one_sided: bool,
     /// Faces that are not there.
     pub(crate) holes: Option<Array>,
     #[serde(default)]
@@ -276,7 +279,8 @@ impl<'a> Package<'a> {
             return Err(fault(format!("rows of {width} numbers"), format!("shape {:?}", array.shape)));
         }
         let bytes = self.buffers.get(array.buffer).copied();
-        let bytes = bytes.ok_or_else(|| fault(format!("a buffer below {}", self.buffers.len()), array.buffer.to_string()))?;
+        let bytes =
+            bytes.ok_or_else(|| fault(format!("a buffer below {}", self.buffers.len()), array.buffer.to_string()))?;
         let wanted = rows.checked_mul(width).and_then(|count| count.checked_mul(size));
         if wanted != Some(bytes.len()) {
             let found = format!("{} bytes of type {} for shape {:?}", bytes.len(), array.kind, array.shape);
@@ -406,8 +410,14 @@ mod tests {
 
     #[test]
     fn halves_are_exact() {
-        let known =
-            [(0x0000, 0.0), (0x3c00, 1.0), (0xc000, -2.0), (0x7bff, 65504.0), (0x0001, 2f32.powi(-24)), (0x3555, 0.333_251_95)];
+        let known = [
+            (0x0000, 0.0),
+            (0x3c00, 1.0),
+            (0xc000, -2.0),
+            (0x7bff, 65504.0),
+            (0x0001, 2f32.powi(-24)),
+            (0x3555, 0.333_251_95),
+        ];
         for (bits, value) in known {
             assert_eq!(from_half(bits), value);
         }
