@@ -11,7 +11,13 @@ SINGLE = {"color3f": Vt.Vec3fArray, "color3d": Vt.Vec3dArray, "color3h": Vt.Vec3
 def value(attribute, time, writer):
     """A reference to the array of an attribute, or None where it has no value."""
     array = attribute.Get(time) if attribute else None
-    return None if array is None else writer.array(array)
+    if array is None:
+        return None
+    try:
+        return writer.array(array)
+    except TypeError:
+        writer.warn(attribute.GetPath(), "expected %s, found %s; left out" % (attribute.GetTypeName(), type(array).__name__))
+        return None
 
 
 def mesh(prim, writer, time, pose=None):

@@ -36,7 +36,7 @@ def open_stage(path):
 def errors(error):
     """What pxr's exception says, without the places in its source code."""
     texts = [getattr(part, "commentary", None) or str(part) for part in error.args] or [str(error)]
-    return "; ".join(" ".join(text.split()) for text in dict.fromkeys(texts))
+    return "; ".join(dict.fromkeys(" ".join(text.split()) for text in texts))
 
 
 def walk_stage(stage, request):
@@ -48,7 +48,7 @@ def walk_stage(stage, request):
     writer.header.update(
         name=stage.GetRootLayer().GetDisplayName(),
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
-        meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
+        meters_per_unit=meters_per_unit(stage),
         contents=contents(stage),
     )
     if not request.get("contents_only"):
@@ -56,6 +56,12 @@ def walk_stage(stage, request):
     for layer in stage.GetUsedLayers():
         writer.file(layer.realPath.split("[")[0])
     return writer
+
+
+def meters_per_unit(stage):
+    """Some writers store it as a 32-bit number, which UsdGeom's own function refuses."""
+    value = stage.GetMetadata("metersPerUnit")
+    return float(value) if isinstance(value, (int, float)) and value > 0 else UsdGeom.LinearUnits.centimeters
 
 
 def warn_of_composition(stage, writer):
@@ -140,7 +146,7 @@ def contents(stage):
         if prim.IsA(UsdGeom.Mesh):
             meshes += 1
             values = UsdGeom.Mesh(prim).GetPointsAttr().Get()
-            points += len(values) if values is not None else 0
+            points += len(values) if hasattr(values, "__len__") else 0
         elif prim.IsA(UsdGeom.Camera):
             cameras.append(str(prim.GetPath()))
     found = {"variant_sets": sets, "cameras": cameras, "prims": prims, "meshes": meshes, "points": points}
@@ -218,7 +224,9 @@ class Walker:
             if imageable.GetVisibilityAttr().Get(self.time) == UsdGeom.Tokens.invisible:
                 continue
             purpose = imageable.ComputePurposeInfo(parent) if parent is not None else imageable.ComputePurposeInfo()
-            matrix = self.matrix(prim, above)
+            matrix = self.attempt(self.matrix, prim, above)
+            if matrix is None:
+                continue
             if prim.IsA(UsdSkel.Root):
                 self.skeletons.add(prim)
             if prim.IsInstance():
@@ -230,11 +238,19 @@ class Walker:
                     placed.extend(self.point_instancer(prim, matrix))
                 continue
             if purpose.purpose in SHOWN:
-                item = self.item(prim)
+                item = self.attempt(self.item, prim)
                 if item:
                     placed.append(item + ((matrix,),))
             todo.extend((child, matrix, purpose) for child in reversed(prim.GetFilteredChildren(predicate)))
         return placed
+
+    def attempt(self, read, prim, *rest):
+        """What `read` makes of a prim. One that holds values of another type than it should does not take the others away."""
+        try:
+            return read(prim, *rest)
+        except (Tf.ErrorException, TypeError, ValueError, OverflowError) as error:
+            self.writer.warn(prim.GetPath(), "cannot be read and is left out: %s" % errors(error))
+            return None
 
     def matrix(self, prim, above):
         xformable = UsdGeom.Xformable(prim)

@@ -50,9 +50,13 @@ impl Warnings for InFile<'_> {
 fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, Fault> {
     let header = &package.header;
     let scene_from_stage = match header.up_axis.as_str() {
-        "Y" => DAffine3::IDENTITY,
         "Z" => DAffine3::from_rotation_x(-std::f64::consts::FRAC_PI_2),
-        other => return Err(Fault::new("upAxis", "Y or Z", other)),
+        other => {
+            if other != "Y" {
+                task.warn("upAxis", format!("expected Y or Z, found {other:?}; it is taken as Y"));
+            }
+            DAffine3::IDENTITY
+        }
     };
     let mut assembly = Assembly {
         package,

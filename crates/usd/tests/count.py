@@ -18,7 +18,11 @@ for path in sys.stdin.read().splitlines():
     for prim in stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)):
         mesh = UsdGeom.Mesh(prim)
         if mesh and mesh.ComputePurpose() in ("default", "render") and mesh.ComputeVisibility() != "invisible":
-            counts = mesh.GetFaceVertexCountsAttr().Get(Usd.TimeCode.EarliestTime())
-            shown += any(count > 2 for count in counts or ())
-    found = {"opens": True, "prims": len(prims), "meshes": len(meshes), "points": sum(len(array or ()) for array in points)}
+            time = Usd.TimeCode.EarliestTime()
+            counts = mesh.GetFaceVertexCountsAttr().Get(time)
+            # a map that flattens everything leaves nothing to see
+            is_flat = abs(mesh.ComputeLocalToWorldTransform(time).GetDeterminant3()) < 1e-9
+            shown += not is_flat and hasattr(counts, "__len__") and any(count > 2 for count in counts)
+    points = [array for array in points if hasattr(array, "__len__")]
+    found = {"opens": True, "prims": len(prims), "meshes": len(meshes), "points": sum(len(array) for array in points)}
     print(json.dumps(dict(found, shown=shown)))

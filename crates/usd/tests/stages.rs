@@ -19,13 +19,19 @@ fn has_python() -> bool {
 fn try_with(text: &str, options: &LoadOptions) -> (Result<Scene, UsdError>, Vec<Warning>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.usda");
-    std::fs::write(&path, format!("#usda 1.0\n{text}")).unwrap();
+    write(&path, text);
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let result = load(&path, options, Task::quiet(&warnings, &cancel)).map(|loaded| {
         assert_eq!(loaded.files, [std::fs::canonicalize(&path).unwrap()]);
         loaded.scene
     });
     (result, warnings.take())
+}
+
+/// A layer; its grammar wants the end of a line after every statement.
+fn write(path: &Path, text: &str) {
+    let text = text.replace('{', "{\n").replace('}', "\n}\n");
+    std::fs::write(path, format!("#usda 1.0\n{text}\n")).unwrap();
 }
 
 fn scene_with(text: &str, options: &LoadOptions) -> Scene {
@@ -238,7 +244,7 @@ fn variants_are_chosen_by_name_on_all_prims_or_one() {
     }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.usda");
-    std::fs::write(&path, format!("#usda 1.0\n{text}")).unwrap();
+    write(&path, &text);
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let found = contents(&path, Task::quiet(&warnings, &cancel)).unwrap();
     assert_eq!((found.prims, found.meshes, found.points, found.variant_sets.len()), (4, 2, 6, 2));
