@@ -2,7 +2,7 @@
 
 #![warn(missing_docs)]
 
-// mod curves;
+mod curves;
 mod geometry;
 mod implicit;
 mod subdivide;
