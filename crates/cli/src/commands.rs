@@ -7,7 +7,7 @@ use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
     DisplayJob, FitDepth, Job, PipelineError, Registry, RunFolder, SequenceJob, Tone, Viewpoint, plugins, presets,
-    render_only, run as run_job, set_threads, simulate_to_file,
+    is_usd, render_only, run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
@@ -209,10 +209,14 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
         job.light.environment = args.environment.clone();
     }
     job.pose.time_s = args.time_s.or(job.pose.time_s);
-    for (new, old) in [(&args.animation, &mut job.pose.animation), (&args.variant, &mut job.pose.variant)] {
-        if new.is_some() {
-            old.clone_from(new);
-        }
+    if args.animation.is_some() {
+        job.pose.animation.clone_from(&args.animation);
+    }
+    let is_usd = job.scene.as_deref().is_some_and(is_usd);
+    if is_usd && !args.variant.is_empty() {
+        job.pose.variants.clone_from(&args.variant);
+    } else if let Some(variant) = args.variant.last() {
+        job.pose.variant = Some(variant.clone());
     }
 }
 

@@ -1,0 +1,77 @@
+"""Shapes: what a mesh holds at a time, as references to arrays."""
+
+from pxr import UsdGeom, Vt
+
+# primvars of other types and names no renderer of surfaces reads
+TEXTURE_COORDINATES = ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]", "double2[]", "half2[]")
+COLOURS = ("displayColor", "displayOpacity")
+SINGLE = {"color3f": Vt.Vec3fArray, "color3d": Vt.Vec3dArray, "color3h": Vt.Vec3hArray, "float": Vt.FloatArray}
+
+
+def value(attribute, time, writer):
+    """A reference to the array of an attribute, or None where it has no value."""
+    array = attribute.Get(time) if attribute else None
+    return None if array is None else writer.array(array)
+
+
+def mesh(prim, writer, time, points=None, normals=None):
+    """A `UsdGeomMesh`; `points` and `normals` replace those of the file (skinning)."""
+    source = UsdGeom.Mesh(prim)
+    entry = {
+        "kind": "mesh",
+        "place": str(prim.GetPath()),
+        "points": writer.array(points) if points is not None else value(source.GetPointsAttr(), time, writer),
+        "counts": value(source.GetFaceVertexCountsAttr(), time, writer),
+        "indices": value(source.GetFaceVertexIndicesAttr(), time, writer),
+        "left_handed": source.GetOrientationAttr().Get(time) == "leftHanded",
+        "holes": value(source.GetHoleIndicesAttr(), time, writer),
+        "primvars": primvars(prim, writer, time),
+        "subsets": [],
+    }
+    scheme = source.GetSubdivisionSchemeAttr().Get(time)
+    if scheme != "none":
+        entry["subdivision"] = {
+            "scheme": str(scheme),
+            "interpolate_boundary": str(source.GetInterpolateBoundaryAttr().Get(time)),
+            "face_varying": str(source.GetFaceVaryingLinearInterpolationAttr().Get(time)),
+            "triangle_rule": str(source.GetTriangleSubdivisionRuleAttr().Get(time)),
+            "crease_indices": value(source.GetCreaseIndicesAttr(), time, writer),
+            "crease_lengths": value(source.GetCreaseLengthsAttr(), time, writer),
+            "crease_sharpnesses": value(source.GetCreaseSharpnessesAttr(), time, writer),
+            "corner_indices": value(source.GetCornerIndicesAttr(), time, writer),
+            "corner_sharpnesses": value(source.GetCornerSharpnessesAttr(), time, writer),
+        }
+    if normals is not None:
+        entry["primvars"] = [primvar for primvar in entry["primvars"] if primvar["name"] != "normals"]
+        entry["primvars"].append(normals)
+    elif not any(primvar["name"] == "normals" for primvar in entry["primvars"]):
+        array = value(source.GetNormalsAttr(), time, writer)
+        if array is not None:
+            interpolation = str(source.GetNormalsInterpolation())
+            entry["primvars"].append({"name": "normals", "interpolation": interpolation, "values": array})
+    return entry
+
+
+def primvars(prim, writer, time):
+    """The primvars that surfaces are drawn with, those inherited from above included."""
+    found = []
+    for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
+        name, kind = str(primvar.GetPrimvarName()), str(primvar.GetTypeName())
+        if name not in COLOURS and name != "normals" and kind not in TEXTURE_COORDINATES:
+            continue
+        values = primvar.Get(time)
+        if values is None:
+            continue
+        if kind in SINGLE:
+            values = SINGLE[kind]([values])
+        try:
+            entry = {"name": name, "interpolation": str(primvar.GetInterpolation()), "values": writer.array(values)}
+            if primvar.IsIndexed():
+                indices = primvar.GetIndices(time)
+                if indices is not None:
+                    entry["indices"] = writer.array(indices)
+        except (KeyError, TypeError):
+            writer.warn(prim.GetPath(), "the primvar %s is of type %s, which is not read" % (name, kind))
+            continue
+        found.append(entry)
+    return found
