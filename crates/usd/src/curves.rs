@@ -400,23 +400,25 @@ fn ribbon(place: &mut Place<'_>, normals: &Data<'_>, samples: &[Sample], ribs: &
     }
 }
 
-/// A ball of diameter 1 for points: an octahedron cut twice, 128 triangles.
-pub(crate) fn ball() -> Geometry {
+/// Parts of the edges of the octahedron that points become.
+const BALL_PARTS: u32 = 4;
+
+/// A ball of diameter 1: an octahedron, each edge of it cut into `parts`, 8 parts² triangles.
+pub(crate) fn ball(parts: u32) -> Geometry {
     let mut geometry = Geometry::default();
-    const PARTS: u32 = 4;
     for octant in 0..8 {
         let sign = |bit: u32| if octant >> bit & 1 == 0 { 1.0 } else { -1.0 };
         let (x, y, z) = (sign(0), sign(1), sign(2));
         let mirrored = x * y * z < 0.0;
         let vertex = |geometry: &mut Geometry, i: u32, j: u32| {
-            let k = PARTS - i - j;
+            let k = parts - i - j;
             let normal = Vec3::new(x * i as f32, y * j as f32, z * k as f32).normalize();
             geometry.vertex(0.5 * normal, normal, Vec2::splat(0.5))
         };
         let rows: Vec<Vec<u32>> =
-            (0..=PARTS).map(|i| (0..=PARTS - i).map(|j| vertex(&mut geometry, i, j)).collect()).collect();
-        for i in 0..PARTS as usize {
-            for j in 0..PARTS as usize - i {
+            (0..=parts).map(|i| (0..=parts - i).map(|j| vertex(&mut geometry, i, j)).collect()).collect();
+        for i in 0..parts as usize {
+            for j in 0..parts as usize - i {
                 let mut add =
                     |a: u32, b: u32, c: u32| geometry.triangle(if mirrored { [a, c, b] } else { [a, b, c] }, 0);
                 add(rows[i][j], rows[i + 1][j], rows[i][j + 1]);
@@ -436,7 +438,7 @@ pub(crate) fn colored_balls(
     diameter: impl Fn(usize) -> f32,
     color: impl Fn(usize) -> Vec4,
 ) -> Geometry {
-    let ball = ball();
+    let ball = ball(BALL_PARTS);
     let mut geometry = Geometry::default();
     for (i, &point) in points.iter().enumerate() {
         let diameter = diameter(i);
@@ -586,7 +588,7 @@ mod tests {
 
     #[test]
     fn balls_are_round_and_closed() {
-        let ball = ball();
+        let ball = ball(BALL_PARTS);
         ball.assert_sound();
         ball.assert_closed();
         assert!((ball.volume() / (PI / 6.0) - 1.0).abs() < 0.1);

@@ -18,7 +18,9 @@ pub enum UsdError {
         tried: Vec<String>,
     },
     /// The Python in `LUMISTACK_PYTHON` does not do.
-    #[error("LUMISTACK_PYTHON: expected a Python with the package usd-core, found {found}. Type `{python} -m pip install usd-core`, or unset the variable and type `lumistack setup usd`")]
+    #[error(
+        "LUMISTACK_PYTHON: expected a Python with the package usd-core, found {found}. Type `{python} -m pip install usd-core`, or unset the variable and type `lumistack setup usd`"
+    )]
     GivenPython {
         /// Its value.
         python: String,

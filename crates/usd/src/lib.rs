@@ -13,12 +13,20 @@ mod curves;
 mod error;
 mod geometry;
 mod implicit;
+mod lights;
+mod material;
 mod mesh;
 mod package;
+mod picture;
 mod polygons;
+mod preview;
 mod python;
+mod refine;
 mod scene;
+mod shapes;
 mod subdivide;
+mod texture;
+mod uber;
 
 use std::path::{Path, PathBuf};
 

@@ -29,9 +29,8 @@ pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
         ring.clear();
         ring.extend(corners.clone().map(|corner| polygons.corners[corner] as usize));
         for triangle in cutter.cut(&polygons.points, &ring) {
-            let mut corners = triangle.map(|local| {
-                vertices.get(Corner { face, point: ring[local], corner: corners.start + local })
-            });
+            let mut corners =
+                triangle.map(|local| vertices.get(Corner { face, point: ring[local], corner: corners.start + local }));
             if polygons.left_handed {
                 corners.swap(1, 2);
             }
@@ -97,7 +96,8 @@ impl<'a> Vertices<'a> {
         }
         let normal = polygons.normals.as_ref().map(|normals| Vec3::from(normals.at(at)).normalize_or(Vec3::Y));
         // v of USD points up, that of the scene down
-        let uvs = polygons.uvs.each_ref().map(|uvs| uvs.as_ref().map(|uvs| uvs.at(at)).map(|[u, v]| Vec2::new(u, 1.0 - v)));
+        let uvs =
+            polygons.uvs.each_ref().map(|uvs| uvs.as_ref().map(|uvs| uvs.at(at)).map(|[u, v]| Vec2::new(u, 1.0 - v)));
         let color = (polygons.colors.is_some() || polygons.opacities.is_some()).then(|| {
             let color = polygons.colors.as_ref().map_or(Vec3::ONE, |colors| Vec3::from(colors.at(at)));
             let opacity = polygons.opacities.as_ref().map_or(1.0, |opacities| opacities.at(at)[0]);
@@ -162,7 +162,8 @@ impl Cutter {
             let (x, y) = normal.normalize().any_orthonormal_pair();
             self.flat.clear();
             let origin = at(0);
-            self.flat.extend((0..count).map(|i| DVec2::new((at(i) - origin).dot(x), (at(i) - origin).dot(y)).to_array()));
+            self.flat
+                .extend((0..count).map(|i| DVec2::new((at(i) - origin).dot(x), (at(i) - origin).dot(y)).to_array()));
             self.earcut.earcut_slice(&self.flat, &[], &mut self.indices);
             let area = |[a, b, c]: [usize; 3]| {
                 let [a, b, c] = [a, b, c].map(|i| DVec2::from(self.flat[i]));
@@ -237,7 +238,9 @@ mod tests {
 
     #[test]
     fn polygons_without_area_and_without_corners_do_no_harm() {
-        for points in [&[[0.0, 0.0]; 7][..], &[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [1.5, 0.0]], &[[1.0, 2.0]; 2]] {
+        for points in
+            [&[[0.0, 0.0]; 7][..], &[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [1.5, 0.0]], &[[1.0, 2.0]; 2]]
+        {
             let geometry = triangulate(&face(points));
             assert_eq!(geometry.triangles.len(), points.len().saturating_sub(2));
         }
@@ -284,7 +287,10 @@ mod tests {
                         FaceVarying => corner,
                     };
                     let value = if indexed { count - 1 - element } else { element };
-                    assert!(!found.is_empty() && found.iter().all(|uv| *uv == Vec2::new(value as f32, 0.5)), "{interpolation:?}");
+                    assert!(
+                        !found.is_empty() && found.iter().all(|uv| *uv == Vec2::new(value as f32, 0.5)),
+                        "{interpolation:?}"
+                    );
                 }
             }
         }
