@@ -9,7 +9,7 @@ import os
 
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
 
-from lumistack_usd import geometry, lights, materials
+from lumistack_usd import geometry, lights, materials, mtlx, shapes
 from lumistack_usd.skel import Skeletons, source
 from lumistack_usd.writer import Refused, Writer
 
@@ -23,7 +23,8 @@ INHERITED_PRIMVARS = ("primvars:displayColor", "primvars:displayOpacity")
 
 def walk(request):
     """Reads the file that a request names; returns a `Writer`."""
-    return walk_stage(open_stage(request["path"]), request)
+    with mtlx.definitions():
+        return walk_stage(open_stage(request["path"]), request)
 
 
 def open_stage(path):
@@ -265,7 +266,7 @@ class Walker:
 
     def item(self, prim):
         """(kind, payload) of a prim that shows something, lights it or looks at it."""
-        if prim.IsA(UsdGeom.Mesh):
+        if prim.IsA(UsdGeom.Mesh) or shapes.is_shape(prim, self.writer):
             index, subsets = self.geometry(prim)
             return "geometry", (index, (self.material(prim),) + tuple(self.material(subset) for subset in subsets))
         if prim.IsA(UsdGeom.Camera):
@@ -277,7 +278,11 @@ class Walker:
         """Index and material subsets of a shape; shapes in prototypes are read once."""
         key = (source(prim).GetPath(), self.inherited_primvars(prim), self.skeletons.key(prim))
         if key not in self.geometries:
-            entry = geometry.mesh(prim, self.writer, self.time, self.skeletons.pose(prim))
+            if prim.IsA(UsdGeom.Mesh):
+                entry = geometry.mesh(prim, self.writer, self.time, self.skeletons.pose(prim))
+            else:
+                entry = shapes.shape(prim, self.writer, self.time)
+            entry["light"] = lights.mesh_light(prim, self.writer, self.time)
             subsets = UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets()
             for subset in subsets:
                 faces = subset.GetIndicesAttr().Get(self.time)

@@ -19,12 +19,14 @@ use crate::package::Package;
 use crate::python::{Candidate, Surroundings};
 
 /// The walker's modules; a later one may import those before it.
-pub const MODULES: [(&str, &str); 6] = [
+pub const MODULES: [(&str, &str); 8] = [
     ("writer", include_str!("../python/writer.py")),
     ("geometry", include_str!("../python/geometry.py")),
     ("materials", include_str!("../python/materials.py")),
     ("lights", include_str!("../python/lights.py")),
     ("skel", include_str!("../python/skel.py")),
+    ("shapes", include_str!("../python/shapes.py")),
+    ("mtlx", include_str!("../python/mtlx.py")),
     ("walk", include_str!("../python/walk.py")),
 ];
 /// What starts them in a child.

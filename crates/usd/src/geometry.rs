@@ -44,21 +44,23 @@ impl Geometry {
     }
 }
 
-#[cfg(test)]
 impl Geometry {
     /// Surface area.
     pub(crate) fn area(&self) -> f64 {
         self.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length()).sum()
     }
 
+    /// Corner positions of every triangle.
+    pub(crate) fn corners(&self) -> impl Iterator<Item = [glam::DVec3; 3]> + Clone {
+        self.triangles.iter().map(|triangle| triangle.map(|i| self.positions[i as usize].as_dvec3()))
+    }
+}
+
+#[cfg(test)]
+impl Geometry {
     /// Volume inside, by the divergence theorem: positive where triangles wind counter-clockwise seen from outside.
     pub(crate) fn volume(&self) -> f64 {
         self.corners().map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
-    }
-
-    /// Corner positions of every triangle.
-    pub(crate) fn corners(&self) -> impl Iterator<Item = [glam::DVec3; 3]> {
-        self.triangles.iter().map(|triangle| triangle.map(|i| self.positions[i as usize].as_dvec3()))
     }
 
     /// Fails where lists differ in length, indices point nowhere, or normals are not unit vectors on the outer side.

@@ -9,14 +9,25 @@
 //! [`scene_from_package`]. What is read of USD is in `docs/USD.md`.
 
 mod child;
+mod curves;
 mod error;
 mod geometry;
+mod implicit;
+mod lights;
+mod material;
 mod mesh;
 mod package;
+mod picture;
 mod polygons;
+mod preview;
 mod python;
+mod refine;
 mod scene;
 mod setup;
+mod shapes;
+mod subdivide;
+mod texture;
+mod uber;
 
 use std::path::{Path, PathBuf};
 

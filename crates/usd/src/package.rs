@@ -123,18 +123,24 @@ impl TimeRange {
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub(crate) enum Shape {
     Mesh(MeshEntry),
+    Solid(SolidEntry),
+    Curves(CurvesEntry),
+    Points(PointsEntry),
 }
 
 impl Shape {
     pub(crate) fn place(&self) -> &str {
         match self {
             Self::Mesh(mesh) => &mesh.place,
+            Self::Solid(solid) => &solid.place,
+            Self::Curves(curves) => &curves.place,
+            Self::Points(points) => &points.place,
         }
     }
 }
 
 /// `UsdGeomMesh`.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 pub(crate) struct MeshEntry {
     pub(crate) place: String,
     pub(crate) points: Option<Array>,
@@ -153,6 +159,9 @@ pub(crate) struct MeshEntry {
     pub(crate) primvars: Vec<Primvar>,
     #[serde(default)]
     pub(crate) subsets: Vec<Subset>,
+    /// What it shines with, if it is a light.
+    #[serde(default)]
+    pub(crate) light: Option<serde_json::Value>,
     /// Absent where the mesh is what it is: polygons.
     #[serde(default)]
     pub(crate) subdivision: Option<Subdivision>,
@@ -179,6 +188,67 @@ pub(crate) struct Subset {
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Subdivision {
     pub(crate) scheme: String,
+    #[serde(default)]
+    pub(crate) interpolate_boundary: String,
+    #[serde(default)]
+    pub(crate) face_varying: String,
+    #[serde(default)]
+    pub(crate) triangle_rule: String,
+    #[serde(default)]
+    pub(crate) crease_indices: Option<Array>,
+    #[serde(default)]
+    pub(crate) crease_lengths: Option<Array>,
+    #[serde(default)]
+    pub(crate) crease_sharpnesses: Option<Array>,
+    #[serde(default)]
+    pub(crate) corner_indices: Option<Array>,
+    #[serde(default)]
+    pub(crate) corner_sharpnesses: Option<Array>,
+}
+
+/// An implicit shape.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct SolidEntry {
+    pub(crate) place: String,
+    /// `sphere`, `cube`, `cylinder`, `cone`, `capsule`, `plane`.
+    pub(crate) solid: String,
+    /// In the order of the schema's attributes; two radii come first.
+    pub(crate) sizes: Vec<f32>,
+    /// `x`, `y` or `z`.
+    #[serde(default)]
+    pub(crate) axis: String,
+    #[serde(default)]
+    pub(crate) primvars: Vec<Primvar>,
+}
+
+/// `UsdGeomBasisCurves`.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct CurvesEntry {
+    pub(crate) place: String,
+    pub(crate) points: Option<Array>,
+    pub(crate) counts: Option<Array>,
+    pub(crate) curve_type: String,
+    pub(crate) curve_basis: String,
+    pub(crate) curve_wrap: String,
+    pub(crate) widths: Option<Array>,
+    #[serde(default)]
+    pub(crate) widths_interpolation: String,
+    #[serde(default)]
+    pub(crate) normals: Option<Array>,
+    #[serde(default)]
+    pub(crate) normals_interpolation: String,
+    #[serde(default)]
+    pub(crate) primvars: Vec<Primvar>,
+}
+
+/// `UsdGeomPoints`.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct PointsEntry {
+    pub(crate) place: String,
+    pub(crate) points: Option<Array>,
+    pub(crate) widths: Option<Array>,
+    #[serde(default)]
+    pub(crate) primvars: Vec<Primvar>,
 }
 
 /// A shape's copies.

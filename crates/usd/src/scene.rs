@@ -13,9 +13,12 @@ use lumistack_scene::{AlphaMode, Camera, Instance, Material, Mesh, Projection, S
 use crate::UsdError;
 use crate::error::Fault;
 use crate::geometry::Geometry;
-use crate::mesh;
+use crate::lights::{self, Lights, Shining};
+use crate::material::{self, Loaded};
 use crate::package::{CameraEntry, Link, MeshEntry, Package, Placement, Shape};
 use crate::polygons::{self, Corner, Interpolation, Polygons, UvNames};
+use crate::texture::Textures;
+use crate::{mesh, refine, shapes};
 
 /// Copies of meshes that a scene may have: small files can ask for any number by nesting.
 const MOST_INSTANCES: usize = 1 << 26;
@@ -67,11 +70,14 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
         one_sided: HashMap::new(),
         shown: HashMap::new(),
     };
-    assembly.load_materials();
+    let mut textures = Textures::new(package, task);
+    assembly.load_materials(&mut textures)?;
     for placement in &header.instances {
         task.cancel.check()?;
         assembly.place(placement, &scene_from_stage)?;
     }
+    assembly.light(&mut textures, &scene_from_stage);
+    (assembly.parts.images, assembly.parts.textures) = (textures.images, textures.textures);
     for entry in &header.cameras {
         if entry.aperture_offset != [0.0, 0.0] {
             task.warn(&entry.place, "the camera's aperture is off its axis; it is taken on it");
@@ -106,8 +112,8 @@ struct Assembly<'a> {
     package: &'a Package<'a>,
     task: Task<'a>,
     parts: SceneParts,
-    /// By number in the package.
-    materials: Vec<Bound>,
+    /// By number in the package; `None` where no shader is known, and display colours are used.
+    materials: Vec<Option<Bound>>,
     /// Materials of display colours, by the bits of the colour and whether it lets light through.
     plain: HashMap<([u32; 4], bool), usize>,
     /// Copies of materials for surfaces of which only the front is seen.
@@ -116,17 +122,71 @@ struct Assembly<'a> {
     shown: HashMap<(usize, Vec<Option<usize>>), Vec<usize>>,
 }
 
-impl Assembly<'_> {
-    fn load_materials(&mut self) {
+impl<'a> Assembly<'a> {
+    fn load_materials(&mut self, textures: &mut Textures<'a>) -> Result<(), Fault> {
         for entry in &self.package.header.materials {
-            let name = entry.get("name").and_then(|name| name.as_str()).unwrap_or_default().to_owned();
-            self.materials.push(Bound {
-                material: self.parts.materials.len(),
-                uv_names: [Some("st".into()), None],
-                reads_colors: false,
-            });
-            self.parts.materials.push(Material { name, ..plain(Vec4::new(GREY, GREY, GREY, 1.0), false) });
+            self.task.cancel.check()?;
+            let loaded = material::load(entry, textures, self.task);
+            self.materials.push(loaded.map(|Loaded { material, uv_names, reads_colors }| {
+                self.parts.materials.push(material);
+                Bound { material: self.parts.materials.len() - 1, uv_names, reads_colors }
+            }));
         }
+        Ok(())
+    }
+
+    /// Adds the lights: surfaces that shine, points, the environment.
+    fn light(&mut self, textures: &mut Textures<'_>, scene_from_stage: &DAffine3) {
+        let mut lights = Lights::default();
+        for entry in &self.package.header.lights {
+            lights.add(entry, scene_from_stage, textures, self.task);
+        }
+        for Shining { place, geometry, material, scene_from_mesh } in lights.surfaces {
+            self.parts.materials.push(material);
+            let mesh = self.mesh(place, geometry, self.parts.materials.len() - 1);
+            self.parts.meshes.push(mesh);
+            self.parts.instances.push(Instance { mesh: self.parts.meshes.len() - 1, scene_from_mesh });
+        }
+        self.parts.lights = lights.points;
+        self.parts.environment = lights.environment;
+    }
+
+    fn mesh(&self, place: String, geometry: Geometry, material: usize) -> Mesh {
+        let Geometry { positions, normals, uvs, colors, triangles, .. } = geometry;
+        Mesh { place, positions, normals, tangents: Vec::new(), uvs, colors, triangles, material }
+    }
+
+    /// Meshes of shapes other than polygons, which have one material.
+    fn other(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
+        let bound = materials.first().copied().flatten().and_then(|index| self.materials[index].as_ref());
+        let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
+        let bound = bound.map(|bound| (bound.material, bound.reads_colors));
+        let (mut geometry, primvars) = match shape {
+            Shape::Mesh(_) => return Ok(Vec::new()),
+            Shape::Solid(entry) => (shapes::solid(entry)?, &entry.primvars),
+            Shape::Curves(entry) => {
+                let names = uv_names.each_ref().map(|name| name.as_deref());
+                (shapes::curves(self.package, entry, names, self.task)?, &entry.primvars)
+            }
+            Shape::Points(entry) => (shapes::balls(self.package, entry, self.task)?, &entry.primvars),
+        };
+        let (material, colors) = match bound {
+            Some(bound) => bound,
+            None if geometry.colors.is_empty() => {
+                // the display colour of the whole, if there is one
+                let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
+                let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
+                self.plain(&polygons::read(self.package, &whole, [None, None], &mut |_| {})?)
+            }
+            None => {
+                self.parts.materials.push(plain(Vec4::ONE, false));
+                (self.parts.materials.len() - 1, true)
+            }
+        };
+        if !colors {
+            geometry.colors.clear();
+        }
+        Ok(vec![self.mesh(shape.place().to_owned(), geometry, material)])
     }
 
     /// Makes the meshes of a placement where they are new, and an instance of each for every copy.
@@ -196,7 +256,15 @@ impl Assembly<'_> {
 
     /// The meshes of a shape: one for each material.
     fn meshes(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
-        let Shape::Mesh(entry) = shape;
+        let Shape::Mesh(entry) = shape else {
+            return match self.other(shape, materials) {
+                Err(Fault::Malformed { place, expected, found }) => {
+                    self.task.warn(place, format!("expected {expected}, found {found}; the shape is left out"));
+                    Ok(Vec::new())
+                }
+                other => other,
+            };
+        };
         if materials.len() != 1 + entry.subsets.len() {
             let expected = format!("{} materials, one and one for each subset", 1 + entry.subsets.len());
             return Err(Fault::new(&entry.place, expected, materials.len()));
@@ -225,14 +293,26 @@ impl Assembly<'_> {
         let mut made: Vec<([Option<String>; 2], Polygons, Geometry)> = Vec::new();
         let mut meshes = Vec::new();
         for slot in used {
-            let bound = materials[slot].map(|material| &self.materials[material]);
+            let bound = materials[slot].and_then(|material| self.materials[material].as_ref());
             let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
             if !made.iter().any(|(names, ..)| *names == uv_names) {
                 let names: UvNames<'_> = uv_names.each_ref().map(|name| name.as_deref());
                 let task = self.task;
                 let mut warn = |message: String| task.warn(&entry.place, message);
-                let polygons = smoothed(entry, polygons::read(self.package, entry, names, &mut warn)?);
-                let geometry = mesh::triangulate(&polygons);
+                let polygons = polygons::read(self.package, entry, names, &mut warn)?;
+                // of bilinear surfaces, the polygons are the surface
+                let smooth = entry.subdivision.as_ref().filter(|subdivision| subdivision.scheme != "bilinear");
+                let (polygons, parents) = match smooth {
+                    Some(subdivision) => {
+                        let (refined, parents) = refine::refined(self.package, entry, subdivision, polygons, task);
+                        (refined, Some(parents))
+                    }
+                    None => (polygons, None),
+                };
+                let mut geometry = mesh::triangulate(&polygons);
+                if let Some(parents) = parents {
+                    geometry.face_of_triangle.iter_mut().for_each(|face| *face = parents[*face as usize]);
+                }
                 made.push((uv_names.clone(), polygons, geometry));
             }
             let position = made.iter().position(|(names, ..)| *names == uv_names).unwrap_or_default();
@@ -249,10 +329,14 @@ impl Assembly<'_> {
             if !colors {
                 geometry.colors.clear();
             }
-            let Geometry { positions, normals, uvs, colors, triangles, .. } = geometry;
-            let place = entry.place.clone();
-            let tangents = Vec::new();
-            meshes.push(Mesh { place, positions, normals, tangents, uvs, colors, triangles, material });
+            let mut material = material;
+            if let Some(light) = &entry.light
+                && let Some(glowing) = lights::glowing(light, &self.parts.materials[material], geometry.area() as f32)
+            {
+                self.parts.materials.push(glowing);
+                material = self.parts.materials.len() - 1;
+            }
+            meshes.push(self.mesh(entry.place.clone(), geometry, material));
         }
         Ok(meshes)
     }
@@ -323,14 +407,6 @@ fn plain(base_color: Vec4, blends: bool) -> Material {
         double_sided: true,
         ..Material::default()
     }
-}
-
-/// Normals where the file leaves them to the surface: a subdivision surface is smooth.
-fn smoothed(entry: &MeshEntry, mut polygons: Polygons) -> Polygons {
-    if entry.subdivision.as_ref().is_some_and(|subdivision| subdivision.scheme != "bilinear") {
-        polygons.normals = Some(mesh::smooth_normals(&polygons));
-    }
-    polygons
 }
 
 /// The triangles of some faces, with the vertices that they use.

@@ -107,7 +107,17 @@ fn numbers_that_lie_do_no_harm() {
     pointers(&header, String::new(), &mut places);
     assert!(places.len() > 100);
     for place in &places {
-        for lie in [json!(-1), json!(0), json!(7), json!(u64::MAX), json!(1e300), json!(null), json!("text"), json!([]), json!([1e9, 1e9])] {
+        for lie in [
+            json!(-1),
+            json!(0),
+            json!(7),
+            json!(u64::MAX),
+            json!(1e300),
+            json!(null),
+            json!("text"),
+            json!([]),
+            json!([1e9, 1e9]),
+        ] {
             let mut changed = header.clone();
             *changed.pointer_mut(place).unwrap() = lie;
             // a scene or an error; a panic would fail the test
@@ -118,7 +128,9 @@ fn numbers_that_lie_do_no_harm() {
 
 fn pointers(value: &Value, place: String, places: &mut Vec<String>) {
     match value {
-        Value::Object(fields) => fields.iter().for_each(|(key, inner)| pointers(inner, format!("{place}/{key}"), places)),
+        Value::Object(fields) => {
+            fields.iter().for_each(|(key, inner)| pointers(inner, format!("{place}/{key}"), places))
+        }
         Value::Array(items) => {
             items.iter().enumerate().for_each(|(i, inner)| pointers(inner, format!("{place}/{i}"), places));
         }
