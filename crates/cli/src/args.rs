@@ -58,10 +58,31 @@ pub(crate) enum Command {
     Plugins,
     /// The displays that come with the program
     Displays,
+    /// Installs what some files need and the program does not bring along
+    Setup {
+        #[command(subcommand)]
+        what: Setup,
+    },
     /// Shell completions on standard output
     Completions {
         /// The shell
         shell: clap_complete::Shell,
+    },
+}
+
+/// What can be set up.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Setup {
+    /// A Python environment with OpenUSD among your data, by which USD files are read
+    ///
+    /// It is not needed where the active virtual environment, the Python in LUMISTACK_PYTHON or the one on PATH has the package usd-core.
+    Usd {
+        /// Install usd-exchange, whose OpenUSD also reads MaterialX files (.mtlx), instead of usd-core
+        #[arg(long)]
+        materialx: bool,
+        /// The Python to make it from [default: python3 on PATH]
+        #[arg(long, value_name = "PROGRAM")]
+        python: Option<PathBuf>,
     },
 }
 

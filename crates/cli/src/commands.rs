@@ -6,13 +6,14 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, FitDepth, Job, PipelineError, Registry, RunFolder, SequenceJob, Tone, Viewpoint, plugins, presets,
-    is_usd, render_only, run as run_job, set_threads, simulate_to_file,
+    DisplayJob, FitDepth, Job, PipelineError, Registry, RunFolder, SequenceJob, Tone, Viewpoint, is_usd, plugins,
+    presets, render_only, run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
 use crate::args::{
-    Args, Command, DisplayArgs, Factorize, FactorizeArgs, GeometryArgs, Render, RenderArgs, Run, SequenceArgs, Simulate,
+    Args, Command, DisplayArgs, Factorize, FactorizeArgs, GeometryArgs, Render, RenderArgs, Run, SequenceArgs, Setup,
+    Simulate,
 };
 use crate::console::{Console, say};
 use crate::info;
@@ -50,6 +51,14 @@ pub(crate) fn run(args: Args, cancel: &Cancel) -> Result<(), PipelineError> {
             Ok(())
         }
         Command::Displays => info::print_displays(args.json),
+        Command::Setup { what: Setup::Usd { materialx, python } } => {
+            let setup = lumistack_usd::Setup { python, materialx, folder: None };
+            let mut tell = |line: &str| match args.json {
+                true => say!("{}", json!({"event": "setup", "message": line})),
+                false => say!("{line}"),
+            };
+            setup.run(&mut tell, cancel).map(|_| ()).map_err(PipelineError::from)
+        }
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut Args::command(), "lumistack", &mut std::io::stdout());
             Ok(())

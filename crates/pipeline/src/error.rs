@@ -173,10 +173,12 @@ pub(crate) fn host_error(error: HostError) -> PipelineError {
     }
 }
 
-pub(crate) fn usd_error(error: UsdError) -> PipelineError {
-    match error {
-        UsdError::Cancelled(_) => PipelineError::Cancelled,
-        other => PipelineError::Usd(other),
+impl From<UsdError> for PipelineError {
+    fn from(error: UsdError) -> Self {
+        match error {
+            UsdError::Cancelled(_) => Self::Cancelled,
+            other => Self::Usd(other),
+        }
     }
 }
 

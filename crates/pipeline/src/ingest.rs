@@ -12,7 +12,7 @@ use lumistack_plugin_host::{Origin, PluginError, PluginKind, Registry};
 use lumistack_scene::{Camera, Scene, Similarity, Window};
 
 use crate::cache::{KeyBuilder, remembered};
-use crate::error::{PipelineError, host_error, read, usd_error};
+use crate::error::{PipelineError, host_error, read};
 use crate::file_params;
 use crate::job::{ImporterJob, LightJob, PoseJob, WindowFrom, WindowJob};
 use crate::light;
@@ -83,7 +83,7 @@ pub fn scene_contents(
 ) -> Result<SceneContents, PipelineError> {
     let reader = reader_of(path, importer, registry)?;
     if reader == Reader::Usd {
-        return Ok(SceneContents::Usd(lumistack_usd::contents(path, task).map_err(usd_error)?));
+        return Ok(SceneContents::Usd(lumistack_usd::contents(path, task)?));
     }
     let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
     let bytes = gltf_bytes(path, &reader, importer, registry, &resolver, task)?;
@@ -207,7 +207,7 @@ fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, Pipelin
         return Err(PipelineError::value(path, "pose.variant", expected, variant));
     }
     let options = lumistack_usd::LoadOptions { time_s, variants };
-    let loaded = lumistack_usd::load(path, &options, task).map_err(usd_error)?;
+    let loaded = lumistack_usd::load(path, &options, task)?;
     let mut files = Vec::new();
     for file in loaded.files {
         let content = hash(&read(&file)?);

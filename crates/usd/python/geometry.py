@@ -14,8 +14,9 @@ def value(attribute, time, writer):
     return None if array is None else writer.array(array)
 
 
-def mesh(prim, writer, time, points=None, normals=None):
-    """A `UsdGeomMesh`; `points` and `normals` replace those of the file (skinning)."""
+def mesh(prim, writer, time, pose=None):
+    """A `UsdGeomMesh`; a pose is points and normals in place of those of the file."""
+    points, normals = pose or (None, None)
     source = UsdGeom.Mesh(prim)
     entry = {
         "kind": "mesh",
@@ -24,6 +25,7 @@ def mesh(prim, writer, time, points=None, normals=None):
         "counts": value(source.GetFaceVertexCountsAttr(), time, writer),
         "indices": value(source.GetFaceVertexIndicesAttr(), time, writer),
         "left_handed": source.GetOrientationAttr().Get(time) == "leftHanded",
+        "one_sided": one_sided(source, time),
         "holes": value(source.GetHoleIndicesAttr(), time, writer),
         "primvars": primvars(prim, writer, time),
         "subsets": [],
@@ -41,15 +43,23 @@ def mesh(prim, writer, time, points=None, normals=None):
             "corner_indices": value(source.GetCornerIndicesAttr(), time, writer),
             "corner_sharpnesses": value(source.GetCornerSharpnessesAttr(), time, writer),
         }
-    if normals is not None:
+    if pose:
+        # those of the rest shape are wrong by now
         entry["primvars"] = [primvar for primvar in entry["primvars"] if primvar["name"] != "normals"]
-        entry["primvars"].append(normals)
+        if normals:
+            entry["primvars"].append({"name": "normals", "interpolation": normals[0], "values": writer.array(normals[1])})
     elif not any(primvar["name"] == "normals" for primvar in entry["primvars"]):
         array = value(source.GetNormalsAttr(), time, writer)
         if array is not None:
             interpolation = str(source.GetNormalsInterpolation())
             entry["primvars"].append({"name": "normals", "interpolation": interpolation, "values": array})
     return entry
+
+
+def one_sided(gprim, time):
+    """Whether the file says that only the front is seen. Where it says nothing both sides are, as USD's renderers show them."""
+    attribute = gprim.GetDoubleSidedAttr()
+    return attribute.HasAuthoredValue() and not attribute.Get(time)
 
 
 def primvars(prim, writer, time):

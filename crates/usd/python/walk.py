@@ -7,9 +7,10 @@ the links from left to right (`p' = p · M`, USD's row vectors). A link is one m
 import array
 import os
 
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from lumistack_usd import geometry, lights, materials, mtlx, shapes
+from lumistack_usd.skel import Skeletons, source
 from lumistack_usd.writer import Refused, Writer
 
 IDENTITY = Gf.Matrix4d(1)
@@ -44,8 +45,7 @@ def walk_stage(stage, request):
     writer = Writer()
     choose_variants(stage, request.get("variants") or [], writer)
     time = time_code(stage, request.get("time_s"))
-    for error in stage.GetCompositionErrors():
-        writer.warn(str(getattr(error, "rootSite", "") or "composition"), advised(str(error)))
+    warn_of_composition(stage, writer)
     writer.header.update(
         name=stage.GetRootLayer().GetDisplayName(),
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
@@ -59,10 +59,22 @@ def walk_stage(stage, request):
     return writer
 
 
-def advised(message):
-    if ".mtlx" in message and "Could not open" in message and not Sdf.FileFormat.FindByExtension("mtlx"):
-        message += " This OpenUSD has no MaterialX plugin; the package usd-exchange has: `lumistack setup usd --materialx`."
-    return message
+def warn_of_composition(stage, writer):
+    """What OpenUSD could not put together: the scene is shown without it, as every USD program does."""
+    without_materialx = 0
+    for error in stage.GetCompositionErrors():
+        message = str(error)
+        if ".mtlx" in message and "Could not open" in message and not Sdf.FileFormat.FindByExtension("mtlx"):
+            without_materialx += 1
+            continue
+        site = getattr(error, "rootSite", None)
+        writer.warn(site.path if site else "/", message)
+    if without_materialx:
+        writer.warn(
+            "/",
+            "%d references to MaterialX files (.mtlx) are left out, since this OpenUSD has no MaterialX plugin. The Python package usd-exchange"
+            " has one: `lumistack setup usd --materialx`, or `pip install usd-exchange` in place of usd-core" % without_materialx,
+        )
 
 
 def time_code(stage, time_s):
@@ -149,6 +161,7 @@ class Walker:
         self.frames = {}
         self.open_frames = []
         self.materials = {}
+        self.skeletons = Skeletons(time)
 
     def run(self):
         placed = self.frame(self.stage.GetPseudoRoot(), ANYWHERE, children_only=True)
@@ -207,6 +220,8 @@ class Walker:
                 continue
             purpose = imageable.ComputePurposeInfo(parent) if parent is not None else imageable.ComputePurposeInfo()
             matrix = self.matrix(prim, above)
+            if prim.IsA(UsdSkel.Root):
+                self.skeletons.add(prim)
             if prim.IsInstance():
                 for kind, payload, links in self.prototype(prim, purpose):
                     placed.append((kind, payload, extended(links, matrix)))
@@ -245,11 +260,12 @@ class Walker:
 
     def geometry(self, prim):
         """Index and material subsets of a shape; shapes in prototypes are read once."""
-        source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
-        key = (source.GetPath(), self.inherited_primvars(prim))
+        key = (source(prim).GetPath(), self.inherited_primvars(prim), self.skeletons.key(prim))
         if key not in self.geometries:
-            mesh = prim.IsA(UsdGeom.Mesh)
-            entry = (geometry.mesh if mesh else shapes.shape)(prim, self.writer, self.time)
+            if prim.IsA(UsdGeom.Mesh):
+                entry = geometry.mesh(prim, self.writer, self.time, self.skeletons.pose(prim))
+            else:
+                entry = shapes.shape(prim, self.writer, self.time)
             entry["light"] = lights.mesh_light(prim, self.writer, self.time)
             subsets = UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets()
             for subset in subsets:
@@ -284,7 +300,7 @@ class Walker:
         if material is None:
             return None
         prim = material.GetPrim()
-        key = (prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath()
+        key = source(prim).GetPath()
         if key not in self.materials:
             self.materials[key] = len(self.writer.materials)
             self.writer.materials.append(materials.material(prim, self.writer, self.time))
@@ -302,7 +318,9 @@ class Walker:
             purpose.purpose,
             purpose.isInheritable,
             self.inherited_primvars(prim.GetFilteredChildren(ANYWHERE)[0]) if prim.GetFilteredChildren(ANYWHERE) else (),
-            prim.GetPath() if self.has_collection_bindings(prim) else None,
+            prim.GetPath() if self.is_unlike_others(prim) else None,
+            UsdSkel.BindingAPI(prim).GetInheritedAnimationSource().GetPath(),
+            UsdSkel.BindingAPI(prim).GetInheritedSkeleton().GetPath(),
         )
         if key not in self.frames:
             self.open_frames.append(key)
@@ -312,10 +330,10 @@ class Walker:
             self.open_frames.pop()
         return self.frames[key]
 
-    def has_collection_bindings(self, prim):
-        """Whether prims are bound to materials by lists of paths above, so that two instances may differ inside."""
+    def is_unlike_others(self, prim):
+        """Whether two instances of a prototype may differ inside: materials bound by lists of paths above, a skeleton outside."""
         while prim and not prim.IsPseudoRoot():
-            if any("material:binding:collection" in name for name in prim.GetPropertyNames()):
+            if prim.IsA(UsdSkel.Root) or any("material:binding:collection" in name for name in prim.GetPropertyNames()):
                 return True
             prim = prim.GetParent()
         return False

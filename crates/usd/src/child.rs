@@ -19,13 +19,14 @@ use crate::package::Package;
 use crate::python::{Candidate, Surroundings};
 
 /// The walker's modules; a later one may import those before it.
-pub const MODULES: [(&str, &str); 7] = [
+pub const MODULES: [(&str, &str); 8] = [
     ("writer", include_str!("../python/writer.py")),
     ("geometry", include_str!("../python/geometry.py")),
     ("materials", include_str!("../python/materials.py")),
     ("lights", include_str!("../python/lights.py")),
     ("shapes", include_str!("../python/shapes.py")),
     ("mtlx", include_str!("../python/mtlx.py")),
+    ("skel", include_str!("../python/skel.py")),
     ("walk", include_str!("../python/walk.py")),
 ];
 /// What starts them in a child.
@@ -117,7 +118,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
         let _ = serde_json::to_writer(&mut input, &WithModules { modules: &MODULES, request });
         let _ = input.flush();
     }
-    let status = wait(&mut child, cancel).map_err(|error| Failed::Final(error.into()))?;
+    let status = wait(&mut child, cancel, &mut || ()).map_err(|error| Failed::Final(error.into()))?;
     let said = said.join().unwrap_or_default();
     let failed = |found| Failed::Final(UsdError::Child { file: request.path.into(), python: python.clone(), found });
     let answer = Answer { file: map(&file).map_err(io)?, python: python.clone() };
@@ -143,8 +144,8 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     Ok(answer)
 }
 
-/// Waits for the end of a child, or ends it.
-fn wait(child: &mut Child, cancel: &Cancel) -> Result<ExitStatus, Cancelled> {
+/// Waits for the end of a child, or ends it; calls `meanwhile` now and then.
+pub(crate) fn wait(child: &mut Child, cancel: &Cancel, meanwhile: &mut dyn FnMut()) -> Result<ExitStatus, Cancelled> {
     loop {
         if let Ok(Some(status)) = child.try_wait() {
             return Ok(status);
@@ -155,12 +156,13 @@ fn wait(child: &mut Child, cancel: &Cancel) -> Result<ExitStatus, Cancelled> {
             let _ = child.wait();
             return Err(Cancelled);
         }
+        meanwhile();
         std::thread::sleep(POLL);
     }
 }
 
 /// Reads a stream to its end in a thread of its own, and keeps the last of it.
-fn read_end(stream: Option<impl Read + Send + 'static>) -> JoinHandle<String> {
+pub(crate) fn read_end(stream: Option<impl Read + Send + 'static>) -> JoinHandle<String> {
     std::thread::spawn(move || {
         let mut kept = Vec::new();
         let mut chunk = [0; 4096];
@@ -191,7 +193,129 @@ fn ended(status: ExitStatus, said: &str) -> String {
     format!("its end with {status}{}", last_line(said))
 }
 
+/// The last lines of standard error, or of what was printed where that is silent.
+pub(crate) fn last_lines(said: &str, printed: &str) -> String {
+    let text = if said.trim().is_empty() { printed } else { said };
+    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    lines[lines.len().saturating_sub(4)..].join(" ")
+}
+
 fn last_line(said: &str) -> String {
     let line = said.lines().rfind(|line| !line.trim().is_empty());
     line.map_or_else(String::new, |line| format!("; the last it said: {}", line.trim()))
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+    use std::path::PathBuf;
+    use std::time::Instant;
+
+    use super::*;
+
+    const REQUEST: Request<'static> = Request { path: "scene.usda", time_s: None, variants: &[], contents_only: false };
+
+    /// A program that stands in for Python.
+    fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
+        let program = folder.join(name);
+        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+        Candidate { program, from: "PATH", given: false }
+    }
+
+    fn error(candidates: &[Candidate]) -> String {
+        ask_one_of(candidates, &REQUEST, &Cancel::default()).err().expect("no scene comes of it").to_string()
+    }
+
+    #[test]
+    fn every_python_that_does_not_do_is_named_with_its_reason() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing =
+            Candidate { program: PathBuf::from("/no/such/python"), from: "lumistack setup usd", given: false };
+        let shim = fake(folder.path(), "shim", "echo 'pyenv: python3: command not found' >&2; exit 127");
+        let header = r#"{"schema": "lumistack.scene-package", "version": 1, "error": {"kind": "pxr", "message": "Python 3.9.1 without OpenUSD"}}"#;
+        let length = format!("\\{:03o}\\0\\0\\0\\0\\0\\0\\0", header.len());
+        let bare = fake(folder.path(), "bare", &format!("cat >/dev/null; printf 'LUMIPKG1{length}%s' '{header}'"));
+        let text = error(&[missing.clone(), shim, bare]);
+        assert!(text.starts_with("scene.usda: USD files are read by the Python package usd-core"), "{text}");
+        for part in [
+            "`lumistack setup usd`",
+            "/no/such/python from lumistack setup usd: cannot be started",
+            "shim from PATH: its end with exit status: 127; the last it said: pyenv: python3: command not found",
+            "bare from PATH: Python 3.9.1 without OpenUSD",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        let text = error(&[Candidate { given: true, ..missing }]);
+        assert!(
+            text.starts_with("LUMISTACK_PYTHON: expected a Python with the package usd-core, found /no/such/python"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn a_child_that_breaks_down_is_one_message() {
+        let folder = tempfile::tempdir().unwrap();
+        let sound = fake(folder.path(), "sound", "exit 9");
+        for (name, script, expected) in [
+            (
+                "crash",
+                "cat >/dev/null; echo 'last words' >&2; kill -SEGV $$",
+                "its end by signal 11; the last it said: last words",
+            ),
+            ("chatter", "cat >/dev/null; echo 'Hello from a plugin'", "something else than a scene package"),
+            (
+                "cut",
+                "cat >/dev/null; printf 'LUMIPKG1\\100\\0\\0\\0\\0\\0\\0\\0{'",
+                "a scene package that ends too early",
+            ),
+            ("late", "cat >/dev/null; echo half; exit 3", "its end with exit status: 3"),
+            ("silent", "cat >/dev/null", "nothing"),
+        ] {
+            let text = error(&[fake(folder.path(), name, script), sound.clone()]);
+            let start = format!("scene.usda: expected a scene from {}, found ", folder.path().join(name).display());
+            assert!(text.starts_with(&start) && text.contains(expected), "{name}: {text}");
+        }
+    }
+
+    #[test]
+    fn a_cancelled_child_is_ended_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let pid = folder.path().join("pid");
+        let sleeper = fake(folder.path(), "sleeper", &format!("echo $$ > {}; exec sleep 100", pid.display()));
+        let cancel = Cancel::default();
+        let start = Instant::now();
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while std::fs::read_to_string(&pid).is_ok_and(|pid| !pid.is_empty()) || start.elapsed().as_secs() < 1 {
+                    if start.elapsed().as_millis() > 300 {
+                        break;
+                    }
+                    std::thread::sleep(POLL);
+                }
+                cancel.cancel();
+            });
+            assert!(matches!(ask_one_of(&[sleeper], &REQUEST, &cancel), Err(UsdError::Cancelled(_))));
+        });
+        assert!(start.elapsed().as_secs() < 20);
+        let pid = std::fs::read_to_string(&pid).unwrap();
+        // signal 0 asks whether a process is there
+        let alive = Command::new("kill").args(["-0", pid.trim()]).stderr(Stdio::null()).status().unwrap();
+        assert!(!alive.success(), "process {pid} is still there");
+    }
+
+    /// The first lines of the child say what is missing in a Python without OpenUSD.
+    #[test]
+    fn a_real_python_answers() {
+        let python = Candidate { program: "python3".into(), from: "PATH", given: false };
+        match ask_one_of(std::slice::from_ref(&python), &REQUEST, &Cancel::default()) {
+            Err(UsdError::NoPython { tried, .. }) => match tried[0].contains("cannot be started") {
+                true => eprintln!("skipped: no python3 on PATH"),
+                false => assert!(tried[0].contains("Python 3.") && tried[0].contains("OpenUSD"), "{tried:?}"),
+            },
+            Err(UsdError::Refused { message, .. }) => assert!(message.contains("scene.usda"), "{message}"),
+            Err(other) => panic!("{other}"),
+            Ok(_) => panic!("there is no such file"),
+        }
+    }
 }

@@ -23,6 +23,7 @@ mod preview;
 mod python;
 mod refine;
 mod scene;
+mod setup;
 mod shapes;
 mod subdivide;
 mod texture;
@@ -37,6 +38,7 @@ pub use child::MODULES;
 pub use error::UsdError;
 pub use package::{Array, Contents, Failure, Header, Note, Package, TimeRange, VariantSet};
 pub use scene::scene_from_package;
+pub use setup::Setup;
 
 /// Extensions of USD files.
 pub const EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];

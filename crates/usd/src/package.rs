@@ -150,6 +150,9 @@ pub(crate) struct MeshEntry {
     pub(crate) indices: Option<Array>,
     #[serde(default)]
     pub(crate) left_handed: bool,
+    /// Whether the file says that only the front is seen.
+    #[serde(default)]
+    pub(crate) one_sided: bool,
     /// Faces that are not there.
     pub(crate) holes: Option<Array>,
     #[serde(default)]

@@ -63,6 +63,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
         parts: SceneParts { name: name.to_owned(), ..SceneParts::default() },
         materials: Vec::new(),
         plain: HashMap::new(),
+        one_sided: HashMap::new(),
         shown: HashMap::new(),
     };
     let mut textures = Textures::new(package, task);
@@ -74,6 +75,9 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     assembly.light(&mut textures, &scene_from_stage);
     (assembly.parts.images, assembly.parts.textures) = (textures.images, textures.textures);
     for entry in &header.cameras {
+        if entry.aperture_offset != [0.0, 0.0] {
+            task.warn(&entry.place, "the camera's aperture is off its axis; it is taken on it");
+        }
         let camera = camera(entry, &header.cameras, &scene_from_stage);
         match camera {
             Ok(camera) => assembly.parts.cameras.push(camera),
@@ -108,6 +112,8 @@ struct Assembly<'a> {
     materials: Vec<Option<Bound>>,
     /// Materials of display colours, by the bits of the colour and whether it lets light through.
     plain: HashMap<([u32; 4], bool), usize>,
+    /// Copies of materials for surfaces of which only the front is seen.
+    one_sided: HashMap<usize, usize>,
     /// Meshes of a shape with these materials.
     shown: HashMap<(usize, Vec<Option<usize>>), Vec<usize>>,
 }
@@ -311,6 +317,7 @@ impl<'a> Assembly<'a> {
                 Some(bound) => (bound.material, bound.reads_colors),
                 None => self.plain(polygons),
             };
+            let material = if entry.one_sided { self.one_sided(material) } else { material };
             let mut geometry = match &slot_of_face {
                 None => geometry.clone(),
                 Some(slots) => part(geometry, |face| slots[face as usize] as usize == slot),
@@ -328,6 +335,15 @@ impl<'a> Assembly<'a> {
             meshes.push(self.mesh(entry.place.clone(), geometry, material));
         }
         Ok(meshes)
+    }
+
+    /// A material, seen from the front alone.
+    fn one_sided(&mut self, material: usize) -> usize {
+        let materials = &mut self.parts.materials;
+        *self.one_sided.entry(material).or_insert_with(|| {
+            materials.push(Material { double_sided: false, ..materials[material].clone() });
+            materials.len() - 1
+        })
     }
 
     /// For every face 0, or one more than the number of its subset; `None` without subsets. Of several subsets the first counts.
@@ -376,7 +392,7 @@ impl<'a> Assembly<'a> {
     }
 }
 
-/// A surface with the defaults of UsdPreviewSurface. Both sides are seen, as every USD renderer shows them unless it is told to cull.
+/// A surface with the defaults of UsdPreviewSurface.
 fn plain(base_color: Vec4, blends: bool) -> Material {
     Material {
         name: "displayColor".into(),
