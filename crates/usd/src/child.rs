@@ -24,9 +24,9 @@ pub const MODULES: [(&str, &str); 8] = [
     ("geometry", include_str!("../python/geometry.py")),
     ("materials", include_str!("../python/materials.py")),
     ("lights", include_str!("../python/lights.py")),
-    ("skel", include_str!("../python/skel.py")),
     ("shapes", include_str!("../python/shapes.py")),
     ("mtlx", include_str!("../python/mtlx.py")),
+    ("skel", include_str!("../python/skel.py")),
     ("walk", include_str!("../python/walk.py")),
 ];
 /// What starts them in a child.
