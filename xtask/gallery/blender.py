@@ -62,12 +62,15 @@ def render(ours, folder, threads):
     if not ours["animated"]:
         rest()
     start = time.monotonic()
-    bpy.ops.import_scene.gltf(
-        filepath=ours["path"], export_import_convert_lighting_mode="COMPAT", disable_bone_shape=True
-    )
+    if os.path.splitext(ours["path"])[1].startswith(".usd"):
+        bpy.ops.wm.usd_import(filepath=ours["path"], import_proxy=False, import_guide=False, apply_unit_conversion_scale=False)
+    else:
+        bpy.ops.import_scene.gltf(
+            filepath=ours["path"], export_import_convert_lighting_mode="COMPAT", disable_bone_shape=True
+        )
+        default_material()
+        absorption()
     imported = time.monotonic() - start
-    default_material()
-    absorption()
     scene = bpy.context.scene
     camera(scene, ours)
     world(scene, ours, folder)

@@ -8,7 +8,7 @@ use crate::tools::{self, Outcome, cargo, command, output_of, run};
 pub const USAGE: &str = "\
 cargo xtask gallery [folder] [options]
 
-  Renders every .gltf and .glb below the folder (default: gltf in the folder that LUMISTACK_ASSETS names, or
+  Renders every glTF and USD file below the folder (default: gltf in the folder that LUMISTACK_ASSETS names, or
   ../shared/scenes/gltf) with our path tracer and with Blender's Cycles, and writes target/gallery/index.html. What is said there about each
   file stands in xtask/gallery/notes.toml. Blender's pictures are kept between runs while what it is asked stays the same.
 

@@ -58,10 +58,31 @@ pub(crate) enum Command {
     Plugins,
     /// The displays that come with the program
     Displays,
+    /// Installs what some files need and the program does not bring along
+    Setup {
+        #[command(subcommand)]
+        what: Setup,
+    },
     /// Shell completions on standard output
     Completions {
         /// The shell
         shell: clap_complete::Shell,
+    },
+}
+
+/// What can be set up.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Setup {
+    /// A Python environment with OpenUSD among your data, by which USD files are read
+    ///
+    /// It is not needed where the active virtual environment, the Python in LUMISTACK_PYTHON or the one on PATH has the package usd-core.
+    Usd {
+        /// Install usd-exchange, whose OpenUSD also reads MaterialX files (.mtlx), instead of usd-core
+        #[arg(long)]
+        materialx: bool,
+        /// The Python to make it from [default: python3 on PATH]
+        #[arg(long, value_name = "PROGRAM")]
+        python: Option<PathBuf>,
     },
 }
 
@@ -99,15 +120,16 @@ pub(crate) struct RenderArgs {
     /// Name or number of the camera whose plane of focus the display takes
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
-    /// Time at which the scene's animations are sampled, seconds; without it the scene as its nodes stand
+    /// Time at which the scene's animations are sampled, seconds; without it the scene as its nodes stand, in USD the first time code
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
     /// Name or number of the animation; default: all that do not conflict, otherwise the first
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
-    /// Name or number of the material variant
-    #[arg(long, value_name = "NAME|N")]
-    pub(crate) variant: Option<String>,
+    /// glTF: name or number of the material variant. USD: SET=VARIANT on every prim that has them, /PRIM{SET=VARIANT} on one; may be given
+    /// several times
+    #[arg(long, value_name = "NAME|N|SET=VARIANT")]
+    pub(crate) variant: Vec<String>,
     /// Environment map (Radiance HDR or EXR) instead of the scene's
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
@@ -175,7 +197,7 @@ pub(crate) struct SequenceArgs {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Run {
-    /// Job file (.toml) or scene (.gltf, .glb, and what importer plugins take)
+    /// Job file (.toml) or scene (.gltf, .glb, USD, and what importer plugins take)
     pub(crate) input: PathBuf,
     /// Folder for the results [default: runs/NAME]
     #[arg(short, long, value_name = "DIR")]
@@ -192,7 +214,7 @@ pub(crate) struct Run {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Render {
-    /// Scene (.gltf, .glb, and what importer plugins take) or job file (.toml)
+    /// Scene (.gltf, .glb, USD, and what importer plugins take) or job file (.toml)
     pub(crate) scene: PathBuf,
     /// Folder for the views
     #[arg(short, long, value_name = "DIR")]

@@ -6,13 +6,14 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, FitDepth, Job, PipelineError, Registry, RunFolder, SequenceJob, Tone, Viewpoint, plugins, presets,
-    render_only, run as run_job, set_threads, simulate_to_file,
+    DisplayJob, FitDepth, Job, PipelineError, Registry, RunFolder, SequenceJob, Tone, Viewpoint, is_usd, plugins,
+    presets, render_only, run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
 use crate::args::{
-    Args, Command, DisplayArgs, Factorize, FactorizeArgs, GeometryArgs, Render, RenderArgs, Run, SequenceArgs, Simulate,
+    Args, Command, DisplayArgs, Factorize, FactorizeArgs, GeometryArgs, Render, RenderArgs, Run, SequenceArgs, Setup,
+    Simulate,
 };
 use crate::console::{Console, say};
 use crate::info;
@@ -51,6 +52,14 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
             Ok(())
         }
         Command::Displays => info::print_displays(args.json),
+        Command::Setup { what: Setup::Usd { materialx, python } } => {
+            let setup = lumistack_usd::Setup { python, materialx, folder: None };
+            let mut tell = |line: &str| match args.json {
+                true => say!("{}", json!({"event": "setup", "message": line})),
+                false => say!("{line}"),
+            };
+            setup.run(&mut tell, cancel).map(|_| ()).map_err(PipelineError::from)
+        }
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut Args::command(), "lumistack", &mut std::io::stdout());
             Ok(())
@@ -221,10 +230,14 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
         job.light.environment = args.environment.clone();
     }
     job.pose.time_s = args.time_s.or(job.pose.time_s);
-    for (new, old) in [(&args.animation, &mut job.pose.animation), (&args.variant, &mut job.pose.variant)] {
-        if new.is_some() {
-            old.clone_from(new);
-        }
+    if args.animation.is_some() {
+        job.pose.animation.clone_from(&args.animation);
+    }
+    let is_usd = job.scene.as_deref().is_some_and(is_usd);
+    if is_usd && !args.variant.is_empty() {
+        job.pose.variants.clone_from(&args.variant);
+    } else if let Some(variant) = args.variant.last() {
+        job.pose.variant = Some(variant.clone());
     }
 }
 

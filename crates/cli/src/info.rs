@@ -5,9 +5,10 @@ use std::path::Path;
 use lumistack_core::Task;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
-    ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, describe_light_field, load_scene, outlook,
-    plugin_list, plugin_text, presets, scene_contents,
+    ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field, is_usd,
+    load_scene, outlook, plugin_list, plugin_text, presets, scene_contents,
 };
+use lumistack_usd::VariantSet;
 use serde_json::{Value, json};
 
 use crate::args::{DisplayArgs, GeometryArgs, Info, RenderArgs};
@@ -46,6 +47,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match extension.as_str() {
         "gltf" | "glb" => scene(path, registry, task),
+        _ if is_usd(path) => scene(path, registry, task),
         other if registry.importer_of(other).is_some() => scene(path, registry, task),
         "toml" => toml(path),
         _ if path.join("layers/stack.json").is_file() => run_folder(path),
@@ -64,7 +66,7 @@ fn scene(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipe
     let scene = load_scene(path, &PoseJob::default(), &ImporterJob::default(), registry, &light, task)?.scene;
     let bounds = scene.bounds();
     let texels: usize = scene.images.iter().map(|image| image.width * image.height).sum();
-    Ok(json!({ "scene": {
+    let mut value = json!({ "scene": {
         "file": path,
         "triangles": scene.triangle_count(),
         "meshes": scene.meshes.len(),
@@ -75,11 +77,43 @@ fn scene(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipe
         "emissive materials": scene.materials.iter().filter(|material| material.is_emissive()).count(),
         "environment": scene.environment.is_some(),
         "cameras": scene.cameras.iter().map(|camera| camera.name.as_str()).collect::<Vec<_>>(),
-        "animations": contents.animations.iter().map(|(name, end_s)| format!("{name} ({end_s:.2} s)")).collect::<Vec<_>>(),
-        "variants": contents.variants,
         "bounds min": bounds.min.to_array(),
         "bounds max": bounds.max.to_array(),
-    }}))
+    }});
+    let choices = choices(&contents);
+    if let (Some(value), Some(choices)) = (value["scene"].as_object_mut(), choices.as_object()) {
+        value.extend(choices.clone());
+    }
+    Ok(value)
+}
+
+/// What a job can choose of a scene.
+fn choices(contents: &SceneContents) -> Value {
+    match contents {
+        SceneContents::Gltf(contents) => {
+            let animation = |(name, end_s): &(String, f32)| format!("{name} ({end_s:.2} s)");
+            json!({
+                "animations": contents.animations.iter().map(animation).collect::<Vec<_>>(),
+                "variants": contents.variants,
+            })
+        }
+        SceneContents::Usd(contents) => {
+            let variant_set = |set: &VariantSet| {
+                let selected = if set.selected.is_empty() { "none" } else { &set.selected };
+                format!("{}: {} of {}", set.place, selected, set.choices.join(", "))
+            };
+            let time_range = contents.time_range.map(|range| {
+                let [first, last] = range.time_codes;
+                let rate = range.time_codes_per_second;
+                format!("{first} to {last} at {rate} per second ({:.2} s)", range.duration_s())
+            });
+            json!({
+                "time codes": time_range,
+                "variant sets": contents.variant_sets.iter().map(variant_set).collect::<Vec<_>>(),
+                "prims": contents.prims,
+            })
+        }
+    }
 }
 
 /// How a scene's depth fits a display, and what the scene occupies.

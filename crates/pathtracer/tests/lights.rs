@@ -103,6 +103,19 @@ fn a_directional_light_gives_its_irradiance_times_the_cosine() {
     assert!(radiance.data().iter().all(|&v| v == 0.0));
 }
 
+/// A disc of the sky that faces a plane squarely gives it the irradiance that it is said to have, however wide; one that is turned aside and wholly above
+/// the horizon gives the cosine's share (the projected solid angle of a cone is π sin²θ cos of its axis).
+#[test]
+fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
+    for (half_angle_rad, direction) in [(0.005, Vec3::new(0.6, 0.0, -0.8)), (0.5, Vec3::new(0.6, 0.0, -0.8)), (1.5, Vec3::NEG_Z)] {
+        let mut scene = plane();
+        scene.parts.lights.push(point_light(Vec3::ZERO, LightKind::Distant { half_angle_rad }, direction));
+        let radiance = render(&scene.renderer(), &window(), &one_view(16, [0.0, 0.0]), &long_paths(256));
+        let expected = f64::from(ALBEDO) / PI * 5.0 * f64::from(-direction.z);
+        mean_of(&radiance, 0).assert_is(expected, 1e-4 * expected, FALSE_ALARM_RATE);
+    }
+}
+
 /// Irradiance at the origin from a square of half width w at height h, parallel to the plane and centred above it: E = 4 L s atan s,
 /// s = w/√(w² + h²), which is π L times four form factors of a corner (Siegel, Howell, "Thermal Radiation Heat Transfer").
 fn irradiance_below_square(radiance: f64, half_width: f64, height: f64) -> f64 {

@@ -13,6 +13,7 @@ use lumistack_pathtracer::RenderError;
 use lumistack_plugin_host::HostError;
 use lumistack_report::ReportError;
 use lumistack_scene::{SceneError, WindowError};
+use lumistack_usd::UsdError;
 use thiserror::Error;
 
 /// A job that did not finish.
@@ -86,6 +87,9 @@ pub enum PipelineError {
     /// glTF ingest failed.
     #[error(transparent)]
     Gltf(#[from] GltfError),
+    /// USD ingest failed.
+    #[error(transparent)]
+    Usd(UsdError),
     /// The scene cannot be rendered.
     #[error("{name}: {source}")]
     Scene {
@@ -166,6 +170,15 @@ pub(crate) fn host_error(error: HostError) -> PipelineError {
     match error {
         HostError::Cancelled => PipelineError::Cancelled,
         other => PipelineError::Output(other),
+    }
+}
+
+impl From<UsdError> for PipelineError {
+    fn from(error: UsdError) -> Self {
+        match error {
+            UsdError::Cancelled(_) => Self::Cancelled,
+            other => Self::Usd(other),
+        }
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use glam::{DVec3, Vec3};
 use lumistack_core::{Task, Tensor};
 use lumistack_display::{FieldGeometry, ViewGrid};
-use lumistack_gltf::{AssetResolver, Contents, LoadOptions};
+use lumistack_gltf::{AssetResolver, LoadOptions};
 use lumistack_pathtracer::Renderer;
 use lumistack_plugin_host::{Origin, PluginError, PluginKind, Registry};
 use lumistack_scene::{Camera, Scene, Similarity, Window};
@@ -62,7 +62,16 @@ impl Ingested {
     }
 }
 
-/// Lists the animations and variants of a scene.
+/// What a scene offers to choose from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SceneContents {
+    /// Animations and material variants.
+    Gltf(lumistack_gltf::Contents),
+    /// Time range, variant sets and cameras.
+    Usd(lumistack_usd::Contents),
+}
+
+/// Lists what a scene offers to choose from.
 ///
 /// # Errors
 /// When a file cannot be read or is broken.
@@ -71,21 +80,26 @@ pub fn scene_contents(
     importer: &ImporterJob,
     registry: &Registry,
     task: Task<'_>,
-) -> Result<Contents, PipelineError> {
+) -> Result<SceneContents, PipelineError> {
+    let reader = reader_of(path, importer, registry)?;
+    if reader == Reader::Usd {
+        return Ok(SceneContents::Usd(lumistack_usd::contents(path, task)?));
+    }
     let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
-    let bytes = gltf_bytes(path, importer, registry, &resolver, task)?;
-    Ok(lumistack_gltf::contents(&path.display().to_string(), &bytes, &resolver, task)?)
+    let bytes = gltf_bytes(path, &reader, importer, registry, &resolver, task)?;
+    Ok(SceneContents::Gltf(lumistack_gltf::contents(&path.display().to_string(), &bytes, &resolver, task)?))
 }
 
 /// The scene as glTF: the file itself, or what an importer makes of it.
 fn gltf_bytes(
     path: &Path,
+    reader: &Reader,
     importer: &ImporterJob,
     registry: &Registry,
     resolver: &Files<'_>,
     task: Task<'_>,
 ) -> Result<Vec<u8>, PipelineError> {
-    let Some(id) = importer_of(path, importer, registry)? else {
+    let Reader::Plugin(id) = reader else {
         let bytes = read(path)?;
         resolver.remember(path.to_owned(), &bytes);
         return Ok(bytes);
@@ -99,7 +113,7 @@ fn gltf_bytes(
             .map_err(|error| PluginError::Failed(format!("{}: {error}", resolver.base.join(name).display())))
     };
     let params = importer.params.clone().into();
-    lumistack_plugin_host::import_scene(registry, &id, &params, &file, &read, task).map_err(host_error)
+    lumistack_plugin_host::import_scene(registry, id, &params, &file, &read, task).map_err(host_error)
 }
 
 /// Loads a scene in its pose, replaces its environment where the job says so, and lights it where it has no light. What is not glTF goes
@@ -115,15 +129,10 @@ pub fn load_scene(
     light_job: &LightJob,
     task: Task<'_>,
 ) -> Result<Ingested, PipelineError> {
-    let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
-    let bytes = gltf_bytes(path, importer, registry, &resolver, task)?;
-    let PoseJob { time_s, animation, variant } = pose.clone();
-    let options = LoadOptions { time_s, animation, variant, ..LoadOptions::default() };
-    let mut scene = lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?;
-    let mut files = resolver.read.into_inner().unwrap_or_else(PoisonError::into_inner);
-    if let Some(id) = importer_of(path, importer, registry)? {
-        files.push((id.clone().into(), plugin_key(registry, &id, &importer.params)?));
-    }
+    let (mut scene, mut files) = match reader_of(path, importer, registry)? {
+        Reader::Usd => load_usd(path, pose, task)?,
+        reader => load_gltf(path, pose, &reader, importer, registry, task)?,
+    };
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));
         scene = light::edited(scene, task, |parts| {
@@ -159,6 +168,52 @@ pub fn load_scene(
         })?;
     }
     Ok(Ingested { scene: Arc::new(scene), files, pose: pose.clone(), renderer: OnceLock::new() })
+}
+
+/// What was loaded, and every file that was read, with a hash of its content.
+type Read = (Scene, Vec<(PathBuf, String)>);
+
+fn load_gltf(
+    path: &Path,
+    pose: &PoseJob,
+    reader: &Reader,
+    importer: &ImporterJob,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<Read, PipelineError> {
+    let PoseJob { time_s, animation, variant, variants } = pose.clone();
+    if let Some(variants) = variants.first() {
+        let expected = "none, since only USD has variant sets; glTF's material variants are `pose.variant`";
+        return Err(PipelineError::value(path, "pose.variants", expected, variants));
+    }
+    let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
+    let bytes = gltf_bytes(path, reader, importer, registry, &resolver, task)?;
+    let options = LoadOptions { time_s, animation, variant, ..LoadOptions::default() };
+    let scene = lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?;
+    let mut files = resolver.read.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if let Reader::Plugin(id) = reader {
+        files.push((id.into(), plugin_key(registry, id, &importer.params)?));
+    }
+    Ok((scene, files))
+}
+
+fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, PipelineError> {
+    let PoseJob { time_s, animation, variant, variants } = pose.clone();
+    if let Some(animation) = animation {
+        return Err(PipelineError::value(path, "pose.animation", "none, since USD has one timeline", animation));
+    }
+    if let Some(variant) = variant {
+        let expected = "`pose.variants`, a list of `set=variant` or `/prim{set=variant}`";
+        return Err(PipelineError::value(path, "pose.variant", expected, variant));
+    }
+    let options = lumistack_usd::LoadOptions { time_s, variants };
+    let loaded = lumistack_usd::load(path, &options, task)?;
+    let mut files = Vec::new();
+    for file in loaded.files {
+        let content = hash(&read(&file)?);
+        files.push((file, content));
+    }
+    Ok((loaded.scene, files))
 }
 
 /// Places the display in the scene.
@@ -312,20 +367,38 @@ fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, Pipelin
     })
 }
 
-/// The importer of a file, if it needs one.
-fn importer_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result<Option<String>, PipelineError> {
+/// What reads a scene's file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Reader {
+    Gltf,
+    Usd,
+    /// Id of an importer.
+    Plugin(String),
+}
+
+/// Whether a file is USD by its extension.
+pub fn is_usd(path: &Path) -> bool {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    lumistack_usd::EXTENSIONS.contains(&extension.as_str())
+}
+
+fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result<Reader, PipelineError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if let Some(id) = &importer.plugin {
         registry.get_kind(id, PluginKind::Importer).map_err(PipelineError::Output)?;
-        return Ok(Some(id.clone()));
+        return Ok(Reader::Plugin(id.clone()));
     }
     if matches!(extension.as_str(), "gltf" | "glb") {
-        return Ok(None);
+        return Ok(Reader::Gltf);
+    }
+    if is_usd(path) {
+        return Ok(Reader::Usd);
     }
     let found = registry.importer_of(&extension).map(|info| info.id.clone());
-    found.map(Some).ok_or_else(|| {
+    found.map(Reader::Plugin).ok_or_else(|| {
         let known = registry.infos().flat_map(|info| info.extensions.iter().map(|extension| format!(", .{extension}")));
-        let expected = format!("a file .gltf, .glb{}", known.collect::<String>());
+        let usd = lumistack_usd::EXTENSIONS.map(|extension| format!(", .{extension}")).concat();
+        let expected = format!("a file .gltf, .glb{usd}{}", known.collect::<String>());
         PipelineError::value(path, "scene", expected, format!("extension `{extension}`"))
     })
 }

@@ -40,7 +40,7 @@ pub struct Job {
     /// Name for people and for the run folder; default: the file's stem.
     #[serde(default)]
     pub name: String,
-    /// Scene to render: `.gltf`, `.glb`, or what an importer takes. Either this, `light_field` or `source`.
+    /// Scene to render: `.gltf`, `.glb`, USD, or what an importer takes. Either this, `light_field` or `source`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<PathBuf>,
     /// Light field that somebody else rendered: a folder, `.npy`, a quilt.
@@ -103,9 +103,12 @@ pub struct PoseJob {
     /// Name or number of the animation; without it all of them together where no two move the same thing, otherwise the first.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub animation: Option<String>,
-    /// Name or number of the material variant.
+    /// Name or number of glTF's material variant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub variant: Option<String>,
+    /// USD's variants: `set=variant` on every prim that has them, `/prim{set=variant}` on one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub variants: Vec<String>,
 }
 
 /// Report.

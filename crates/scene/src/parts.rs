@@ -58,7 +58,7 @@ pub struct Instance {
     pub scene_from_mesh: Affine3A,
 }
 
-/// A light without size (`KHR_lights_punctual`).
+/// A light without a surface: those of `KHR_lights_punctual`, and the sun.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
     /// Position in the scene; unused by directional lights.
@@ -85,6 +85,12 @@ pub enum LightKind {
     },
     /// Parallel light.
     Directional,
+    /// Light from a disc of the sky with one radiance, such as the sun; `intensity` is the irradiance on a surface that faces its centre.
+    /// Seen by surfaces alone, not by cameras or mirrors.
+    Distant {
+        /// Angle from the centre to the edge, 0..=π/2.
+        half_angle_rad: f32,
+    },
 }
 
 /// A camera that looks along −z of its own space, y up (glTF's convention).

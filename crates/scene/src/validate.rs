@@ -1,12 +1,13 @@
 //! From [`SceneParts`] to [`Scene`]: what cannot be rendered is refused, what can be mended is mended and reported.
 
+use std::f32::consts::FRAC_PI_2;
 use std::ops::Deref;
 
 use glam::{Affine3A, Mat3A, Vec2, Vec3, Vec3A};
 use lumistack_core::Task;
 use thiserror::Error;
 
-use crate::{AlphaMode, Bounds, Mesh, Pixels, SceneParts};
+use crate::{AlphaMode, Bounds, LightKind, Mesh, Pixels, SceneParts};
 
 /// A scene whose indices, numbers and transforms have been checked. Read it like [`SceneParts`].
 #[derive(Clone, Debug)]
@@ -261,6 +262,11 @@ impl SceneParts {
             let place = format!("light {i}");
             if !(light.position.is_finite() && light.intensity.is_finite() && light.intensity.min_element() >= 0.0) {
                 return Err(SceneError::new(place, "a finite position and intensity ≥ 0", format!("{light:?}")));
+            }
+            if let LightKind::Distant { half_angle_rad } = light.kind
+                && !(0.0..=FRAC_PI_2).contains(&half_angle_rad)
+            {
+                return Err(SceneError::new(place, "half an angle in 0..π/2", half_angle_rad.to_string()));
             }
             light.direction = light
                 .direction

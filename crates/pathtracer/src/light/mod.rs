@@ -169,11 +169,14 @@ impl Lights {
                 Some(triangle) => {
                     triangle.sample(geometry, materials, receiver.position, chance, [single(inside), u[1]])
                 }
-                None => self.points.get(light - self.triangles.len())?.light_sample(receiver.position, chance),
+                None => {
+                    let point = self.points.get(light - self.triangles.len())?;
+                    point.light_sample(receiver.position, chance, [single(inside), u[1]])
+                }
             };
         }
         if let Some(light) = self.directional.get(index - 1) {
-            return light.light_sample(receiver.position, chance);
+            return light.light_sample(receiver.position, chance, [single(inside), u[1]]);
         }
         let environment = self.environment.as_ref()?;
         let (direction, radiance, density) = environment.sample([single(inside), u[1]])?;

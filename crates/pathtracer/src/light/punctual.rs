@@ -1,4 +1,6 @@
-//! Lights without size (`KHR_lights_punctual`): intensity over distance squared, spots with the extension's smooth cone.
+//! Lights without a surface (`KHR_lights_punctual`): intensity over distance squared, spots with the extension's smooth cone; and discs of the
+//! sky: a cone of half angle θ with the irradiance E has the radiance E / (π sin²θ), so a direction drawn evenly from its solid angle
+//! 2π (1 − cos θ) weighs 2 E / (1 + cos θ). Scattered rays never find any of them.
 
 use std::f64::consts::PI;
 
@@ -9,6 +11,7 @@ use lumistack_scene::{Light, LightKind};
 use super::LightSample;
 use super::tree::Emitter;
 use crate::geometry::RenderSpace;
+use crate::math::sin_cos_turns;
 
 /// Smallest difference of the cosines of a spot's cones, from the extension's formula.
 const LEAST_CONE_DIFFERENCE: f32 = 1e-3;
@@ -28,7 +31,7 @@ impl PunctualLight {
     pub(crate) fn new(light: &Light, space: RenderSpace) -> Self {
         // irradiance I/d² must not depend on the scale of render space
         let scale = match light.kind {
-            LightKind::Directional => 1.0,
+            LightKind::Directional | LightKind::Distant { .. } => 1.0,
             LightKind::Point | LightKind::Spot { .. } => (space.scale * space.scale) as f32,
         };
         Self {
@@ -45,7 +48,7 @@ impl PunctualLight {
         match self.kind {
             LightKind::Point => 4.0 * PI * intensity,
             LightKind::Spot { outer_cone_rad, .. } => 2.0 * PI * (1.0 - f64::from(outer_cone_rad).cos()) * intensity,
-            LightKind::Directional => PI * f64::from(radius * radius) * intensity,
+            LightKind::Directional | LightKind::Distant { .. } => PI * f64::from(radius * radius) * intensity,
         }
     }
 
@@ -55,7 +58,7 @@ impl PunctualLight {
         let (normal_angle, falloff_angle) = match self.kind {
             LightKind::Point => (std::f32::consts::PI, std::f32::consts::FRAC_PI_2),
             LightKind::Spot { outer_cone_rad, .. } => (outer_cone_rad, SPOT_MARGIN_RAD),
-            LightKind::Directional => return None,
+            LightKind::Directional | LightKind::Distant { .. } => return None,
         };
         let axis = self.direction.normalize_or(Vec3::Z);
         Some(Emitter {
@@ -69,16 +72,27 @@ impl PunctualLight {
         })
     }
 
-    /// The light as a sample, chosen with this chance.
-    pub(crate) fn light_sample(&self, from: Vec3, chance: f32) -> Option<LightSample> {
-        let (direction, end, intensity) = self.sample(from)?;
+    /// The light as a sample, chosen with this chance; `u` chooses a direction where there are several.
+    pub(crate) fn light_sample(&self, from: Vec3, chance: f32, u: [f32; 2]) -> Option<LightSample> {
+        let (direction, end, intensity) = self.sample(from, u)?;
         Some(LightSample { direction, end, weight: intensity / chance, pdf: f32::INFINITY })
     }
 
     /// Direction to the light, its place (`None` at infinity), and the irradiance it gives to a surface that faces it.
-    pub(crate) fn sample(&self, from: Vec3) -> Option<(Vec3, Option<Vec3>, Vec3)> {
-        if matches!(self.kind, LightKind::Directional) {
-            return Some((-self.direction, None, self.intensity));
+    fn sample(&self, from: Vec3, u: [f32; 2]) -> Option<(Vec3, Option<Vec3>, Vec3)> {
+        match self.kind {
+            LightKind::Directional => return Some((-self.direction, None, self.intensity)),
+            LightKind::Distant { half_angle_rad } => {
+                let edge = half_angle_rad.cos();
+                let cosine = 1.0 - u[0] * (1.0 - edge);
+                let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+                let (sin_turn, cos_turn) = sin_cos_turns(u[1]);
+                let centre = -self.direction;
+                let (x, y) = centre.any_orthonormal_pair();
+                let direction = sine * (cos_turn * x + sin_turn * y) + cosine * centre;
+                return Some((direction, None, self.intensity * (2.0 / (1.0 + edge))));
+            }
+            LightKind::Point | LightKind::Spot { .. } => {}
         }
         let to_light = self.position - from;
         let distance = to_light.length();
@@ -89,7 +103,7 @@ impl PunctualLight {
                 let along = -direction.dot(self.direction);
                 ((along - outer) / (inner - outer).max(LEAST_CONE_DIFFERENCE)).clamp(0.0, 1.0).powi(2)
             }
-            LightKind::Point | LightKind::Directional => 1.0,
+            LightKind::Point | LightKind::Directional | LightKind::Distant { .. } => 1.0,
         };
         (distance > 0.0 && falloff > 0.0)
             .then(|| (direction, Some(self.position), self.intensity * (falloff / (distance * distance))))

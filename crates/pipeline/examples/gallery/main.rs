@@ -1,4 +1,4 @@
-//! The gallery's own half: renders every glTF file of a folder, and makes the page that shows each beside Blender's render.
+//! The gallery's own half: renders every glTF and USD file of a folder, and makes the page that shows each beside Blender's render.
 //!
 //! ```text
 //! gallery render SCENES OUT [--size COLSxROWS] [--samples N] [--turn DEG]

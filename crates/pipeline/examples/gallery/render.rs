@@ -10,7 +10,7 @@ use lumistack_field_io::npy;
 use lumistack_field_io::picture::{Precision, write_exr};
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_pipeline::{
-    ImporterJob, LightJob, PoseJob, Registry, WindowJob, automatic_look, load_scene, place_window, plugins,
+    ImporterJob, LightJob, PoseJob, Registry, WindowJob, automatic_look, is_usd, load_scene, place_window, plugins,
 };
 use lumistack_scene::{Pixels, Scene, Similarity, Window};
 use serde_json::{Value, json};
@@ -58,7 +58,7 @@ pub fn all(scenes: &Path, out: &Path, options: &Options) -> Outcome {
     find(scenes, &mut files)?;
     files.sort();
     if files.is_empty() {
-        return Err(format!("{} holds no .gltf or .glb file", scenes.display()));
+        return Err(format!("{} holds no glTF or USD file", scenes.display()));
     }
     let registry = plugins(&[]).map_err(text)?;
     for file in files {
@@ -92,7 +92,7 @@ fn find(folder: &Path, files: &mut Vec<PathBuf>) -> Outcome {
         let path = entry.map_err(text)?.path();
         if path.is_dir() {
             find(&path, files)?;
-        } else if path.extension().is_some_and(|extension| extension == "gltf" || extension == "glb") {
+        } else if path.extension().is_some_and(|extension| extension == "gltf" || extension == "glb") || is_usd(&path) {
             files.push(path);
         }
     }

@@ -1,0 +1,419 @@
+"""From a stage to a scene package: what is shown at a time, where, and with which material.
+
+Prototypes of native instancing and of point instancers are read once. A placement is a chain of links, innermost first: a point goes through
+the links from left to right (`p' = p · M`, USD's row vectors). A link is one matrix, or an array of them, of which each makes a copy.
+"""
+
+import array
+import os
+
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
+
+from lumistack_usd import geometry, lights, materials, mtlx, shapes
+from lumistack_usd.skel import Skeletons, source
+from lumistack_usd.writer import Refused, Writer
+
+IDENTITY = Gf.Matrix4d(1)
+SHOWN = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+# prototypes may stand under an `over` or a `class`, so that they are not drawn in their own place
+IN_PROTOTYPE = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded & Usd.PrimHasDefiningSpecifier)
+ANYWHERE = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+INHERITED_PRIMVARS = ("primvars:displayColor", "primvars:displayOpacity")
+
+
+def walk(request):
+    """Reads the file that a request names; returns a `Writer`."""
+    with mtlx.definitions():
+        return walk_stage(open_stage(request["path"]), request)
+
+
+def open_stage(path):
+    try:
+        return Usd.Stage.Open(path)
+    except Tf.ErrorException as error:
+        raise Refused(errors(error)) from None
+
+
+def errors(error):
+    """What pxr's exception says, without the places in its source code."""
+    texts = [getattr(part, "commentary", None) or str(part) for part in error.args] or [str(error)]
+    return "; ".join(dict.fromkeys(" ".join(text.split()) for text in texts))
+
+
+def walk_stage(stage, request):
+    """Reads a stage. `request` may have `time_s`, `variants` (texts), `contents_only`."""
+    writer = Writer()
+    choose_variants(stage, request.get("variants") or [], writer)
+    time = time_code(stage, request.get("time_s"))
+    warn_of_composition(stage, writer)
+    writer.header.update(
+        name=stage.GetRootLayer().GetDisplayName(),
+        up_axis=str(UsdGeom.GetStageUpAxis(stage)),
+        meters_per_unit=meters_per_unit(stage),
+        contents=contents(stage),
+    )
+    if not request.get("contents_only"):
+        Walker(stage, writer, time).run()
+    for layer in stage.GetUsedLayers():
+        writer.file(layer.realPath.split("[")[0])
+    return writer
+
+
+def meters_per_unit(stage):
+    """Some writers store it as a 32-bit number, which UsdGeom's own function refuses."""
+    value = stage.GetMetadata("metersPerUnit")
+    return float(value) if isinstance(value, (int, float)) and value > 0 else UsdGeom.LinearUnits.centimeters
+
+
+def warn_of_composition(stage, writer):
+    """What OpenUSD could not put together: the scene is shown without it, as every USD program does."""
+    without_materialx = 0
+    for error in stage.GetCompositionErrors():
+        message = str(error)
+        if ".mtlx" in message and "Could not open" in message and not Sdf.FileFormat.FindByExtension("mtlx"):
+            without_materialx += 1
+            continue
+        site = getattr(error, "rootSite", None)
+        writer.warn(site.path if site else "/", message)
+    if without_materialx:
+        writer.warn(
+            "/",
+            "%d references to MaterialX files (.mtlx) are left out, since this OpenUSD has no MaterialX plugin. The Python package usd-exchange"
+            " has one: `lumistack setup usd --materialx`, or `pip install usd-exchange` in place of usd-core" % without_materialx,
+        )
+
+
+def time_code(stage, time_s):
+    """Seconds count from the stage's start."""
+    start = stage.GetStartTimeCode() if stage.HasAuthoredTimeCodeRange() else None
+    if time_s is not None:
+        return Usd.TimeCode((start or 0.0) + time_s * stage.GetTimeCodesPerSecond())
+    return Usd.TimeCode.EarliestTime() if start is None else Usd.TimeCode(start)
+
+
+def variant_sets(stage):
+    """Every variant set outside of prototypes, as (prim, name, choices, selection)."""
+    for prim in Usd.PrimRange.Stage(stage, ANYWHERE):
+        if prim.HasVariantSets():
+            sets = prim.GetVariantSets()
+            for name in sets.GetNames():
+                found = sets.GetVariantSet(name)
+                yield prim, name, found.GetVariantNames(), found.GetVariantSelection()
+
+
+def choose_variants(stage, wanted, writer):
+    """Selects variants: `set=variant` on every prim that has them, `/prim{set=variant}` on one."""
+    if not wanted:
+        return
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for text in wanted:
+        path, _, rest = text.rpartition("{")
+        name, _, variant = rest.rstrip("}").partition("=")
+        found, known = False, {}
+        # a variant may bring prims with variants of their own, so until nothing changes
+        for _ in range(8):
+            changed = False
+            for prim, set_name, choices, selection in list(variant_sets(stage)):
+                place = "%s{%s}" % (prim.GetPath(), set_name)
+                known[place] = "%s: %s" % (place, ", ".join(choices))
+                if set_name != name or variant not in choices or (path and prim.GetPath() != path):
+                    continue
+                found = True
+                if selection != variant:
+                    if prim.IsInstanceProxy():
+                        writer.warn(place, "is inside an instance, whose variants cannot be chosen one by one")
+                        continue
+                    prim.GetVariantSet(name).SetVariantSelection(variant)
+                    changed = True
+            if not changed:
+                break
+        if not found:
+            shown = list(known.values())
+            listed = "; ".join(shown[:12]) + ("; and %d more" % (len(shown) - 12) if len(shown) > 12 else "")
+            raise Refused("expected a variant that there is (%s), found %s" % (listed or "there are none", text))
+
+
+def contents(stage):
+    """What the file offers to choose from, and how much is in it."""
+    sets = [
+        {"place": "%s{%s}" % (prim.GetPath(), name), "choices": list(choices), "selected": selection}
+        for prim, name, choices, selection in variant_sets(stage)
+        if not prim.IsInstanceProxy()
+    ]
+    prims = meshes = points = 0
+    cameras = []
+    for prim in stage.Traverse():
+        prims += 1
+        if prim.IsA(UsdGeom.Mesh):
+            meshes += 1
+            values = UsdGeom.Mesh(prim).GetPointsAttr().Get()
+            points += len(values) if hasattr(values, "__len__") else 0
+        elif prim.IsA(UsdGeom.Camera):
+            cameras.append(str(prim.GetPath()))
+    found = {"variant_sets": sets, "cameras": cameras, "prims": prims, "meshes": meshes, "points": points}
+    if stage.HasAuthoredTimeCodeRange():
+        codes = [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+        rate = stage.GetTimeCodesPerSecond()
+        found["time_range"] = {"time_codes": codes, "time_codes_per_second": rate}
+    return found
+
+
+class Walker:
+    """Visits what a stage shows."""
+
+    def __init__(self, stage, writer, time):
+        self.stage, self.writer, self.time = stage, writer, time
+        self.geometries = {}
+        self.frames = {}
+        self.open_frames = []
+        self.materials = {}
+        self.skeletons = Skeletons(time)
+
+    def run(self):
+        placed = self.frame(self.stage.GetPseudoRoot(), ANYWHERE, children_only=True)
+        groups = {}
+        for kind, payload, links in placed:
+            if kind == "geometry":
+                if len(links) == 1:
+                    groups.setdefault(payload, array.array("d")).frombytes(memoryview(links[0]).cast("B"))
+                else:
+                    self.instances(payload, [self.link(link) for link in links])
+            else:
+                self.single(kind, payload, links)
+        for payload, matrices in groups.items():
+            self.instances(payload, [{"matrices": self.matrices(matrices)}])
+        self.put_preferred_camera_first()
+
+    def matrices(self, values):
+        reference = self.writer.array(values)
+        reference["shape"] = [len(values) // 16, 4, 4]
+        return reference
+
+    def link(self, link):
+        if isinstance(link, dict):
+            return link
+        return {"matrices": self.matrices(array.array("d", memoryview(link).cast("B").cast("d")))}
+
+    def instances(self, payload, chain):
+        index, bound = payload
+        self.writer.instances.append({"geometry": index, "materials": list(bound), "chain": chain})
+
+    def single(self, kind, entry, links):
+        """A light or a camera."""
+        if len(links) != 1:
+            self.writer.warn(entry["place"], "a %s inside a point instancer is left out" % kind)
+            return
+        placed = dict(entry, matrix=[value for row in links[0] for value in row])
+        (self.writer.lights if kind == "light" else self.writer.cameras).append(placed)
+
+    # Prims
+
+    def frame(self, root, predicate, children_only=False):
+        """All that stands at or below a prim: (kind, payload, links), relative to the space that the prim stands in."""
+        placed = []
+        info = UsdGeom.Imageable(root).ComputePurposeInfo() if not root.IsPseudoRoot() else None
+        todo = [(root, IDENTITY, info)]
+        if children_only:
+            todo = [(child, IDENTITY, info) for child in reversed(root.GetFilteredChildren(predicate))]
+        while todo:
+            prim, above, parent = todo.pop()
+            imageable = UsdGeom.Imageable(prim)
+            if not imageable:
+                # a prim without type, or a scope of materials: what is below may be shown
+                todo.extend((child, above, parent) for child in reversed(prim.GetFilteredChildren(predicate)))
+                continue
+            if imageable.GetVisibilityAttr().Get(self.time) == UsdGeom.Tokens.invisible:
+                continue
+            purpose = imageable.ComputePurposeInfo(parent) if parent is not None else imageable.ComputePurposeInfo()
+            matrix = self.attempt(self.matrix, prim, above)
+            if matrix is None:
+                continue
+            if prim.IsA(UsdSkel.Root):
+                self.skeletons.add(prim)
+            if prim.IsInstance():
+                for kind, payload, links in self.prototype(prim, purpose):
+                    placed.append((kind, payload, extended(links, matrix)))
+                continue
+            if prim.IsA(UsdGeom.PointInstancer):
+                if purpose.purpose in SHOWN:
+                    placed.extend(self.point_instancer(prim, matrix))
+                continue
+            if purpose.purpose in SHOWN:
+                item = self.attempt(self.item, prim)
+                if item:
+                    placed.append(item + ((matrix,),))
+            todo.extend((child, matrix, purpose) for child in reversed(prim.GetFilteredChildren(predicate)))
+        return placed
+
+    def attempt(self, read, prim, *rest):
+        """What `read` makes of a prim. One that holds values of another type than it should does not take the others away."""
+        try:
+            return read(prim, *rest)
+        except (Tf.ErrorException, TypeError, ValueError, OverflowError) as error:
+            self.writer.warn(prim.GetPath(), "cannot be read and is left out: %s" % errors(error))
+            return None
+
+    def matrix(self, prim, above):
+        xformable = UsdGeom.Xformable(prim)
+        if not xformable:
+            return above
+        local = xformable.GetLocalTransformation(self.time)
+        if xformable.GetResetXformStack():
+            if self.open_frames:
+                self.writer.warn(prim.GetPath(), "resets its transform inside a prototype; it starts from the prototype's")
+            return local
+        return local * above
+
+    def item(self, prim):
+        """(kind, payload) of a prim that shows something, lights it or looks at it."""
+        if prim.IsA(UsdGeom.Mesh) or shapes.is_shape(prim, self.writer):
+            index, subsets = self.geometry(prim)
+            return "geometry", (index, (self.material(prim),) + tuple(self.material(subset) for subset in subsets))
+        if prim.IsA(UsdGeom.Camera):
+            return "camera", camera(prim, self.time)
+        light = lights.light(prim, self.writer, self.time)
+        return ("light", light) if light else None
+
+    def geometry(self, prim):
+        """Index and material subsets of a shape; shapes in prototypes are read once."""
+        key = (source(prim).GetPath(), self.inherited_primvars(prim), self.skeletons.key(prim))
+        if key not in self.geometries:
+            if prim.IsA(UsdGeom.Mesh):
+                entry = geometry.mesh(prim, self.writer, self.time, self.skeletons.pose(prim))
+            else:
+                entry = shapes.shape(prim, self.writer, self.time)
+            entry["light"] = lights.mesh_light(prim, self.writer, self.time)
+            subsets = UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets()
+            for subset in subsets:
+                faces = subset.GetIndicesAttr().Get(self.time)
+                if faces is not None:
+                    entry["subsets"].append({"place": str(subset.GetPath()), "faces": self.writer.array(faces)})
+            names = [subset.GetPrim().GetName() for subset in subsets if subset.GetIndicesAttr().Get(self.time) is not None]
+            self.writer.geometries.append(entry)
+            self.geometries[key] = (len(self.writer.geometries) - 1, names)
+        index, names = self.geometries[key]
+        return index, [prim.GetChild(name) for name in names]
+
+    def inherited_primvars(self, prim):
+        """What a prim takes over from above, as a key."""
+        found = UsdGeom.PrimvarsAPI(prim.GetParent()).FindInheritablePrimvars()
+        return tuple(
+            (primvar.GetName(), str(primvar.Get(self.time))) for primvar in found if primvar.GetName() in INHERITED_PRIMVARS
+        )
+
+    def bound(self, prim):
+        """The material bound to a prim and the relationship that says so."""
+        api = UsdShade.MaterialBindingAPI(prim)
+        for purpose in (UsdShade.Tokens.full, UsdShade.Tokens.preview):
+            material, relationship = api.ComputeBoundMaterial(purpose)
+            if material:
+                return material, relationship
+        return None, None
+
+    def material(self, prim):
+        """Index of the material of a prim, or None."""
+        material, _ = self.bound(prim)
+        if material is None:
+            return None
+        prim = material.GetPrim()
+        key = source(prim).GetPath()
+        if key not in self.materials:
+            self.materials[key] = len(self.writer.materials)
+            self.writer.materials.append(materials.material(prim, self.writer, self.time))
+        return self.materials[key]
+
+    # Instances
+
+    def prototype(self, prim, purpose):
+        """What an instance shows, relative to the space of the instance."""
+        material, relationship = self.bound(prim)
+        key = (
+            prim.GetPrototype().GetPath(),
+            material.GetPath() if material else None,
+            UsdShade.MaterialBindingAPI.GetMaterialBindingStrength(relationship) if relationship else None,
+            purpose.purpose,
+            purpose.isInheritable,
+            self.inherited_primvars(prim.GetFilteredChildren(ANYWHERE)[0]) if prim.GetFilteredChildren(ANYWHERE) else (),
+            prim.GetPath() if self.is_unlike_others(prim) else None,
+            UsdSkel.BindingAPI(prim).GetInheritedAnimationSource().GetPath(),
+            UsdSkel.BindingAPI(prim).GetInheritedSkeleton().GetPath(),
+        )
+        if key not in self.frames:
+            self.open_frames.append(key)
+            self.frames[key] = []
+            for child in prim.GetFilteredChildren(ANYWHERE):
+                self.frames[key] += self.frame(child, ANYWHERE)
+            self.open_frames.pop()
+        return self.frames[key]
+
+    def is_unlike_others(self, prim):
+        """Whether two instances of a prototype may differ inside: materials bound by lists of paths above, a skeleton outside."""
+        while prim and not prim.IsPseudoRoot():
+            if prim.IsA(UsdSkel.Root) or any("material:binding:collection" in name for name in prim.GetPropertyNames()):
+                return True
+            prim = prim.GetParent()
+        return False
+
+    def point_instancer(self, prim, matrix):
+        """The prototypes of a point instancer, each with a link that holds its copies."""
+        instancer = UsdGeom.PointInstancer(prim)
+        place = prim.GetPath()
+        if place in self.open_frames:
+            self.writer.warn(place, "is its own prototype; left out")
+            return []
+        indices = instancer.GetProtoIndicesAttr().Get(self.time)
+        if not indices:
+            return []
+        matrices = instancer.ComputeInstanceTransformsAtTime(
+            self.time,
+            self.time,
+            UsdGeom.PointInstancer.ExcludeProtoXform,
+            UsdGeom.PointInstancer.IgnoreMask,
+        )
+        if len(matrices) != len(indices):
+            found = "%d prototype indices and %d placements" % (len(indices), len(matrices))
+            self.writer.warn(place, "expected as many placements as prototype indices, found %s; left out" % found)
+            return []
+        shared = {"matrices": self.writer.array(matrices), "prototypes": self.writer.array(indices)}
+        mask = instancer.ComputeMaskAtTime(self.time)
+        if mask and not all(mask):
+            shared["mask"] = self.writer.array(array.array("B", [1 if shown else 0 for shown in mask]))
+        placed = []
+        self.open_frames.append(place)
+        for number, target in enumerate(instancer.GetPrototypesRel().GetForwardedTargets()):
+            root = self.stage.GetPrimAtPath(target)
+            if not root:
+                self.writer.warn(place, "has no prototype at %s" % target)
+                continue
+            link = dict(shared, prototype=number)
+            for kind, payload, links in self.frame(root, IN_PROTOTYPE):
+                placed.append((kind, payload, links + (link, matrix)))
+        self.open_frames.pop()
+        return placed
+
+    def put_preferred_camera_first(self):
+        """Some programs note the camera through which the scene is to be seen."""
+        settings = self.stage.GetRootLayer().customLayerData.get("cameraSettings")
+        preferred = settings.get("boundCamera") if isinstance(settings, dict) else None
+        self.writer.cameras.sort(key=lambda entry: entry["place"] != preferred)
+
+
+def extended(links, matrix):
+    """A chain, placed by one more matrix."""
+    if isinstance(links[-1], dict):
+        return links + (matrix,)
+    return links[:-1] + (links[-1] * matrix,)
+
+
+def camera(prim, time):
+    """A camera; apertures and focal length are in the same unit, tenths of the scene's."""
+    source = UsdGeom.Camera(prim)
+    values = source.GetCamera(time)
+    return {
+        "place": str(prim.GetPath()),
+        "projection": str(source.GetProjectionAttr().Get(time)),
+        "focal_length": values.focalLength,
+        "aperture": [values.horizontalAperture, values.verticalAperture],
+        "aperture_offset": [values.horizontalApertureOffset, values.verticalApertureOffset],
+        "focus_distance": values.focusDistance,
+    }

@@ -1,0 +1,99 @@
+"""Collects a scene package: a JSON header and the arrays that it refers to.
+
+A file is the magic `LUMIPKG1`, the header's length as a little-endian u64, the header, and the arrays, each at a multiple of 64 bytes from the
+start of the file. An array in the header is `{"buffer": k, "type": "f32", "shape": [n, 3]}`; `buffers` lists offset and length of each, counted from
+the first multiple of 64 after the header.
+"""
+
+import json
+import math
+import os
+
+ALIGNMENT = 64
+# codes of the buffer protocol, in native size and byte order
+TYPES = {"f": "f32", "d": "f64", "e": "f16", "i": "i32", "I": "u32", "b": "i8", "B": "u8", "h": "i16", "H": "u16", "?": "u8"}
+
+
+def finite(value):
+    """JSON has no NaN and no infinity: null instead, which the reader refuses where it needs a number."""
+    if isinstance(value, dict):
+        return {key: finite(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+class Refused(Exception):
+    """The scene cannot be read, for a reason that the user can act on."""
+
+
+class Writer:
+    def __init__(self):
+        self.header = {"schema": "lumistack.scene-package", "version": 1}
+        self.buffers = []
+        self.warnings = []
+        self._warned = set()
+        self._files = {}
+        self.geometries = []
+        self.instances = []
+        self.materials = []
+        self.images = []
+        self.lights = []
+        self.cameras = []
+        self._images = {}
+
+    def array(self, values):
+        """A reference to an array that has the buffer protocol; it is kept, not copied."""
+        view = memoryview(values)
+        code = view.format
+        if code in ("l", "L", "q", "Q"):
+            kind = ("i" if code in "lq" else "u") + str(8 * view.itemsize)
+        else:
+            kind = TYPES[code]
+        self.buffers.append(view)
+        return {"buffer": len(self.buffers) - 1, "type": kind, "shape": list(view.shape)}
+
+    def warn(self, place, message):
+        """Something that the user should know; each text once."""
+        entry = (str(place), message)
+        if entry not in self._warned:
+            self._warned.add(entry)
+            self.warnings.append({"place": entry[0], "message": entry[1]})
+
+    def file(self, path):
+        """A file on disk that the scene depends on."""
+        if path and os.path.isfile(path):
+            self._files[os.path.abspath(path)] = True
+
+    def image(self, key, make):
+        """The index of an image; `make` gives its entry when `key` is new."""
+        if key not in self._images:
+            self.images.append(make())
+            self._images[key] = len(self.images) - 1
+        return self._images[key]
+
+    def finished_header(self):
+        """The header, complete but for the places of its buffers."""
+        lists = ("warnings", "geometries", "instances", "materials", "images", "lights", "cameras")
+        return dict(self.header, files=list(self._files), **{name: getattr(self, name) for name in lists})
+
+    def write(self, file):
+        """Writes the package."""
+        places, end = [], 0
+        for view in self.buffers:
+            places.append([end, view.nbytes])
+            end += -(-view.nbytes // ALIGNMENT) * ALIGNMENT
+        header = dict(self.finished_header(), buffers=places)
+        try:
+            header = json.dumps(header, allow_nan=False)
+        except ValueError:
+            header = json.dumps(finite(header))
+        header = header.encode("utf-8")
+        file.write(b"LUMIPKG1" + len(header).to_bytes(8, "little") + header)
+        file.write(bytes(-(16 + len(header)) % ALIGNMENT))
+        for view in self.buffers:
+            if view.nbytes:
+                file.write(view if view.c_contiguous else view.tobytes())
+                file.write(bytes(-view.nbytes % ALIGNMENT))

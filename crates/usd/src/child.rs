@@ -1,0 +1,321 @@
+//! Runs the walker in the user's Python and takes the package over.
+//!
+//! The child's standard output is a file without a name: whatever happens to either process, nothing is left behind. The request goes in as JSON,
+//! together with the walker's source, and what the child says on standard error is kept for the message in case it fails.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use lumistack_core::{Cancel, Cancelled};
+use memmap2::Mmap;
+use serde::Serialize;
+
+use crate::UsdError;
+use crate::package::Package;
+use crate::python::{Candidate, Surroundings};
+
+/// The walker's modules; a later one may import those before it.
+pub const MODULES: [(&str, &str); 8] = [
+    ("writer", include_str!("../python/writer.py")),
+    ("geometry", include_str!("../python/geometry.py")),
+    ("materials", include_str!("../python/materials.py")),
+    ("lights", include_str!("../python/lights.py")),
+    ("shapes", include_str!("../python/shapes.py")),
+    ("mtlx", include_str!("../python/mtlx.py")),
+    ("skel", include_str!("../python/skel.py")),
+    ("walk", include_str!("../python/walk.py")),
+];
+/// What starts them in a child.
+const BOOT: &str = include_str!("../python/boot.py");
+/// How often the child is looked at.
+const POLL: Duration = Duration::from_millis(5);
+/// Of standard error the last bytes are kept.
+const SAID: usize = 16 << 10;
+
+/// What the walker is to do.
+#[derive(Debug, Serialize)]
+pub(crate) struct Request<'a> {
+    pub(crate) path: &'a str,
+    pub(crate) time_s: Option<f64>,
+    pub(crate) variants: &'a [String],
+    pub(crate) contents_only: bool,
+}
+
+/// A package in a file.
+pub(crate) struct Answer {
+    file: Option<Mmap>,
+    /// The Python that made it.
+    python: String,
+}
+
+impl Answer {
+    /// What the file holds.
+    ///
+    /// # Errors
+    /// When it is no package.
+    pub(crate) fn package(&self, name: &str) -> Result<Package<'_>, UsdError> {
+        let bytes = self.file.as_deref().unwrap_or_default();
+        Package::parse(bytes).map_err(|found| UsdError::Child { file: name.into(), python: self.python.clone(), found })
+    }
+}
+
+/// Why one Python gives no package.
+enum Failed {
+    /// It does not do; another may.
+    Unfit(String),
+    Final(UsdError),
+}
+
+/// Asks the first Python that has OpenUSD.
+///
+/// # Errors
+/// When none has, the file is refused, or the child breaks down.
+pub(crate) fn ask(request: &Request<'_>, cancel: &Cancel) -> Result<Answer, UsdError> {
+    ask_one_of(&Surroundings::of_system().candidates(), request, cancel)
+}
+
+fn ask_one_of(candidates: &[Candidate], request: &Request<'_>, cancel: &Cancel) -> Result<Answer, UsdError> {
+    let mut tried = Vec::new();
+    for candidate in candidates {
+        let program = candidate.program.display().to_string();
+        match ask_python(&candidate.program, request, cancel) {
+            Ok(answer) => return Ok(answer),
+            Err(Failed::Final(error)) => return Err(error),
+            Err(Failed::Unfit(found)) if candidate.given => {
+                return Err(UsdError::GivenPython { found: format!("{program}: {found}"), python: program });
+            }
+            Err(Failed::Unfit(found)) => tried.push(match candidate.from == program {
+                true => format!("{program}: {found}"),
+                false => format!("{program} from {}: {found}", candidate.from),
+            }),
+        }
+    }
+    Err(UsdError::NoPython { file: request.path.into(), tried })
+}
+
+fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<Answer, Failed> {
+    let python = program.display().to_string();
+    let io = |source| Failed::Final(UsdError::Io { place: "a temporary file".into(), source });
+    let file = tempfile::tempfile().map_err(io)?;
+    let mut command = Command::new(program);
+    // files in the working folder are not Python's; file names are UTF-8
+    command.args(["-c", BOOT]).env("PYTHONSAFEPATH", "1").env("PYTHONUTF8", "1");
+    command.stdin(Stdio::piped()).stdout(file.try_clone().map_err(io)?).stderr(Stdio::piped());
+    let mut child = command.spawn().map_err(|error| Failed::Unfit(format!("cannot be started: {error}")))?;
+    let said = read_end(child.stderr.take());
+    if let Some(mut input) = child.stdin.take() {
+        #[derive(Serialize)]
+        struct WithModules<'a> {
+            modules: &'a [(&'a str, &'a str)],
+            #[serde(flatten)]
+            request: &'a Request<'a>,
+        }
+        // a child that ended already says why below
+        let _ = serde_json::to_writer(&mut input, &WithModules { modules: &MODULES, request });
+        let _ = input.flush();
+    }
+    let status = wait(&mut child, cancel, &mut || ()).map_err(|error| Failed::Final(error.into()))?;
+    let said = said.join().unwrap_or_default();
+    let failed = |found| Failed::Final(UsdError::Child { file: request.path.into(), python: python.clone(), found });
+    let answer = Answer { file: map(&file).map_err(io)?, python: python.clone() };
+    if answer.file.is_none() && status.code().is_some_and(|code| code != 0) {
+        // it never got as far as the first line of ours, or could not understand it
+        return Err(Failed::Unfit(ended(status, &said)));
+    }
+    if !status.success() {
+        return Err(failed(ended(status, &said)));
+    }
+    let package = answer.package(request.path).map_err(|error| match error {
+        UsdError::Child { found, .. } => failed(format!("{found}{}", last_line(&said))),
+        other => Failed::Final(other),
+    })?;
+    if let Some(failure) = package.header.error {
+        let file = request.path.to_owned();
+        return Err(match failure.kind.as_str() {
+            "python" | "pxr" => Failed::Unfit(failure.message),
+            "scene" => Failed::Final(UsdError::Refused { file, message: failure.message }),
+            _ => failed(format!("an exception: {}", failure.message.trim_end())),
+        });
+    }
+    Ok(answer)
+}
+
+/// Waits for the end of a child, or ends it; calls `meanwhile` now and then.
+pub(crate) fn wait(child: &mut Child, cancel: &Cancel, meanwhile: &mut dyn FnMut()) -> Result<ExitStatus, Cancelled> {
+    loop {
+        if let Ok(Some(status)) = child.try_wait() {
+            return Ok(status);
+        }
+        if cancel.is_cancelled() {
+            // it may have ended by itself in between
+            let _ = child.kill();
+            let _ = child.wait();
+            return Err(Cancelled);
+        }
+        meanwhile();
+        std::thread::sleep(POLL);
+    }
+}
+
+/// Reads a stream to its end in a thread of its own, and keeps the last of it.
+pub(crate) fn read_end(stream: Option<impl Read + Send + 'static>) -> JoinHandle<String> {
+    std::thread::spawn(move || {
+        let mut kept = Vec::new();
+        let mut chunk = [0; 4096];
+        if let Some(mut stream) = stream {
+            while let Ok(count @ 1..) = stream.read(&mut chunk) {
+                kept.extend_from_slice(&chunk[..count]);
+                kept.drain(..kept.len().saturating_sub(SAID));
+            }
+        }
+        String::from_utf8_lossy(&kept).into_owned()
+    })
+}
+
+fn map(file: &File) -> std::io::Result<Option<Mmap>> {
+    if file.metadata()?.len() == 0 {
+        return Ok(None);
+    }
+    // SAFETY: the file has no name, and the only other process that had it open has ended
+    unsafe { Mmap::map(file) }.map(Some)
+}
+
+/// How a process ended, and the last line that it said.
+fn ended(status: ExitStatus, said: &str) -> String {
+    #[cfg(unix)]
+    if let Some(signal) = std::os::unix::process::ExitStatusExt::signal(&status) {
+        return format!("its end by signal {signal}{}", last_line(said));
+    }
+    format!("its end with {status}{}", last_line(said))
+}
+
+/// The last lines of standard error, or of what was printed where that is silent.
+pub(crate) fn last_lines(said: &str, printed: &str) -> String {
+    let text = if said.trim().is_empty() { printed } else { said };
+    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    lines[lines.len().saturating_sub(4)..].join(" ")
+}
+
+fn last_line(said: &str) -> String {
+    let line = said.lines().rfind(|line| !line.trim().is_empty());
+    line.map_or_else(String::new, |line| format!("; the last it said: {}", line.trim()))
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+    use std::path::PathBuf;
+    use std::time::Instant;
+
+    use super::*;
+
+    const REQUEST: Request<'static> = Request { path: "scene.usda", time_s: None, variants: &[], contents_only: false };
+
+    /// A program that stands in for Python.
+    fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
+        let program = folder.join(name);
+        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+        Candidate { program, from: "PATH", given: false }
+    }
+
+    fn error(candidates: &[Candidate]) -> String {
+        ask_one_of(candidates, &REQUEST, &Cancel::default()).err().expect("no scene comes of it").to_string()
+    }
+
+    #[test]
+    fn every_python_that_does_not_do_is_named_with_its_reason() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing =
+            Candidate { program: PathBuf::from("/no/such/python"), from: "lumistack setup usd", given: false };
+        let shim = fake(folder.path(), "shim", "echo 'pyenv: python3: command not found' >&2; exit 127");
+        let header = r#"{"schema": "lumistack.scene-package", "version": 1, "error": {"kind": "pxr", "message": "Python 3.9.1 without OpenUSD"}}"#;
+        let length = format!("\\{:03o}\\0\\0\\0\\0\\0\\0\\0", header.len());
+        let bare = fake(folder.path(), "bare", &format!("cat >/dev/null; printf 'LUMIPKG1{length}%s' '{header}'"));
+        let text = error(&[missing.clone(), shim, bare]);
+        assert!(text.starts_with("scene.usda: USD files are read by the Python package usd-core"), "{text}");
+        for part in [
+            "`lumistack setup usd`",
+            "/no/such/python from lumistack setup usd: cannot be started",
+            "shim from PATH: its end with exit status: 127; the last it said: pyenv: python3: command not found",
+            "bare from PATH: Python 3.9.1 without OpenUSD",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        let text = error(&[Candidate { given: true, ..missing }]);
+        assert!(
+            text.starts_with("LUMISTACK_PYTHON: expected a Python with the package usd-core, found /no/such/python"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn a_child_that_breaks_down_is_one_message() {
+        let folder = tempfile::tempdir().unwrap();
+        let sound = fake(folder.path(), "sound", "exit 9");
+        for (name, script, expected) in [
+            (
+                "crash",
+                "cat >/dev/null; echo 'last words' >&2; kill -SEGV $$",
+                "its end by signal 11; the last it said: last words",
+            ),
+            ("chatter", "cat >/dev/null; echo 'Hello from a plugin'", "something else than a scene package"),
+            (
+                "cut",
+                "cat >/dev/null; printf 'LUMIPKG1\\100\\0\\0\\0\\0\\0\\0\\0{'",
+                "a scene package that ends too early",
+            ),
+            ("late", "cat >/dev/null; echo half; exit 3", "its end with exit status: 3"),
+            ("silent", "cat >/dev/null", "nothing"),
+        ] {
+            let text = error(&[fake(folder.path(), name, script), sound.clone()]);
+            let start = format!("scene.usda: expected a scene from {}, found ", folder.path().join(name).display());
+            assert!(text.starts_with(&start) && text.contains(expected), "{name}: {text}");
+        }
+    }
+
+    #[test]
+    fn a_cancelled_child_is_ended_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let pid = folder.path().join("pid");
+        let sleeper = fake(folder.path(), "sleeper", &format!("echo $$ > {}; exec sleep 100", pid.display()));
+        let cancel = Cancel::default();
+        let start = Instant::now();
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while std::fs::read_to_string(&pid).is_ok_and(|pid| !pid.is_empty()) || start.elapsed().as_secs() < 1 {
+                    if start.elapsed().as_millis() > 300 {
+                        break;
+                    }
+                    std::thread::sleep(POLL);
+                }
+                cancel.cancel();
+            });
+            assert!(matches!(ask_one_of(&[sleeper], &REQUEST, &cancel), Err(UsdError::Cancelled(_))));
+        });
+        assert!(start.elapsed().as_secs() < 20);
+        let pid = std::fs::read_to_string(&pid).unwrap();
+        // signal 0 asks whether a process is there
+        let alive = Command::new("kill").args(["-0", pid.trim()]).stderr(Stdio::null()).status().unwrap();
+        assert!(!alive.success(), "process {pid} is still there");
+    }
+
+    /// The first lines of the child say what is missing in a Python without OpenUSD.
+    #[test]
+    fn a_real_python_answers() {
+        let python = Candidate { program: "python3".into(), from: "PATH", given: false };
+        match ask_one_of(std::slice::from_ref(&python), &REQUEST, &Cancel::default()) {
+            Err(UsdError::NoPython { tried, .. }) => match tried[0].contains("cannot be started") {
+                true => eprintln!("skipped: no python3 on PATH"),
+                false => assert!(tried[0].contains("Python 3.") && tried[0].contains("OpenUSD"), "{tried:?}"),
+            },
+            Err(UsdError::Refused { message, .. }) => assert!(message.contains("scene.usda"), "{message}"),
+            Err(other) => panic!("{other}"),
+            Ok(_) => panic!("there is no such file"),
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! Triangles that still lack a material and a place in the scene.
+
+use glam::{Vec2, Vec3, Vec4};
+
+/// What every kind of shape becomes. Attributes are per vertex; an empty list means that there is none.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Geometry {
+    pub(crate) positions: Vec<Vec3>,
+    /// Unit, on the side from which triangles wind counter-clockwise.
+    pub(crate) normals: Vec<Vec3>,
+    /// Texture coordinates of the scene, whose v points down (USD's points up).
+    pub(crate) uvs: [Vec<Vec2>; 2],
+    /// Linear RGBA.
+    pub(crate) colors: Vec<Vec4>,
+    /// Vertex indices.
+    pub(crate) triangles: Vec<[u32; 3]>,
+    /// The face of the source (a polygon, a curve) that each triangle is a part of.
+    pub(crate) face_of_triangle: Vec<u32>,
+}
+
+impl Geometry {
+    /// Adds a vertex and returns its index.
+    pub(crate) fn vertex(&mut self, position: Vec3, normal: Vec3, uv: Vec2) -> u32 {
+        self.positions.push(position);
+        self.normals.push(normal);
+        self.uvs[0].push(uv);
+        (self.positions.len() - 1) as u32
+    }
+
+    /// Adds a triangle that belongs to a face.
+    pub(crate) fn triangle(&mut self, corners: [u32; 3], face: u32) {
+        self.triangles.push(corners);
+        self.face_of_triangle.push(face);
+    }
+
+    /// Adds the quadrilateral `a b c d`, counter-clockwise; halves without area are left out.
+    pub(crate) fn quad(&mut self, [a, b, c, d]: [u32; 4], face: u32) {
+        for corners in [[a, b, c], [a, c, d]] {
+            let [p, q, r] = corners.map(|i| self.positions[i as usize]);
+            if p != q && q != r && r != p {
+                self.triangle(corners, face);
+            }
+        }
+    }
+}
+
+impl Geometry {
+    /// Surface area.
+    pub(crate) fn area(&self) -> f64 {
+        self.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length()).sum()
+    }
+
+    /// Corner positions of every triangle.
+    pub(crate) fn corners(&self) -> impl Iterator<Item = [glam::DVec3; 3]> + Clone {
+        self.triangles.iter().map(|triangle| triangle.map(|i| self.positions[i as usize].as_dvec3()))
+    }
+}
+
+#[cfg(test)]
+impl Geometry {
+    /// Volume inside, by the divergence theorem: positive where triangles wind counter-clockwise seen from outside.
+    pub(crate) fn volume(&self) -> f64 {
+        self.corners().map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
+    }
+
+    /// Fails where lists differ in length, indices point nowhere, or normals are not unit vectors on the outer side.
+    pub(crate) fn assert_sound(&self) {
+        let count = self.positions.len();
+        assert_eq!(self.normals.len(), count);
+        for list in &self.uvs {
+            assert!(list.is_empty() || list.len() == count);
+        }
+        assert!(self.colors.is_empty() || self.colors.len() == count);
+        assert_eq!(self.triangles.len(), self.face_of_triangle.len());
+        assert!(self.positions.iter().all(|p| p.is_finite()));
+        assert!(self.normals.iter().all(|n| (n.length() - 1.0).abs() < 1e-5));
+        for (triangle, [a, b, c]) in self.triangles.iter().zip(self.corners()) {
+            let face = (b - a).cross(c - a);
+            assert!(face.length() > 0.0);
+            for &i in triangle {
+                assert!(face.dot(self.normals[i as usize].as_dvec3()) > 0.0, "{triangle:?}");
+            }
+        }
+    }
+
+    /// Fails unless every edge, by position, has one triangle on either side: a closed, consistently wound surface.
+    pub(crate) fn assert_closed(&self) {
+        use std::collections::HashMap;
+        let key = |i: u32| self.positions[i as usize].to_array().map(|x| (x * 1e4).round() as i64);
+        let mut balance: HashMap<_, i32> = HashMap::new();
+        for &[a, b, c] in &self.triangles {
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                let (from, to) = (key(from), key(to));
+                let sign = if from < to { 1 } else { -1 };
+                *balance.entry((from.min(to), from.max(to))).or_default() += sign;
+            }
+        }
+        assert!(balance.values().all(|&sum| sum == 0));
+    }
+}

@@ -1,0 +1,96 @@
+//! USD to [`Scene`](lumistack_scene::Scene), by way of the user's Python.
+//!
+//! ```text
+//! .usd file ─▶ child: pxr stage ─▶ walker (python/) ─▶ package ─▶ meshes, materials, instances ─▶ Scene
+//! ```
+//!
+//! OpenUSD itself composes and evaluates the stage, so that whatever it reads is read. The walker is plain Python over `pxr`; its source is part of
+//! this crate, and a package of a JSON header and raw arrays comes back. A caller that has Python in its own process runs [`MODULES`] there and calls
+//! [`scene_from_package`]. What is read of USD is in `docs/USD.md`.
+
+mod child;
+mod curves;
+mod error;
+mod geometry;
+mod implicit;
+mod lights;
+mod material;
+mod mesh;
+mod package;
+mod picture;
+mod polygons;
+mod preview;
+mod python;
+mod refine;
+mod scene;
+mod setup;
+mod shapes;
+mod subdivide;
+mod texture;
+mod uber;
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::Task;
+use lumistack_scene::Scene;
+
+pub use child::MODULES;
+pub use error::UsdError;
+pub use package::{Array, Contents, Failure, Header, Note, Package, TimeRange, VariantSet};
+pub use scene::scene_from_package;
+pub use setup::Setup;
+
+/// Extensions of USD files.
+pub const EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];
+
+/// What to take of a file that has a choice.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LoadOptions {
+    /// Seconds after the stage's first time code. `None`: there; in a stage without one the first time sample of every attribute.
+    pub time_s: Option<f64>,
+    /// Variants: `set=variant` on every prim that has them, `/prim{set=variant}` on one.
+    pub variants: Vec<String>,
+}
+
+/// A scene and the files it came from.
+#[derive(Debug)]
+pub struct Loaded {
+    /// The scene.
+    pub scene: Scene,
+    /// Every layer and texture on disk that was read.
+    pub files: Vec<PathBuf>,
+}
+
+/// Loads a USD file.
+///
+/// # Errors
+/// [`UsdError`]: when no Python with OpenUSD is found, the file is refused, nothing in it can be rendered, or the task is cancelled.
+pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded, UsdError> {
+    let name = file_name(path)?;
+    let LoadOptions { time_s, variants } = options;
+    let request = child::Request { path: name, time_s: *time_s, variants, contents_only: false };
+    let answer = child::ask(&request, task.cancel)?;
+    let package = answer.package(name)?;
+    let files = package.header.files.iter().map(PathBuf::from).collect();
+    Ok(Loaded { scene: scene_from_package(name, &package, task)?, files })
+}
+
+/// Lists what a USD file offers to choose from.
+///
+/// # Errors
+/// As [`load`], of what has to be read for the list.
+pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
+    let name = file_name(path)?;
+    let request = child::Request { path: name, time_s: None, variants: &[], contents_only: true };
+    let answer = child::ask(&request, task.cancel)?;
+    Ok(answer.package(name)?.header.contents)
+}
+
+/// The name, once the file is known to be there.
+fn file_name(path: &Path) -> Result<&str, UsdError> {
+    std::fs::metadata(path).map_err(|source| UsdError::Io { place: path.display().to_string(), source })?;
+    path.to_str().ok_or_else(|| {
+        let source = std::io::Error::new(std::io::ErrorKind::InvalidInput, "expected a name in UTF-8, as USD needs it");
+        UsdError::Io { place: path.display().to_string(), source }
+    })
+}

@@ -1,0 +1,328 @@
+//! Lights of a package (UsdLux).
+//!
+//! A light with a surface has one radiance L = intensity · 2^exposure · colour · colour temperature on it, divided by its area in the scene if it is
+//! normalized, and becomes a black emitting mesh. A distant light of angle 2θ has that radiance in a cone, hence the irradiance L π sin²θ; normalized, L.
+//! A sphere as a point has the intensity L π r²; a disc or rectangle with a cone is a spot of the intensity L · area. A dome is the environment; the centre
+//! of its picture is +z and its right edge lies towards −x (as OpenEXR has it), where the scene's centre is −z. Source: UsdLux schemas of OpenUSD 25.
+
+use std::f32::consts::{FRAC_PI_2, PI};
+
+use glam::{Affine3A, DAffine3, DMat3, DMat4, DQuat, DVec3, Quat, Vec2, Vec3, Vec4};
+use lumistack_core::Task;
+use lumistack_scene::{Environment, Image, Light, LightKind, Material, Pixels};
+use serde::Deserialize;
+
+use crate::curves::ball;
+use crate::geometry::Geometry;
+use crate::texture::{Channel, Kind, Source, Textures};
+
+/// Sides of round lights.
+const SIDES: usize = 48;
+/// Parts of the edges of an octahedron that a spherical light is: 288 triangles.
+const SPHERE_PARTS: u32 = 6;
+
+/// What the walker says of a light.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default)]
+struct Entry {
+    place: String,
+    kind: String,
+    radiance: [f32; 3],
+    normalize: bool,
+    /// Full angle, degrees.
+    angle: f32,
+    radius: f32,
+    width: f32,
+    height: f32,
+    length: f32,
+    #[serde(rename = "treatAsPoint")]
+    as_point: bool,
+    shaping: Option<Shaping>,
+    image: Option<usize>,
+    format: String,
+    pole_z: bool,
+    /// Rows.
+    matrix: Option<[f64; 16]>,
+}
+
+/// `UsdLuxShapingAPI`.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(default)]
+struct Shaping {
+    /// Half angle, degrees.
+    #[serde(rename = "cone:angle")]
+    angle: f32,
+    /// Share of the angle over which light falls off.
+    #[serde(rename = "cone:softness")]
+    softness: f32,
+    focus: f32,
+}
+
+/// A light with a surface.
+#[derive(Clone, Debug)]
+pub(crate) struct Shining {
+    pub(crate) place: String,
+    pub(crate) geometry: Geometry,
+    pub(crate) material: Material,
+    pub(crate) scene_from_mesh: Affine3A,
+}
+
+/// All lights of a scene.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Lights {
+    pub(crate) surfaces: Vec<Shining>,
+    pub(crate) points: Vec<Light>,
+    pub(crate) environment: Option<Environment>,
+}
+
+impl Lights {
+    /// Adds the light of an entry. What is wrong with it is reported.
+    pub(crate) fn add(
+        &mut self,
+        entry: &serde_json::Value,
+        scene_from_stage: &DAffine3,
+        textures: &mut Textures<'_>,
+        task: Task<'_>,
+    ) {
+        let entry: Entry = match serde_json::from_value(entry.clone()) {
+            Ok(entry) => entry,
+            Err(error) => {
+                let place = entry.get("place").and_then(|place| place.as_str()).unwrap_or("/lights");
+                return task.warn(place, format!("is not as the walker writes it ({error}); the light is left out"));
+            }
+        };
+        let matrix =
+            entry.matrix.map_or(DAffine3::IDENTITY, |matrix| DAffine3::from_mat4(DMat4::from_cols_array(&matrix)));
+        let scene_from_light = *scene_from_stage * matrix;
+        let sizes = [entry.angle, entry.radius, entry.width, entry.height, entry.length];
+        let finite = sizes.iter().chain(&entry.radiance).all(|value| value.is_finite() && *value >= 0.0);
+        if !(finite && scene_from_light.is_finite()) {
+            return task.warn(
+                &entry.place,
+                "has a size, a brightness or a placement that is negative or not finite; the light is left out",
+            );
+        }
+        if Vec3::from(entry.radiance) == Vec3::ZERO {
+            return;
+        }
+        match entry.kind.as_str() {
+            "distant" => self.distant(&entry, &scene_from_light),
+            "dome" => self.dome(&entry, &scene_from_light, textures, task),
+            _ => self.surface(&entry, &scene_from_light, textures, task),
+        }
+    }
+
+    fn distant(&mut self, entry: &Entry, scene_from_light: &DAffine3) {
+        let half_angle = (0.5 * entry.angle).to_radians().min(FRAC_PI_2);
+        let projected = if entry.normalize || half_angle == 0.0 { 1.0 } else { PI * half_angle.sin().powi(2) };
+        let direction = scene_from_light.transform_vector3(DVec3::NEG_Z).normalize_or(DVec3::NEG_Y);
+        self.points.push(Light {
+            position: Vec3::ZERO,
+            direction: direction.as_vec3(),
+            intensity: projected * Vec3::from(entry.radiance),
+            kind: if half_angle > 0.0 {
+                LightKind::Distant { half_angle_rad: half_angle }
+            } else {
+                LightKind::Directional
+            },
+        });
+    }
+
+    fn dome(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
+        if self.environment.is_some() {
+            return task.warn(&entry.place, "a second dome light is not supported and is left out");
+        }
+        if !matches!(entry.format.as_str(), "" | "automatic" | "latlong") {
+            task.warn(
+                &entry.place,
+                format!("the picture's layout {} is not supported and is taken as latlong", entry.format),
+            );
+        }
+        let image = entry.image.and_then(|image| textures.radiance(image));
+        let image = image.unwrap_or_else(|| {
+            let pixels = Pixels::RgbF32(vec![[1.0; 3]]);
+            textures.images.push(Image { name: entry.place.clone(), width: 1, height: 1, pixels });
+            textures.images.len() - 1
+        });
+        let pole = if entry.pole_z { DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2) } else { DQuat::IDENTITY };
+        let turn = rotation(scene_from_light) * pole * DQuat::from_rotation_y(std::f64::consts::PI);
+        self.environment = Some(Environment {
+            image,
+            strength: entry.radiance.into(),
+            scene_from_environment: Quat::from_array(turn.to_array().map(|part| part as f32)).normalize(),
+        });
+    }
+
+    /// Lights that are surfaces, or so small or shaped that they are taken as points.
+    fn surface(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
+        let (geometry, true_area) = match entry.kind.as_str() {
+            "sphere" => (sphere(entry.radius), 4.0 * PI * entry.radius.powi(2)),
+            "disk" => (disc(entry.radius), PI * entry.radius.powi(2)),
+            "rect" => (rectangle(entry.width, entry.height), entry.width * entry.height),
+            "cylinder" => (tube(entry.radius, entry.length), 2.0 * PI * entry.radius * entry.length),
+            other => return task.warn(&entry.place, format!("the light {other} is not supported and is left out")),
+        };
+        let is_sphere = entry.kind == "sphere";
+        let [flat_area, scene_area] = [DAffine3::IDENTITY, *scene_from_light].map(|matrix| area(&geometry, &matrix));
+        // the mesh has a little less area than what it stands for
+        let missing = if flat_area > 0.0 { f64::from(true_area) / flat_area } else { 1.0 };
+        let scene_area = (scene_area * missing) as f32;
+        let given = Vec3::from(entry.radiance);
+        if entry.shaping.is_some_and(|shaping| shaping.focus > 0.0) {
+            task.warn(&entry.place, "its shaping:focus is not followed");
+        }
+        let cone = entry.shaping.filter(|shaping| shaping.angle < 90.0);
+        let small = is_sphere && (entry.as_point || entry.radius == 0.0);
+        if cone.is_some() || small {
+            if entry.kind == "cylinder" {
+                return task.warn(&entry.place, "a cylinder with a cone is not supported and is left out");
+            }
+            // of the sphere's surface, a quarter is seen from any side
+            let seen = if is_sphere { 0.25 } else { 1.0 };
+            let intensity = if entry.normalize { seen * given } else { seen * scene_area * given };
+            if entry.image.is_some() {
+                task.warn(&entry.place, "a light with a cone has its colour alone, without its picture");
+            }
+            if intensity == Vec3::ZERO {
+                return task.warn(&entry.place, "has no size and hence no light");
+            }
+            let direction = scene_from_light.transform_vector3(DVec3::NEG_Z).normalize_or(DVec3::NEG_Y);
+            self.points.push(Light {
+                position: scene_from_light.translation.as_vec3(),
+                direction: direction.as_vec3(),
+                intensity,
+                kind: cone.map_or(LightKind::Point, |cone| {
+                    let outer = cone.angle.max(0.1);
+                    let inner = outer * (1.0 - cone.softness.clamp(0.0, 1.0));
+                    LightKind::Spot { inner_cone_rad: inner.to_radians(), outer_cone_rad: outer.to_radians() }
+                }),
+            });
+            return;
+        }
+        if scene_area.is_nan() || scene_area <= 0.0 {
+            return task.warn(&entry.place, "has no size and hence no light");
+        }
+        let radiance = given * missing as f32 / if entry.normalize { scene_area } else { 1.0 };
+        let mut material = Material {
+            name: entry.place.clone(),
+            base_color: Vec4::W,
+            metallic: 0.0,
+            roughness: 1.0,
+            specular: 0.0,
+            emission: radiance,
+            ..Material::default()
+        };
+        if let Some(image) = entry.image {
+            let source = Source::plain(image);
+            let channels = [0, 1, 2].map(|k| Channel::Component(&source, k));
+            let slot = [channels[0], channels[1], channels[2], Channel::Unused];
+            material.emission_texture = textures.slot(slot, Kind::Light, 0, &entry.place);
+        }
+        let (place, scene_from_mesh) = (entry.place.clone(), scene_from_light.as_affine3a());
+        self.surfaces.push(Shining { place, geometry, material, scene_from_mesh });
+    }
+}
+
+/// The emission that a mesh which is a light gets, on top of a material: walker's entry of `MeshLightAPI`. What the material itself glows
+/// with tints the light; where it does not glow, the light is of its own colour. `area` is that of the mesh in the scene.
+pub(crate) fn glowing(entry: &serde_json::Value, material: &Material, area: f32) -> Option<Material> {
+    let entry: MeshEntry = serde_json::from_value(entry.clone()).ok()?;
+    let mut radiance = Vec3::from(entry.radiance);
+    if entry.normalize && area > 0.0 {
+        radiance /= area;
+    }
+    if !(radiance.is_finite() && radiance.max_element() > 0.0) {
+        return None;
+    }
+    let mut glowing = material.clone();
+    match entry.sync.as_str() {
+        "materialGlowTintsLight" if material.emission != Vec3::ZERO => glowing.emission = material.emission * radiance,
+        "materialGlowTintsLight" | "independent" => {
+            (glowing.emission, glowing.emission_texture) = (radiance, None);
+        }
+        _ => {
+            glowing = Material {
+                emission: radiance,
+                base_color: Vec4::W,
+                specular: 0.0,
+                metallic: 0.0,
+                roughness: 1.0,
+                ..Material::default()
+            };
+            glowing.double_sided = material.double_sided;
+        }
+    }
+    Some(glowing)
+}
+
+/// What the walker says of a mesh that is a light.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default)]
+struct MeshEntry {
+    radiance: [f32; 3],
+    normalize: bool,
+    sync: String,
+}
+
+/// The rotation in a placement; scale, shear and mirroring left out.
+fn rotation(matrix: &DAffine3) -> DQuat {
+    let y = matrix.matrix3.y_axis.normalize_or(DVec3::Y);
+    let z = matrix.matrix3.z_axis;
+    let z = (z - y * y.dot(z)).normalize_or(y.any_orthonormal_vector());
+    DQuat::from_mat3(&DMat3::from_cols(y.cross(z), y, z))
+}
+
+/// Surface area after a map.
+fn area(geometry: &Geometry, matrix: &DAffine3) -> f64 {
+    let at = |i: u32| matrix.transform_point3(geometry.positions[i as usize].as_dvec3());
+    geometry.triangles.iter().map(|&[a, b, c]| 0.5 * (at(b) - at(a)).cross(at(c) - at(a)).length()).sum()
+}
+
+fn sphere(radius: f32) -> Geometry {
+    let mut ball = ball(SPHERE_PARTS);
+    ball.positions.iter_mut().for_each(|position| *position *= 2.0 * radius);
+    ball
+}
+
+/// Faces −z; seen from there its picture is upright.
+fn rectangle(width: f32, height: f32) -> Geometry {
+    let mut geometry = Geometry::default();
+    let corners = [(1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(x, y): (f32, f32)| {
+        let position = Vec3::new(0.5 * width * x, 0.5 * height * y, 0.0);
+        geometry.vertex(position, Vec3::NEG_Z, Vec2::new(0.5 - 0.5 * x, 0.5 - 0.5 * y))
+    });
+    geometry.quad(corners, 0);
+    geometry
+}
+
+/// Faces −z.
+fn disc(radius: f32) -> Geometry {
+    let mut geometry = Geometry::default();
+    let centre = geometry.vertex(Vec3::ZERO, Vec3::NEG_Z, Vec2::splat(0.5));
+    let rim: Vec<u32> = (0..SIDES)
+        .map(|i| {
+            let (sine, cosine) = (2.0 * PI * i as f32 / SIDES as f32).sin_cos();
+            let uv = Vec2::new(0.5 - 0.5 * cosine, 0.5 - 0.5 * sine);
+            geometry.vertex(radius * Vec3::new(cosine, sine, 0.0), Vec3::NEG_Z, uv)
+        })
+        .collect();
+    (0..SIDES).for_each(|i| geometry.triangle([centre, rim[(i + 1) % SIDES], rim[i]], 0));
+    geometry
+}
+
+/// The side of a cylinder along x.
+fn tube(radius: f32, length: f32) -> Geometry {
+    let mut geometry = Geometry::default();
+    for i in 0..=SIDES {
+        let (sine, cosine) = (2.0 * PI * (i % SIDES) as f32 / SIDES as f32).sin_cos();
+        let normal = Vec3::new(0.0, cosine, sine);
+        for end in [-0.5, 0.5] {
+            let uv = Vec2::new(end + 0.5, i as f32 / SIDES as f32);
+            geometry.vertex(Vec3::new(end * length, 0.0, 0.0) + radius * normal, normal, uv);
+        }
+    }
+    for i in 0..SIDES as u32 {
+        geometry.quad([2 * i, 2 * i + 1, 2 * i + 3, 2 * i + 2], 0);
+    }
+    geometry
+}

@@ -1,0 +1,496 @@
+//! Scene packages: what the walker hands over. A JSON header, and arrays that it refers to.
+//!
+//! A file is the magic `LUMIPKG1`, the header's length as a little-endian u64, the header, and the arrays; each lies at a multiple of
+//! 64 bytes, where the header's `buffers` says. In one process the arrays come as they are. Nothing in a package is trusted: every
+//! number is checked where it is used, and no content can cause a panic.
+
+use serde::Deserialize;
+
+use crate::error::Fault;
+
+/// First bytes of a file.
+const MAGIC: &[u8; 8] = b"LUMIPKG1";
+/// Arrays start at multiples of this.
+const ALIGNMENT: usize = 64;
+/// The header's `schema`.
+const SCHEMA: &str = "lumistack.scene-package";
+
+/// A scene as the walker found it.
+pub struct Package<'a> {
+    /// What there is.
+    pub header: Header,
+    /// Raw little-endian arrays that the header refers to by number.
+    pub buffers: Vec<&'a [u8]>,
+}
+
+/// What a package says in JSON.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default)]
+pub struct Header {
+    /// Always `lumistack.scene-package`.
+    pub schema: String,
+    /// Always 1.
+    pub version: u32,
+    /// Why there is no scene.
+    pub error: Option<Failure>,
+    /// Name of the stage.
+    pub name: String,
+    /// "Y" or "Z".
+    pub up_axis: String,
+    /// Metres per unit of length.
+    pub meters_per_unit: f64,
+    /// Every layer and texture on disk that was read.
+    pub files: Vec<String>,
+    /// What the user should know.
+    pub warnings: Vec<Note>,
+    /// Choices that the file offers.
+    pub contents: Contents,
+    pub(crate) geometries: Vec<Shape>,
+    pub(crate) instances: Vec<Placement>,
+    pub(crate) materials: Vec<serde_json::Value>,
+    pub(crate) images: Vec<serde_json::Value>,
+    pub(crate) lights: Vec<serde_json::Value>,
+    pub(crate) cameras: Vec<CameraEntry>,
+    /// Offset and length of every array in a file, from the first multiple of 64 after the header.
+    buffers: Vec<[u64; 2]>,
+}
+
+/// Why the walker gives no scene.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Failure {
+    /// `python` (too old), `pxr` (no OpenUSD), `scene` (the file is refused) or `walker` (a mistake of ours).
+    pub kind: String,
+    /// The reason, for the user.
+    pub message: String,
+}
+
+/// A warning of the walker.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Note {
+    /// Prim path.
+    pub place: String,
+    /// One sentence.
+    pub message: String,
+}
+
+/// What a stage offers to choose from, and how much is in it.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Contents {
+    /// Variant sets, those inside instances aside.
+    pub variant_sets: Vec<VariantSet>,
+    /// Paths of cameras.
+    pub cameras: Vec<String>,
+    /// First and last time code, where the file says so.
+    pub time_range: Option<TimeRange>,
+    /// Prims of the default traversal.
+    pub prims: usize,
+    /// Meshes among them.
+    pub meshes: usize,
+    /// Points of those.
+    pub points: usize,
+}
+
+/// A set of variants of a prim.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+pub struct VariantSet {
+    /// `/prim{set}`.
+    pub place: String,
+    /// Names of the variants.
+    pub choices: Vec<String>,
+    /// The one that is shown; may be empty.
+    pub selected: String,
+}
+
+/// When a stage plays.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+pub struct TimeRange {
+    /// First and last.
+    pub time_codes: [f64; 2],
+    /// Time codes per second.
+    pub time_codes_per_second: f64,
+}
+
+impl TimeRange {
+    /// Seconds from the first time code to the last.
+    pub fn duration_s(&self) -> f64 {
+        (self.time_codes[1] - self.time_codes[0]) / self.time_codes_per_second
+    }
+}
+
+/// A shape in its own space.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub(crate) enum Shape {
+    Mesh(MeshEntry),
+    Solid(SolidEntry),
+    Curves(CurvesEntry),
+    Points(PointsEntry),
+}
+
+impl Shape {
+    pub(crate) fn place(&self) -> &str {
+        match self {
+            Self::Mesh(mesh) => &mesh.place,
+            Self::Solid(solid) => &solid.place,
+            Self::Curves(curves) => &curves.place,
+            Self::Points(points) => &points.place,
+        }
+    }
+}
+
+/// `UsdGeomMesh`.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(crate) struct MeshEntry {
+    pub(crate) place: String,
+    pub(crate) points: Option<Array>,
+    /// Corners per face.
+    pub(crate) counts: Option<Array>,
+    /// Points of all corners.
+    pub(crate) indices: Option<Array>,
+    #[serde(default)]
+    pub(crate) left_handed: bool,
+    /// Whether the file says that only the front is seen.
+    #[serde(default)]
+    pub(crate) one_sided: bool,
+    /// Faces that are not there.
+    pub(crate) holes: Option<Array>,
+    #[serde(default)]
+    pub(crate) primvars: Vec<Primvar>,
+    #[serde(default)]
+    pub(crate) subsets: Vec<Subset>,
+    /// What it shines with, if it is a light.
+    #[serde(default)]
+    pub(crate) light: Option<serde_json::Value>,
+    /// Absent where the mesh is what it is: polygons.
+    #[serde(default)]
+    pub(crate) subdivision: Option<Subdivision>,
+}
+
+/// Values over a surface.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct Primvar {
+    pub(crate) name: String,
+    pub(crate) interpolation: String,
+    pub(crate) values: Array,
+    #[serde(default)]
+    pub(crate) indices: Option<Array>,
+}
+
+/// Faces with a material of their own.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct Subset {
+    pub(crate) place: String,
+    pub(crate) faces: Array,
+}
+
+/// What a subdivision surface needs to know besides its cage.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct Subdivision {
+    pub(crate) scheme: String,
+    #[serde(default)]
+    pub(crate) interpolate_boundary: String,
+    #[serde(default)]
+    pub(crate) face_varying: String,
+    #[serde(default)]
+    pub(crate) triangle_rule: String,
+    #[serde(default)]
+    pub(crate) crease_indices: Option<Array>,
+    #[serde(default)]
+    pub(crate) crease_lengths: Option<Array>,
+    #[serde(default)]
+    pub(crate) crease_sharpnesses: Option<Array>,
+    #[serde(default)]
+    pub(crate) corner_indices: Option<Array>,
+    #[serde(default)]
+    pub(crate) corner_sharpnesses: Option<Array>,
+}
+
+/// An implicit shape.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct SolidEntry {
+    pub(crate) place: String,
+    /// `sphere`, `cube`, `cylinder`, `cone`, `capsule`, `plane`.
+    pub(crate) solid: String,
+    /// In the order of the schema's attributes; two radii come first.
+    pub(crate) sizes: Vec<f32>,
+    /// `x`, `y` or `z`.
+    #[serde(default)]
+    pub(crate) axis: String,
+    #[serde(default)]
+    pub(crate) primvars: Vec<Primvar>,
+}
+
+/// `UsdGeomBasisCurves`.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct CurvesEntry {
+    pub(crate) place: String,
+    pub(crate) points: Option<Array>,
+    pub(crate) counts: Option<Array>,
+    pub(crate) curve_type: String,
+    pub(crate) curve_basis: String,
+    pub(crate) curve_wrap: String,
+    pub(crate) widths: Option<Array>,
+    #[serde(default)]
+    pub(crate) widths_interpolation: String,
+    #[serde(default)]
+    pub(crate) normals: Option<Array>,
+    #[serde(default)]
+    pub(crate) normals_interpolation: String,
+    #[serde(default)]
+    pub(crate) primvars: Vec<Primvar>,
+}
+
+/// `UsdGeomPoints`.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct PointsEntry {
+    pub(crate) place: String,
+    pub(crate) points: Option<Array>,
+    pub(crate) widths: Option<Array>,
+    #[serde(default)]
+    pub(crate) primvars: Vec<Primvar>,
+}
+
+/// A shape's copies.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct Placement {
+    pub(crate) geometry: usize,
+    /// Material of the shape, then those of its subsets.
+    pub(crate) materials: Vec<Option<usize>>,
+    /// Innermost first.
+    pub(crate) chain: Vec<Link>,
+}
+
+/// Matrices, of which each makes a copy of all before it in the chain.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct Link {
+    /// `[n][4][4]`, USD's row vectors: the translation is the last row.
+    pub(crate) matrices: Array,
+    /// `[n]`: which prototype each matrix places; with [`prototype`](Self::prototype).
+    #[serde(default)]
+    pub(crate) prototypes: Option<Array>,
+    /// The one that this chain places.
+    #[serde(default)]
+    pub(crate) prototype: i64,
+    /// `[n]`: 0 for copies that are not shown.
+    #[serde(default)]
+    pub(crate) mask: Option<Array>,
+}
+
+/// `UsdGeomCamera`.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct CameraEntry {
+    pub(crate) place: String,
+    pub(crate) projection: String,
+    pub(crate) focal_length: f64,
+    /// Width and height, in the unit of the focal length.
+    pub(crate) aperture: [f64; 2],
+    pub(crate) aperture_offset: [f64; 2],
+    pub(crate) focus_distance: f64,
+    /// USD's row vectors.
+    pub(crate) matrix: [f64; 16],
+}
+
+/// A reference to an array.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Array {
+    /// Its number.
+    pub buffer: usize,
+    /// `f16`, `f32`, `f64`, or an integer: `i8` to `i64`, `u8` to `u64`.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// Length of every axis.
+    pub shape: Vec<usize>,
+}
+
+impl<'a> Package<'a> {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with the file.
+    pub fn parse(bytes: &'a [u8]) -> Result<Self, String> {
+        let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| match bytes.is_empty() {
+            true => "nothing".to_owned(),
+            false => "something else than a scene package".to_owned(),
+        })?;
+        let truncated = || "a scene package that ends too early".to_owned();
+        let (length, rest) = rest.split_first_chunk::<8>().ok_or_else(truncated)?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| truncated())?;
+        let (header, rest) = rest.split_at_checked(length).ok_or_else(truncated)?;
+        let mut header: Header =
+            serde_json::from_slice(header).map_err(|error| format!("a scene package with a broken header: {error}"))?;
+        if header.schema != SCHEMA || header.version != 1 {
+            return Err(format!("a package of {:?}, version {}", header.schema, header.version));
+        }
+        let padding = (MAGIC.len() + 8 + length).next_multiple_of(ALIGNMENT) - (MAGIC.len() + 8 + length);
+        let data = rest.get(padding..).unwrap_or_default();
+        let buffer = |[offset, length]: [u64; 2]| {
+            let start = usize::try_from(offset).ok()?;
+            data.get(start..start.checked_add(usize::try_from(length).ok()?)?)
+        };
+        let places = std::mem::take(&mut header.buffers);
+        let buffers = places.into_iter().map(|place| buffer(place).ok_or_else(truncated)).collect::<Result<_, _>>()?;
+        Ok(Self { header, buffers })
+    }
+
+    /// The raw bytes of an array with rows of `width` elements, its number of rows, and the size of an element.
+    fn bytes(&self, array: &Array, width: usize, place: &str) -> Result<(&'a [u8], usize), Fault> {
+        let fault = |expected: String, found: String| Fault::new(place, expected, found);
+        let size = match array.kind.as_str() {
+            "i8" | "u8" => 1,
+            "f16" | "i16" | "u16" => 2,
+            "f32" | "i32" | "u32" => 4,
+            "f64" | "i64" | "u64" => 8,
+            other => return Err(fault("numbers of 8 to 64 bits".into(), format!("type {other}"))),
+        };
+        let rows = array.shape.first().copied().unwrap_or(0);
+        let row: Option<usize> = array.shape.iter().skip(1).try_fold(1usize, |product, &n| product.checked_mul(n));
+        if row != Some(width) {
+            return Err(fault(format!("rows of {width} numbers"), format!("shape {:?}", array.shape)));
+        }
+        let bytes = self.buffers.get(array.buffer).copied();
+        let bytes =
+            bytes.ok_or_else(|| fault(format!("a buffer below {}", self.buffers.len()), array.buffer.to_string()))?;
+        let wanted = rows.checked_mul(width).and_then(|count| count.checked_mul(size));
+        if wanted != Some(bytes.len()) {
+            let found = format!("{} bytes of type {} for shape {:?}", bytes.len(), array.kind, array.shape);
+            return Err(fault("as many bytes as the shape needs".into(), found));
+        }
+        Ok((bytes, rows))
+    }
+
+    /// Rows of `N` real numbers.
+    pub(crate) fn reals<const N: usize>(&self, array: &Array, place: &str) -> Result<Vec<[f32; N]>, Fault> {
+        let (bytes, rows) = self.bytes(array, N, place)?;
+        let values: Vec<f32> = match array.kind.as_str() {
+            "f32" => numbers(bytes, f32::from_le_bytes).collect(),
+            "f64" => numbers(bytes, f64::from_le_bytes).map(|value| value as f32).collect(),
+            "f16" => numbers(bytes, u16::from_le_bytes).map(from_half).collect(),
+            other => return Err(Fault::new(place, "real numbers", format!("type {other}"))),
+        };
+        let mut chunks = values.as_chunks::<N>().0.to_vec();
+        chunks.truncate(rows);
+        Ok(chunks)
+    }
+
+    /// Integers.
+    pub(crate) fn integers(&self, array: &Array, place: &str) -> Result<Vec<i64>, Fault> {
+        let (bytes, _) = self.bytes(array, 1, place)?;
+        Ok(match array.kind.as_str() {
+            "i32" => numbers(bytes, i32::from_le_bytes).map(i64::from).collect(),
+            "u32" => numbers(bytes, u32::from_le_bytes).map(i64::from).collect(),
+            "i64" => numbers(bytes, i64::from_le_bytes).collect(),
+            "i8" => bytes.iter().map(|&byte| i64::from(byte as i8)).collect(),
+            "u8" => bytes.iter().map(|&byte| i64::from(byte)).collect(),
+            other => return Err(Fault::new(place, "integers", format!("type {other}"))),
+        })
+    }
+
+    /// 4 × 4 matrices.
+    pub(crate) fn matrices(&self, array: &Array, place: &str) -> Result<Vec<[f64; 16]>, Fault> {
+        let (bytes, _) = self.bytes(array, 16, place)?;
+        let values: Vec<f64> = match array.kind.as_str() {
+            "f64" => numbers(bytes, f64::from_le_bytes).collect(),
+            other => return Err(Fault::new(place, "matrices of 64-bit numbers", format!("type {other}"))),
+        };
+        Ok(values.as_chunks::<16>().0.to_vec())
+    }
+}
+
+fn numbers<'b, T, const N: usize>(bytes: &'b [u8], convert: fn([u8; N]) -> T) -> impl Iterator<Item = T> + 'b
+where
+    T: 'b,
+{
+    bytes.as_chunks::<N>().0.iter().map(move |&chunk| convert(chunk))
+}
+
+/// IEEE 754 binary16.
+fn from_half(bits: u16) -> f32 {
+    let sign = if bits >> 15 == 1 { -1.0 } else { 1.0 };
+    let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f32::from(bits & 1023));
+    sign * match exponent {
+        0 => mantissa * 2f32.powi(-24),
+        31 if mantissa == 0.0 => f32::INFINITY,
+        31 => f32::NAN,
+        _ => (1024.0 + mantissa) * 2f32.powi(exponent - 25),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A package of one array.
+    fn file(header: &str, data: &[u8]) -> Vec<u8> {
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend((header.len() as u64).to_le_bytes());
+        bytes.extend(header.as_bytes());
+        bytes.resize(bytes.len().next_multiple_of(ALIGNMENT), 0);
+        bytes.extend(data);
+        bytes
+    }
+
+    const HEADER: &str = r#"{"schema": "lumistack.scene-package", "version": 1, "buffers": [[0, 24]], "later": 1}"#;
+
+    fn array(kind: &str, shape: &[usize]) -> Array {
+        Array { buffer: 0, kind: kind.into(), shape: shape.into() }
+    }
+
+    #[test]
+    fn arrays_come_back_and_every_cut_is_an_error() {
+        let data: Vec<u8> = [1.0f32, 2.0, 3.0, -4.0, 5.5, 6.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let bytes = file(HEADER, &data);
+        let package = Package::parse(&bytes).unwrap();
+        let rows = package.reals::<3>(&array("f32", &[2, 3]), "a").unwrap();
+        assert_eq!(rows, [[1.0, 2.0, 3.0], [-4.0, 5.5, 6.0]]);
+        for cut in 0..bytes.len() {
+            assert!(Package::parse(&bytes[..cut]).is_err(), "cut at {cut}");
+        }
+    }
+
+    #[test]
+    fn shapes_and_types_that_lie_are_errors() {
+        let bytes = file(HEADER, &[0; 24]);
+        let package = Package::parse(&bytes).unwrap();
+        for (kind, shape) in [
+            ("f32", vec![3, 3]),
+            ("f32", vec![2, 2]),
+            ("f32", vec![]),
+            ("f32", vec![usize::MAX, 3]),
+            ("f32", vec![2, usize::MAX, usize::MAX]),
+            ("i32", vec![2, 3]),
+            ("f128", vec![2, 3]),
+        ] {
+            assert!(package.reals::<3>(&array(kind, &shape), "a").is_err(), "{kind} {shape:?}");
+        }
+        assert!(package.reals::<3>(&Array { buffer: 1, ..array("f32", &[2, 3]) }, "a").is_err());
+        assert!(package.matrices(&array("f64", &[1, 4, 4]), "a").is_err());
+        assert_eq!(package.integers(&array("i64", &[3]), "a").unwrap(), [0; 3]);
+    }
+
+    #[test]
+    fn garbage_is_told_from_silence() {
+        assert_eq!(Package::parse(b"").err().unwrap(), "nothing");
+        assert!(Package::parse(b"Traceback (most recent call last)").err().unwrap().contains("something else"));
+        let huge = [MAGIC.as_slice(), &u64::MAX.to_le_bytes()].concat();
+        assert!(Package::parse(&huge).err().unwrap().contains("too early"));
+        assert!(Package::parse(&file("{]", &[])).err().unwrap().contains("broken header"));
+        assert!(Package::parse(&file("{}", &[])).err().unwrap().contains("version 0"));
+    }
+
+    #[test]
+    fn halves_are_exact() {
+        let known = [
+            (0x0000, 0.0),
+            (0x3c00, 1.0),
+            (0xc000, -2.0),
+            (0x7bff, 65504.0),
+            (0x0001, 2f32.powi(-24)),
+            (0x3555, 0.333_251_95),
+        ];
+        for (bits, value) in known {
+            assert_eq!(from_half(bits), value);
+        }
+        assert!(from_half(0x7e00).is_nan() && from_half(0xfc00) == f32::NEG_INFINITY);
+    }
+}

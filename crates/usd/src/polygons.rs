@@ -1,0 +1,196 @@
+//! A polygon mesh as a package holds it, checked: every index is in range, every list is as long as it must be.
+
+use crate::error::Fault;
+use crate::package::{MeshEntry, Package, Primvar};
+
+/// Faces, points and what varies over them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Polygons {
+    pub(crate) points: Vec<[f32; 3]>,
+    /// Corners per face, ≥ 0; their sum is the length of [`corners`](Self::corners).
+    pub(crate) counts: Vec<i32>,
+    /// Point of every corner.
+    pub(crate) corners: Vec<i32>,
+    pub(crate) left_handed: bool,
+    /// Faces that are not there; may be out of range.
+    pub(crate) holes: Vec<i32>,
+    pub(crate) normals: Option<Attribute<3>>,
+    pub(crate) uvs: [Option<Attribute<2>>; 2],
+    pub(crate) colors: Option<Attribute<3>>,
+    pub(crate) opacities: Option<Attribute<1>>,
+}
+
+/// Values over a surface, by interpolation.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Attribute<const N: usize> {
+    pub(crate) values: Vec<[f32; N]>,
+    pub(crate) interpolation: Interpolation,
+    /// Number of the value of each element; without it element i has value i.
+    pub(crate) indices: Option<Vec<u32>>,
+}
+
+/// What an attribute has a value for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Interpolation {
+    /// The whole mesh.
+    Constant,
+    /// Every face.
+    Uniform,
+    /// Every point, not smoothed by subdivision.
+    Varying,
+    /// Every point.
+    Vertex,
+    /// Every corner of every face.
+    FaceVarying,
+}
+
+/// Numbers of a corner, of the face that it belongs to and of the point where it is.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Corner {
+    pub(crate) face: usize,
+    pub(crate) point: usize,
+    pub(crate) corner: usize,
+}
+
+impl<const N: usize> Attribute<N> {
+    /// Number of the value at a corner.
+    pub(crate) fn index(&self, at: Corner) -> usize {
+        let element = match self.interpolation {
+            Interpolation::Constant => 0,
+            Interpolation::Uniform => at.face,
+            Interpolation::Varying | Interpolation::Vertex => at.point,
+            Interpolation::FaceVarying => at.corner,
+        };
+        self.indices.as_ref().map_or(element, |indices| indices[element] as usize)
+    }
+
+    /// The value at a corner.
+    pub(crate) fn at(&self, at: Corner) -> [f32; N] {
+        self.values[self.index(at)]
+    }
+
+    /// Whether corners at one point share their value.
+    pub(crate) fn is_smooth(&self) -> bool {
+        matches!(self.interpolation, Interpolation::Constant | Interpolation::Varying | Interpolation::Vertex)
+    }
+}
+
+/// Which primvars become texture coordinate sets 0 and 1.
+pub(crate) type UvNames<'a> = [Option<&'a str>; 2];
+
+/// Reads a mesh; `warn` takes what is left out.
+///
+/// # Errors
+/// When the topology contradicts itself.
+pub(crate) fn read(
+    package: &Package<'_>,
+    entry: &MeshEntry,
+    uv_names: UvNames<'_>,
+    warn: &mut dyn FnMut(String),
+) -> Result<Polygons, Fault> {
+    let place = entry.place.as_str();
+    let list = |array: &Option<crate::package::Array>, name: &str| match array {
+        Some(array) => package.integers(array, &format!("{place}.{name}")),
+        None => Ok(Vec::new()),
+    };
+    let points = match &entry.points {
+        Some(array) => package.reals::<3>(array, &format!("{place}.points"))?,
+        None => Vec::new(),
+    };
+    if let Some(at) = points.iter().position(|point| !point.iter().all(|x| x.is_finite())) {
+        return Err(Fault::new(format!("{place}.points[{at}]"), "finite coordinates", format!("{:?}", points[at])));
+    }
+    let counts = list(&entry.counts, "faceVertexCounts")?;
+    let corners = list(&entry.indices, "faceVertexIndices")?;
+    if let Some(at) = counts.iter().position(|&count| count < 0) {
+        return Err(Fault::new(format!("{place}.faceVertexCounts[{at}]"), "0 or more corners", counts[at]));
+    }
+    let wanted: i64 = counts.iter().fold(0, |sum, &count| sum.saturating_add(count));
+    if wanted != corners.len() as i64 {
+        let expected = format!("{wanted} indices, as faceVertexCounts says");
+        return Err(Fault::new(format!("{place}.faceVertexIndices"), expected, corners.len()));
+    }
+    if let Some(at) = corners.iter().position(|&point| !(0..points.len() as i64).contains(&point)) {
+        let expected = format!("a point below {}", points.len());
+        return Err(Fault::new(format!("{place}.faceVertexIndices[{at}]"), expected, corners[at]));
+    }
+    let sizes = Sizes { faces: counts.len(), points: points.len(), corners: corners.len() };
+    let find = |name: &str| entry.primvars.iter().find(|primvar| primvar.name == name);
+    let mut reader = Reader { package, place, sizes, warn };
+    let mut polygons = Polygons {
+        normals: reader.attribute(find("normals")),
+        uvs: uv_names.map(|name| reader.attribute(name.and_then(find))),
+        colors: reader.attribute(find("displayColor")),
+        opacities: reader.attribute(find("displayOpacity")),
+        left_handed: entry.left_handed,
+        ..Polygons::default()
+    };
+    // in range as checked above
+    polygons.counts = counts.into_iter().map(|count| count as i32).collect();
+    polygons.corners = corners.into_iter().map(|point| point as i32).collect();
+    polygons.holes = list(&entry.holes, "holeIndices")?.into_iter().filter_map(|face| face.try_into().ok()).collect();
+    polygons.points = points;
+    Ok(polygons)
+}
+
+/// How many of each element there are.
+struct Sizes {
+    faces: usize,
+    points: usize,
+    corners: usize,
+}
+
+struct Reader<'a, 'w> {
+    package: &'a Package<'a>,
+    place: &'a str,
+    sizes: Sizes,
+    warn: &'w mut dyn FnMut(String),
+}
+
+impl Reader<'_, '_> {
+    /// An attribute that fits the mesh; one that does not is left out with a warning, as every USD program does.
+    fn attribute<const N: usize>(&mut self, primvar: Option<&Primvar>) -> Option<Attribute<N>> {
+        let primvar = primvar?;
+        let attribute = self.fitting(primvar);
+        if let Err(reason) = &attribute {
+            (self.warn)(format!("the primvar {} has {reason}; it is left out", primvar.name));
+        }
+        attribute.ok()
+    }
+
+    fn fitting<const N: usize>(&self, primvar: &Primvar) -> Result<Attribute<N>, String> {
+        let place = format!("{}.primvars:{}", self.place, primvar.name);
+        let text = |fault: Fault| match fault {
+            Fault::Malformed { found, .. } => found,
+            Fault::Cancelled(_) => String::new(),
+        };
+        let values = self.package.reals::<N>(&primvar.values, &place).map_err(text)?;
+        let (interpolation, elements) = match primvar.interpolation.as_str() {
+            "constant" => (Interpolation::Constant, 1),
+            "uniform" => (Interpolation::Uniform, self.sizes.faces),
+            "varying" => (Interpolation::Varying, self.sizes.points),
+            "vertex" => (Interpolation::Vertex, self.sizes.points),
+            "faceVarying" => (Interpolation::FaceVarying, self.sizes.corners),
+            other => return Err(format!("the interpolation {other:?}")),
+        };
+        if values.iter().flatten().any(|value| !value.is_finite()) {
+            return Err("values that are not finite".into());
+        }
+        let indices = match &primvar.indices {
+            None => None,
+            Some(array) => {
+                let indices = self.package.integers(array, &place).map_err(text)?;
+                if let Some(index) = indices.iter().find(|&&index| !(0..values.len() as i64).contains(&index)) {
+                    return Err(format!("the index {index} and {} values", values.len()));
+                }
+                Some(indices.into_iter().map(|index| index as u32).collect::<Vec<_>>())
+            }
+        };
+        let found = indices.as_ref().map_or(values.len(), Vec::len);
+        // a constant may be the first of a list
+        if found < elements || (found > elements && interpolation != Interpolation::Constant) {
+            return Err(format!("{found} values where {} needs {elements}", primvar.interpolation));
+        }
+        Ok(Attribute { values, interpolation, indices })
+    }
+}

@@ -1,0 +1,39 @@
+//! UsdPreviewSurface, version 2.6.
+//!
+//! Its dielectric is ours: F₀ = ((1 − ior)/(1 + ior))² with F₉₀ = 1. In the specular workflow F₀ is `specularColor`, which an index of 0 stands for.
+//! Opacity is coverage: `opacityMode` "transparent", in which reflections do not fade, is taken as "presence".
+
+use glam::Vec3;
+
+use crate::material::{Builder, Inputs, Value};
+
+/// Inputs without a counterpart, with their defaults.
+const WITHOUT: [(&str, f32); 1] = [("displacement", 0.0)];
+
+pub(crate) fn build(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> &'static [(&'static str, f32)] {
+    let opacity = inputs.get("opacity", [1.0]);
+    builder.base(&inputs.get("diffuseColor", [0.18; 3]), 1.0, &opacity, inputs.number("opacityThreshold", 0.0));
+    builder.emission(&inputs.get("emissiveColor", [0.0; 3]), 1.0);
+    let metallic = inputs.get("metallic", [0.0]);
+    let roughness = inputs.get("roughness", [0.5]);
+    let specular = inputs.get("specularColor", [0.0; 3]);
+    builder.material.ior = inputs.number("ior", 1.5).max(1.0);
+    if inputs.number("useSpecularWorkflow", 0.0) != 0.0 {
+        builder.roughness(&roughness, &Value::Constant([0.0]));
+        builder.specular(&Value::Constant([1.0]), &specular, 1.5);
+        builder.material.ior = 0.0;
+        if specular == Value::Constant([0.0; 3]) {
+            (builder.material.specular, builder.material.specular_color) = (0.0, Vec3::ONE);
+        }
+    } else {
+        builder.roughness(&roughness, &metallic);
+    }
+    let (weight, coat_roughness) = (inputs.get("clearcoat", [0.0]), inputs.get("clearcoatRoughness", [0.01]));
+    let normal = inputs.get("normal", [0.0, 0.0, 1.0]);
+    builder.coat(&weight, &coat_roughness, &normal);
+    builder.material.normal_texture = builder.normal(&normal);
+    // found by the path tracer itself, or of no meaning here
+    inputs.number("occlusion", 1.0);
+    inputs.text("opacityMode");
+    &WITHOUT
+}

@@ -1,0 +1,98 @@
+//! Which Python reads USD files.
+
+use std::env::var_os;
+use std::path::{Path, PathBuf};
+
+/// Names the Python to take, and no other.
+pub(crate) const VARIABLE: &str = "LUMISTACK_PYTHON";
+
+/// A Python that may have OpenUSD.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Candidate {
+    pub(crate) program: PathBuf,
+    /// Where it was found, for messages.
+    pub(crate) from: &'static str,
+    /// Somebody asked for this one.
+    pub(crate) given: bool,
+}
+
+/// What of the environment decides.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Surroundings {
+    pub(crate) given: Option<PathBuf>,
+    /// Folders of the active virtual and conda environments.
+    pub(crate) active: [Option<PathBuf>; 2],
+    /// The one that `lumistack setup usd` makes.
+    pub(crate) own: Option<PathBuf>,
+}
+
+impl Surroundings {
+    pub(crate) fn of_system() -> Self {
+        let path = |name: &str| var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        Self {
+            given: path(VARIABLE),
+            active: [path("VIRTUAL_ENV"), path("CONDA_PREFIX")],
+            own: own_environment().filter(|folder| folder.is_dir()),
+        }
+    }
+
+    /// The Pythons to try, in this order.
+    pub(crate) fn candidates(&self) -> Vec<Candidate> {
+        if let Some(program) = &self.given {
+            return vec![Candidate { program: program.clone(), from: VARIABLE, given: true }];
+        }
+        let candidate = |program: PathBuf, from| Candidate { program, from, given: false };
+        let [virtual_env, conda] = &self.active;
+        let mut found: Vec<Candidate> = Vec::new();
+        found.extend(virtual_env.iter().map(|folder| candidate(interpreter(folder), "the active virtual environment")));
+        found.extend(conda.iter().map(|folder| candidate(conda_interpreter(folder), "the active conda environment")));
+        found.extend(self.own.iter().map(|folder| candidate(interpreter(folder), "lumistack setup usd")));
+        let on_path: &[&str] = if cfg!(windows) { &["python", "python3"] } else { &["python3", "python"] };
+        found.extend(on_path.iter().map(|name| candidate(name.into(), "PATH")));
+        found
+    }
+}
+
+/// The interpreter of a virtual environment.
+pub(crate) fn interpreter(environment: &Path) -> PathBuf {
+    if cfg!(windows) { environment.join("Scripts/python.exe") } else { environment.join("bin/python") }
+}
+
+fn conda_interpreter(environment: &Path) -> PathBuf {
+    if cfg!(windows) { environment.join("python.exe") } else { environment.join("bin/python") }
+}
+
+/// Where `lumistack setup usd` puts its Python: `lumistack/python` among the user's data.
+pub(crate) fn own_environment() -> Option<PathBuf> {
+    let folder = |name: &str| var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let data = if cfg!(windows) {
+        folder("LOCALAPPDATA")
+    } else if cfg!(target_os = "macos") {
+        folder("HOME").map(|home| home.join("Library/Application Support"))
+    } else {
+        folder("XDG_DATA_HOME").or_else(|| Some(folder("HOME")?.join(".local/share")))
+    };
+    Some(data?.join("lumistack").join("python"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_given_python_is_the_only_one() {
+        let mut surroundings = Surroundings {
+            given: Some("/opt/python".into()),
+            active: [Some("/venv".into()), Some("/conda".into())],
+            own: Some("/data".into()),
+        };
+        let given = surroundings.candidates();
+        assert_eq!(given.len(), 1);
+        assert!(given[0].given && given[0].program == Path::new("/opt/python"));
+        surroundings.given = None;
+        let from: Vec<_> = surroundings.candidates().iter().map(|candidate| candidate.from).collect();
+        let environments = ["the active virtual environment", "the active conda environment", "lumistack setup usd"];
+        assert_eq!(from, [&environments[..], &["PATH", "PATH"]].concat());
+        assert!(Surroundings::default().candidates().iter().all(|candidate| candidate.from == "PATH"));
+    }
+}

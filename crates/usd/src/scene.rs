@@ -1,0 +1,516 @@
+//! From a package to the parts of a scene.
+//!
+//! A shape becomes meshes once for every choice of materials that it is shown with; copies are instances, however deep prototypes are
+//! nested. Scenes whose z points up are turned by −90° about x.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+
+use glam::{Affine3A, DAffine3, DMat4, Vec4};
+use lumistack_core::{Task, Warning, Warnings};
+use lumistack_scene::{AlphaMode, Camera, Instance, Material, Mesh, Projection, Scene, SceneParts};
+
+use crate::UsdError;
+use crate::error::Fault;
+use crate::geometry::Geometry;
+use crate::lights::{self, Lights, Shining};
+use crate::material::{self, Loaded};
+use crate::package::{CameraEntry, Link, MeshEntry, Package, Placement, Shape};
+use crate::polygons::{self, Corner, Interpolation, Polygons, UvNames};
+use crate::texture::Textures;
+use crate::{mesh, refine, shapes};
+
+/// Copies of meshes that a scene may have: small files can ask for any number by nesting.
+const MOST_INSTANCES: usize = 1 << 26;
+/// Reflectance without a material and without a display colour, as UsdPreviewSurface has it.
+const GREY: f32 = 0.18;
+
+/// Makes a scene of a package; `name` stands for the file in messages.
+///
+/// # Errors
+/// When the package contradicts itself or nothing in it can be rendered.
+pub fn scene_from_package(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, UsdError> {
+    let warnings = InFile { name, inner: task.warnings };
+    let task = Task { warnings: &warnings, ..task };
+    for note in &package.header.warnings {
+        task.warn(&note.place, &note.message);
+    }
+    assemble(name, package, task).map_err(|fault| fault.in_file(name))
+}
+
+/// Puts the file's name before the place of every warning.
+struct InFile<'a> {
+    name: &'a str,
+    inner: &'a dyn Warnings,
+}
+
+impl Warnings for InFile<'_> {
+    fn warn(&self, warning: Warning) {
+        self.inner.warn(Warning { place: format!("{}: {}", self.name, warning.place), message: warning.message });
+    }
+}
+
+fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, Fault> {
+    let header = &package.header;
+    let scene_from_stage = match header.up_axis.as_str() {
+        "Z" => DAffine3::from_rotation_x(-std::f64::consts::FRAC_PI_2),
+        other => {
+            if other != "Y" {
+                task.warn("upAxis", format!("expected Y or Z, found {other:?}; it is taken as Y"));
+            }
+            DAffine3::IDENTITY
+        }
+    };
+    let mut assembly = Assembly {
+        package,
+        task,
+        parts: SceneParts { name: name.to_owned(), ..SceneParts::default() },
+        materials: Vec::new(),
+        plain: HashMap::new(),
+        one_sided: HashMap::new(),
+        shown: HashMap::new(),
+    };
+    let mut textures = Textures::new(package, task);
+    assembly.load_materials(&mut textures)?;
+    for placement in &header.instances {
+        task.cancel.check()?;
+        assembly.place(placement, &scene_from_stage)?;
+    }
+    assembly.light(&mut textures, &scene_from_stage);
+    (assembly.parts.images, assembly.parts.textures) = (textures.images, textures.textures);
+    for entry in &header.cameras {
+        if entry.aperture_offset != [0.0, 0.0] {
+            task.warn(&entry.place, "the camera's aperture is off its axis; it is taken on it");
+        }
+        let camera = camera(entry, &header.cameras, &scene_from_stage);
+        match camera {
+            Ok(camera) => assembly.parts.cameras.push(camera),
+            Err(reason) => task.warn(&entry.place, format!("the camera has {reason}; it is left out")),
+        }
+    }
+    let parts = assembly.parts;
+    parts.validate(task).map_err(|mut error| {
+        // the validator speaks of the whole scene by its name, which the message begins with anyway
+        if error.place == name {
+            error.place = "/".into();
+        }
+        error.into()
+    })
+}
+
+/// A material of the package as the scene has it.
+struct Bound {
+    /// Index in the scene.
+    material: usize,
+    /// Primvars that its textures are placed by.
+    uv_names: [Option<String>; 2],
+    /// Whether it is multiplied with the colours of vertices.
+    reads_colors: bool,
+}
+
+struct Assembly<'a> {
+    package: &'a Package<'a>,
+    task: Task<'a>,
+    parts: SceneParts,
+    /// By number in the package; `None` where no shader is known, and display colours are used.
+    materials: Vec<Option<Bound>>,
+    /// Materials of display colours, by the bits of the colour and whether it lets light through.
+    plain: HashMap<([u32; 4], bool), usize>,
+    /// Copies of materials for surfaces of which only the front is seen.
+    one_sided: HashMap<usize, usize>,
+    /// Meshes of a shape with these materials.
+    shown: HashMap<(usize, Vec<Option<usize>>), Vec<usize>>,
+}
+
+impl<'a> Assembly<'a> {
+    fn load_materials(&mut self, textures: &mut Textures<'a>) -> Result<(), Fault> {
+        for entry in &self.package.header.materials {
+            self.task.cancel.check()?;
+            let loaded = material::load(entry, textures, self.task);
+            self.materials.push(loaded.map(|Loaded { material, uv_names, reads_colors }| {
+                self.parts.materials.push(material);
+                Bound { material: self.parts.materials.len() - 1, uv_names, reads_colors }
+            }));
+        }
+        Ok(())
+    }
+
+    /// Adds the lights: surfaces that shine, points, the environment.
+    fn light(&mut self, textures: &mut Textures<'_>, scene_from_stage: &DAffine3) {
+        let mut lights = Lights::default();
+        for entry in &self.package.header.lights {
+            lights.add(entry, scene_from_stage, textures, self.task);
+        }
+        for Shining { place, geometry, material, scene_from_mesh } in lights.surfaces {
+            self.parts.materials.push(material);
+            let mesh = self.mesh(place, geometry, self.parts.materials.len() - 1);
+            self.parts.meshes.push(mesh);
+            self.parts.instances.push(Instance { mesh: self.parts.meshes.len() - 1, scene_from_mesh });
+        }
+        self.parts.lights = lights.points;
+        self.parts.environment = lights.environment;
+    }
+
+    fn mesh(&self, place: String, geometry: Geometry, material: usize) -> Mesh {
+        let Geometry { positions, normals, uvs, colors, triangles, .. } = geometry;
+        Mesh { place, positions, normals, tangents: Vec::new(), uvs, colors, triangles, material }
+    }
+
+    /// Meshes of shapes other than polygons, which have one material.
+    fn other(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
+        let bound = materials.first().copied().flatten().and_then(|index| self.materials[index].as_ref());
+        let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
+        let bound = bound.map(|bound| (bound.material, bound.reads_colors));
+        let (mut geometry, primvars) = match shape {
+            Shape::Mesh(_) => return Ok(Vec::new()),
+            Shape::Solid(entry) => (shapes::solid(entry)?, &entry.primvars),
+            Shape::Curves(entry) => {
+                let names = uv_names.each_ref().map(|name| name.as_deref());
+                (shapes::curves(self.package, entry, names, self.task)?, &entry.primvars)
+            }
+            Shape::Points(entry) => (shapes::balls(self.package, entry, self.task)?, &entry.primvars),
+        };
+        let (material, colors) = match bound {
+            Some(bound) => bound,
+            None if geometry.colors.is_empty() => {
+                // the display colour of the whole, if there is one
+                let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
+                let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
+                self.plain(&polygons::read(self.package, &whole, [None, None], &mut |_| {})?)
+            }
+            None => {
+                self.parts.materials.push(plain(Vec4::ONE, false));
+                (self.parts.materials.len() - 1, true)
+            }
+        };
+        if !colors {
+            geometry.colors.clear();
+        }
+        Ok(vec![self.mesh(shape.place().to_owned(), geometry, material)])
+    }
+
+    /// Makes the meshes of a placement where they are new, and an instance of each for every copy.
+    fn place(&mut self, placement: &Placement, scene_from_stage: &DAffine3) -> Result<(), Fault> {
+        let shapes = &self.package.header.geometries;
+        let shape = shapes.get(placement.geometry);
+        let shape = shape
+            .ok_or_else(|| Fault::new("instances", format!("a geometry below {}", shapes.len()), placement.geometry))?;
+        let place = shape.place();
+        if let Some(&material) = placement.materials.iter().flatten().find(|&&index| index >= self.materials.len()) {
+            return Err(Fault::new(place, format!("a material below {}", self.materials.len()), material));
+        }
+        let meshes = match self.shown.entry((placement.geometry, placement.materials.clone())) {
+            Entry::Occupied(entry) => entry.into_mut().clone(),
+            Entry::Vacant(_) => {
+                let made = self.meshes(shape, &placement.materials)?;
+                let first = self.parts.meshes.len();
+                let indices: Vec<usize> = (first..first + made.len()).collect();
+                self.parts.meshes.extend(made);
+                self.shown.insert((placement.geometry, placement.materials.clone()), indices.clone());
+                indices
+            }
+        };
+        if meshes.is_empty() {
+            return Ok(());
+        }
+        let links = placement.chain.iter().map(|link| self.link(link, place)).collect::<Result<Vec<_>, _>>()?;
+        let copies = links.iter().try_fold(1usize, |product, link| product.checked_mul(link.len()));
+        let total = copies.and_then(|copies| copies.checked_mul(meshes.len())?.checked_add(self.parts.instances.len()));
+        if total.is_none_or(|total| total > MOST_INSTANCES) {
+            let found = format!("{} levels of copies that make more", links.len());
+            return Err(Fault::new(place, format!("at most {MOST_INSTANCES} placed meshes in all"), found));
+        }
+        let mut left_out = 0;
+        expand(scene_from_stage, &links, &mut |scene_from_shape| {
+            if scene_from_shape.is_finite() {
+                let scene_from_mesh = scene_from_shape.as_affine3a();
+                self.parts.instances.extend(meshes.iter().map(|&mesh| Instance { mesh, scene_from_mesh }));
+            } else {
+                left_out += 1;
+            }
+        });
+        if left_out > 0 {
+            self.task.warn(place, format!("{left_out} copies have a placement that is not finite and are left out"));
+        }
+        Ok(())
+    }
+
+    /// Copies of a link that are shown.
+    fn link(&self, link: &Link, place: &str) -> Result<Vec<DAffine3>, Fault> {
+        let matrices = self.package.matrices(&link.matrices, place)?;
+        let column = |array: &Option<crate::package::Array>| -> Result<Option<Vec<i64>>, Fault> {
+            let Some(array) = array else { return Ok(None) };
+            let values = self.package.integers(array, place)?;
+            if values.len() != matrices.len() {
+                return Err(Fault::new(place, format!("{} entries, one per copy", matrices.len()), values.len()));
+            }
+            Ok(Some(values))
+        };
+        let (prototypes, mask) = (column(&link.prototypes)?, column(&link.mask)?);
+        let is_shown = |i: usize| {
+            prototypes.as_ref().is_none_or(|prototypes| prototypes[i] == link.prototype)
+                && mask.as_ref().is_none_or(|mask| mask[i] != 0)
+        };
+        Ok((0..matrices.len()).filter(|&i| is_shown(i)).map(|i| affine(&matrices[i])).collect())
+    }
+
+    /// The meshes of a shape: one for each material.
+    fn meshes(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
+        let Shape::Mesh(entry) = shape else {
+            return match self.other(shape, materials) {
+                Err(Fault::Malformed { place, expected, found }) => {
+                    self.task.warn(place, format!("expected {expected}, found {found}; the shape is left out"));
+                    Ok(Vec::new())
+                }
+                other => other,
+            };
+        };
+        if materials.len() != 1 + entry.subsets.len() {
+            let expected = format!("{} materials, one and one for each subset", 1 + entry.subsets.len());
+            return Err(Fault::new(&entry.place, expected, materials.len()));
+        }
+        match self.mesh_parts(entry, materials) {
+            Err(Fault::Malformed { place, expected, found }) => {
+                // one broken mesh does not take the others away
+                self.task.warn(place, format!("expected {expected}, found {found}; the mesh is left out"));
+                Ok(Vec::new())
+            }
+            other => other,
+        }
+    }
+
+    fn mesh_parts(&mut self, entry: &MeshEntry, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
+        let slot_of_face = self.slots(entry)?;
+        let mut used: Vec<usize> = Vec::new();
+        match &slot_of_face {
+            None => used.push(0),
+            Some(slots) => {
+                let mut seen = vec![false; materials.len()];
+                slots.iter().for_each(|&slot| seen[slot as usize] = true);
+                used.extend((0..materials.len()).filter(|&slot| seen[slot]));
+            }
+        }
+        let mut made: Vec<([Option<String>; 2], Polygons, Geometry)> = Vec::new();
+        let mut meshes = Vec::new();
+        for slot in used {
+            let bound = materials[slot].and_then(|material| self.materials[material].as_ref());
+            let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
+            if !made.iter().any(|(names, ..)| *names == uv_names) {
+                let names: UvNames<'_> = uv_names.each_ref().map(|name| name.as_deref());
+                let task = self.task;
+                let mut warn = |message: String| task.warn(&entry.place, message);
+                let polygons = polygons::read(self.package, entry, names, &mut warn)?;
+                // of bilinear surfaces, the polygons are the surface
+                let smooth = entry.subdivision.as_ref().filter(|subdivision| subdivision.scheme != "bilinear");
+                let (polygons, parents) = match smooth {
+                    Some(subdivision) => {
+                        let (refined, parents) = refine::refined(self.package, entry, subdivision, polygons, task);
+                        (refined, Some(parents))
+                    }
+                    None => (polygons, None),
+                };
+                let mut geometry = mesh::triangulate(&polygons);
+                if let Some(parents) = parents {
+                    geometry.face_of_triangle.iter_mut().for_each(|face| *face = parents[*face as usize]);
+                }
+                made.push((uv_names.clone(), polygons, geometry));
+            }
+            let position = made.iter().position(|(names, ..)| *names == uv_names).unwrap_or_default();
+            let (_, polygons, geometry) = &made[position];
+            let (material, colors) = match bound {
+                Some(bound) => (bound.material, bound.reads_colors),
+                None => self.plain(polygons),
+            };
+            let material = if entry.one_sided { self.one_sided(material) } else { material };
+            let mut geometry = match &slot_of_face {
+                None => geometry.clone(),
+                Some(slots) => part(geometry, |face| slots[face as usize] as usize == slot),
+            };
+            if !colors {
+                geometry.colors.clear();
+            }
+            let mut material = material;
+            if let Some(light) = &entry.light
+                && let Some(glowing) = lights::glowing(light, &self.parts.materials[material], geometry.area() as f32)
+            {
+                self.parts.materials.push(glowing);
+                material = self.parts.materials.len() - 1;
+            }
+            meshes.push(self.mesh(entry.place.clone(), geometry, material));
+        }
+        Ok(meshes)
+    }
+
+    /// A material, seen from the front alone.
+    fn one_sided(&mut self, material: usize) -> usize {
+        let materials = &mut self.parts.materials;
+        *self.one_sided.entry(material).or_insert_with(|| {
+            materials.push(Material { double_sided: false, ..materials[material].clone() });
+            materials.len() - 1
+        })
+    }
+
+    /// For every face 0, or one more than the number of its subset; `None` without subsets. Of several subsets the first counts.
+    fn slots(&self, entry: &MeshEntry) -> Result<Option<Vec<u32>>, Fault> {
+        if entry.subsets.is_empty() {
+            return Ok(None);
+        }
+        let faces = entry.counts.as_ref().and_then(|counts| counts.shape.first().copied()).unwrap_or(0);
+        let mut slots = vec![0; faces.min(self.package.buffers.iter().map(|buffer| buffer.len()).max().unwrap_or(0))];
+        for (number, subset) in (1..).zip(&entry.subsets) {
+            for face in self.package.integers(&subset.faces, &subset.place)? {
+                match usize::try_from(face).ok().and_then(|face| slots.get_mut(face)) {
+                    Some(slot) if *slot == 0 => *slot = number,
+                    Some(_) => {}
+                    None => self.task.warn(&subset.place, format!("names a face that is not there ({face})")),
+                }
+            }
+        }
+        Ok(Some(slots))
+    }
+
+    /// The material of a mesh to which none is bound, and whether its vertices bring their colours.
+    fn plain(&mut self, polygons: &Polygons) -> (usize, bool) {
+        let constant = |interpolation| interpolation == Interpolation::Constant;
+        let color = polygons.colors.as_ref();
+        let opacity = polygons.opacities.as_ref();
+        let varies = color.is_some_and(|color| !constant(color.interpolation))
+            || opacity.is_some_and(|opacity| !constant(opacity.interpolation));
+        let first = Corner { face: 0, point: 0, corner: 0 };
+        let blends = opacity.is_some_and(|opacity| opacity.values.iter().any(|value| value[0] < 1.0));
+        let value = if varies {
+            match color {
+                Some(_) => Vec4::ONE,
+                None => Vec4::new(GREY, GREY, GREY, 1.0),
+            }
+        } else {
+            let [r, g, b] = color.map_or([GREY; 3], |color| color.at(first));
+            Vec4::new(r, g, b, opacity.map_or(1.0, |opacity| opacity.at(first)[0])).clamp(Vec4::ZERO, Vec4::ONE)
+        };
+        let parts = &mut self.parts;
+        let material = *self.plain.entry((value.to_array().map(f32::to_bits), blends)).or_insert_with(|| {
+            parts.materials.push(plain(value, blends));
+            parts.materials.len() - 1
+        });
+        (material, varies)
+    }
+}
+
+/// A surface with the defaults of UsdPreviewSurface.
+fn plain(base_color: Vec4, blends: bool) -> Material {
+    Material {
+        name: "displayColor".into(),
+        base_color,
+        metallic: 0.0,
+        roughness: 0.5,
+        alpha_mode: if blends { AlphaMode::Blend } else { AlphaMode::Opaque },
+        double_sided: true,
+        ..Material::default()
+    }
+}
+
+/// The triangles of some faces, with the vertices that they use.
+fn part(geometry: &Geometry, takes: impl Fn(u32) -> bool) -> Geometry {
+    const NONE: u32 = u32::MAX;
+    let mut new = vec![NONE; geometry.positions.len()];
+    let mut taken = Vec::new();
+    let mut part = Geometry::default();
+    for (triangle, &face) in geometry.triangles.iter().zip(&geometry.face_of_triangle) {
+        if takes(face) {
+            let corners = triangle.map(|vertex| {
+                let new = &mut new[vertex as usize];
+                if *new == NONE {
+                    *new = taken.len() as u32;
+                    taken.push(vertex as usize);
+                }
+                *new
+            });
+            part.triangle(corners, face);
+        }
+    }
+    fn pick<T: Copy>(list: &[T], taken: &[usize]) -> Vec<T> {
+        if list.is_empty() { Vec::new() } else { taken.iter().map(|&vertex| list[vertex]).collect() }
+    }
+    part.positions = pick(&geometry.positions, &taken);
+    part.normals = pick(&geometry.normals, &taken);
+    part.uvs = geometry.uvs.each_ref().map(|uvs| pick(uvs, &taken));
+    part.colors = pick(&geometry.colors, &taken);
+    part
+}
+
+/// Calls `found` with every product of one matrix per link, the outermost first.
+fn expand(outer: &DAffine3, links: &[Vec<DAffine3>], found: &mut dyn FnMut(DAffine3)) {
+    let Some((last, inner)) = links.split_last() else { return found(*outer) };
+    for matrix in last {
+        expand(&(*outer * *matrix), inner, found);
+    }
+}
+
+/// A matrix of row vectors; its last column is (0, 0, 0, 1) in every placement that USD can make.
+fn affine(matrix: &[f64; 16]) -> DAffine3 {
+    DAffine3::from_mat4(DMat4::from_cols_array(matrix))
+}
+
+fn camera(entry: &CameraEntry, all: &[CameraEntry], scene_from_stage: &DAffine3) -> Result<Camera, String> {
+    let name = entry.place.rsplit('/').next().unwrap_or_default();
+    let is_unique = all.iter().filter(|other| other.place.rsplit('/').next() == Some(name)).count() == 1;
+    let positive = |value: f64, what: &str| match value.is_finite() && value > 0.0 {
+        true => Ok(value as f32),
+        false => Err(format!("{what} {value}")),
+    };
+    let [width, height] = [positive(entry.aperture[0], "the aperture")?, positive(entry.aperture[1], "the aperture")?];
+    let projection = if entry.projection == "orthographic" {
+        // apertures are in tenths of the scene's unit
+        Projection::Orthographic { half_width: 0.05 * width, half_height: 0.05 * height }
+    } else {
+        let focal_length = positive(entry.focal_length, "the focal length")?;
+        Projection::Perspective {
+            vertical_fov_rad: 2.0 * (0.5 * height / focal_length).atan(),
+            aspect: Some(width / height),
+        }
+    };
+    let scene_from_camera: Affine3A = (*scene_from_stage * affine(&entry.matrix)).as_affine3a();
+    let determinant = scene_from_camera.matrix3.determinant();
+    if !scene_from_camera.is_finite() || determinant == 0.0 {
+        return Err("no placement with three independent axes".into());
+    }
+    let focus = entry.focus_distance;
+    Ok(Camera {
+        name: if is_unique { name.to_owned() } else { entry.place.clone() },
+        scene_from_camera,
+        projection,
+        focus_distance: (focus.is_finite() && focus > 0.0).then_some(focus as f32),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chains_multiply_from_the_inside() {
+        let translate = |x: f64| DAffine3::from_translation(glam::DVec3::new(x, 0.0, 0.0));
+        let scale = |s: f64| DAffine3::from_scale(glam::DVec3::splat(s));
+        // two copies, each of them scaled about the origin afterwards
+        let links = vec![vec![translate(1.0), translate(2.0)], vec![scale(10.0), scale(100.0), scale(1000.0)]];
+        let mut found = Vec::new();
+        expand(&translate(0.5), &links, &mut |matrix| found.push(matrix.translation.x));
+        assert_eq!(found, [10.5, 20.5, 100.5, 200.5, 1000.5, 2000.5]);
+        let mut count = 0;
+        expand(&translate(0.5), &[vec![translate(1.0)], vec![]], &mut |_| count += 1);
+        assert_eq!(count, 0);
+    }
+
+    #[test]
+    fn rows_of_usd_are_columns() {
+        let mut matrix = [0.0; 16];
+        for (i, value) in matrix.iter_mut().enumerate() {
+            *value = if i % 5 == 0 { 1.0 } else { 0.0 };
+        }
+        matrix[12..15].copy_from_slice(&[7.0, 8.0, 9.0]);
+        // x goes to y
+        (matrix[0], matrix[1]) = (0.0, 1.0);
+        let affine = affine(&matrix);
+        assert_eq!(affine.transform_point3(glam::DVec3::X), glam::DVec3::new(7.0, 9.0, 9.0));
+    }
+}

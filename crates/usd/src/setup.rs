@@ -1,0 +1,120 @@
+//! `lumistack setup usd`: a Python environment of our own with OpenUSD.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use lumistack_core::Cancel;
+
+use crate::UsdError;
+use crate::child::{last_lines, read_end, wait};
+use crate::python::{Surroundings, interpreter, own_environment};
+
+/// How a Python says of what kind it is.
+const VERSION: &str =
+    "import sys, platform; print('Python', platform.python_version()); sys.exit(sys.version_info < (3, 8))";
+/// How OpenUSD says which it is.
+const CHECK: &str = "from pxr import Usd, Sdf; v = Usd.GetVersion(); \
+    print('OpenUSD %d.%02d' % v[1:], 'with' if Sdf.FileFormat.FindByExtension('mtlx') else 'without', 'MaterialX')";
+
+/// What is to be set up.
+#[derive(Clone, Debug, Default)]
+pub struct Setup {
+    /// The Python that the environment is made from; `None`: the first on PATH.
+    pub python: Option<PathBuf>,
+    /// Install usd-exchange, whose OpenUSD reads MaterialX files, instead of usd-core.
+    pub materialx: bool,
+    /// Where; `None`: `lumistack/python` among the user's data, where it is found again.
+    pub folder: Option<PathBuf>,
+}
+
+impl Setup {
+    /// Makes the environment anew; `say` takes a line about every step. Returns its interpreter.
+    ///
+    /// # Errors
+    /// When there is no Python, a step of it fails, or it is cancelled; then nothing is left behind.
+    pub fn run(&self, say: &mut dyn FnMut(&str), cancel: &Cancel) -> Result<PathBuf, UsdError> {
+        let fault = |expected: &str, found: String| UsdError::Setup { expected: expected.into(), found };
+        let folder = self.folder.clone().or_else(own_environment);
+        let folder = folder.ok_or_else(|| fault("a home folder", "neither HOME nor its like is set".into()))?;
+        let (base, version) = self.base(cancel)?;
+        let package = if self.materialx { "usd-exchange" } else { "usd-core" };
+        say(&format!("{version} ({}) makes an environment in {}", base.display(), folder.display()));
+        let made = self.make(&base, &folder, package, say, cancel);
+        if made.is_err() {
+            // it may be half of one
+            let _ = std::fs::remove_dir_all(&folder);
+        }
+        made
+    }
+
+    /// The Python to start from, and what it calls itself.
+    fn base(&self, cancel: &Cancel) -> Result<(PathBuf, String), UsdError> {
+        let on_path = Surroundings::default().candidates().into_iter().map(|candidate| candidate.program);
+        let programs: Vec<PathBuf> = match &self.python {
+            Some(program) => vec![program.clone()],
+            None => on_path.collect(),
+        };
+        let mut tried = Vec::new();
+        for program in programs {
+            match run(Command::new(&program).args(["-c", VERSION]), &mut |_| {}, cancel)? {
+                Ok(said) => return Ok((program, said.trim().to_owned())),
+                Err(found) => tried.push(format!("{}: {found}", program.display())),
+            }
+        }
+        let expected =
+            "Python 3.8 or newer on PATH (from python.org, or `apt install python3-venv`), or its name after --python";
+        Err(UsdError::Setup { expected: expected.into(), found: tried.join("; ") })
+    }
+
+    fn make(
+        &self,
+        base: &Path,
+        folder: &Path,
+        package: &str,
+        say: &mut dyn FnMut(&str),
+        cancel: &Cancel,
+    ) -> Result<PathBuf, UsdError> {
+        let step = |expected: String, result: Result<String, String>| {
+            result.map_err(|found| UsdError::Setup { expected, found })
+        };
+        let made = run(Command::new(base).args(["-m", "venv", "--clear"]).arg(folder), &mut |_| {}, cancel)?;
+        step(format!("an environment from `{} -m venv`", base.display()), made)?;
+        let python = interpreter(folder);
+        let mut pip = Command::new(&python);
+        pip.args(["-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off", package]);
+        step(format!("`pip install {package}` to succeed"), run(&mut pip, say, cancel)?)?;
+        let checked = run(Command::new(&python).args(["-c", CHECK]), &mut |_| {}, cancel)?;
+        let version = step(format!("`import pxr` to succeed after `pip install {package}`"), checked)?;
+        say(&format!("{} is ready; every USD file is now read by {}", version.trim(), python.display()));
+        Ok(python)
+    }
+}
+
+/// Runs a program to its end: what it printed, or how it failed. `line` takes every line as it comes.
+fn run(command: &mut Command, line: &mut dyn FnMut(&str), cancel: &Cancel) -> Result<Result<String, String>, UsdError> {
+    let mut child = match command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn() {
+        Ok(child) => child,
+        Err(error) => return Ok(Err(format!("cannot be started: {error}"))),
+    };
+    let said = read_end(child.stderr.take());
+    let (lines, printed) = std::sync::mpsc::channel();
+    let output = child.stdout.take();
+    let reader = std::thread::spawn(move || {
+        for text in output.into_iter().flat_map(|output| BufReader::new(output.take(1 << 20)).lines()) {
+            let Ok(text) = text else { break };
+            let _ = lines.send(text);
+        }
+    });
+    let mut all = String::new();
+    let mut take = |text: String| {
+        line(text.trim());
+        all.push_str(&text);
+        all.push('\n');
+    };
+    let status = wait(&mut child, cancel, &mut || printed.try_iter().for_each(&mut take))?;
+    let _ = reader.join();
+    printed.try_iter().for_each(&mut take);
+    let said = said.join().unwrap_or_default();
+    Ok(if status.success() { Ok(all) } else { Err(format!("{status}; the last it said: {}", last_lines(&said, &all))) })
+}

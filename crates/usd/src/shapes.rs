@@ -1,0 +1,185 @@
+//! Implicit shapes, curves and points of a package.
+
+use glam::{Vec3, Vec4};
+use lumistack_core::Task;
+
+use crate::curves::{Basis, Curves, Data, Interpolation, Wrap, colored_balls, tessellate};
+use crate::error::Fault;
+use crate::geometry::Geometry;
+use crate::implicit::{Axis, capsule, cone, cube, cylinder, plane, sphere};
+use crate::package::{Array, CurvesEntry, Package, PointsEntry, Primvar, SolidEntry};
+use crate::polygons::UvNames;
+
+/// Width of curves and points that say none, as Hydra draws them.
+const WIDTH: f32 = 1.0;
+/// Points that one prim may have: each becomes a ball of 128 triangles.
+const MOST_POINTS: usize = 1 << 18;
+
+/// Triangles of an implicit shape.
+pub(crate) fn solid(entry: &SolidEntry) -> Result<Geometry, Fault> {
+    let axis = match entry.axis.as_str() {
+        "x" => Axis::X,
+        "y" => Axis::Y,
+        _ => Axis::Z,
+    };
+    if let Some(size) = entry.sizes.iter().find(|size| !(size.is_finite() && **size >= 0.0)) {
+        return Err(Fault::new(&entry.place, "sizes that are finite and ≥ 0", size));
+    }
+    Ok(match (entry.solid.as_str(), entry.sizes.as_slice()) {
+        ("sphere", &[radius]) => sphere(radius),
+        ("cube", &[size]) => cube(size),
+        ("cylinder", &[radius, height]) => cylinder(radius, radius, height, axis),
+        ("cylinder", &[top, bottom, height]) => cylinder(top, bottom, height, axis),
+        ("cone", &[radius, height]) => cone(radius, height, axis),
+        ("capsule", &[radius, height]) => capsule(radius, radius, height, axis),
+        ("capsule", &[top, bottom, height]) => capsule(top, bottom, height, axis),
+        ("plane", &[width, length]) => plane(width, length, axis),
+        (other, sizes) => return Err(Fault::new(&entry.place, "a shape and its sizes", format!("{other} {sizes:?}"))),
+    })
+}
+
+/// Real numbers with rows of any width up to 4, flat.
+fn reals(package: &Package<'_>, array: &Array, place: &str) -> Result<(Vec<f32>, usize), Fault> {
+    let width = array.shape.get(1).copied().unwrap_or(1);
+    let values = match width {
+        1 => package.reals::<1>(array, place)?.into_flattened(),
+        2 => package.reals::<2>(array, place)?.into_flattened(),
+        3 => package.reals::<3>(array, place)?.into_flattened(),
+        _ => package.reals::<4>(array, place)?.into_flattened(),
+    };
+    match values.iter().all(|value| value.is_finite()) {
+        true => Ok((values, width)),
+        false => Err(Fault::new(place, "finite numbers", "NaN or infinity")),
+    }
+}
+
+fn points(package: &Package<'_>, array: &Option<Array>, place: &str) -> Result<Vec<Vec3>, Fault> {
+    let Some(array) = array else { return Ok(Vec::new()) };
+    let (values, width) = reals(package, array, place)?;
+    match width {
+        3 => Ok(values.as_chunks::<3>().0.iter().map(|&point| Vec3::from(point)).collect()),
+        _ => Err(Fault::new(place, "points of three coordinates", width)),
+    }
+}
+
+fn interpolation(name: &str) -> Interpolation {
+    match name {
+        "constant" => Interpolation::Constant,
+        "uniform" => Interpolation::Uniform,
+        "varying" => Interpolation::Varying,
+        _ => Interpolation::Vertex,
+    }
+}
+
+/// Data whose list a [`Data`] borrows.
+struct Owned {
+    values: Vec<f32>,
+    width: usize,
+    interpolation: Interpolation,
+}
+
+impl Owned {
+    fn data(&self) -> Data<'_> {
+        Data { values: &self.values, width: self.width, interpolation: self.interpolation }
+    }
+
+    /// A primvar by name; indexed ones are spread out.
+    fn primvar(package: &Package<'_>, primvars: &[Primvar], name: &str, place: &str) -> Option<Self> {
+        let primvar = primvars.iter().find(|primvar| primvar.name == name)?;
+        let (mut values, width) = reals(package, &primvar.values, place).ok()?;
+        if let Some(indices) = &primvar.indices {
+            let indices = package.integers(indices, place).ok()?;
+            let value = |index: i64| values.get(usize::try_from(index).ok()?.checked_mul(width)?..)?.get(..width);
+            values = indices.into_iter().map(value).collect::<Option<Vec<_>>>()?.concat();
+        }
+        Some(Self { values, width, interpolation: interpolation(&primvar.interpolation) })
+    }
+}
+
+/// Triangles of curves.
+pub(crate) fn curves(
+    package: &Package<'_>,
+    entry: &CurvesEntry,
+    uv_names: UvNames<'_>,
+    task: Task<'_>,
+) -> Result<Geometry, Fault> {
+    let place = entry.place.as_str();
+    let points = points(package, &entry.points, place)?;
+    let counts = match &entry.counts {
+        Some(array) => package.integers(array, place)?,
+        None => Vec::new(),
+    };
+    let counts: Vec<i32> = counts.into_iter().map(|count| i32::try_from(count).unwrap_or(0)).collect();
+    let cubic = |name: &str| match name {
+        "bezier" => Ok(Basis::Bezier),
+        "bspline" => Ok(Basis::BSpline),
+        "catmullRom" => Ok(Basis::CatmullRom),
+        other => Err(Fault::new(place, "the basis bezier, bspline or catmullRom", other)),
+    };
+    let basis = if entry.curve_type == "linear" { Basis::Linear } else { cubic(&entry.curve_basis)? };
+    let wrap = match entry.curve_wrap.as_str() {
+        "periodic" => Wrap::Periodic,
+        "pinned" => Wrap::Pinned,
+        _ => Wrap::Nonperiodic,
+    };
+    let list = |array: &Option<Array>, name: &str| -> Result<Option<Owned>, Fault> {
+        let Some(array) = array else { return Ok(None) };
+        let (values, width) = reals(package, array, place)?;
+        Ok(Some(Owned { values, width, interpolation: interpolation(name) }).filter(|owned| !owned.values.is_empty()))
+    };
+    let widths = list(&entry.widths, &entry.widths_interpolation)?;
+    if widths.is_none() {
+        task.warn(place, "curves without widths are drawn 1 unit wide");
+    }
+    let one = Owned { values: vec![WIDTH], width: 1, interpolation: Interpolation::Constant };
+    let widths = widths.unwrap_or(one);
+    let normals = list(&entry.normals, &entry.normals_interpolation)?.filter(|normals| normals.width == 3);
+    let primvar = |name: &str| Owned::primvar(package, &entry.primvars, name, place);
+    let colors = primvar("displayColor").filter(|colors| colors.width >= 3);
+    let uvs = uv_names.map(|name| name.and_then(primvar).filter(|uvs| uvs.width == 2));
+    Ok(tessellate(&Curves {
+        points: &points,
+        vertex_counts: &counts,
+        basis,
+        wrap,
+        widths: widths.data(),
+        normals: normals.as_ref().map(Owned::data),
+        colors: colors.as_ref().map(Owned::data),
+        uvs: uvs.each_ref().map(|uvs| uvs.as_ref().map(Owned::data)),
+    }))
+}
+
+/// Triangles of points.
+pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) -> Result<Geometry, Fault> {
+    let place = entry.place.as_str();
+    let mut points = points(package, &entry.points, place)?;
+    if points.len() > MOST_POINTS {
+        task.warn(place, format!("of {} points the first {MOST_POINTS} are shown", points.len()));
+        points.truncate(MOST_POINTS);
+    }
+    let widths = match &entry.widths {
+        Some(array) => reals(package, array, place)?.0,
+        None => Vec::new(),
+    };
+    if widths.is_empty() {
+        task.warn(place, "points without widths are drawn 1 unit wide");
+    }
+    let colors = Owned::primvar(package, &entry.primvars, "displayColor", place).filter(|colors| colors.width >= 3);
+    let each = |list: &[f32], i: usize| list.get(i).or(list.first()).copied();
+    let color = |i: usize| {
+        let Some(colors) = &colors else { return Vec4::ONE };
+        let constant = colors.values.len() < colors.width * points.len();
+        let rgb = colors.values.get(if constant { 0 } else { i * colors.width }..).unwrap_or_default();
+        Vec4::new(
+            each(rgb, 0).unwrap_or(1.0),
+            rgb.get(1).copied().unwrap_or(1.0),
+            rgb.get(2).copied().unwrap_or(1.0),
+            1.0,
+        )
+    };
+    let mut geometry = colored_balls(&points, |i| each(&widths, i).unwrap_or(WIDTH), color);
+    if colors.is_none() {
+        geometry.colors.clear();
+    }
+    Ok(geometry)
+}

@@ -1,0 +1,393 @@
+//! Subdivision surfaces: Catmull–Clark, Loop and bilinear, with semi-sharp creases and corners, boundaries, holes and face-varying data.
+//!
+//! Every level is a sparse linear map ([`Stencils`]) from the values at a level's vertices to those of the next, made from topology
+//! alone, so all vertex data take the same weights. The last level is projected to the limit surface, whose exact tangent plane gives
+//! the normals; uniform refinement, and each sharpness falls by 1 a level (DeRose, Kass, Truong 1998; fractional sharpness blends two
+//! rules). Face-varying data are vertex data of a mesh of their own: it has the same faces, and a vertex for each different value
+//! at a vertex, so that seams are its boundaries.
+//!
+//! Source: the rules of OpenSubdiv 3 that UsdGeomMesh refers to (interpolateBoundary, faceVaryingLinearInterpolation,
+//! triangleSubdivisionRule); Halstead, Kass, DeRose 1993 and Biermann, Levin, Zorin 2000 for limits and tangents.
+
+mod limit;
+mod stencils;
+mod topology;
+
+use std::collections::HashSet;
+use std::ops::Range;
+
+use glam::Vec3;
+
+use self::stencils::Stencils;
+use self::topology::Topology;
+
+/// The family of surfaces.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Scheme {
+    /// Any polygons; each becomes quadrilaterals.
+    #[default]
+    CatmullClark,
+    /// Triangles. Other polygons are cut into fans first.
+    Loop,
+    /// Only cut into quadrilaterals, not smoothed.
+    Bilinear,
+}
+
+/// `interpolateBoundary`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Boundary {
+    /// Faces at the boundary are left out.
+    None,
+    /// The boundary is a smooth curve.
+    EdgeOnly,
+    /// The same, and vertices with one face stay where they are.
+    #[default]
+    EdgeAndCorner,
+}
+
+/// `faceVaryingLinearInterpolation`: where face-varying data are not smoothed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum FaceVarying {
+    /// Smooth also at seams and their corners.
+    None,
+    /// Values of a single face at a vertex stay.
+    CornersOnly,
+    /// And those where three or more values meet.
+    #[default]
+    CornersPlus1,
+    /// And those where seams end or run round a single face.
+    CornersPlus2,
+    /// All values at seams stay.
+    Boundaries,
+    /// No smoothing.
+    All,
+}
+
+/// A control mesh and its rules, named as UsdGeomMesh names them. Faces of fewer than three vertices or with vertices that do
+/// not exist are holes; so are creases and corners of such vertices ignored.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Cage<'a> {
+    pub(crate) vertex_count: usize,
+    pub(crate) face_vertex_counts: &'a [i32],
+    pub(crate) face_vertex_indices: &'a [i32],
+    pub(crate) hole_indices: &'a [i32],
+    pub(crate) crease_indices: &'a [i32],
+    pub(crate) crease_lengths: &'a [i32],
+    /// One per crease, or one per edge.
+    pub(crate) crease_sharpnesses: &'a [f32],
+    pub(crate) corner_indices: &'a [i32],
+    pub(crate) corner_sharpnesses: &'a [f32],
+    pub(crate) scheme: Scheme,
+    pub(crate) boundary: Boundary,
+    /// `triangleSubdivisionRule` "smooth".
+    pub(crate) smooth_triangles: bool,
+}
+
+/// Default number of levels.
+pub(crate) const DEFAULT_LEVEL: u32 = 2;
+
+/// Refinement stops at the level before the one whose triangles exceed this: a mesh that is dense already is smooth already.
+pub(crate) const MOST_TRIANGLES: usize = 200_000;
+
+/// The number of levels, at most `wanted`, that keeps a mesh of so many corners of faces within `most_triangles`.
+pub(crate) fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
+    // a corner becomes a quadrilateral at the first level, each quadrilateral four at the next
+    (1..=wanted).rev().find(|&level| corner_count.saturating_mul(2 << (2 * (level - 1))) <= most_triangles).unwrap_or(0)
+}
+
+/// A refined mesh, ready to carry values over.
+pub(crate) struct Refinement {
+    cage: Topology,
+    /// Corner of the cage as given, for each corner of `cage`.
+    source_corners: Vec<u32>,
+    source_corner_count: usize,
+    scheme: Scheme,
+    smooth_triangles: bool,
+    level: u32,
+    levels: Vec<Stencils>,
+    /// Of the last level, before the limit.
+    finest: Topology,
+    /// Face of the cage as given, for each face of `finest`; `None` in holes.
+    sources: Vec<Option<u32>>,
+}
+
+/// Values and, for each corner of [`Refinement::faces`], the number of its value.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Indexed {
+    /// `width` numbers per value.
+    pub(crate) values: Vec<f32>,
+    pub(crate) indices: Vec<u32>,
+}
+
+impl Refinement {
+    /// Refines the cage's topology `level` times.
+    pub(crate) fn new(cage: &Cage<'_>, level: u32) -> Self {
+        let polygons = Polygons::new(cage);
+        let mut sharpness = vec![0.0; cage.vertex_count];
+        for (&vertex, &value) in cage.corner_indices.iter().zip(cage.corner_sharpnesses) {
+            if let Some(sharpness) = usize::try_from(vertex).ok().and_then(|vertex| sharpness.get_mut(vertex)) {
+                *sharpness = if value.is_nan() { 0.0 } else { value.max(0.0) };
+            }
+        }
+        let mut topology = Topology::new(cage.vertex_count, polygons.starts, polygons.corners, sharpness);
+        crease(&mut topology, cage);
+        if cage.boundary == Boundary::EdgeAndCorner {
+            for vertex in 0..cage.vertex_count as u32 {
+                if topology.corners_at(vertex).len() == 1 {
+                    topology.vertex_sharpness[vertex as usize] = f32::INFINITY;
+                }
+            }
+        }
+        let mut sources: Vec<Option<u32>> = polygons.sources.into_iter().map(Some).collect();
+        let holes: HashSet<u32> = cage.hole_indices.iter().filter_map(|&face| u32::try_from(face).ok()).collect();
+        for (face, source) in (0..).zip(&mut sources) {
+            let open = cage.boundary == Boundary::None
+                && topology.face_vertices(face).iter().any(|&vertex| topology.is_boundary(vertex));
+            if open || source.is_some_and(|source| holes.contains(&source)) {
+                *source = None;
+            }
+        }
+        let source_corners = polygons.source_corners;
+        let (levels, finest, parents) = refine(&topology, cage.scheme, cage.smooth_triangles, level);
+        Self {
+            cage: topology,
+            source_corners,
+            source_corner_count: cage.face_vertex_indices.len(),
+            scheme: cage.scheme,
+            smooth_triangles: cage.smooth_triangles,
+            level,
+            levels,
+            finest,
+            sources: parents.into_iter().map(|parent| sources[parent as usize]).collect(),
+        }
+    }
+
+    /// Faces that are not holes.
+    fn shown(&self) -> impl Iterator<Item = u32> + Clone {
+        (0..self.finest.face_count() as u32).filter(|&face| self.sources[face as usize].is_some())
+    }
+
+    /// Vertices of each refined face in turn, with the face of the cage that it came from.
+    pub(crate) fn faces(&self) -> impl Iterator<Item = (u32, &[u32])> {
+        self.shown().filter_map(|face| Some((self.sources[face as usize]?, self.finest.face_vertices(face))))
+    }
+
+    /// Data with the interpolation "vertex": `width` numbers per vertex of the cage become those of the refined vertices, on the limit surface.
+    pub(crate) fn vertex(&self, values: &[f32], width: usize) -> Vec<f32> {
+        let refined = self.refine_values(&self.levels, values, width);
+        self.limit(&self.finest).map_or(refined.clone(), |limit| limit.apply(&refined, width))
+    }
+
+    /// Data with the interpolation "varying", which are not smoothed.
+    pub(crate) fn varying(&self, values: &[f32], width: usize) -> Vec<f32> {
+        if self.scheme == Scheme::Bilinear {
+            return self.vertex(values, width);
+        }
+        let (levels, ..) = refine_linearly(&self.cage, self.scheme, self.level);
+        self.refine_values(&levels, values, width)
+    }
+
+    /// Data with the interpolation "faceVarying": `indices` number the values, one for each corner of the cage. Values that are equal
+    /// at a vertex count as one.
+    pub(crate) fn face_varying(
+        &self,
+        rule: FaceVarying,
+        values: &[f32],
+        indices: &[u32],
+        width: usize,
+    ) -> Option<Indexed> {
+        let count = values.len() / width.max(1);
+        if indices.len() != self.source_corner_count || indices.iter().any(|&index| index as usize >= count) {
+            return None;
+        }
+        let value = |index: u32| &values[index as usize * width..][..width];
+        // values in the order of vertices, so that the numbering is the same for the same data
+        let mut groups: Vec<u32> = Vec::new();
+        let mut corners = vec![0; self.cage.corners.len()];
+        let mut groups_of_vertex = vec![0..0; self.cage.vertex_count];
+        for vertex in 0..self.cage.vertex_count as u32 {
+            let first = groups.len();
+            for &corner in self.cage.corners_at(vertex) {
+                let index = indices[self.source_corners[corner as usize] as usize];
+                let known = groups[first..].iter().position(|&group| group == index || value(group) == value(index));
+                let group = known.map_or(groups.len(), |position| first + position);
+                if group == groups.len() {
+                    groups.push(index);
+                }
+                corners[corner as usize] = group as u32;
+            }
+            groups_of_vertex[vertex as usize] = first..groups.len();
+        }
+        let starts = (0..=self.cage.face_count() as u32).map(|face| match face as usize == self.cage.face_count() {
+            true => corners.len() as u32,
+            false => self.cage.face(face).start as u32,
+        });
+        let starts = starts.collect();
+        let mut sharpness = vec![0.0; groups.len()];
+        for (vertex, range) in groups_of_vertex.iter().enumerate() {
+            // a boundary corner of the mesh is a matter of the rule below
+            let given = self.cage.vertex_sharpness[vertex];
+            let lone = self.cage.corners_at(vertex as u32).len() == 1;
+            sharpness[range.clone()].fill(if lone && rule == FaceVarying::None { 0.0 } else { given });
+        }
+        let mut topology = Topology::new(groups.len(), starts, corners, sharpness);
+        for corner in 0..topology.corners.len() {
+            let given = self.cage.edge(corner as u32).sharpness;
+            let edge = topology.edge_of_corner[corner] as usize;
+            topology.edges[edge].sharpness = topology.edges[edge].sharpness.max(given);
+        }
+        for (vertex, range) in (0..).zip(groups_of_vertex) {
+            pin(&mut topology, rule, range.start as u32..range.end as u32, !self.cage.is_boundary(vertex));
+        }
+        let (levels, finest, _) = match rule {
+            FaceVarying::All => refine_linearly(&topology, self.scheme, self.level),
+            _ => refine(&topology, self.scheme, self.smooth_triangles, self.level),
+        };
+        let cage_values: Vec<f32> = groups.iter().flat_map(|&index| value(index)).copied().collect();
+        let mut refined = self.refine_values(&levels, &cage_values, width);
+        if rule != FaceVarying::All
+            && let Some(limit) = self.limit(&finest)
+        {
+            refined = limit.apply(&refined, width);
+        }
+        let indices = self.shown().flat_map(|face| finest.face_vertices(face)).copied().collect();
+        Some(Indexed { values: refined, indices })
+    }
+
+    /// Unit normals of the surface of these control points: one for each smooth piece around each vertex.
+    pub(crate) fn normals(&self, points: &[f32]) -> Indexed {
+        let control = vectors(&self.refine_values(&self.levels, points, 3));
+        let surface = vectors(&self.vertex(points, 3));
+        let (values, indices) = limit::normals(&self.finest, self.scheme, self.level, &control, &surface);
+        let values = values.into_iter().flat_map(|normal| normal.to_array()).collect();
+        let indices = self.shown().flat_map(|face| self.finest.face(face)).map(|corner| indices[corner]).collect();
+        Indexed { values, indices }
+    }
+
+    fn refine_values(&self, levels: &[Stencils], values: &[f32], width: usize) -> Vec<f32> {
+        levels.iter().fold(values.to_vec(), |values, stencils| stencils.apply(&values, width))
+    }
+
+    /// The map to the limit surface; `None` where the level is the control mesh itself.
+    fn limit(&self, finest: &Topology) -> Option<Stencils> {
+        (self.level > 0 && self.scheme != Scheme::Bilinear).then(|| limit::positions(finest, self.scheme))
+    }
+}
+
+fn vectors(values: &[f32]) -> Vec<Vec3> {
+    values.as_chunks::<3>().0.iter().map(|&value| Vec3::from(value)).collect()
+}
+
+/// Sound polygons of a cage.
+struct Polygons {
+    starts: Vec<u32>,
+    corners: Vec<u32>,
+    source_corners: Vec<u32>,
+    sources: Vec<u32>,
+}
+
+impl Polygons {
+    fn new(cage: &Cage<'_>) -> Self {
+        let mut this = Self { starts: vec![0], corners: Vec::new(), source_corners: Vec::new(), sources: Vec::new() };
+        let mut first = 0usize;
+        for (face, &count) in cage.face_vertex_counts.iter().enumerate() {
+            let count = usize::try_from(count).unwrap_or(0);
+            let Some(indices) = cage.face_vertex_indices.get(first..first.saturating_add(count)) else { break };
+            let valid = |&index: &i32| usize::try_from(index).is_ok_and(|index| index < cage.vertex_count);
+            if count >= 3 && indices.iter().all(valid) {
+                let mut add = |corners: &[usize]| {
+                    this.corners.extend(corners.iter().map(|&corner| indices[corner] as u32));
+                    this.source_corners.extend(corners.iter().map(|&corner| (first + corner) as u32));
+                    this.starts.push(this.corners.len() as u32);
+                    this.sources.push(face as u32);
+                };
+                if cage.scheme == Scheme::Loop {
+                    (1..count - 1).for_each(|corner| add(&[0, corner, corner + 1]));
+                } else {
+                    add(&(0..count).collect::<Vec<_>>());
+                }
+            }
+            first += count;
+        }
+        this
+    }
+}
+
+/// Sets the sharpness of creased edges.
+fn crease(topology: &mut Topology, cage: &Cage<'_>) {
+    let per_crease = cage.crease_sharpnesses.len() == cage.crease_lengths.len();
+    let (mut first, mut edge) = (0usize, 0usize);
+    for (number, &length) in cage.crease_lengths.iter().enumerate() {
+        let length = usize::try_from(length).unwrap_or(0);
+        let Some(vertices) = cage.crease_indices.get(first..first.saturating_add(length)) else { break };
+        for pair in vertices.windows(2) {
+            let sharpness = cage.crease_sharpnesses.get(if per_crease { number } else { edge });
+            edge += 1;
+            let [Ok(a), Ok(b)] = [pair[0], pair[1]].map(u32::try_from) else { continue };
+            let exist = a.max(b) < cage.vertex_count as u32;
+            if let (Some(&sharpness), true) = (sharpness, exist)
+                && let Some(edge) = topology.edge_between(a, b)
+                && edge.joined
+                && !sharpness.is_nan()
+            {
+                edge.sharpness = sharpness.max(0.0);
+            }
+        }
+        first += length;
+    }
+}
+
+/// Makes those of the values at one vertex, which may be inside the mesh, sharp that the rule says.
+fn pin(topology: &mut Topology, rule: FaceVarying, values: Range<u32>, inside: bool) {
+    let lone = |value: u32| topology.corners_at(value).len() == 1;
+    let at_seam = |value: u32| topology.is_boundary(value);
+    let many = values.len() >= 3;
+    let cornered = values.len() == 2 && values.clone().any(lone);
+    // a seam ends where a vertex inside the mesh has one value and yet a gap
+    let ends = |value: u32| inside && values.len() == 1 && at_seam(value);
+    let pinned: Vec<u32> = values
+        .clone()
+        .filter(|&value| match rule {
+            FaceVarying::None | FaceVarying::All => false,
+            FaceVarying::CornersOnly => lone(value),
+            FaceVarying::CornersPlus1 => lone(value) || many,
+            FaceVarying::CornersPlus2 => lone(value) || many || cornered || ends(value),
+            FaceVarying::Boundaries => at_seam(value),
+        })
+        .collect();
+    pinned.into_iter().for_each(|value| topology.vertex_sharpness[value as usize] = f32::INFINITY);
+}
+
+/// Stencils of each level, the last level and the face of the first that each of its faces came from.
+fn refine(cage: &Topology, scheme: Scheme, smooth_triangles: bool, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
+    let mut topology = cage.clone();
+    let mut parents: Vec<u32> = (0..cage.face_count() as u32).collect();
+    let mut levels = Vec::new();
+    for _ in 0..level {
+        let triangles = scheme == Scheme::Loop;
+        levels.push(match scheme {
+            Scheme::CatmullClark => stencils::catmull_clark(&topology, smooth_triangles),
+            Scheme::Loop => stencils::loop_scheme(&topology),
+            Scheme::Bilinear => stencils::linear(&topology, false),
+        });
+        let (finer, parent) = stencils::split(&topology, triangles);
+        parents = parent.into_iter().map(|face| parents[face as usize]).collect();
+        topology = finer;
+    }
+    (levels, topology, parents)
+}
+
+/// The same without smoothing.
+fn refine_linearly(cage: &Topology, scheme: Scheme, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
+    let triangles = scheme == Scheme::Loop;
+    let mut topology = cage.clone();
+    let mut levels = Vec::new();
+    for _ in 0..level {
+        levels.push(stencils::linear(&topology, triangles));
+        topology = stencils::split(&topology, triangles).0;
+    }
+    (levels, topology, Vec::new())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,265 @@
+//! Which faces, edges and vertices of a polygon mesh touch, and how sharp they are.
+
+use std::ops::Range;
+
+/// No such corner.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// Sharpness from which on USD calls a crease infinitely sharp.
+const INFINITE: f32 = 10.0;
+
+/// Lists of numbers, one list per item.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Lists {
+    starts: Vec<u32>,
+    members: Vec<u32>,
+}
+
+impl Lists {
+    /// Sorts members into the lists of their items, in the order given.
+    fn new(count: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
+        let mut starts = vec![0; count + 1];
+        pairs.clone().for_each(|(item, _)| starts[item as usize + 1] += 1);
+        for item in 0..count {
+            starts[item + 1] += starts[item];
+        }
+        let mut members = vec![0; starts[count] as usize];
+        let mut next = starts.clone();
+        for (item, member) in pairs {
+            members[next[item as usize] as usize] = member;
+            next[item as usize] += 1;
+        }
+        Self { starts, members }
+    }
+
+    pub(super) fn of(&self, item: u32) -> &[u32] {
+        &self.members[self.starts[item as usize] as usize..self.starts[item as usize + 1] as usize]
+    }
+}
+
+/// An edge and the corners that it leaves: corner `c` stands for the edge from its vertex to that of the next corner of the face.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Edge {
+    pub(super) ends: [u32; 2],
+    /// One or two of the corners.
+    pub(super) corners: [u32; 2],
+    /// Whether exactly two faces meet here and agree on what is front.
+    pub(super) joined: bool,
+    /// 0 smooth; infinite where not joined.
+    pub(super) sharpness: f32,
+}
+
+/// A polygon mesh without positions.
+#[derive(Clone, Debug)]
+pub(super) struct Topology {
+    pub(super) vertex_count: usize,
+    /// First corner of each face, and the number of corners.
+    starts: Vec<u32>,
+    /// Vertex of each corner.
+    pub(super) corners: Vec<u32>,
+    pub(super) face_of_corner: Vec<u32>,
+    /// The edge that leaves each corner.
+    pub(super) edge_of_corner: Vec<u32>,
+    pub(super) edges: Vec<Edge>,
+    corners_of_vertex: Lists,
+    edges_of_vertex: Lists,
+    /// 0 smooth.
+    pub(super) vertex_sharpness: Vec<f32>,
+}
+
+/// What the sharp edges around a vertex make of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rule {
+    /// At most one sharp edge ends here.
+    Smooth,
+    /// Two sharp edges, to these vertices.
+    Crease([u32; 2]),
+    /// Stays where it is.
+    Corner,
+}
+
+/// Corners around a vertex, counter-clockwise, with no gap between them.
+pub(super) struct Fan {
+    pub(super) corners: Vec<u32>,
+    /// Whether the last corner touches the first.
+    pub(super) closed: bool,
+}
+
+impl Topology {
+    /// All vertices of the faces are below `vertex_count`; `starts` is as in the field. Vertices where separate fans of faces touch
+    /// are made infinitely sharp.
+    pub(super) fn new(vertex_count: usize, starts: Vec<u32>, corners: Vec<u32>, vertex_sharpness: Vec<f32>) -> Self {
+        let mut face_of_corner = vec![0; corners.len()];
+        for face in 0..starts.len() - 1 {
+            face_of_corner[starts[face] as usize..starts[face + 1] as usize].fill(face as u32);
+        }
+        let mut topology = Self {
+            vertex_count,
+            starts,
+            face_of_corner,
+            edge_of_corner: vec![0; corners.len()],
+            edges: Vec::with_capacity(corners.len()),
+            corners_of_vertex: Lists::new(
+                vertex_count,
+                corners.iter().zip(0..).map(|(&vertex, corner)| (vertex, corner)),
+            ),
+            edges_of_vertex: Lists::default(),
+            corners,
+            vertex_sharpness,
+        };
+        topology.find_edges();
+        for vertex in 0..vertex_count as u32 {
+            if topology.fans(vertex, |edge| !edge.joined).len() > 1 {
+                topology.vertex_sharpness[vertex as usize] = f32::INFINITY;
+            }
+        }
+        topology
+    }
+
+    fn find_edges(&mut self) {
+        let mut sides: Vec<(u32, u32, u32)> = (0..self.corners.len() as u32)
+            .map(|corner| {
+                let (from, to) = self.ends(corner);
+                (from.min(to), from.max(to), corner)
+            })
+            .collect();
+        sides.sort_unstable();
+        for group in sides.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+            let (low, high, first) = group[0];
+            let second = group.get(1).map_or(NONE, |side| side.2);
+            let joined =
+                group.len() == 2 && low != high && self.corners[first as usize] != self.corners[second as usize];
+            let sharpness = if joined { 0.0 } else { f32::INFINITY };
+            for side in group {
+                self.edge_of_corner[side.2 as usize] = self.edges.len() as u32;
+            }
+            self.edges.push(Edge { ends: [low, high], corners: [first, second], joined, sharpness });
+        }
+        let pairs = self.edges.iter().zip(0..).flat_map(|(edge, index)| edge.ends.map(|end| (end, index)));
+        self.edges_of_vertex = Lists::new(self.vertex_count, pairs);
+    }
+
+    pub(super) fn face_count(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Corners of a face.
+    pub(super) fn face(&self, face: u32) -> Range<usize> {
+        self.starts[face as usize] as usize..self.starts[face as usize + 1] as usize
+    }
+
+    /// Vertices of a face.
+    pub(super) fn face_vertices(&self, face: u32) -> &[u32] {
+        &self.corners[self.face(face)]
+    }
+
+    /// The next corner of the same face.
+    pub(super) fn next(&self, corner: u32) -> u32 {
+        let face = self.face(self.face_of_corner[corner as usize]);
+        if corner as usize + 1 == face.end { face.start as u32 } else { corner + 1 }
+    }
+
+    /// The corner before it.
+    pub(super) fn previous(&self, corner: u32) -> u32 {
+        let face = self.face(self.face_of_corner[corner as usize]);
+        if corner as usize == face.start { face.end as u32 - 1 } else { corner - 1 }
+    }
+
+    /// Vertices of the edge that leaves a corner.
+    fn ends(&self, corner: u32) -> (u32, u32) {
+        (self.corners[corner as usize], self.corners[self.next(corner) as usize])
+    }
+
+    pub(super) fn corners_at(&self, vertex: u32) -> &[u32] {
+        self.corners_of_vertex.of(vertex)
+    }
+
+    pub(super) fn edges_at(&self, vertex: u32) -> impl Iterator<Item = &Edge> + Clone {
+        self.edges_of_vertex.of(vertex).iter().map(|&edge| &self.edges[edge as usize])
+    }
+
+    pub(super) fn edge(&self, corner: u32) -> &Edge {
+        &self.edges[self.edge_of_corner[corner as usize] as usize]
+    }
+
+    /// Whether a vertex lies on an edge with faces on one side only.
+    pub(super) fn is_boundary(&self, vertex: u32) -> bool {
+        self.edges_at(vertex).any(|edge| !edge.joined)
+    }
+
+    /// The edge between two vertices.
+    pub(super) fn edge_between(&mut self, a: u32, b: u32) -> Option<&mut Edge> {
+        let ends = [a.min(b), a.max(b)];
+        let found = self.edges_of_vertex.of(a).iter().copied().find(|&edge| self.edges[edge as usize].ends == ends)?;
+        Some(&mut self.edges[found as usize])
+    }
+
+    /// The rule of a vertex, with sharpnesses `passed` levels on.
+    pub(super) fn rule(&self, vertex: u32, passed: f32) -> Rule {
+        let sharp = |sharpness: f32| weaker(sharpness, passed) > 0.0;
+        if sharp(self.vertex_sharpness[vertex as usize]) || self.corners_at(vertex).is_empty() {
+            return Rule::Corner;
+        }
+        let (mut count, mut ends) = (0, [vertex; 2]);
+        for edge in self.edges_at(vertex).filter(|edge| sharp(edge.sharpness)) {
+            if let Some(end) = ends.get_mut(count) {
+                *end = edge.ends[usize::from(edge.ends[0] == vertex)];
+            }
+            count += 1;
+        }
+        match count {
+            0 | 1 if self.edges_at(vertex).count() > 1 => Rule::Smooth,
+            2 => Rule::Crease(ends),
+            _ => Rule::Corner,
+        }
+    }
+
+    /// Runs of corners around a vertex that no edge of which `splits` is true interrupts.
+    pub(super) fn fans(&self, vertex: u32, splits: impl Fn(&Edge) -> bool) -> Vec<Fan> {
+        let corners = self.corners_at(vertex);
+        let across = |edge: &Edge, corner: u32| {
+            let other = if edge.corners[0] == corner { edge.corners[1] } else { edge.corners[0] };
+            (edge.joined && !splits(edge)).then_some(other)
+        };
+        let clockwise = |corner: u32| Some(self.next(across(self.edge(corner), corner)?));
+        let counter_clockwise = |corner: u32| {
+            let before = self.previous(corner);
+            across(self.edge(before), before)
+        };
+        let mut seen: Vec<u32> = Vec::with_capacity(corners.len());
+        let mut fans = Vec::new();
+        for &corner in corners {
+            if seen.contains(&corner) {
+                continue;
+            }
+            let mut start = corner;
+            let mut closed = false;
+            for _ in corners {
+                match clockwise(start) {
+                    Some(other) if other == corner => {
+                        closed = true;
+                        break;
+                    }
+                    Some(other) => start = other,
+                    None => break,
+                }
+            }
+            if closed {
+                start = corner;
+            }
+            let first = seen.len();
+            let mut at = Some(start);
+            while let Some(corner) = at.filter(|corner| !seen.contains(corner)) {
+                seen.push(corner);
+                at = counter_clockwise(corner);
+            }
+            fans.push(Fan { corners: seen[first..].to_vec(), closed });
+        }
+        fans
+    }
+}
+
+/// A sharpness some levels on.
+pub(super) fn weaker(sharpness: f32, passed: f32) -> f32 {
+    if sharpness >= INFINITE { f32::INFINITY } else { (sharpness - passed).max(0.0) }
+}
