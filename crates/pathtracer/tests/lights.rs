@@ -107,7 +107,9 @@ fn a_directional_light_gives_its_irradiance_times_the_cosine() {
 /// the horizon gives the cosine's share (the projected solid angle of a cone is π sin²θ cos of its axis).
 #[test]
 fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
-    for (half_angle_rad, direction) in [(0.005, Vec3::new(0.6, 0.0, -0.8)), (0.5, Vec3::new(0.6, 0.0, -0.8)), (1.5, Vec3::NEG_Z)] {
+    for (half_angle_rad, direction) in
+        [(0.005, Vec3::new(0.6, 0.0, -0.8)), (0.5, Vec3::new(0.6, 0.0, -0.8)), (1.5, Vec3::NEG_Z)]
+    {
         let mut scene = plane();
         scene.parts.lights.push(point_light(Vec3::ZERO, LightKind::Distant { half_angle_rad }, direction));
         let radiance = render(&scene.renderer(), &window(), &one_view(16, [0.0, 0.0]), &long_paths(256));

@@ -129,10 +129,43 @@ pub fn load_scene(
     light_job: &LightJob,
     task: Task<'_>,
 ) -> Result<Ingested, PipelineError> {
-    let (mut scene, mut files) = match reader_of(path, importer, registry)? {
+    let (scene, files) = match reader_of(path, importer, registry)? {
         Reader::Usd => load_usd(path, pose, task)?,
         reader => load_gltf(path, pose, &reader, importer, registry, task)?,
     };
+    lit(scene, files, pose, light_job, task)
+}
+
+/// Lights a scene that the caller has made of these files, and of what lies in memory (`content`), as [`load_scene`] does.
+///
+/// # Errors
+/// When a file cannot be read or the scene cannot be rendered.
+pub fn take_scene(
+    scene: Scene,
+    files: &[PathBuf],
+    content: &[&[u8]],
+    pose: &PoseJob,
+    light_job: &LightJob,
+    task: Task<'_>,
+) -> Result<Ingested, PipelineError> {
+    let mut files = hashed(files)?;
+    if !content.is_empty() {
+        let mut hasher = blake3::Hasher::new();
+        for part in content {
+            hasher.update(&(part.len() as u64).to_le_bytes()).update(part);
+        }
+        files.push(("memory".into(), hasher.finalize().to_hex().to_string()));
+    }
+    lit(scene, files, pose, light_job, task)
+}
+
+fn lit(
+    mut scene: Scene,
+    mut files: Vec<(PathBuf, String)>,
+    pose: &PoseJob,
+    light_job: &LightJob,
+    task: Task<'_>,
+) -> Result<Ingested, PipelineError> {
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));
         scene = light::edited(scene, task, |parts| {
@@ -208,12 +241,12 @@ fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, Pipelin
     }
     let options = lumistack_usd::LoadOptions { time_s, variants };
     let loaded = lumistack_usd::load(path, &options, task)?;
-    let mut files = Vec::new();
-    for file in loaded.files {
-        let content = hash(&read(&file)?);
-        files.push((file, content));
-    }
-    Ok((loaded.scene, files))
+    Ok((loaded.scene, hashed(&loaded.files)?))
+}
+
+/// Files with hashes of their content.
+fn hashed(files: &[PathBuf]) -> Result<Vec<(PathBuf, String)>, PipelineError> {
+    files.iter().map(|file| Ok((file.clone(), hash(&read(file)?)))).collect()
 }
 
 /// Places the display in the scene.

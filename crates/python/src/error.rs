@@ -41,7 +41,9 @@ fn class_of(error: &PipelineError) -> &'static str {
         | PipelineError::UnknownDisplay { .. }
         | PipelineError::Value { .. }
         | PipelineError::Weights { .. } => "SettingError",
-        PipelineError::Gltf(_) | PipelineError::Scene { .. } | PipelineError::Window { .. } => "SceneError",
+        PipelineError::Gltf(_) | PipelineError::Usd(_) | PipelineError::Scene { .. } | PipelineError::Window { .. } => {
+            "SceneError"
+        }
         PipelineError::Field(_) | PipelineError::Grid(_) | PipelineError::Stack { .. } => "DataError",
         PipelineError::Render(_) => "RenderError",
         PipelineError::Factorize(_) => "FactorizeError",

@@ -96,7 +96,7 @@ pub(crate) fn render(
         Ok(scene) => scene.get(),
         Err(_) => {
             let light = light.map(|light| table_of("light", light)).transpose()?.unwrap_or_default();
-            loaded = Scene::load(py, scene.extract()?, Default::default(), light, Default::default(), callback)?;
+            loaded = Scene::load(py, scene, Default::default(), light, Default::default(), callback)?;
             &loaded
         }
     };

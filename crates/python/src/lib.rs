@@ -16,6 +16,7 @@ mod functions;
 mod json;
 mod scene;
 mod stack;
+mod usd;
 mod work;
 
 use pyo3::prelude::*;

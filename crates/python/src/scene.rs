@@ -3,17 +3,20 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use lumistack_pipeline::{ImporterJob, Ingested, LightJob, PoseJob, load_scene, scene_contents};
+use lumistack_pipeline::{
+    ImporterJob, Ingested, LightJob, PoseJob, SceneContents, is_usd, load_scene, scene_contents, take_scene,
+};
 use pyo3::prelude::*;
 
 use crate::functions::registry;
 use crate::json::{table, table_of};
+use crate::usd;
 use crate::work::long;
 
-/// A scene: glTF (.gltf, .glb), or what an importer plugin takes.
+/// A scene: glTF (.gltf, .glb), USD (.usd, .usda, .usdc, .usdz), or what an importer plugin takes.
 ///
-/// path: the file; time: seconds at which its animations are sampled (without it as its nodes stand); animation, variant: name or number; light: a mapping
-/// with the keys of a job's [light], of which environment (a Radiance HDR or OpenEXR file), environment_strength and automatic (whether a scene without light gets
+/// path: the file, or a stage (pxr.Usd.Stage), which is read as it stands in memory; time: seconds at which its animations are sampled (without it as its nodes
+/// stand); animation, variant: name or number, of glTF; variants: of USD, a list of "set=variant" for every prim or "/prim{set=variant}" for one; light: a mapping with the keys of a job's [light], of which environment (a Radiance HDR or OpenEXR file), environment_strength and automatic (whether a scene without light gets
 /// the studio light) belong to the scene, and the others are what render() takes unless it is told otherwise; importer: a mapping {"plugin": ..., "params":
 /// {...}}. `callback(stage, fraction)` hears of progress.
 ///
@@ -25,36 +28,75 @@ pub(crate) struct Scene {
     pub(crate) ingested: Ingested,
     animations: Vec<(String, f32)>,
     variants: Vec<String>,
+    duration: Option<f64>,
 }
 
 impl Scene {
+    /// From a file or a stage. USD is read in this process where this Python has OpenUSD, otherwise by one that has, as the command does.
     pub(crate) fn load(
         py: Python<'_>,
-        path: PathBuf,
+        source: &Bound<'_, PyAny>,
         pose: PoseJob,
         light: LightJob,
         importer: ImporterJob,
         callback: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
+        let stage = usd::is_stage(source).then_some(source);
+        let path: PathBuf = match stage {
+            Some(stage) => stage.call_method0("GetRootLayer")?.getattr("identifier")?.extract()?,
+            None => source.extract()?,
+        };
+        if stage.is_some() || (importer.plugin.is_none() && is_usd(&path) && usd::is_here(py)) {
+            let walked = usd::walk(py, stage, &path, &pose)?;
+            let is_given = stage.is_some();
+            let ingested = long(py, callback, |task| {
+                let name = path.display().to_string();
+                let scene = lumistack_usd::scene_from_package(&name, &walked.package(), task)?;
+                let files: Vec<PathBuf> = walked.header.files.iter().map(PathBuf::from).collect();
+                // a stage in memory may differ from its files
+                let content = if is_given { walked.content() } else { Vec::new() };
+                take_scene(scene, &files, &content, &pose, &light, task)
+            })?;
+            return Ok(Self::new_of(path, light, ingested, SceneContents::Usd(walked.header.contents)));
+        }
         let registry = registry(py)?;
         let (ingested, contents) = long(py, callback, |task| {
             let ingested = load_scene(&path, &pose, &importer, registry, &light, task)?;
             Ok((ingested, scene_contents(&path, &importer, registry, task)?))
         })?;
-        Ok(Self { path, light, ingested, animations: contents.animations, variants: contents.variants })
+        Ok(Self::new_of(path, light, ingested, contents))
+    }
+
+    fn new_of(path: PathBuf, light: LightJob, ingested: Ingested, contents: SceneContents) -> Self {
+        let (animations, variants, duration) = match contents {
+            SceneContents::Gltf(contents) => {
+                let ends = contents.animations.iter().map(|(_, end)| f64::from(*end));
+                let duration = ends.reduce(f64::max);
+                (contents.animations, contents.variants, duration)
+            }
+            SceneContents::Usd(contents) => {
+                let every = contents.variant_sets.iter().flat_map(|set| {
+                    let place = set.place.trim_end_matches('}');
+                    set.choices.iter().map(move |choice| format!("{place}={choice}}}"))
+                });
+                (Vec::new(), every.collect(), contents.time_range.map(|range| range.duration_s()))
+            }
+        };
+        Self { path, light, ingested, animations, variants, duration }
     }
 }
 
 #[pymethods]
 impl Scene {
     #[new]
-    #[pyo3(signature = (path, *, time=None, animation=None, variant=None, light=None, importer=None, callback=None))]
+    #[pyo3(signature = (path, *, time=None, animation=None, variant=None, variants=None, light=None, importer=None, callback=None))]
     fn new(
         py: Python<'_>,
-        path: PathBuf,
+        path: &Bound<'_, PyAny>,
         time: Option<&Bound<'_, PyAny>>,
         animation: Option<&Bound<'_, PyAny>>,
         variant: Option<&Bound<'_, PyAny>>,
+        variants: Option<&Bound<'_, PyAny>>,
         light: Option<&Bound<'_, PyAny>>,
         importer: Option<&Bound<'_, PyAny>>,
         callback: Option<&Bound<'_, PyAny>>,
@@ -62,14 +104,19 @@ impl Scene {
         // by name or by number
         let [animation, variant] = [animation, variant].map(|choice| choice.map(|choice| choice.str()).transpose());
         let (animation, variant) = (animation?.map(Bound::into_any), variant?.map(Bound::into_any));
-        let pose = [("time_s", time), ("animation", animation.as_ref()), ("variant", variant.as_ref())];
+        let pose = [
+            ("time_s", time),
+            ("animation", animation.as_ref()),
+            ("variant", variant.as_ref()),
+            ("variants", variants),
+        ];
         let pose = table(py, "pose", &pose)?;
         let light = light.map(|light| table_of("light", light)).transpose()?.unwrap_or_default();
         let importer = importer.map(|importer| table_of("importer", importer)).transpose()?.unwrap_or_default();
         Self::load(py, path, pose, light, importer, callback)
     }
 
-    /// The file that it was read from.
+    /// The file that it was read from; of a stage in memory its identifier.
     #[getter]
     fn path(&self) -> PathBuf {
         self.path.clone()
@@ -99,7 +146,13 @@ impl Scene {
         self.animations.clone()
     }
 
-    /// Names of the material variants.
+    /// Seconds until the last animation has ended, or that the USD stage plays; None where nothing says so.
+    #[getter]
+    fn duration(&self) -> Option<f64> {
+        self.duration
+    }
+
+    /// Names of the material variants of glTF; of USD every choice, "/prim{set=variant}".
     #[getter]
     fn variants(&self) -> Vec<String> {
         self.variants.clone()

@@ -21,10 +21,10 @@ ANYWHERE = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
 INHERITED_PRIMVARS = ("primvars:displayColor", "primvars:displayOpacity")
 
 
-def walk(request):
-    """Reads the file that a request names; returns a `Writer`."""
+def walk(request, stage=None):
+    """Reads a stage, or opens the file that the request names; returns a `Writer`."""
     with mtlx.definitions():
-        return walk_stage(open_stage(request["path"]), request)
+        return walk_stage(stage or open_stage(request["path"]), request)
 
 
 def open_stage(path):

@@ -79,18 +79,21 @@ class Writer:
         lists = ("warnings", "geometries", "instances", "materials", "images", "lights", "cameras")
         return dict(self.header, files=list(self._files), **{name: getattr(self, name) for name in lists})
 
+    def header_text(self, **places):
+        """The header as JSON in UTF-8; a file's says where its buffers lie."""
+        header = dict(self.finished_header(), **places)
+        try:
+            return json.dumps(header, allow_nan=False).encode("utf-8")
+        except ValueError:
+            return json.dumps(finite(header)).encode("utf-8")
+
     def write(self, file):
         """Writes the package."""
         places, end = [], 0
         for view in self.buffers:
             places.append([end, view.nbytes])
             end += -(-view.nbytes // ALIGNMENT) * ALIGNMENT
-        header = dict(self.finished_header(), buffers=places)
-        try:
-            header = json.dumps(header, allow_nan=False)
-        except ValueError:
-            header = json.dumps(finite(header))
-        header = header.encode("utf-8")
+        header = self.header_text(buffers=places)
         file.write(b"LUMIPKG1" + len(header).to_bytes(8, "little") + header)
         file.write(bytes(-(16 + len(header)) % ALIGNMENT))
         for view in self.buffers:

@@ -303,6 +303,21 @@ pub struct Array {
     pub shape: Vec<usize>,
 }
 
+impl Header {
+    /// Reads a header.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with it.
+    pub fn parse(json: &[u8]) -> Result<Self, String> {
+        let header: Self =
+            serde_json::from_slice(json).map_err(|error| format!("a scene package with a broken header: {error}"))?;
+        if header.schema != SCHEMA || header.version != 1 {
+            return Err(format!("a package of {:?}, version {}", header.schema, header.version));
+        }
+        Ok(header)
+    }
+}
+
 impl<'a> Package<'a> {
     /// Reads a file.
     ///
@@ -317,11 +332,7 @@ impl<'a> Package<'a> {
         let (length, rest) = rest.split_first_chunk::<8>().ok_or_else(truncated)?;
         let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| truncated())?;
         let (header, rest) = rest.split_at_checked(length).ok_or_else(truncated)?;
-        let mut header: Header =
-            serde_json::from_slice(header).map_err(|error| format!("a scene package with a broken header: {error}"))?;
-        if header.schema != SCHEMA || header.version != 1 {
-            return Err(format!("a package of {:?}, version {}", header.schema, header.version));
-        }
+        let mut header = Header::parse(header)?;
         let padding = (MAGIC.len() + 8 + length).next_multiple_of(ALIGNMENT) - (MAGIC.len() + 8 + length);
         let data = rest.get(padding..).unwrap_or_default();
         let buffer = |[offset, length]: [u64; 2]| {

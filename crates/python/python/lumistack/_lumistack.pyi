@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 class _HasArray(Protocol):
     def __array__(self) -> Any: ...
 
+class _Stage(Protocol):
+    def GetRootLayer(self) -> Any: ...
+
 _Path: TypeAlias = str | PathLike[str]
 _Callback: TypeAlias = Callable[[str, float], object]
 _Numbers: TypeAlias = Sequence[float] | NDArray[Any]
@@ -150,11 +153,12 @@ class LayerStack:
 class Scene:
     def __new__(
         cls,
-        path: _Path,
+        path: _Path | _Stage,
         *,
         time: float | None = None,
         animation: str | int | None = None,
         variant: str | int | None = None,
+        variants: Sequence[str] | None = None,
         light: Mapping[str, Any] | None = None,
         importer: Mapping[str, Any] | None = None,
         callback: _Callback | None = None,
@@ -172,10 +176,12 @@ class Scene:
     @property
     def variants(self) -> list[str]: ...
     @property
+    def duration(self) -> float | None: ...
+    @property
     def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]: ...
 
 def render(
-    scene: Scene | _Path,
+    scene: Scene | _Path | _Stage,
     display: _DisplayLike | None = None,
     *,
     samples: int | None = None,
