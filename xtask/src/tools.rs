@@ -51,8 +51,11 @@ const METRICS: [&str; 3] = ["--only-binary=:all:", "scikit-image", "flip-evaluat
 /// Readers of pictures, which check files that we write.
 const READERS: [&str; 3] = ["--only-binary=:all:", "pillow", "OpenEXR==3.*"];
 
-/// A Python with NumPy, in `target/python`, and where their wheels exist with Pillow and OpenEXR's bindings, scikit-image and flip-evaluator. Some tests check our files and
-/// figures with other people's software.
+/// OpenUSD with its MaterialX plugin; tests over USD stages skip where it cannot be had.
+const USD: [&str; 2] = ["--only-binary=:all:", "usd-exchange==3.*"];
+
+/// A Python with NumPy, in `target/python`, and where their wheels exist with Pillow and OpenEXR's bindings, scikit-image and flip-evaluator, and OpenUSD. Some tests check
+/// our files and figures with other people's software, and USD is read by it.
 pub fn python() -> Outcome<PathBuf> {
     let folder = root().join("target/python");
     let python = folder.join("bin/python");
@@ -74,6 +77,12 @@ pub fn python() -> Outcome<PathBuf> {
         println!("fetching: scikit-image and flip-evaluator, in target/python (used only to check our SSIM and FLIP)");
         if let Err(error) = install(&python, &METRICS) {
             println!("metrics: the reference tools are not checked anew, their recorded figures are: {error}");
+        }
+    }
+    if !imports("pxr") {
+        println!("fetching: usd-exchange (OpenUSD), in target/python (used only to test how USD is read)");
+        if let Err(error) = install(&python, &USD) {
+            println!("USD: reading it is not tested: {error}");
         }
     }
     Ok(python)

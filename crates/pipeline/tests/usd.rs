@@ -1,6 +1,7 @@
 //! The same scene as glTF and as USD gives the same picture. Needs `LUMISTACK_PYTHON` to name a Python with usd-core, and is skipped without.
 
 use std::path::Path;
+use std::process::Command;
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
@@ -52,7 +53,8 @@ fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
 
 #[test]
 fn gltf_and_usd_give_the_same_picture() {
-    if std::env::var_os("LUMISTACK_PYTHON").is_none() {
+    let python = std::env::var_os("LUMISTACK_PYTHON").unwrap_or_default();
+    if !Command::new(python).args(["-c", "import pxr"]).output().is_ok_and(|output| output.status.success()) {
         eprintln!("skipped: LUMISTACK_PYTHON names no Python with usd-core");
         return;
     }

@@ -37,6 +37,8 @@ def open_stage(path):
 def errors(error):
     """What pxr's exception says, without the places in its source code."""
     texts = [getattr(part, "commentary", None) or str(part) for part in error.args] or [str(error)]
+    # the last says no more than the first
+    texts = [text for text in texts if not text.startswith("Failed to open layer")] or texts
     return "; ".join(dict.fromkeys(" ".join(text.split()) for text in texts))
 
 

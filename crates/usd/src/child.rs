@@ -114,11 +114,14 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
             #[serde(flatten)]
             request: &'a Request<'a>,
         }
-        // a child that ended already says why below
-        let _ = serde_json::to_writer(&mut input, &WithModules { modules: &MODULES, request });
-        let _ = input.flush();
+        let text = serde_json::to_vec(&WithModules { modules: &MODULES, request }).expect("requests serialize");
+        // it is longer than a pipe holds, and the child may never read it; one that ended already says why below
+        std::thread::spawn(move || input.write_all(&text));
     }
     let status = wait(&mut child, cancel, &mut || ()).map_err(|error| Failed::Final(error.into()))?;
+    if is_interrupted(status) {
+        return Err(Failed::Final(Cancelled.into()));
+    }
     let said = said.join().unwrap_or_default();
     let failed = |found| Failed::Final(UsdError::Child { file: request.path.into(), python: python.clone(), found });
     let answer = Answer { file: map(&file).map_err(io)?, python: python.clone() };
@@ -142,6 +145,18 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
         });
     }
     Ok(answer)
+}
+
+/// Whether Ctrl-C ended the child: on a terminal it reaches both processes, in any order.
+#[cfg(unix)]
+fn is_interrupted(status: ExitStatus) -> bool {
+    std::os::unix::process::ExitStatusExt::signal(&status) == Some(2)
+}
+
+/// Whether Ctrl-C ended the child: `STATUS_CONTROL_C_EXIT`.
+#[cfg(not(unix))]
+fn is_interrupted(status: ExitStatus) -> bool {
+    status.code() == Some(-1_073_741_510)
 }
 
 /// Waits for the end of a child, or ends it; calls `meanwhile` now and then.
@@ -276,6 +291,14 @@ mod tests {
             let start = format!("scene.usda: expected a scene from {}, found ", folder.path().join(name).display());
             assert!(text.starts_with(&start) && text.contains(expected), "{name}: {text}");
         }
+    }
+
+    /// Not by a child of ours: shells and test runners may have told it to ignore the signal.
+    #[test]
+    fn ctrl_c_in_the_child_is_told_from_a_crash() {
+        use std::os::unix::process::ExitStatusExt;
+        assert!(is_interrupted(ExitStatus::from_raw(2)));
+        assert!(![0, 11, 2 << 8, 130 << 8].map(ExitStatus::from_raw).map(is_interrupted).contains(&true));
     }
 
     #[test]

@@ -38,7 +38,7 @@ pub enum UsdError {
         found: String,
     },
     /// OpenUSD, or the walker, refuses the file.
-    #[error("{file}: {message}")]
+    #[error("{}", refused(file, message))]
     Refused {
         /// The file as the caller named it.
         file: String,
@@ -76,6 +76,11 @@ pub enum UsdError {
     /// The task was stopped.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+}
+
+/// OpenUSD's own message often begins with the file, its line and column.
+fn refused(file: &str, message: &str) -> String {
+    if message.starts_with(file) { message.to_owned() } else { format!("{file}: {message}") }
 }
 
 /// [`UsdError`] before it knows the file's name.

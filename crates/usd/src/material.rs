@@ -49,6 +49,7 @@ struct Input {
 
 /// A number, colour or vector of a shader: `N` components.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "some twenty for a material, for as long as it is read")]
 pub(crate) enum Value<const N: usize> {
     /// The same everywhere.
     Constant([f32; N]),

@@ -40,23 +40,6 @@ pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
     vertices.geometry
 }
 
-/// Unit normals per point: means over the faces around, weighted by area.
-pub(crate) fn smooth_normals(polygons: &Polygons) -> Attribute<3> {
-    let mut sums = vec![DVec3::ZERO; polygons.points.len()];
-    let mut first = 0;
-    for &count in &polygons.counts {
-        let corners = &polygons.corners[first..first + count as usize];
-        first += count as usize;
-        let normal = newell(corners.iter().map(|&point| DVec3::from(polygons.points[point as usize].map(f64::from))));
-        for &point in corners {
-            sums[point as usize] += normal;
-        }
-    }
-    let sign = if polygons.left_handed { -1.0 } else { 1.0 };
-    let values = sums.into_iter().map(|sum| (sign * sum).normalize_or(DVec3::Y).as_vec3().to_array()).collect();
-    Attribute { values, interpolation: crate::polygons::Interpolation::Vertex, indices: None }
-}
-
 /// Twice the area times the normal of a polygon.
 fn newell(ring: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let Some(origin) = ring.clone().next() else { return DVec3::ZERO };
@@ -319,18 +302,5 @@ mod tests {
         assert_eq!(triangulate(&polygons).face_of_triangle, [1, 1]);
         let polygons = Polygons { counts: vec![2, 3, 3, 0], ..pair() };
         assert_eq!(triangulate(&polygons).face_of_triangle, [1, 2]);
-    }
-
-    #[test]
-    fn smooth_normals_of_a_cube_point_from_its_centre() {
-        let points: Vec<[f32; 3]> = (0..8).map(|i| [0, 1, 2].map(|axis| (i >> axis & 1) as f32 * 2.0 - 1.0)).collect();
-        let corners = vec![0, 2, 3, 1, 4, 5, 7, 6, 0, 1, 5, 4, 2, 6, 7, 3, 0, 4, 6, 2, 1, 3, 7, 5];
-        let cube = Polygons { points: points.clone(), counts: vec![4; 6], corners, ..Polygons::default() };
-        let normals = smooth_normals(&cube).values;
-        for (normal, point) in normals.iter().zip(&points) {
-            assert!((Vec3::from(*normal) - Vec3::from(*point).normalize()).length() < 1e-6);
-        }
-        let left = smooth_normals(&Polygons { left_handed: true, ..cube }).values;
-        assert_eq!(left[0], normals[0].map(|x| -x));
     }
 }

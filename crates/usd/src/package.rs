@@ -121,6 +121,7 @@ impl TimeRange {
 /// A shape in its own space.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
+#[expect(clippy::large_enum_variant, reason = "nearly all of them are meshes")]
 pub(crate) enum Shape {
     Mesh(MeshEntry),
     Solid(SolidEntry),

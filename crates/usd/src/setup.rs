@@ -116,5 +116,9 @@ fn run(command: &mut Command, line: &mut dyn FnMut(&str), cancel: &Cancel) -> Re
     let _ = reader.join();
     printed.try_iter().for_each(&mut take);
     let said = said.join().unwrap_or_default();
-    Ok(if status.success() { Ok(all) } else { Err(format!("{status}; the last it said: {}", last_lines(&said, &all))) })
+    if status.success() {
+        return Ok(Ok(all));
+    }
+    let last = last_lines(&said, &all);
+    Ok(Err(if last.is_empty() { status.to_string() } else { format!("{status}; the last it said: {last}") }))
 }

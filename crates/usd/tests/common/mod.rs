@@ -1,0 +1,20 @@
+//! The Python that tests ask.
+
+use std::ffi::OsString;
+use std::process::{Command, Stdio};
+use std::sync::OnceLock;
+
+/// The Python that `LUMISTACK_PYTHON` names, if it has OpenUSD; says so where there is none.
+pub fn python() -> Option<OsString> {
+    static FOUND: OnceLock<Option<OsString>> = OnceLock::new();
+    let found = FOUND.get_or_init(|| {
+        let python = std::env::var_os("LUMISTACK_PYTHON")?;
+        let mut check = Command::new(&python);
+        let status = check.args(["-c", "import pxr"]).stdout(Stdio::null()).stderr(Stdio::null()).status();
+        status.is_ok_and(|status| status.success()).then_some(python)
+    });
+    if found.is_none() {
+        eprintln!("skipped: LUMISTACK_PYTHON names no Python with usd-core");
+    }
+    found.clone()
+}
