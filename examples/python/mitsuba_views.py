@@ -34,9 +34,9 @@ def camera(display: lumistack.Display, slope: tuple[float, float], samples: int)
         "type": "perspective",
         "fov_axis": "x",
         "fov": float(np.degrees(2 * np.arctan(0.5 * width_mm / DISTANCE_MM))),
-        # shares of the film, right and down
-        "principal_point_offset_x": eye_mm[0] / width_mm,
-        "principal_point_offset_y": -eye_mm[1] / height_mm,
+        # shares of the film by which its middle moves against the axis of the camera
+        "principal_point_offset_x": -eye_mm[0] / width_mm,
+        "principal_point_offset_y": eye_mm[1] / height_mm,
         "to_world": mi.ScalarTransform4f().look_at(origin=[x, y, z], target=[x, y, 0], up=[0, 1, 0]),
         "film": {
             "type": "hdrfilm",
