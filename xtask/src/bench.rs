@@ -24,7 +24,7 @@ cargo xtask bench [what]
       --quick        50 iterations at most
       --json FILE    also as JSON
   stream        a display whose target does not fit into memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames
-  outputs       memory of the outputs `images` and `web_simulator` with 2 and with 12 frames of three 4K layers
+  outputs       memory of the outputs `images` and `web_simulator` with 4 and with 12 frames of three 4K layers
   render [scene.gltf]   the path tracer on two cores: rays per second of the tree beside Embree, and one view of diffuse
                 scenes beside Mitsuba 3 and Blender's Cycles at equal scene, camera, light and bounces: time, samples per
                 second, mean squared error × time; memory. Scenes: the one named, or FlightHelmet where LUMISTACK_ASSETS

@@ -62,8 +62,16 @@ impl RunFolder {
         };
         let data = OutputData::LayerStack(&self.stack, target.as_ref());
         let context = OutputContext { display: &self.display, data, time: Time::default(), out_dir, task };
-        let written = lumistack_plugin_host::run_output(registry, "web_simulator", &json!({}), context);
+        let written =
+            lumistack_plugin_host::run_output(registry, "web_simulator", &json!({"title": self.title()}), context);
         written.map(drop).map_err(host_error)
+    }
+
+    /// The run's title, as its report has it; empty without one.
+    fn title(&self) -> String {
+        let report = std::fs::read(self.dir.join("report.json")).ok();
+        let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
+        report.and_then(|report| report["title"].as_str().map(str::to_owned)).unwrap_or_default()
     }
 
     /// [`picture_from`] the viewpoint.

@@ -66,9 +66,8 @@ pub(crate) struct Rounding<'a> {
     display: &'a Display,
     geometry: FieldGeometry,
     map: RayMap,
-    /// Sums over frames, per view.
-    rounded: Vec<Vec<f32>>,
-    exact: Vec<Vec<f32>>,
+    /// Rounded minus exact, summed over frames, per view.
+    differences: Vec<Vec<f32>>,
     frames: f64,
     brightness: f64,
 }
@@ -86,50 +85,51 @@ impl<'a> Rounding<'a> {
         };
         let geometry = target.with_grid(grid);
         let map = RayMap::new(display, &geometry);
-        let zeros = || vec![vec![0.0; 3 * geometry.rows * geometry.cols]; 3];
-        Self { display, rounded: zeros(), exact: zeros(), geometry, map, frames: 0.0, brightness: 1.0 }
+        let differences = vec![vec![0.0; 3 * geometry.rows * geometry.cols]; 3];
+        Self { display, differences, geometry, map, frames: 0.0, brightness: 1.0 }
     }
 
-    /// One frame.
+    /// One frame. First the patterns, then what their codes stand for: one of the two is in memory at a time.
     pub(crate) fn add(
         &mut self,
         layers: Vec<(Picture, Vec<f32>)>,
         emission: Option<(Picture, Vec<f32>, Bins)>,
         brightness: f64,
     ) {
-        let value = |code: &u8| f32::from(*code) / 255.0;
-        let layer = |picture: &Picture, values: Vec<f32>| {
-            let mut layer = Tensor::zeros(LayerStack::LAYER_AXES, [1, picture.rows, picture.cols, 3]);
-            layer.data_mut().copy_from_slice(&values);
-            layer
-        };
-        let rounded_layers = layers.iter().map(|(p, _)| layer(p, p.codes.iter().map(value).collect())).collect();
-        let rounded_emission =
-            emission.as_ref().map(|(p, _, bins)| untiled(&p.codes.iter().map(value).collect::<Vec<_>>(), *bins));
-        let exact_layers = layers.into_iter().map(|(picture, values)| layer(&picture, values)).collect();
-        let exact_emission = emission.map(|(_, values, bins)| untiled(&values, bins));
-        let rounded = LayerStack { layers: rounded_layers, emission: rounded_emission, brightness };
-        let exact = LayerStack { layers: exact_layers, emission: exact_emission, brightness };
-        for (stack, sums) in [(&rounded, &mut self.rounded), (&exact, &mut self.exact)] {
-            let simulator = Simulator::new(self.display, stack);
-            for (i, sum) in sums.iter_mut().enumerate() {
-                let view = simulator.view(&self.map, &self.geometry, [i, i]).radiance;
-                sum.iter_mut().zip(view.data()).for_each(|(sum, value)| *sum += value);
-            }
-        }
+        let (pictures, exact): (Vec<Picture>, Vec<Vec<f32>>) = layers.into_iter().unzip();
+        let (emitted, exact_emission) = emission
+            .map_or((None, None), |(picture, values, bins)| (Some((picture, bins)), Some(untiled(&values, bins))));
+        let tensors = pictures.iter().zip(exact).map(|(picture, values)| layer(picture, values)).collect();
+        self.add_views(&LayerStack { layers: tensors, emission: exact_emission, brightness }, -1.0);
+        let values = |picture: &Picture| picture.codes.iter().map(|code| f32::from(*code) / 255.0).collect::<Vec<_>>();
+        let tensors = pictures.iter().map(|picture| layer(picture, values(picture))).collect();
+        let emission = emitted.map(|(picture, bins)| untiled(&values(&picture), bins));
+        self.add_views(&LayerStack { layers: tensors, emission, brightness }, 1.0);
         self.frames += 1.0;
         self.brightness = brightness;
+    }
+
+    fn add_views(&mut self, stack: &LayerStack, sign: f32) {
+        let simulator = Simulator::new(self.display, stack);
+        for (i, sum) in self.differences.iter_mut().enumerate() {
+            let view = simulator.view(&self.map, &self.geometry, [i, i]).radiance;
+            sum.iter_mut().zip(view.data()).for_each(|(sum, value)| *sum += sign * value);
+        }
     }
 
     /// PSNR of L̃/β, dB; infinite where the rounding costs nothing.
     pub(crate) fn psnr(&self) -> f64 {
         let scale = 1.0 / (self.frames * self.brightness);
         let mut error = SquaredError::default();
-        for (rounded, exact) in self.rounded.iter().flatten().zip(self.exact.iter().flatten()) {
-            error.add(f64::from(*rounded) * scale, f64::from(*exact) * scale);
-        }
+        self.differences.iter().flatten().for_each(|difference| error.add(f64::from(*difference) * scale, 0.0));
         error.psnr()
     }
+}
+
+/// One frame of a layer.
+fn layer(picture: &Picture, values: Vec<f32>) -> Tensor<4> {
+    let shape = [1, picture.rows, picture.cols, 3];
+    Tensor::from_vec(LayerStack::LAYER_AXES, shape, values).expect("a picture has a value per code")
 }
 
 /// Bins that lie side by side, as one frame of emission.
