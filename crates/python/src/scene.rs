@@ -162,7 +162,7 @@ impl Scene {
     #[getter]
     fn bounds(&self) -> ((f32, f32, f32), (f32, f32, f32)) {
         let bounds = Arc::as_ref(&self.ingested.scene).bounds();
-        let [min, max] = [bounds.min, bounds.max].map(|corner| corner.to_array().map(|x| x as f32));
+        let [min, max] = [bounds.min, bounds.max].map(|corner| corner.to_array());
         (min.into(), max.into())
     }
 
