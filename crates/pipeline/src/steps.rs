@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use lumistack_core::{Collector, Task};
+use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack, LightField, Weights};
 use lumistack_factorizer::{Factorization, Iteration, Problem};
 use lumistack_field_io::{GeometryDefaults, GeometryFlags};
@@ -145,7 +145,6 @@ pub struct ReportOn<'a> {
 /// When the parts do not fit, the files cannot be written, or when cancelled.
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
-    let warnings = Collector::default();
     let report = lumistack_report::build(
         &ReportInput {
             title: on.title,
@@ -163,7 +162,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
             denoising: None,
             scene: None,
             depth: None,
-            warnings: &warnings.take(),
+            warnings: &[],
             outputs: &[],
             command: None,
             version: env!("CARGO_PKG_VERSION"),

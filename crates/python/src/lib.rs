@@ -6,7 +6,7 @@
 //! ```
 //!
 //! A thin shell over the pipeline: settings are checked by the types that read job files, so names, defaults and ranges stand in one place. Long work runs on a
-//! thread of its own without Python's lock, while the calling thread passes progress and warnings on and looks for Ctrl-C ([`work`]).
+//! thread of its own without Python's lock, while the calling thread passes progress and warnings on and looks for Ctrl-C (`work.rs`).
 
 mod array;
 mod display;
