@@ -1,4 +1,4 @@
-//! USD to [`Scene`](lumistack_scene::Scene), by way of the user's Python.
+//! USD to [`Scene`], by way of the user's Python.
 //!
 //! ```text
 //! .usd file ─▶ child: pxr stage ─▶ walker (python/) ─▶ package ─▶ meshes, materials, instances ─▶ Scene
