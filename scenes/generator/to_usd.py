@@ -44,6 +44,8 @@ def main(path):
         dome = UsdLux.DomeLight.Define(stage, root + "/sky")
         dome.CreateTextureFileAttr("./" + environment["image"])
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
+        # the middle of USD's pictures lies towards +z, that of ours towards -z
+        dome.AddRotateYOp().Set(180.0)
         dome.CreateIntensityAttr(float(environment.get("strength", 1.0)))
     stage.GetRootLayer().Save()
     if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(stem + ".usda"), stem + ".usdz"):
