@@ -170,14 +170,20 @@ impl<'a> Assembly<'a> {
             }
             Shape::Points(entry) => (shapes::balls(self.package, entry, self.task)?, &entry.primvars),
         };
+        // the display colour of the whole, if there is one
+        let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
+        let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
+        let whole = polygons::read(self.package, &whole, [None, None], &mut |_| {})?;
         let (material, colors) = match bound {
-            Some(bound) => bound,
-            None if geometry.colors.is_empty() => {
-                // the display colour of the whole, if there is one
-                let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
-                let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
-                self.plain(&polygons::read(self.package, &whole, [None, None], &mut |_| {})?)
+            Some((_, true)) if geometry.colors.is_empty() => {
+                if let Some(&[r, g, b]) = whole.colors.as_ref().and_then(|colors| colors.values.first()) {
+                    let color = Vec4::new(r, g, b, 1.0).clamp(Vec4::ZERO, Vec4::ONE);
+                    geometry.colors = vec![color; geometry.positions.len()];
+                }
+                bound.unwrap_or_default()
             }
+            Some(bound) => bound,
+            None if geometry.colors.is_empty() => self.plain(&whole),
             None => {
                 self.parts.materials.push(plain(Vec4::ONE, false));
                 (self.parts.materials.len() - 1, true)

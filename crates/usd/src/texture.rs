@@ -281,7 +281,7 @@ impl Space {
     fn of(name: &str, kind: Kind, picture: &Picture) -> Option<Self> {
         let data = matches!(kind, Kind::Data | Kind::Normal);
         match name {
-            _ if data => Some(Self::Linear),
+            "auto" | "" if data => Some(Self::Linear),
             "auto" | "" => Some(if matches!(picture.texels, Texels::Codes8(_)) { Self::Srgb } else { Self::Linear }),
             "sRGB" | "srgb_texture" | "srgb_rec709_scene" | "srgb_rec709_display" | "g22_rec709" | "gamma22" => {
                 Some(Self::Srgb)
