@@ -1,5 +1,7 @@
 //! Shader networks and lights of stages, written for the test, through the user's OpenUSD: needs `LUMISTACK_PYTHON`, and is skipped without.
 
+mod common;
+
 use glam::{Vec2, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Warning};
 use lumistack_scene::{LightKind, Material, Scene};
@@ -7,10 +9,7 @@ use lumistack_usd::{LoadOptions, load};
 
 /// A scene of a stage and pictures beside it; `None` (with a message) without a Python.
 fn scene(text: &str) -> Option<(Scene, Vec<Warning>)> {
-    if std::env::var_os("LUMISTACK_PYTHON").is_none() {
-        eprintln!("skipped: LUMISTACK_PYTHON names no Python with usd-core");
-        return None;
-    }
+    common::python()?;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.usda");
     std::fs::write(&path, format!("#usda 1.0\n{text}")).unwrap();

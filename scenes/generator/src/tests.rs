@@ -26,12 +26,15 @@ fn committed_folder() -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Files of a scene's folder by name, but for the job files that people write beside a scene.
+/// Extensions of what stands beside a scene and is not made here: job files, and USD (by `to_usd.py`).
+const OTHERS: [&str; 4] = ["toml", "usda", "usdc", "usdz"];
+
+/// Files of a scene's folder by name, but for [`OTHERS`].
 fn files_in(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     std::fs::read_dir(folder)
         .unwrap_or_else(|error| panic!("{}: {error}", folder.display()))
         .map(|entry| entry.expect("the folder can be listed").path())
-        .filter(|path| path.extension().is_none_or(|extension| extension != "toml"))
+        .filter(|path| path.extension().is_none_or(|extension| OTHERS.iter().all(|other| extension != *other)))
         .map(|path| {
             let name = path.file_name().expect("an entry has a name").to_string_lossy().into_owned();
             let bytes = std::fs::read(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
