@@ -72,7 +72,7 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
     }
     let modules = modules(py)?;
     let request = PyDict::new(py);
-    request.set_item("path", path)?;
+    request.set_item("path", path.to_string_lossy())?;
     request.set_item("time_s", pose.time_s)?;
     request.set_item("variants", &pose.variants)?;
     let writer = modules.getattr("walk")?.call_method1("walk", (request, stage)).map_err(|error| {

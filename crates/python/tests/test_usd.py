@@ -41,6 +41,13 @@ def stage_of_boxes(count: int = 2) -> Any:
     return stage
 
 
+def file_of_boxes(folder: Path) -> Path:
+    stage = stage_of_boxes()  # its layer lives as long as it does
+    path = folder / "boxes.usda"
+    stage.GetRootLayer().Export(str(path))
+    return path
+
+
 def test_a_file_gives_what_its_gltf_gives() -> None:
     usd = Scene(ROOT / "scenes" / "still-life" / "still-life.usda")
     gltf = Scene(ROOT / "scenes" / "still-life" / "still-life.gltf")
@@ -75,8 +82,7 @@ def test_a_changed_stage_is_not_taken_for_the_one_in_the_cache(tmp_path: Path) -
 
 
 def test_variants_of_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "boxes.usda"
-    stage_of_boxes().GetRootLayer().Export(str(path))
+    path = file_of_boxes(tmp_path)
     scene = Scene(path, variants=["look=green"])
     assert scene.variants == ["/World/Box0{look=red}", "/World/Box0{look=green}"]
     with pytest.raises(lumistack.SceneError, match=r"expected a variant that there is \(/World/Box0\{look\}: red, green\), found look=blue"):
@@ -100,8 +106,7 @@ def test_mistakes_are_told(tmp_path: Path) -> None:
 
 
 def test_without_openusd_the_message_says_what_to_type(tmp_path: Path) -> None:
-    path = tmp_path / "boxes.usda"
-    stage_of_boxes().GetRootLayer().Export(str(path))
+    path = file_of_boxes(tmp_path)
     code = "import sys; sys.modules['pxr'] = None\nimport lumistack\ntry: lumistack.Scene(sys.argv[1])\nexcept lumistack.SceneError as error: print(error)"
     environment = {"PATH": "", "HOME": str(tmp_path), "XDG_DATA_HOME": str(tmp_path)}
     result = subprocess.run([sys.executable, "-c", code, str(path)], env=environment, capture_output=True, text=True, check=True)
