@@ -84,8 +84,8 @@ def test_a_changed_stage_is_not_taken_for_the_one_in_the_cache(tmp_path: Path) -
 def test_variants_of_a_file(tmp_path: Path) -> None:
     path = file_of_boxes(tmp_path)
     scene = Scene(path, variants=["look=green"])
-    assert scene.variants == ["/World/Box0{look=red}", "/World/Box0{look=green}"]
-    with pytest.raises(lumistack.SceneError, match=r"expected a variant that there is \(/World/Box0\{look\}: red, green\), found look=blue"):
+    assert scene.variants == ["/World/Box0{look=green}", "/World/Box0{look=red}"]
+    with pytest.raises(lumistack.SceneError, match=r"expected a variant that there is \(/World/Box0\{look\}: green, red\), found look=blue"):
         Scene(path, variants=["look=blue"])
     with pytest.raises(lumistack.SettingError, match="variants: expected none beside a stage"):
         Scene(stage_of_boxes(), variants=["look=red"])
