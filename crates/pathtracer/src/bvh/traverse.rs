@@ -10,6 +10,8 @@
 //! Departures from the simple version: near and far planes are picked by the ray's signs, not by min and max; distances are one fused
 //! multiply-add, b/d − o/d; what is postponed is kept sorted with its distance and dropped when a nearer hit is known; the whole loop
 //! is one function compiled for the instruction set. An unsorted loop serves where any hit will do.
+//! A ray meets few nodes (FlightHelmet: 2.3 nodes and 0.9 blocks), so its preparation counts: what blocks need stays in numbers, and trees
+//! without instances have a loop of their own, whose rays never change (together a fifth to a third more rays per second).
 //!
 //! Tried on FlightHelmet and not to be told from this by a measurement that scattered by 10 to 30 %: no prefetch or that of the nearest child alone, trees collapsed
 //! by dynamic programming over surface area with blocks at 0.6 to 2.5 nodes, boxes of large triangles left whole, all nodes reinserted.
