@@ -9,6 +9,9 @@ use crate::tools::{self, Outcome, command, output_of};
 const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];
 const CYCLES: [&str; 3] = ["bpy==5.0.1", "bpy", "render_cycles.py"];
 const EMBREE: [&str; 2] = ["embreex==4.*", "embreex"];
+/// Scenes of others, in LUMISTACK_ASSETS.
+const FLIGHT_HELMET: &str = "gltf/FlightHelmet/FlightHelmet.gltf";
+const CHESS_SET: &str = "usd/OpenChessSet/chess_set.usda";
 /// Copies of FlightHelmet that make 1.4 and 100 million triangles.
 const COPIES: &str = "15";
 const MANY_COPIES: &str = "1100";
@@ -53,21 +56,26 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
     Some(run())
 }
 
-/// Compares converged pictures of FlightHelmet, diffuse with its textures, with Mitsuba's and Cycles'.
+/// Compares converged pictures of FlightHelmet and OpenChessSet, diffuse with their textures, with Mitsuba's and Cycles'.
 pub fn agree(samples: &str) -> Outcome {
-    let scenes = default_scenes();
-    let Some(helmet) = scenes.iter().find(|scene| scene.contains("FlightHelmet")) else { return Ok(()) };
+    let scenes: Vec<String> = [FLIGHT_HELMET, CHESS_SET].into_iter().filter_map(asset).collect();
+    if scenes.is_empty() {
+        return Ok(());
+    }
     let Some(python) = python() else { return Ok(()) };
-    let folder = text(&tools::root().join("target/agreement-views"));
-    let words = ["agree", helmet, "--size", "280x175", "--reference", samples, "--folder", &folder];
-    let mut words = words.map(str::to_owned).to_vec();
+    let mut peers = Vec::new();
     for [package, module, script] in [MITSUBA, CYCLES] {
         if has(&python, &[package, module]) {
             let script = tools::root().join("xtask/bench").join(script);
-            words.extend(["--peer".to_owned(), text(&python), text(&script)]);
+            peers.extend(["--peer".to_owned(), text(&python), text(&script)]);
         }
     }
-    example("lumistack-pathtracer", "bench_render", &words)
+    let folder = text(&tools::root().join("target/agreement-views"));
+    for scene in &scenes {
+        let words = ["agree", scene, "--size", "280x175", "--reference", samples, "--folder", &folder];
+        example("lumistack-pathtracer", "bench_render", &[words.map(str::to_owned).to_vec(), peers.clone()].concat())?;
+    }
+    Ok(())
 }
 
 /// Runs the scene of many copies.
@@ -83,13 +91,20 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
 
 fn default_scenes() -> Vec<String> {
     let mut scenes = vec![text(&tools::root().join("scenes/still-life/still-life.gltf"))];
-    match std::env::var_os("LUMISTACK_ASSETS")
-        .map(|assets| Path::new(&assets).join("gltf/FlightHelmet/FlightHelmet.gltf"))
-    {
-        Some(helmet) if helmet.is_file() => scenes.insert(0, text(&helmet)),
-        _ => println!("bench: without FlightHelmet: LUMISTACK_ASSETS names no folder that has it"),
+    if let Some(helmet) = asset(FLIGHT_HELMET) {
+        scenes.insert(0, helmet);
     }
     scenes
+}
+
+/// A file of the collection of others, or a message.
+fn asset(file: &str) -> Option<String> {
+    let path = std::env::var_os("LUMISTACK_ASSETS").map(|assets| Path::new(&assets).join(file));
+    let found = path.filter(|path| path.is_file());
+    if found.is_none() {
+        println!("bench: without {file}: LUMISTACK_ASSETS names no folder that has it");
+    }
+    found.map(|path| text(&path))
 }
 
 /// A Python for the peers, made at the first call.

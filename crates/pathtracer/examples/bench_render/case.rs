@@ -12,6 +12,7 @@ use lumistack_core::{Collector, Task};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_gltf::AssetResolver;
 use lumistack_scene::{Environment, Image, Instance, Material, Mesh, Pixels, Scene, SceneParts, Window};
+use lumistack_usd::LoadOptions;
 use npyz::WriterBuilder;
 use serde_json::json;
 
@@ -46,14 +47,19 @@ impl AssetResolver for Folder<'_> {
 }
 
 impl Case {
-    /// A glTF file as a diffuse scene; a file without a camera also gets a floor. With `copies` > 1, so many of it stand in a square.
+    /// A glTF or USD file as a diffuse scene; a file without a camera also gets a floor. With `copies` > 1, so many of it stand in a square.
     pub fn load(path: &Path, copies: usize, [cols, rows]: [usize; 2], task: Task<'_>) -> Outcome<Self> {
-        let bytes = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
-        let folder = Folder(path.parent().unwrap_or(Path::new(".")));
         // what a diffuse scene leaves out need not be warned of
         let unread = Collector::default();
         let quiet = Task { warnings: &unread, ..task };
-        let scene = lumistack_gltf::load(&path.display().to_string(), &bytes, &folder, quiet)?;
+        let extension = path.extension().unwrap_or_default().to_string_lossy();
+        let scene = if lumistack_usd::EXTENSIONS.contains(&&*extension) {
+            lumistack_usd::load(path, &LoadOptions::default(), quiet)?.scene
+        } else {
+            let bytes = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
+            let folder = Folder(path.parent().unwrap_or(Path::new(".")));
+            lumistack_gltf::load(&path.display().to_string(), &bytes, &folder, quiet)?
+        };
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let bounds = scene.bounds();
         let mut parts = scene.into_parts();
