@@ -240,7 +240,11 @@ fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, Pipelin
         return Err(PipelineError::value(path, "pose.variant", expected, variant));
     }
     let options = lumistack_usd::LoadOptions { time_s, variants };
+    // another process works; nothing tells how far it has come
+    task.progress.begin("open USD", 1, "stage");
     let loaded = lumistack_usd::load(path, &options, task)?;
+    task.progress.advance(1, "");
+    task.progress.end();
     Ok((loaded.scene, hashed(&loaded.files)?))
 }
 

@@ -131,6 +131,9 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
     Some(Loaded { material, uv_names, reads_colors })
 }
 
+/// Index of refraction of every clear coat.
+const COAT_INDEX: f32 = 1.5;
+
 /// Inputs of a shader, and which of them have been looked at.
 pub(crate) struct Inputs {
     inputs: BTreeMap<String, Input>,
@@ -369,6 +372,13 @@ impl<'a> Builder<'_, 'a> {
         let normal_texture = self.normal(normal);
         let coat = Clearcoat { factor, texture, roughness, roughness_texture, normal_texture, normal_scale: 1.0 };
         self.material.clearcoat = Some(coat);
+    }
+
+    /// Says so where a coat asks for another index than ours has.
+    pub(crate) fn coat_index(&self, ior: f32) {
+        if self.material.clearcoat.is_some() && (ior - COAT_INDEX).abs() > 1e-3 {
+            self.warn(format!("the coat's index of refraction {ior} is shown as {COAT_INDEX}"));
+        }
     }
 
     /// Fibres.

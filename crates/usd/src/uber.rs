@@ -54,6 +54,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     builder.material.dispersion = if abbe > 0.0 { (20.0 / abbe).min(20.0) } else { 0.0 };
     let normal = inputs.get("normal", UP);
     builder.coat(&inputs.get("coat", [0.0]), &inputs.get("coat_roughness", [0.1]), &inputs.get("coat_normal", UP));
+    builder.coat_index(inputs.number("coat_IOR", 1.5));
     builder.sheen(
         inputs.number("sheen", 0.0),
         &inputs.get("sheen_color", WHITE),
@@ -63,7 +64,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     builder.emission(&inputs.get("emission_color", WHITE), inputs.number("emission", 0.0));
     builder.material.normal_texture = builder.normal(&normal);
     // of meaning only with what is listed or shown otherwise
-    for name in ["subsurface_radius", "subsurface_scale", "subsurface_anisotropy", "coat_IOR", "tangent"] {
+    for name in ["subsurface_radius", "subsurface_scale", "subsurface_anisotropy", "tangent"] {
         inputs.text(name);
     }
     &[
@@ -101,6 +102,7 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     let normal = inputs.get("geometry_normal", UP);
     let coat_normal = inputs.get("geometry_coat_normal", UP);
     builder.coat(&inputs.get("coat_weight", [0.0]), &inputs.get("coat_roughness", [0.0]), &coat_normal);
+    builder.coat_index(inputs.number("coat_ior", 1.5));
     let fuzz = inputs.number("fuzz_weight", 0.0);
     builder.sheen(fuzz, &inputs.get("fuzz_color", WHITE), &inputs.get("fuzz_roughness", [0.5]));
     // micrometres
@@ -112,7 +114,6 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
         "subsurface_radius",
         "subsurface_radius_scale",
         "subsurface_scatter_anisotropy",
-        "coat_ior",
         "coat_darkening",
         "geometry_tangent",
         "geometry_coat_tangent",

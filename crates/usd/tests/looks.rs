@@ -233,7 +233,8 @@ fn large_shaders_keep_what_has_a_counterpart_and_name_the_rest() {
         "standard_surface",
         json!({
             "base": {"value": [0.5]}, "base_color": {"value": [0.8, 0.4, 0.2]}, "specular_roughness": {"value": [0.3]},
-            "coat": {"value": [1]}, "coat_color": {"value": [1, 0, 0]}, "sheen": {"value": [0.5]}, "thin_film_thickness": {"value": [550]},
+            "coat": {"value": [1]}, "coat_color": {"value": [1, 0, 0]}, "coat_IOR": {"value": [1.8]},
+            "sheen": {"value": [0.5]}, "thin_film_thickness": {"value": [550]},
             "emission": {"value": [2]}, "emission_color": {"value": [1, 0.5, 0]}, "specular_anisotropy": {"value": [0.5]},
             "transmission_dispersion": {"value": [40]},
         }),
@@ -243,8 +244,9 @@ fn large_shaders_keep_what_has_a_counterpart_and_name_the_rest() {
     assert_eq!(material.iridescence.unwrap().thickness_nm, [550.0; 2]);
     assert_eq!((material.sheen.unwrap().color, material.anisotropy.unwrap().strength), (Vec3::splat(0.5), 0.5));
     assert!(material.clearcoat.is_some() && material.dispersion == 0.5);
-    assert_eq!(warnings.len(), 1);
-    assert!(warnings[0].message.contains("standard_surface: coat_color cannot be shown"), "{warnings:?}");
+    assert_eq!(warnings.len(), 2);
+    assert!(warnings[0].message.contains("index of refraction 1.8 is shown as 1.5"), "{warnings:?}");
+    assert!(warnings[1].message.contains("standard_surface: coat_color cannot be shown"), "{warnings:?}");
 
     let (_, glass, warnings) = shader(
         "open_pbr_surface",
