@@ -58,7 +58,8 @@ def frame(x, y, z, origin):
     return made
 
 
-def add_light():
+def add_lamp():
+    """Less noise than a mesh that shines (2.7e-5 against 3.5e-5 on FlightHelmet at 16 spp), but 1 % too bright in 5.0.1."""
     corner, (u, w) = np.array(v.light["corner"]), np.array(v.light["edges"])
     lamp = bpy.data.lights.new("light", "AREA")
     lamp.shape = "RECTANGLE"
@@ -72,6 +73,21 @@ def add_light():
     # a lamp shines along its -z
     placed.matrix_world = frame(x, -y, -np.cross(x, y), corner + (u + w) / 2)
     scene.collection.objects.link(placed)
+
+
+def add_shining_mesh():
+    corner, (u, w) = np.array(v.light["corner"]), np.array(v.light["edges"])
+    made = bpy.data.meshes.new("light")
+    made.from_pydata([corner, corner + u, corner + u + w, corner + w], [], [(0, 1, 2, 3)])
+    shining = bpy.data.materials.new("light")
+    shining.use_nodes = True
+    tree = shining.node_tree
+    tree.nodes.clear()
+    out, emission = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new("ShaderNodeEmission")
+    emission.inputs["Strength"].default_value = v.light["radiance"]
+    tree.links.new(emission.outputs["Emission"], out.inputs["Surface"])
+    made.materials.append(shining)
+    scene.collection.objects.link(bpy.data.objects.new("light", made))
 
 
 def add_camera():
@@ -113,7 +129,7 @@ def configure():
 
 for n, about in enumerate(v.meshes):
     add_mesh(about, n)
-add_light()
+add_shining_mesh() if v.exact else add_lamp()
 add_camera()
 configure()
 folder = tempfile.mkdtemp()

@@ -2,7 +2,7 @@
 
 A peer is a script that renders one view of a scene of diffuse surfaces. It is started with a folder as its argument, which holds
 
-    scene.json          meshes, camera, sky and rectangle light
+    scene.json          meshes, camera, sky and rectangle light; whether this light must be exact
     N_positions.npy     vertices of mesh N in the world, N_triangles.npy its indices, N_uvs.npy texture coordinates (v downwards)
     image_N.png         textures, sRGB
 
@@ -28,6 +28,7 @@ class View:
         self.camera, self.sky, self.light = about["camera"], about["sky"], about["light"]
         self.cols, self.rows = about["pixels"]
         self.meshes = about["meshes"]
+        self.exact = about["exact"]
 
     def arrays(self, mesh):
         """Positions, triangles, texture coordinates of a mesh."""

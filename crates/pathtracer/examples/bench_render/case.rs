@@ -138,8 +138,9 @@ impl Case {
         corner + u[0] * across + u[1] * up
     }
 
-    /// Writes the scene for the peers: `scene.json` names arrays and pictures beside it. Meshes are in world space.
-    pub fn export(&self, folder: &Path) -> Outcome {
+    /// Writes the scene for the peers: `scene.json` names arrays and pictures beside it. Meshes are in world space. `exact` asks for this scene to the
+    /// last digit, otherwise a peer may take a kind of light that it is better at.
+    pub fn export(&self, folder: &Path, exact: bool) -> Outcome {
         std::fs::create_dir_all(folder)?;
         let mut meshes = Vec::new();
         for (index, instance) in self.scene.instances.iter().enumerate() {
@@ -198,6 +199,7 @@ impl Case {
                 "fov_x_rad": 2.0 * (0.5 * WIDTH_MM / distance_mm).atan(),
             },
             "pixels": [self.geometry.cols, self.geometry.rows],
+            "exact": exact,
         });
         std::fs::write(folder.join("scene.json"), about.to_string())?;
         Ok(())

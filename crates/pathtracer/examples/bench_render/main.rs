@@ -117,7 +117,7 @@ fn view(options: &Options) -> Outcome {
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
     let case = Case::load(&options.scene, options.copies, options.size, task)?;
     let folder = options.folder.join(&case.name);
-    case.export(&folder)?;
+    case.export(&folder, false)?;
     let start = Instant::now();
     let renderer = Renderer::new(case.scene.clone(), task)?;
     let [cols, rows] = options.size;
@@ -216,7 +216,7 @@ fn agree(options: &Options) -> Outcome {
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
     let case = Case::load(&options.scene, options.copies, options.size, task)?;
     let folder = options.folder.join(&case.name);
-    case.export(&folder)?;
+    case.export(&folder, true)?;
     let renderer = Renderer::new(case.scene.clone(), task)?;
     let samples = options.reference;
     let settings =
