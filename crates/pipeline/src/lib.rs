@@ -35,7 +35,7 @@ pub use cache::{KeyBuilder, Stamps};
 pub use depth::{Outlook, outlook};
 pub use error::PipelineError;
 pub use graph::NodeSummary;
-pub use ingest::{Ingested, SceneContents, is_usd, load_scene, place_window, scene_contents, take_scene};
+pub use ingest::{Ingested, SceneContents, is_blend, is_usd, load_scene, place_window, scene_contents, take_scene};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
     AngularFilter, Denoise, DisplayJob, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob, OutputJob,
