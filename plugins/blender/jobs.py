@@ -96,6 +96,7 @@ class Job:
     def steps(self) -> Iterator[Step]:
         scene, settings = self.scene, self.scene.lumistack
         folder = output_folder(scene)
+        rig.remove_leftovers(bpy)
         if settings.times == "CURRENT":
             yield from self._time(folder, None, 0.0, 1.0)
             return

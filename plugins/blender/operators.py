@@ -37,7 +37,7 @@ class _Steps(bpy.types.Operator):
         job = jobs.Job(context.scene, factorize=self.factorizes)
         try:
             jobs.run_now(job)
-        except (jobs.JobError, lumistack.Error, RuntimeError, ValueError, OSError) as error:
+        except Exception as error:  # whatever it is, it is told
             self.report({"ERROR"}, _text(error))
             return {"CANCELLED"}
         return self._end(context, job)
@@ -61,7 +61,7 @@ class _Steps(bpy.types.Operator):
             return {"PASS_THROUGH"}
         try:
             return self._go_on(context)
-        except (jobs.JobError, lumistack.Error, RuntimeError, ValueError, OSError) as error:
+        except Exception as error:  # whatever it is, nothing may stay behind
             self._close(context)
             self.report({"ERROR"}, _text(error))
             return {"CANCELLED"}
@@ -72,6 +72,9 @@ class _Steps(bpy.types.Operator):
             return {"PASS_THROUGH"}
         if self._state == "cancelled":
             return self._stop(context, "Stopped; what is finished is kept")
+        if bpy.app.is_job_running("RENDER"):
+            # the last view's job is being wound up
+            return {"PASS_THROUGH"}
         if self._state == "rendered":
             step.finished()
             self._state = "next"
@@ -90,7 +93,8 @@ class _Steps(bpy.types.Operator):
         elif isinstance(step, jobs.Render):
             step.aim()
             self._state = "rendering"
-            bpy.ops.render.render("INVOKE_DEFAULT", write_still=True, scene=step.scene.name)
+            if "CANCELLED" in bpy.ops.render.render("INVOKE_DEFAULT", write_still=True, scene=step.scene.name):
+                raise jobs.JobError("Blender does not start to render: another render is running, or the scene has no camera")
         return {"PASS_THROUGH"}
 
     def _complete(self, *_):

@@ -95,7 +95,8 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
 
         rows, columns, _ = picture.shape
         values = numpy.ones((rows, columns, 4), numpy.float32)
-        values[..., :3] = picture[::-1]
+        # overlays are drawn in the screen's code values
+        values[..., :3] = to_srgb(picture[::-1])
         texture = gpu.types.GPUTexture((columns, rows), format="RGBA16F", data=gpu.types.Buffer("FLOAT", values.size, values.ravel()))
         _textures[scene.name] = texture
     corners = [window.point(line[0]) for line in outline.frame(window.size_mm)]
@@ -103,6 +104,14 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
     shader.uniform_sampler("image", texture)
     places = {"pos": corners, "texCoord": [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]}
     batch_for_shader(shader, "TRI_FAN", places).draw(shader)
+
+
+def to_srgb(linear):
+    """Linear light to sRGB code values 0..1."""
+    import numpy
+
+    light = numpy.clip(linear, 0.0, 1.0)
+    return numpy.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 class LUMISTACK_GGT_window(bpy.types.GizmoGroup):

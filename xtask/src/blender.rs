@@ -65,9 +65,13 @@ fn environment(version: &str) -> Outcome<PathBuf> {
     let folder = tools::root().join(format!("target/python-blender-{version}"));
     let python = folder.join("bin/python");
     if !has(&python) {
-        let base = python_of_blender()
-            .ok_or_else(|| format!("Blender's module bpy needs Python {PYTHON}, and neither python3 nor python{PYTHON} is one"))?;
-        println!("\nfetching: bpy {version} and numpy, in {} (used only to test the Blender extension)", folder.display());
+        let base = python_of_blender().ok_or_else(|| {
+            format!("Blender's module bpy needs Python {PYTHON}, and neither python3 nor python{PYTHON} is one")
+        })?;
+        println!(
+            "\nfetching: bpy {version} and numpy, in {} (used only to test the Blender extension)",
+            folder.display()
+        );
         run(command(base).args(["-m", "venv", "--clear"]).arg(&folder))?;
         install(&python, &["--no-cache-dir", "--only-binary=:all:", &format!("bpy=={version}"), "numpy"])?;
     }
@@ -134,7 +138,10 @@ fn platform_of(wheel: &str) -> Option<&'static str> {
         ("win", "amd64", "windows-x64"),
         ("win", "arm64", "windows-arm64"),
     ];
-    known.into_iter().find(|(system, machine, _)| wheel.contains(system) && wheel.contains(machine)).map(|found| found.2)
+    known
+        .into_iter()
+        .find(|(system, machine, _)| wheel.contains(system) && wheel.contains(machine))
+        .map(|found| found.2)
 }
 
 fn cases(python: &Path, zip: &Path, version: &str, names: &str) -> Outcome {

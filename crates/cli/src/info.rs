@@ -5,8 +5,8 @@ use std::path::Path;
 use lumistack_core::Task;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
-    ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field, is_blend,
-    is_usd, load_scene, outlook, plugin_list, plugin_text, presets, scene_contents,
+    ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field,
+    is_blend, is_usd, load_scene, outlook, plugin_list, plugin_text, presets, scene_contents,
 };
 use lumistack_usd::VariantSet;
 use serde_json::{Value, json};

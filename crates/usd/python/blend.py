@@ -95,21 +95,18 @@ def work(bpy, request, folder, answer):
 
 
 def render(bpy, scene, modules, asked, folder):
-    """The views that are asked for: one picture each, and a line in `done` for every one that is whole."""
+    """The views that are asked for: one picture each, renamed when it is whole."""
     cameras, rig = modules["cameras"], modules["rig"]
-    engine = asked["engine"]
-    if engine:
-        scene.render.engine = engine
     window = cameras.window_of_job(asked["window"], tuple(asked["size_mm"]))
     depths = rig.depth_range(bpy, scene, window)
 
     def todo():
-        for number, view in enumerate(asked["views"]):
-            camera = cameras.view_camera(window, view["slope"], asked["distance_mm"], depths)
+        for number, slope in enumerate(asked["slopes"]):
+            camera = cameras.view_camera(window, slope, asked["distance_mm"], depths)
             path = os.path.join(folder, "view_%05d.exr" % number)
 
             def finished(number=number, path=path):
-                os.replace(path, path + ".done")
+                os.replace(path, os.path.join(folder, "done_%05d.exr" % number))
 
             yield camera, path, finished
 

@@ -86,16 +86,77 @@ pub fn blend_contents(path: &Path, task: Task<'_>) -> Result<BlendContents, UsdE
     Ok(ask(&Request::new(path, None, true)?, folder.path(), task.cancel)?.contents)
 }
 
+/// Views that Blender is to render.
+#[derive(Clone, Debug, Serialize)]
+pub struct BlendViews {
+    /// The window in the scene, in glTF's axes.
+    pub window: BlendWindow,
+    /// Its width and height, millimetres.
+    pub size_mm: [f64; 2],
+    /// Columns and rows.
+    pub resolution: [usize; 2],
+    /// Distance of the eyes, millimetres; `None` of oblique views.
+    pub distance_mm: Option<f64>,
+    /// Slope of every view, right and up.
+    pub slopes: Vec<[f64; 2]>,
+}
+
+/// A window as `Window::given` takes it.
+#[derive(Clone, Debug, Serialize)]
+pub struct BlendWindow {
+    /// Its centre.
+    pub centre: [f64; 3],
+    /// Where its viewer looks.
+    pub forward: [f64; 3],
+    /// Upwards.
+    pub up: [f64; 3],
+    /// Width in scene units.
+    pub width: f64,
+}
+
+/// Has the file's own engine render views at a time, with the file's settings. `finished` hears of every view, by its number, as soon as its picture, linear OpenEXR,
+/// is whole; the picture is removed afterwards.
+///
+/// # Errors
+/// As [`hand_over`].
+pub fn render_views(
+    path: &Path,
+    time_s: Option<f64>,
+    views: &BlendViews,
+    finished: &mut dyn FnMut(usize, &Path),
+    task: Task<'_>,
+) -> Result<(), UsdError> {
+    let folder = temporary()?;
+    let mut next = 0;
+    // they come in their order
+    let mut collect = || {
+        while next < views.slopes.len() {
+            let picture = folder.path().join(format!("done_{next:05}.exr"));
+            if !picture.is_file() {
+                break;
+            }
+            finished(next, &picture);
+            // a full disk is told by the next picture
+            let _ = std::fs::remove_file(&picture);
+            next += 1;
+        }
+    };
+    let request = Request { views: Some(views), ..Request::new(path, time_s, false)? };
+    ask_one_of(&candidates(), &request, folder.path(), &mut collect, task.cancel)?;
+    collect();
+    Ok(())
+}
+
 #[derive(Serialize)]
 struct Request<'a> {
     modules: &'a [(&'a str, &'a str)],
     path: String,
     time_s: Option<f64>,
     contents_only: bool,
-    views: Option<()>,
+    views: Option<&'a BlendViews>,
 }
 
-impl Request<'_> {
+impl<'a> Request<'a> {
     fn new(path: &Path, time_s: Option<f64>, contents_only: bool) -> Result<Self, UsdError> {
         let io = |source| UsdError::Io { place: path.display().to_string(), source };
         std::fs::metadata(path).map_err(io)?;
@@ -157,19 +218,20 @@ fn candidates() -> Vec<Candidate> {
 }
 
 fn ask(request: &Request<'_>, folder: &Path, cancel: &Cancel) -> Result<Answer, UsdError> {
-    ask_one_of(&candidates(), request, folder, cancel)
+    ask_one_of(&candidates(), request, folder, &mut || (), cancel)
 }
 
 fn ask_one_of(
     candidates: &[Candidate],
     request: &Request<'_>,
     folder: &Path,
+    meanwhile: &mut dyn FnMut(),
     cancel: &Cancel,
 ) -> Result<Answer, UsdError> {
     let mut tried = Vec::new();
     for candidate in candidates {
         let program = candidate.program.display().to_string();
-        match ask_program(&candidate.program, request, folder, cancel) {
+        match ask_program(&candidate.program, request, folder, meanwhile, cancel) {
             Ok(answer) => return Ok(answer),
             Err(Failed::Final(error)) => return Err(error),
             Err(Failed::Unfit(found)) if candidate.given => {
@@ -181,10 +243,15 @@ fn ask_one_of(
     Err(UsdError::NoBlender { file: request.path.clone(), tried })
 }
 
-fn ask_program(program: &Path, request: &Request<'_>, folder: &Path, cancel: &Cancel) -> Result<Answer, Failed> {
+fn ask_program(
+    program: &Path,
+    request: &Request<'_>,
+    folder: &Path,
+    meanwhile: &mut dyn FnMut(),
+    cancel: &Cancel,
+) -> Result<Answer, Failed> {
     let io = |place: &Path, source| Failed::Final(UsdError::Io { place: place.display().to_string(), source });
-    let (boot, asked, answered) =
-        (folder.join("blend.py"), folder.join("request.json"), folder.join("answer.json"));
+    let (boot, asked, answered) = (folder.join("blend.py"), folder.join("request.json"), folder.join("answer.json"));
     std::fs::write(&boot, BOOT).map_err(|error| io(&boot, error))?;
     std::fs::write(&asked, serde_json::to_vec(request).expect("requests serialize"))
         .map_err(|error| io(&asked, error))?;
@@ -197,7 +264,7 @@ fn ask_program(program: &Path, request: &Request<'_>, folder: &Path, cancel: &Ca
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = command.spawn().map_err(|error| Failed::Unfit(format!("cannot be started: {error}")))?;
     let (said, printed) = (read_end(child.stderr.take()), read_end(child.stdout.take()));
-    let status = wait(&mut child, cancel, &mut || ()).map_err(|error| Failed::Final(error.into()))?;
+    let status = wait(&mut child, cancel, meanwhile).map_err(|error| Failed::Final(error.into()))?;
     let (said, printed) = (said.join().unwrap_or_default(), printed.join().unwrap_or_default());
     let failed = |found: String| {
         let python = program.display().to_string();
@@ -245,7 +312,7 @@ mod tests {
         let file = folder.join("szene.blend");
         std::fs::write(&file, "BLENDER").unwrap();
         let request = Request::new(&file, Some(0.5), false).unwrap();
-        ask_one_of(candidates, &request, temporary().unwrap().path(), &Cancel::default())
+        ask_one_of(candidates, &request, temporary().unwrap().path(), &mut || (), &Cancel::default())
     }
 
     #[test]

@@ -35,7 +35,10 @@ use std::path::{Path, PathBuf};
 use lumistack_core::Task;
 use lumistack_scene::Scene;
 
-pub use blend::{BlendContents, EXTENSION as BLEND_EXTENSION, HandedOver, blend_contents, hand_over};
+pub use blend::{
+    BlendContents, BlendViews, BlendWindow, EXTENSION as BLEND_EXTENSION, HandedOver, blend_contents, hand_over,
+    render_views,
+};
 pub use child::MODULES;
 pub use error::UsdError;
 pub use package::{Array, Contents, Failure, Header, Note, Package, TimeRange, VariantSet};

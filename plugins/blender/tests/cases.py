@@ -93,6 +93,17 @@ def light_fields(scene, folder, grid):
     return fields
 
 
+def picture_of(path):
+    """[row, column, channel] of an OpenEXR picture."""
+    import bpy
+    import numpy
+
+    image = bpy.data.images.load(str(path))
+    values = numpy.empty(image.size[0] * image.size[1] * image.channels, numpy.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], image.channels)[..., :3]
+
+
 def case_lifecycle(folder, zip_path):
     """Enable, disable and enable again leave nothing behind, and Blender ends by itself."""
     import bpy
@@ -136,7 +147,7 @@ def case_silhouettes(folder, zip_path):
         assert (ours.distance_mm is None) == (grid == "OBLIQUE")
         a, b = hit_masks(ours), hit_masks(theirs)
         share = a.mean()
-        assert 0.05 < share < 0.6, share
+        assert 0.1 < share < 0.4, share
         # content moves from view to view by more than the tolerance
         assert (a[0] & ~grown(a)[8]).sum() > 50
         beyond = [int((a[view] & ~grown(b)[view]).sum() + (b[view] & ~grown(a)[view]).sum()) for view in range(9)]
@@ -293,7 +304,7 @@ def case_faults(folder, zip_path):
     configure(scene, folder, use_views=True, views=(1, 1))
     scene.cycles.samples = 1
     ours, theirs = light_fields(scene, folder, "OBLIQUE")
-    assert not (hit_masks(ours) & ~grown(hit_masks(theirs))).any() and 0.02 < hit_masks(ours).mean() < 0.6
+    assert not (hit_masks(ours) & ~grown(hit_masks(theirs))).any() and 0.1 < hit_masks(ours).mean() < 0.4
     # depth that does not fit is said, and fitted by one click
     scene.lumistack.moved_back_mm = -200.0
     warned = [line for line in run(scene, factorize=False).warnings if line.startswith("depth")]
@@ -307,9 +318,10 @@ def case_faults(folder, zip_path):
 def case_handover(folder, zip_path):
     """Linked libraries, pictures that are there and that are missing, names beyond ASCII, instances, modifiers: as .blend scene files."""
     import bpy
+    import numpy
     import scenes
 
-    del zip_path
+    install(zip_path)
     place = folder / "Szenen ü é 日本"
     place.mkdir()
     scenes.empty()
@@ -343,9 +355,14 @@ def case_handover(folder, zip_path):
     bpy.ops.file.make_paths_relative()
     bpy.ops.wm.save_mainfile()
 
+    import lumistack as package
+
+    home = str(Path(package.__file__).parent.parent)
+
     def lumistack(*words, code=0):
+        program = os.environ.get("LUMISTACK_PROGRAM")
         done = subprocess.run(
-            [sys.executable, "-m", "lumistack", *map(str, words)], capture_output=True, text=True, env={**os.environ, "LUMISTACK_BLENDER": sys.executable}
+            [*([program] if program else [sys.executable, "-m", "lumistack"]), *map(str, words)], capture_output=True, text=True, env={**os.environ, "LUMISTACK_BLENDER": sys.executable, "PYTHONPATH": home}
         )
         assert done.returncode == code, (words, done.stdout, done.stderr)
         return done.stdout + done.stderr
@@ -359,6 +376,14 @@ def case_handover(folder, zip_path):
     print("  ", [line for line in said.split("\n") if "triangles" in line], shapes)
     said = lumistack("render", path, "--display", settings_file(folder), "--views", "1x1", "--resolution", "48x30", "--samples", "2", "-o", folder / "aus")
     assert (folder / "aus" / "lightfield.json").is_file()
+    # the same view by Cycles, window and all
+    common = ["--display", settings_file(folder), "--views", "1x1", "--resolution", "48x30"]
+    said = lumistack("render", path, *common, "--engine", "blender", "-o", folder / "cycles")
+    pictures = [picture_of(folder / name / "view_00_00.exr") for name in ("aus", "cycles")]
+    apart = abs(pictures[0].mean() / pictures[1].mean() - 1.0)
+    alike = float(numpy.corrcoef(pictures[0].ravel(), pictures[1].ravel())[0, 1])
+    print(f"   our path tracer and Cycles on the command line: means apart by {100 * apart:.1f} %, correlation {alike:.3f}")
+    assert apart < 0.05 and alike > 0.9
     # a picture and a library that are gone
     (place / "muster é.png").unlink()
     (place / "bücherei.blend").unlink()

@@ -40,7 +40,7 @@ def _field(plugin: str, param: Mapping[str, Any]) -> Field:
     unit = f" ({param['unit']})" if param.get("unit") else ""
     default, least, most = param.get("default"), param.get("min"), param.get("max")
     if kind == "int":
-        default, least, most = (max(min(value, MOST_INT), -MOST_INT - 1) for value in (default, least, most))
+        default, least, most = (max(min(int(value or 0), MOST_INT), -MOST_INT - 1) for value in (default, least, most))
     if kind == "file":
         default = ""
     return Field(

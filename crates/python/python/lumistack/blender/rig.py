@@ -77,7 +77,8 @@ class Rig:
     def aim(self, camera: ViewCamera, path: str | Path) -> None:
         """Turns the camera to a view, whose picture goes to a file."""
         data, held = self._camera.data, self._camera
-        held.matrix_parent_inverse = [list(row) for row in camera.matrix]
+        # plain lists would be taken column by column
+        held.matrix_parent_inverse = type(held.matrix_world)([list(row) for row in camera.matrix])
         if camera.ortho_scale is not None:
             data.type, data.ortho_scale = "ORTHO", camera.ortho_scale
         else:
