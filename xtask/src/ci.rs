@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use crate::blender;
 use crate::layers::{self, PORTABLE};
 use crate::plugins;
 use crate::python;
@@ -37,6 +38,7 @@ pub fn run_steps(full: bool) -> Outcome {
     step("tests", || run(command("cargo").args(["test", "--workspace"]).env("LUMISTACK_PYTHON", &python)))?;
     step("plugins", || plugins::run(false))?;
     step("python", python::check)?;
+    step("blender", || blender::check(full))?;
     step("web", web::check)?;
     if full {
         step("slow tests", || {

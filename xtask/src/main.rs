@@ -2,6 +2,7 @@
 
 mod bench;
 mod bench_render;
+mod blender;
 mod ci;
 mod fuzz;
 mod gallery;
@@ -25,6 +26,9 @@ cargo xtask <task>
   python [--release]
                 build the Python package as a wheel, install it into target/python, test it there, check its types, and print
                 what importing and calling it costs; --release builds and measures the wheel as users get it
+  blender [--check [--full] | --case NAME[,NAME] [VERSION]]
+                build the Blender extension, which Blender's own tool validates; --check also runs its cases in Blender as the
+                module bpy, --full in every version, --case some of them with the extension that is there
   web [--check | module | fixtures | test]
                 build the simulator's module and page into web/dist, optimize and measure them; --check fails where web/dist
                 is not that of the sources, and tests the page in a browser; the others are single steps of it
@@ -44,6 +48,11 @@ fn main() -> ExitCode {
         ["plugins", "--write"] => plugins::run(true),
         ["python"] => python::check(),
         ["python", "--release"] => python::release(),
+        ["blender"] => blender::build(),
+        ["blender", "--check"] => blender::check(false),
+        ["blender", "--check", "--full"] => blender::check(true),
+        ["blender", "--case", names] => blender::some(names, "5.0.1"),
+        ["blender", "--case", names, version] => blender::some(names, version),
         ["web"] => web::build(),
         ["web", "--check"] => web::check(),
         ["web", "module"] => web::module(),

@@ -56,7 +56,7 @@ fn is_new_enough(python: &Path) -> bool {
 }
 
 /// Builds the wheel with a profile of the workspace; its path.
-fn build(python: &Path, profile: &str) -> Outcome<PathBuf> {
+pub fn build(python: &Path, profile: &str) -> Outcome<PathBuf> {
     let folder = tools::root().join("target/wheels").join(profile);
     let _ = std::fs::remove_dir_all(&folder);
     let maturin = python.with_file_name("maturin");

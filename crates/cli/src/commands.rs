@@ -204,6 +204,7 @@ pub(crate) fn change_display(job: &mut Job, args: &DisplayArgs) {
 
 pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     job.render.samples = args.samples.unwrap_or(job.render.samples);
+    job.render.engine = args.engine.unwrap_or(job.render.engine);
     job.render.max_bounces = args.max_bounces.unwrap_or(job.render.max_bounces);
     job.render.denoise = args.denoise.unwrap_or(job.render.denoise);
     job.light.exposure_ev = args.exposure_ev.unwrap_or(job.light.exposure_ev);

@@ -5,8 +5,8 @@ use std::path::Path;
 use lumistack_core::Task;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
-    ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field, is_usd,
-    load_scene, outlook, plugin_list, plugin_text, presets, scene_contents,
+    ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field,
+    is_blend, is_usd, load_scene, outlook, plugin_list, plugin_text, presets, scene_contents,
 };
 use lumistack_usd::VariantSet;
 use serde_json::{Value, json};
@@ -47,7 +47,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match extension.as_str() {
         "gltf" | "glb" => scene(path, registry, task),
-        _ if is_usd(path) => scene(path, registry, task),
+        _ if is_usd(path) || is_blend(path) => scene(path, registry, task),
         other if registry.importer_of(other).is_some() => scene(path, registry, task),
         "toml" => toml(path),
         _ if path.join("layers/stack.json").is_file() => run_folder(path),
@@ -95,6 +95,15 @@ fn choices(contents: &SceneContents) -> Value {
             json!({
                 "animations": contents.animations.iter().map(animation).collect::<Vec<_>>(),
                 "variants": contents.variants,
+            })
+        }
+        SceneContents::Blend(contents) => {
+            let [first, last] = contents.frames;
+            let rate = contents.frames_per_second;
+            json!({
+                "frames": format!("{first} to {last} at {rate} per second ({:.2} s)", contents.duration_s()),
+                "scenes": contents.scenes,
+                "engine": contents.engine,
             })
         }
         SceneContents::Usd(contents) => {

@@ -69,6 +69,8 @@ pub enum SceneContents {
     Gltf(lumistack_gltf::Contents),
     /// Time range, variant sets and cameras.
     Usd(lumistack_usd::Contents),
+    /// Scenes and frames of a `.blend` file.
+    Blend(lumistack_usd::BlendContents),
 }
 
 /// Lists what a scene offers to choose from.
@@ -84,6 +86,9 @@ pub fn scene_contents(
     let reader = reader_of(path, importer, registry)?;
     if reader == Reader::Usd {
         return Ok(SceneContents::Usd(lumistack_usd::contents(path, task)?));
+    }
+    if reader == Reader::Blend {
+        return Ok(SceneContents::Blend(lumistack_usd::blend_contents(path, task)?));
     }
     let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
     let bytes = gltf_bytes(path, &reader, importer, registry, &resolver, task)?;
@@ -131,6 +136,7 @@ pub fn load_scene(
 ) -> Result<Ingested, PipelineError> {
     let (scene, files) = match reader_of(path, importer, registry)? {
         Reader::Usd => load_usd(path, pose, task)?,
+        Reader::Blend => load_blend(path, pose, task)?,
         reader => load_gltf(path, pose, &reader, importer, registry, task)?,
     };
     lit(scene, files, pose, light_job, task)
@@ -246,6 +252,22 @@ fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, Pipelin
     task.progress.advance(1, "");
     task.progress.end();
     Ok((loaded.scene, hashed(&loaded.files)?))
+}
+
+fn load_blend(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, PipelineError> {
+    let PoseJob { time_s, animation, variant, variants } = pose.clone();
+    let given = [("animation", animation), ("variant", variant), ("variants", variants.into_iter().next())];
+    if let Some((key, found)) = given.into_iter().find_map(|(key, given)| Some((key, given?))) {
+        let expected = "none: of a .blend file the scene is taken as Blender shows it, at `pose.time_s`";
+        return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
+    }
+    let handed = lumistack_usd::hand_over(path, time_s, task)?;
+    let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
+    let options = LoadOptions::default();
+    let scene = lumistack_gltf::load_with(&path.display().to_string(), &handed.glb, &resolver, &options, task)?;
+    let mut files = hashed(&[&[path.to_owned()], &handed.files[..]].concat())?;
+    files.push(("blender".into(), handed.blender));
+    Ok((scene, files))
 }
 
 /// Files with hashes of their content.
@@ -409,6 +431,7 @@ fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, Pipelin
 enum Reader {
     Gltf,
     Usd,
+    Blend,
     /// Id of an importer.
     Plugin(String),
 }
@@ -417,6 +440,11 @@ enum Reader {
 pub fn is_usd(path: &Path) -> bool {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     lumistack_usd::EXTENSIONS.contains(&extension.as_str())
+}
+
+/// Whether a file is Blender's by its extension.
+pub fn is_blend(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(lumistack_usd::BLEND_EXTENSION))
 }
 
 fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result<Reader, PipelineError> {
@@ -431,11 +459,14 @@ fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result
     if is_usd(path) {
         return Ok(Reader::Usd);
     }
+    if is_blend(path) {
+        return Ok(Reader::Blend);
+    }
     let found = registry.importer_of(&extension).map(|info| info.id.clone());
     found.map(Reader::Plugin).ok_or_else(|| {
         let known = registry.infos().flat_map(|info| info.extensions.iter().map(|extension| format!(", .{extension}")));
         let usd = lumistack_usd::EXTENSIONS.map(|extension| format!(", .{extension}")).concat();
-        let expected = format!("a file .gltf, .glb{usd}{}", known.collect::<String>());
+        let expected = format!("a file .gltf, .glb, .blend{usd}{}", known.collect::<String>());
         PipelineError::value(path, "scene", expected, format!("extension `{extension}`"))
     })
 }

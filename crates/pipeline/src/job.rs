@@ -22,7 +22,7 @@ pub use self::display::DisplayJob;
 pub use self::factorize::{EyeJob, FactorizeJob};
 pub use self::graph::{ImporterJob, NodeJob, OutputJob, SourceJob};
 pub use self::light::{LightJob, Tone};
-pub use self::render::{AngularFilter, Denoise, RenderJob};
+pub use self::render::{AngularFilter, Denoise, Engine, RenderJob};
 pub use self::sequence::SequenceJob;
 pub use self::window::{FitDepth, WindowFrom, WindowJob};
 use crate::error::{PipelineError, read_to_string};

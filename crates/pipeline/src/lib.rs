@@ -9,6 +9,7 @@
 //!
 //! A sequence goes this way once for every time, each factorized from the patterns of the time before.
 
+mod blender;
 mod cache;
 mod denoise;
 mod depth;
@@ -35,11 +36,11 @@ pub use cache::{KeyBuilder, Stamps};
 pub use depth::{Outlook, outlook};
 pub use error::PipelineError;
 pub use graph::NodeSummary;
-pub use ingest::{Ingested, SceneContents, is_usd, load_scene, place_window, scene_contents, take_scene};
+pub use ingest::{Ingested, SceneContents, is_blend, is_usd, load_scene, place_window, scene_contents, take_scene};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
-    AngularFilter, Denoise, DisplayJob, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob, OutputJob,
-    PoseJob, RenderJob, ReportJob, SequenceJob, SourceJob, Tone, WindowFrom, WindowJob,
+    AngularFilter, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob,
+    OutputJob, PoseJob, RenderJob, ReportJob, SequenceJob, SourceJob, Tone, WindowFrom, WindowJob,
 };
 pub use look::automatic_look;
 pub use lumistack_plugin_host::{OutputData, Registry};

@@ -9,13 +9,14 @@ use lumistack_field_io::picture::Picture;
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_scene::Window;
 
+use crate::blender;
 use crate::cache::KeyBuilder;
 use crate::denoise::{self, Denoised, Traced};
 use crate::depth::Depths;
 use crate::error::PipelineError;
 use crate::fit::Placement;
 use crate::ingest::Ingested;
-use crate::job::{AngularFilter, Denoise, Job};
+use crate::job::{AngularFilter, Denoise, Engine, Job};
 use crate::look::Look;
 
 /// Rays that decide about exposure and tone curve, at most.
@@ -118,6 +119,9 @@ pub(crate) fn render(
     if kind != Denoise::Off {
         key.add("halves", b"2");
     }
+    if job.render.engine == Engine::Blender {
+        key.add("engine", b"blender");
+    }
     let mut todo = Vec::new();
     for (i, field) in fields.iter_mut().enumerate() {
         let mut key = key.clone();
@@ -145,7 +149,15 @@ pub(crate) fn render(
     if !cached {
         denoise::check(kind)?;
     }
-    if !todo.is_empty() {
+    if job.render.engine == Engine::Blender {
+        for (number, field) in fields.iter().enumerate() {
+            let of_field = todo.iter().filter(|todo| todo.field == number);
+            let wanted: Vec<_> = of_field.map(|todo| (todo.view, todo.path.as_path())).collect();
+            if !wanted.is_empty() {
+                blender::render(job, window, &field.traced, &wanted, task)?;
+            }
+        }
+    } else if !todo.is_empty() {
         trace(ingested.renderer(task)?, &todo, &fields, window, task)?;
     }
     for field in &fields {

@@ -74,6 +74,7 @@ impl Scene {
                 let duration = ends.reduce(f64::max);
                 (contents.animations, contents.variants, duration)
             }
+            SceneContents::Blend(contents) => (Vec::new(), Vec::new(), Some(contents.duration_s())),
             SceneContents::Usd(contents) => {
                 let every = contents.variant_sets.iter().flat_map(|set| {
                     let place = set.place.trim_end_matches('}');

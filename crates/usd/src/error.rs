@@ -27,7 +27,21 @@ pub enum UsdError {
         /// Why it does not do.
         found: String,
     },
-    /// Python ended without a scene.
+    /// No Blender was found.
+    #[error("{file}: .blend files are read by Blender 4.2 or newer, which was not found. Install it from blender.org, name its program in LUMISTACK_BLENDER, or `pip install bpy` into a Python that lumistack finds ({})", tried.join("; "))]
+    NoBlender {
+        /// The file as the caller named it.
+        file: String,
+        /// Every program that was tried, and why it does not do.
+        tried: Vec<String>,
+    },
+    /// The program in `LUMISTACK_BLENDER` does not do.
+    #[error("LUMISTACK_BLENDER: expected Blender 4.2 or newer, or a Python with the package bpy, found {found}")]
+    GivenBlender {
+        /// Its name, and why it does not do.
+        found: String,
+    },
+    /// Python or Blender ended without a scene.
     #[error("{file}: expected a scene from {python}, found {found}")]
     Child {
         /// The file as the caller named it.

@@ -1,4 +1,4 @@
-//! USD to [`Scene`], by way of the user's Python.
+//! USD to [`Scene`], by way of the user's Python, and Blender's files, by way of the user's Blender.
 //!
 //! ```text
 //! .usd file ─▶ child: pxr stage ─▶ walker (python/) ─▶ package ─▶ meshes, materials, instances ─▶ Scene
@@ -8,6 +8,7 @@
 //! this crate, and a package of a JSON header and raw arrays comes back. A caller that has Python in its own process runs [`MODULES`] there and calls
 //! [`scene_from_package`]. What is read of USD is in `docs/USD.md`.
 
+mod blend;
 mod child;
 mod curves;
 mod error;
@@ -34,6 +35,10 @@ use std::path::{Path, PathBuf};
 use lumistack_core::Task;
 use lumistack_scene::Scene;
 
+pub use blend::{
+    BlendContents, BlendViews, BlendWindow, EXTENSION as BLEND_EXTENSION, HandedOver, blend_contents, hand_over,
+    render_views,
+};
 pub use child::MODULES;
 pub use error::UsdError;
 pub use package::{Array, Contents, Failure, Header, Note, Package, TimeRange, VariantSet};

@@ -4,10 +4,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
 
-/// Path tracer settings.
+/// How views are rendered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderJob {
+    /// Who renders them.
+    pub engine: Engine,
     /// Paths per pixel and view.
     pub samples: u32,
     /// Bounces after the first hit.
@@ -25,6 +27,29 @@ pub struct RenderJob {
     pub held_out: usize,
     /// Views on either side beyond the outermost ones, one view spacing apart, that are rendered for the report only; 0 for none.
     pub outside: usize,
+}
+
+/// What renders the views.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Engine {
+    /// Our path tracer.
+    #[default]
+    Lumistack,
+    /// Blender, with the engine and the settings of the `.blend` file.
+    Blender,
+}
+
+impl std::str::FromStr for Engine {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "lumistack" => Ok(Self::Lumistack),
+            "blender" => Ok(Self::Blender),
+            _ => Err("expected lumistack or blender".into()),
+        }
+    }
 }
 
 /// Angular extent of a view.
@@ -73,6 +98,7 @@ impl std::str::FromStr for Denoise {
 impl Default for RenderJob {
     fn default() -> Self {
         Self {
+            engine: Engine::Lumistack,
             samples: 32,
             max_bounces: 6,
             clamp: None,
@@ -100,6 +126,12 @@ impl RenderJob {
         }
         if self.lens_deg > 0.0 && self.angular_filter == AngularFilter::Bin {
             return fail("render.lens_deg", "either a lens or `angular_filter = \"bin\"`", "both".into());
+        }
+        let plain = (self.angular_filter, self.lens_deg, self.denoise) == (AngularFilter::Point, 0.0, Denoise::Off);
+        if self.engine == Engine::Blender && !(plain && self.clamp.is_none()) {
+            let expected =
+                "neither `angular_filter` nor `lens_deg`, `denoise` or `clamp`: the file has settings of its own";
+            return fail("render.engine", expected, "`blender` and one of them".into());
         }
         if let Some(limit) = self.clamp.filter(|limit| !(*limit > 0.0 && limit.is_finite())) {
             return fail("render.clamp", "a number above 0", limit.to_string());

@@ -1,0 +1,220 @@
+"""The window in a scene, and Blender's camera for every view through it.
+
+A view of slope s sees at the point (x, y) of the plane z = 0 whatever lies on the line (x, y, 0) + z (s, 1).
+
+    oblique        all rays of a view have its slope: an orthographic camera whose matrix is sheared,
+                   (x, y, z) -> (x + z s_x, y + z s_y, z)
+    perspective    a pinhole at the eye (D s_x, D s_y, D) that looks straight ahead, whose picture is moved until it is the window:
+                   shift = -D s / width, in widths of the picture
+
+A shear is no location, rotation and scale, so Blender takes it as the inverse matrix of the camera's parent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+Vector = tuple[float, float, float]
+#: Four rows.
+Matrix = tuple[tuple[float, ...], ...]
+
+#: Blender's limit on the shift of a camera.
+MOST_SHIFT = 10.0
+#: Width of the film behind a perspective camera, millimetres: any will do.
+SENSOR_MM = 36.0
+#: Of what lies between the camera and the scene, the share that is not seen.
+NEAREST = 1e-4
+
+
+class WindowError(ValueError):
+    """A camera or a view that makes no picture."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """The rectangle of zero parallax in the scene."""
+
+    centre: Vector
+    #: Unit vectors to the right, up, and to the viewer.
+    right: Vector
+    up: Vector
+    back: Vector
+    #: Scene units per millimetre.
+    scale: float
+    #: Width and height, millimetres.
+    size_mm: tuple[float, float]
+
+    def point(self, place_mm: Sequence[float]) -> Vector:
+        """A point of display space in the scene."""
+        x, y, z = (self.scale * part for part in place_mm)
+        return _sum(self.centre, _times(self.right, x), _times(self.up, y), _times(self.back, z))
+
+    def place_mm(self, point: Sequence[float]) -> Vector:
+        """A point of the scene in display space."""
+        offset = tuple(a - b for a, b in zip(point, self.centre, strict=True))
+        x, y, z = (_dot(offset, axis) / self.scale for axis in (self.right, self.up, self.back))
+        return (x, y, z)
+
+    def moved_back(self, by_mm: float, distance_mm: float | None = None) -> Window:
+        """What was at depth -by_mm comes to lie in the plane; what is seen straight on stays. Before an eye the window grows with the distance."""
+        factor = 1.0 if distance_mm is None else (distance_mm + by_mm) / distance_mm
+        centre = self.point((0.0, 0.0, -by_mm))
+        return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
+
+    def as_job(self) -> dict[str, object]:
+        """As [window] of a job, in the coordinates of an exported glTF file: Blender's (x, y, z) is its (x, z, -y)."""
+        forward = _times(self.back, -1.0)
+        return {
+            "from": "given",
+            "centre": y_up(self.centre),
+            "forward": y_up(forward),
+            "up": y_up(self.up),
+            "width": self.scale * self.size_mm[0],
+        }
+
+
+@dataclass(frozen=True)
+class ViewCamera:
+    """What Blender's camera of one view is."""
+
+    #: World matrix, four rows; of oblique views sheared.
+    matrix: Matrix
+    #: Width of an orthographic picture, scene units; None of a perspective one.
+    ortho_scale: float | None
+    #: Focal length in millimetres for a film of SENSOR_MM; None of an orthographic one.
+    lens_mm: float | None
+    #: Of the picture, in its widths.
+    shift: tuple[float, float]
+    clip_start: float
+    clip_end: float
+
+
+def window_of_camera(
+    matrix: Sequence[Sequence[float]], frame: Sequence[Sequence[float]], orthographic: bool, focus: float, size_mm: tuple[float, float]
+) -> Window:
+    """A camera's plane of focus, as wide as its frustum there.
+
+    matrix: world matrix, rows; frame: corners of the picture in camera space, as `Camera.view_frame` gives them; focus: distance, scene units.
+    """
+    if not (math.isfinite(focus) and focus > 0.0):
+        raise WindowError(f"camera: expected a focus distance above 0, found {focus}")
+    reach = 1.0 if orthographic else -focus / frame[0][2]
+    corners = [(reach * corner[0], reach * corner[1]) for corner in frame]
+    xs, ys = [corner[0] for corner in corners], [corner[1] for corner in corners]
+    width = max(xs) - min(xs)
+    if not (math.isfinite(width) and width > 0.0):
+        raise WindowError(f"camera: expected a picture of finite width, found {width}")
+    columns = [tuple(matrix[row][column] for row in range(3)) for column in range(4)]
+    # a camera's scale does not count
+    right, up, back = (_unit(column) for column in columns[:3])
+    middle = ((max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2)
+    origin = columns[3]
+    centre = _sum((origin[0], origin[1], origin[2]), _times(right, middle[0]), _times(up, middle[1]), _times(back, -focus))
+    return Window(centre, right, up, back, width / size_mm[0], size_mm)
+
+
+def window_of_job(job: dict[str, object], size_mm: tuple[float, float]) -> Window:
+    """The opposite of `Window.as_job`."""
+    centre, forward, up = (z_up(job[key]) for key in ("centre", "forward", "up"))  # type: ignore[arg-type]
+    back = _unit(_times(forward, -1.0))
+    right = _unit(_cross(up, back))
+    return Window(centre, right, _cross(back, right), back, float(job["width"]) / size_mm[0], size_mm)  # type: ignore[arg-type]
+
+
+def view_camera(window: Window, slope: Sequence[float], distance_mm: float | None, depth_mm: Sequence[float]) -> ViewCamera:
+    """The camera of a view.
+
+    slope: tangents to the right and up; distance_mm: of the eye, None of oblique views; depth_mm: nearest and farthest content before and behind
+    the window, millimetres along z, the farthest first.
+    """
+    farthest, nearest = min(depth_mm), max(depth_mm)
+    scale, (s_x, s_y) = window.scale, slope
+    if distance_mm is None:
+        # in front of everything; what lies between has no share in the picture
+        stand = max(nearest, 0.0) + max(0.05 * (nearest - farthest), 0.01 * window.size_mm[0])
+        back = _sum(_times(window.right, s_x), _times(window.up, s_y), window.back)
+        origin = window.point((s_x * stand, s_y * stand, stand))
+        reach = scale * (stand - farthest) * math.sqrt(1.0 + s_x * s_x + s_y * s_y)
+        return ViewCamera(
+            _matrix(window.right, window.up, back, origin),
+            scale * window.size_mm[0],
+            None,
+            (0.0, 0.0),
+            NEAREST * reach,
+            1.05 * reach,
+        )
+    if not distance_mm > 0.0:
+        raise WindowError(f"distance_mm: expected a distance of the eye above 0, found {distance_mm}")
+    width = window.size_mm[0]
+    shift = (-distance_mm * s_x / width, -distance_mm * s_y / width)
+    if max(map(abs, shift)) > MOST_SHIFT:
+        found = f"{max(map(abs, shift)):.1f}: the view stands too far beside a window of {width:.0f} mm"
+        raise WindowError(f"shift: expected at most {MOST_SHIFT:.0f} widths of the picture, as Blender's cameras have, found {found}")
+    lens = SENSOR_MM * distance_mm / width
+    if lens < 1.0:
+        raise WindowError(f"distance_mm: expected at least {width / SENSOR_MM:.1f} for a window of {width:.0f} mm, found {distance_mm:.1f}")
+    reach = scale * max(distance_mm - farthest, 1e-3 * distance_mm)
+    matrix = _matrix(window.right, window.up, window.back, window.point((distance_mm * s_x, distance_mm * s_y, distance_mm)))
+    return ViewCamera(matrix, None, lens, shift, NEAREST * scale * distance_mm, 1.05 * reach)
+
+
+def seen_at_mm(camera: ViewCamera, window: Window, point: Sequence[float]) -> tuple[float, float]:
+    """Where a camera of this file shows a point of the scene: the place on the window. For tests, and for pictures drawn without Blender."""
+    columns = [tuple(camera.matrix[row][column] for row in range(3)) for column in range(4)]
+    offset = tuple(a - b for a, b in zip(point, columns[3], strict=True))
+    x, y, z = _solve(columns[0], columns[1], columns[2], offset)
+    width = window.size_mm[0]
+    if camera.ortho_scale is not None:
+        return (x / camera.ortho_scale * width, y / camera.ortho_scale * width)
+    assert camera.lens_mm is not None
+    across, upwards = (camera.lens_mm / SENSOR_MM * part / -z for part in (x, y))
+    return ((across - camera.shift[0]) * width, (upwards - camera.shift[1]) * width)
+
+
+def y_up(vector: Sequence[float]) -> list[float]:
+    """Blender's axes to glTF's."""
+    x, y, z = vector
+    return [x, z, -y]
+
+
+def z_up(vector: Sequence[float]) -> Vector:
+    """glTF's axes to Blender's."""
+    x, y, z = vector
+    return (x, -z, y)
+
+
+def _matrix(right: Vector, up: Vector, back: Vector, origin: Vector) -> Matrix:
+    rows = [(right[row], up[row], back[row], origin[row]) for row in range(3)]
+    return (*rows, (0.0, 0.0, 0.0, 1.0))
+
+
+def _sum(*vectors: Sequence[float]) -> Vector:
+    x, y, z = (sum(parts) for parts in zip(*vectors, strict=True))
+    return (x, y, z)
+
+
+def _times(vector: Sequence[float], factor: float) -> Vector:
+    return (vector[0] * factor, vector[1] * factor, vector[2] * factor)
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+def _cross(a: Sequence[float], b: Sequence[float]) -> Vector:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _unit(vector: Sequence[float]) -> Vector:
+    length = math.sqrt(_dot(vector, vector))
+    if not (math.isfinite(length) and length > 0.0):
+        raise WindowError(f"camera: expected axes that are not zero, found {tuple(vector)}")
+    return _times(vector, 1.0 / length)
+
+
+def _solve(a: Sequence[float], b: Sequence[float], c: Sequence[float], target: Sequence[float]) -> Vector:
+    """x a + y b + z c = target, by Cramer's rule."""
+    whole = _dot(_cross(a, b), c)
+    return (_dot(_cross(target, b), c) / whole, _dot(_cross(a, target), c) / whole, _dot(_cross(a, b), target) / whole)

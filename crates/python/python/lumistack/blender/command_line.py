@@ -1,0 +1,132 @@
+"""The words after `blender -b FILE.blend --command lumistack`, as settings of the extension."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, field
+from typing import Any, NoReturn, TextIO
+
+#: Of all that is to be done, what must have been done before it is worth another line.
+WORTH_A_LINE = 0.02
+
+
+class Usage(Exception):
+    """Wrong words (code 2), or help that was asked for (code 0)."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is to be done."""
+
+    #: "make" or "views".
+    what: str
+    blend: str | None
+    scene: str | None
+    #: "move" or "compress", or nothing.
+    fit_depth: str | None
+    #: Values of `Scene.lumistack`, and of the scene itself.
+    settings: dict[str, Any] = field(default_factory=dict)
+    scene_settings: dict[str, Any] = field(default_factory=dict)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise Usage(f"{self.format_usage()}lumistack: {message}", 2)
+
+    def print_help(self, file: Any = None) -> None:
+        raise Usage(self.format_help(), 0)
+
+
+def _pair(text: str) -> tuple[int, int]:
+    parts = text.replace("×", "x").split("x")
+    if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
+        raise argparse.ArgumentTypeError(f"expected two whole numbers such as 5x5, found {text}")
+    return int(parts[0]), int(parts[1])
+
+
+def _frames(text: str) -> tuple[int, int]:
+    first, dots, last = text.partition("..")
+    try:
+        found = (int(first), int(last if dots else first))
+    except ValueError:
+        found = (1, 0)
+    if found[0] > found[1]:
+        raise argparse.ArgumentTypeError(f"expected a range of frames such as 1..24, found {text}")
+    return found
+
+
+def parse(words: list[str]) -> Asked:
+    """Raises `Usage`."""
+    parser = _Parser(prog="blender -b FILE.blend --command lumistack", description="Makes a tensor display of a scene. What is not given is as the file has it.")
+    parser.add_argument("what", nargs="?", choices=["make", "views"], default="make", help="patterns and outputs (make), or the views alone (views)")
+    parser.add_argument("--blend", metavar="FILE", help="another .blend file to open")
+    parser.add_argument("--scene", metavar="NAME", help="a scene of the file")
+    parser.add_argument("-o", "--output", metavar="DIR", dest="folder", help="folder for everything")
+    parser.add_argument("--display", metavar="PRESET|FILE", help="display")
+    parser.add_argument("--grid", choices=["display", "oblique", "perspective"], help="parallel views, or views from eyes")
+    parser.add_argument("--distance-mm", type=float, metavar="MM", help="distance of the eyes")
+    parser.add_argument("--views", type=_pair, metavar="HxV", help="number of views")
+    parser.add_argument("--brightness", type=float, metavar="B", help="brightness scale, above 0 and at most 1")
+    parser.add_argument("--pixels", type=int, metavar="PERCENT", help="share of the display's pixels")
+    parser.add_argument("--iterations", type=int, metavar="N", help="full updates")
+    parser.add_argument("--samples", type=int, metavar="N", help="paths per pixel of Lumistack's path tracer")
+    parser.add_argument("--renderer", choices=["blender", "lumistack", "both"], help="who renders the views")
+    parser.add_argument("--look", choices=["scene", "linear"], help="as Blender shows the scene, or linear")
+    parser.add_argument("--exposure", type=float, metavar="EV", help="stops, for the linear look")
+    parser.add_argument("--window-distance", type=float, metavar="D", help="from the camera to the window, scene units")
+    parser.add_argument("--fit-depth", choices=["move", "compress"], help="bring the scene into the display's depth of field")
+    parser.add_argument("--frames", type=_frames, metavar="A..B", help="a range of frames")
+    parser.add_argument("--plugin", metavar="ID", help="output plugin")
+    found = parser.parse_args(words)
+    settings: dict[str, Any] = {}
+    for name, value in (
+        ("folder", found.folder),
+        ("grid", found.grid and found.grid.upper()),
+        ("distance_mm", found.distance_mm),
+        ("views", found.views),
+        ("brightness", found.brightness),
+        ("percentage", found.pixels),
+        ("iterations", found.iterations),
+        ("samples", found.samples),
+        ("renderer", found.renderer and found.renderer.upper()),
+        ("look", found.look and found.look.upper()),
+        ("exposure_ev", found.exposure),
+        ("distance", found.window_distance),
+        ("output", found.plugin),
+    ):
+        if value is not None:
+            settings[name] = value
+    if found.display is not None:
+        is_file = found.display.endswith(".toml")
+        settings["display_from"] = "FILE" if is_file else "PRESET"
+        settings["file" if is_file else "preset"] = found.display
+    for name, switch in (("views", "use_views"), ("brightness", "use_brightness")):
+        if name in settings:
+            settings[switch] = True
+    if {"percentage", "iterations", "samples"} & settings.keys():
+        settings["quality"] = "CUSTOM"
+    if "distance" in settings:
+        settings["window_from"] = "DISTANCE"
+    scene_settings: dict[str, Any] = {}
+    if found.frames is not None:
+        settings["times"] = "RANGE"
+        scene_settings = {"frame_start": found.frames[0], "frame_end": found.frames[1]}
+    return Asked(found.what, found.blend, found.scene, found.fit_depth, settings, scene_settings)
+
+
+class Teller:
+    """Prints how far the work is, a line at every stage and at every few per cent."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file, self._last = file, ("", -1.0)
+
+    def __call__(self, title: str, share: float) -> None:
+        stage = title.split(":")[0]
+        if stage == self._last[0] and share < self._last[1] + WORTH_A_LINE:
+            return
+        self._last = (stage, share)
+        print(f"{100 * share:3.0f} %  {title}", file=self._file, flush=True)

@@ -1,0 +1,96 @@
+"""Whether what is seen lies where the display shows it sharply, and what brings it there.
+
+The window moves along its normal, and where that is not enough parallax is scaled; neither changes what is seen straight on. Content at z appears at
+
+    oblique        k (z + t)
+    perspective    z' with z'/(D - z') = k y/(D - y),   y = (z + t) D/(D + t)
+
+after the window has moved back by t and slopes are scaled by k, as `pipeline/src/fit.rs` has it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+#: Shares of the depths that are seen between which a scene is fitted: a few stray surfaces do not count.
+ENDS = (0.02, 0.98)
+#: Parallax is not scaled further than this.
+LEAST_SCALE = 0.01
+#: From this share of the scene outside on, it is worth a warning.
+WORTH_SAYING = 0.04
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What `fit` advises."""
+
+    moved_back_mm: float
+    depth_scale: float
+
+
+def outside(depths_mm: Sequence[float], range_mm: Sequence[float]) -> float:
+    """Share of what is seen that lies beyond the depths which the display shows sharply."""
+    if not depths_mm:
+        return 0.0
+    low, high = range_mm
+    return sum(not low <= depth <= high for depth in depths_mm) / len(depths_mm)
+
+
+def sentence(depths_mm: Sequence[float], range_mm: Sequence[float] | None) -> str | None:
+    """The warning of a scene that is too deep; None where it fits, or nothing is seen."""
+    if not depths_mm:
+        return None
+    if range_mm is None:
+        return "The display shows its own pixels sharply at no depth"
+    share = outside(depths_mm, range_mm)
+    if share < WORTH_SAYING:
+        return None
+    (low, high), (near, far) = range_mm, (max(depths_mm), min(depths_mm))
+    return (
+        f"{100 * share:.0f} % of what is seen is blurred: it lies from {far:.0f} to {near:.0f} mm, "
+        f"and the display is sharp from {low:.0f} to {high:.0f} mm"
+    )
+
+
+def shown_at(depth_mm: float, fit: Fit, distance_mm: float | None) -> float:
+    """Where content appears once the window is fitted."""
+    if distance_mm is None:
+        return fit.depth_scale * (depth_mm + fit.moved_back_mm)
+    moved = (depth_mm + fit.moved_back_mm) * distance_mm / (distance_mm + fit.moved_back_mm)
+    parallax = fit.depth_scale * moved / (distance_mm - moved)
+    return distance_mm * parallax / (1.0 + parallax)
+
+
+def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm: float | None, compress: bool) -> Fit:
+    """The movement that brings most of the depths into the range, and with `compress` the scale that brings in the rest."""
+    ordered = sorted(depth for depth in depths_mm if math.isfinite(depth))
+    if not ordered:
+        return Fit(0.0, 1.0)
+    far, near = (ordered[round(share * (len(ordered) - 1))] for share in ENDS)
+    low, high = range_mm
+    wanted = (low + high) / 2
+    if distance_mm is None:
+        fit = Fit(wanted - (far + near) / 2, 1.0)
+    else:
+        # the middle of both ends after the movement, by bisection: it rises with the movement
+        least, most = -0.9 * distance_mm, 100.0 * (abs(far) + abs(near) + abs(wanted) + distance_mm)
+        for _ in range(200):
+            by = (least + most) / 2
+            middle = (shown_at(far, Fit(by, 1.0), distance_mm) + shown_at(near, Fit(by, 1.0), distance_mm)) / 2
+            least, most = (by, most) if middle < wanted else (least, by)
+        fit = Fit((least + most) / 2, 1.0)
+    if not (compress and low < 0.0 < high):
+        return fit
+    scale = 1.0
+    for end in (far, near):
+        shown = shown_at(end, fit, distance_mm)
+        limit = low if shown < 0.0 else high
+        if abs(shown) > abs(limit):
+            scale = min(scale, _parallax(limit, distance_mm) / _parallax(shown, distance_mm))
+    return Fit(fit.moved_back_mm, max(scale, LEAST_SCALE))
+
+
+def _parallax(depth_mm: float, distance_mm: float | None) -> float:
+    return depth_mm if distance_mm is None else depth_mm / (distance_mm - depth_mm)

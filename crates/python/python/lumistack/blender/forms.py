@@ -1,0 +1,74 @@
+"""Parameters of output plugins as Blender's properties: one schema serves the command line, Python, the browser and this panel."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+#: Blender's whole numbers.
+MOST_INT = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Field:
+    """One property."""
+
+    #: Of the parameter.
+    name: str
+    #: A name that Blender takes.
+    identifier: str
+    #: "bool", "int", "float", "choice", "text" or "file".
+    kind: str
+    label: str
+    help: str
+    default: Any = None
+    least: Any = None
+    most: Any = None
+    #: (value, help) of a choice.
+    options: tuple[tuple[str, str], ...] = field(default=())
+
+
+def fields_of(plugin: Mapping[str, Any]) -> list[Field]:
+    """The properties of a plugin as `lumistack.plugins()` describes it."""
+    return [_field(plugin["id"], param) for param in plugin.get("params", ())]
+
+
+def _field(plugin: str, param: Mapping[str, Any]) -> Field:
+    name, kind = param["name"], param["kind"]
+    unit = f" ({param['unit']})" if param.get("unit") else ""
+    default, least, most = param.get("default"), param.get("min"), param.get("max")
+    if kind == "int":
+        default, least, most = (max(min(int(value or 0), MOST_INT), -MOST_INT - 1) for value in (default, least, most))
+    if kind == "file":
+        default = ""
+    return Field(
+        name=name,
+        identifier=identifier(plugin, name),
+        kind=kind,
+        label=name.replace("_", " ").capitalize() + unit,
+        help=param.get("help", "").rstrip("."),
+        default=default,
+        least=least,
+        most=most,
+        options=tuple((option["value"], option.get("help", "")) for option in param.get("options", ())),
+    )
+
+
+def identifier(plugin: str, name: str) -> str:
+    """A property's name: letters, digits and underscores, at most 63 characters."""
+    return re.sub(r"\W", "_", f"{plugin}_{name}", flags=re.ASCII)[:63]
+
+
+def given(fields: Sequence[Field], values: Mapping[str, Any]) -> dict[str, Any]:
+    """What is passed to the plugin: all values that are not the default."""
+    changed = {}
+    for each in fields:
+        value = values[each.identifier]
+        if each.kind == "float" and abs(value - each.default) <= 1e-6 * max(abs(each.default), 1e-6):
+            # Blender keeps single precision
+            continue
+        if value != each.default:
+            changed[each.name] = value
+    return changed

@@ -1,0 +1,354 @@
+"""Hands the open scene of Blender over as one .glb file, lights and all.
+
+Blender's exporter writes the meshes and materials, as modifiers, poses and shape keys make them at the current frame. Light is added here, in the units
+in which Cycles sees it: watts W become
+
+    sun             irradiance W                          directional light
+    point           W / (4 pi) per steradian              point light; with a radius r a ball of radiance W / (4 pi^2 r^2)
+    spot            W / (4 pi) per steradian              spot light
+    area A          W / (pi A) of radiance                a surface that shines from its front
+    world           its radiance                          environment
+
+Cameras come with their plane of focus, the scene's own first. What cannot be handed over is a warning.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from .glb import Glb
+from .rig import focus_of
+
+#: Size of the picture of a world that is not of one colour.
+SKY = (512, 256)
+SKY_SAMPLES = 32
+#: Rings of a ball that shines, and corners of a disk.
+RINGS, CORNERS = 8, 24
+Warn = Callable[[str, str], None]
+Rows = list[list[float]]
+
+
+def export_scene(bpy: Any, path: str | Path, warn: Warn) -> None:
+    """Writes the scene as it stands at the current frame. warn(place, message) hears what is left out."""
+    scene = bpy.context.scene
+    changed = _as_rendered(bpy)
+    try:
+        _export_meshes(bpy, path)
+        file = Glb.read(path)
+        _add_lights(bpy, scene, file, warn)
+        _add_cameras(bpy, scene, file, warn)
+    finally:
+        for held, name, value in reversed(changed):
+            setattr(held, name, value)
+    _add_world(bpy, scene, file, warn)
+    for image in bpy.data.images:
+        if image.source == "FILE" and image.users and not image.packed_file and not image.has_data:
+            if not Path(bpy.path.abspath(image.filepath, library=image.library)).is_file():
+                warn(image.name, f"the picture {image.filepath} is missing; its surfaces have no texture")
+    for library in bpy.data.libraries:
+        if not Path(bpy.path.abspath(library.filepath)).is_file():
+            warn(library.name, f"the library {library.filepath} is missing; what is linked from it is left out")
+    file.write(path)
+
+
+def files_of(bpy: Any) -> list[str]:
+    """The files on disk that the scene was made from: libraries, pictures, caches of geometry."""
+    found = []
+    for kind in ("libraries", "images", "cache_files", "volumes"):
+        for data in getattr(bpy.data, kind, ()):
+            name = getattr(data, "filepath", "")
+            if name and not getattr(data, "packed_file", None):
+                library = getattr(data, "library", None)
+                path = Path(bpy.path.abspath(name, library=library))
+                if path.is_file():
+                    found.append(str(path))
+    return sorted(set(found))
+
+
+def _as_rendered(bpy: Any) -> list[tuple[Any, str, Any]]:
+    """The exporter reads what the viewport shows: modifiers are set to what a render shows. What was changed."""
+    changed = []
+
+    def change(held: Any, name: str, value: Any) -> None:
+        old = getattr(held, name, None)
+        if old is not None and old != value:
+            changed.append((held, name, old))
+            setattr(held, name, value)
+
+    for held in bpy.context.scene.objects:
+        if held.mode == "EDIT":
+            held.update_from_editmode()
+        for modifier in held.modifiers:
+            change(modifier, "show_viewport", modifier.show_render)
+            if modifier.type in ("SUBSURF", "MULTIRES"):
+                change(modifier, "levels", modifier.render_levels)
+    bpy.context.view_layer.update()
+    return changed
+
+
+def _export_meshes(bpy: Any, path: str | Path) -> None:
+    settings = {
+        "export_format": "GLB",
+        "use_selection": False,
+        "use_visible": False,
+        "use_renderable": True,
+        "use_active_scene": True,
+        "export_apply": True,
+        "export_yup": True,
+        "export_cameras": False,
+        "export_lights": False,
+        "export_animations": False,
+        "export_skins": False,
+        "export_morph": True,
+        "export_current_frame": True,
+        "export_rest_position_armature": False,
+        "export_gn_mesh": True,
+        "export_extras": False,
+        "export_draco_mesh_compression_enable": False,
+        "export_use_gltfpack": False,
+        "will_save_settings": False,
+    }
+    known = bpy.ops.export_scene.gltf.get_rna_type().properties.keys()
+    bpy.ops.export_scene.gltf(filepath=str(path), **{name: value for name, value in settings.items() if name in known})
+
+
+def y_up(matrix: Any) -> Rows:
+    """A matrix of Blender in glTF's axes."""
+    rows = [[float(value) for value in row] for row in matrix]
+    return [rows[0], rows[2], [-value for value in rows[1]], rows[3]]
+
+
+def _is_rendered(held: Any) -> bool:
+    return not held.hide_render and not (held.users_collection and all(each.hide_render for each in held.users_collection))
+
+
+def _add_lights(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
+    placed = []
+    for instance in bpy.context.evaluated_depsgraph_get().object_instances:
+        held = instance.object
+        if held.type == "LIGHT" and _is_rendered(held.original):
+            placed.append((held.original, instance.matrix_world.copy()))
+    there = {held for held, _ in placed}
+    # those that the viewport hides and a render does not
+    placed += [(held, held.matrix_world) for held in scene.objects if held.type == "LIGHT" and held not in there and _is_rendered(held)]
+    for held, matrix in placed:
+        _add_light(held, matrix, file, warn)
+
+
+def _add_light(held: Any, matrix: Any, file: Glb, warn: Warn) -> None:
+    light, name = held.data, held.name
+    power = _power(light, name, warn)
+    if not max(power) > 0.0:
+        return
+    seen = getattr(held, "visible_camera", True)
+    area = light.area(matrix_world=matrix) if hasattr(light, "area") else None
+    if not getattr(light, "normalize", True) and light.type != "SUN" and area:
+        power = [value * area for value in power]
+    if light.type == "SUN":
+        file.add_light(name, y_up(matrix), {"type": "directional", "color": [1.0, 1.0, 1.0], **_strength(power)})
+    elif light.type == "SPOT":
+        outer = min(light.spot_size / 2, math.pi / 2)
+        cone = {"outerConeAngle": outer, "innerConeAngle": outer * (1.0 - light.spot_blend)}
+        file.add_light(name, y_up(matrix), {"type": "spot", "spot": cone, **_strength(power, 4 * math.pi)})
+    elif light.type == "POINT" and (light.shadow_soft_size <= 0.0 or not seen):
+        file.add_light(name, y_up(matrix), {"type": "point", **_strength(power, 4 * math.pi)})
+    elif light.type == "POINT":
+        radius = light.shadow_soft_size
+        positions, triangles = ball(radius)
+        file.add_glow(name, y_up(_without_scale(matrix)), positions, triangles, [value / (2 * math.pi * radius) ** 2 for value in power])
+    elif light.type == "AREA":
+        width = light.size
+        height = light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else width
+        round_shape = light.shape in ("DISK", "ELLIPSE")
+        positions, triangles = panel(width, height, round_shape)
+        across = (matrix.col[0].xyz * width).cross(matrix.col[1].xyz * height).length * (math.pi / 4 if round_shape else 1.0)
+        if not across > 0.0:
+            warn(name, "an area light without an area; left out")
+            return
+        if light.spread < math.radians(179.0):
+            warn(name, f"the area light's spread of {math.degrees(light.spread):.0f}° is taken as 180°")
+        if not seen:
+            warn(name, "the area light is hidden from cameras, and will be seen")
+        file.add_glow(name, y_up(matrix), positions, triangles, [value / (math.pi * across) for value in power])
+    else:
+        warn(name, f"a light of type {light.type.lower()} is left out")
+
+
+def _power(light: Any, name: str, warn: Warn) -> list[float]:
+    power = [light.energy * 2.0 ** getattr(light, "exposure", 0.0) * channel for channel in light.color]
+    if getattr(light, "use_temperature", False):
+        power = [value * channel for value, channel in zip(power, light.temperature_color, strict=False)]
+    if not light.use_nodes or light.node_tree is None:
+        return power
+    outputs = [node for node in light.node_tree.nodes if node.type == "OUTPUT_LIGHT" and node.is_active_output]
+    links = outputs[0].inputs["Surface"].links if outputs else ()
+    if not links:
+        return [0.0, 0.0, 0.0]
+    node = links[0].from_node
+    if node.type != "EMISSION" or node.inputs["Color"].is_linked or node.inputs["Strength"].is_linked:
+        warn(name, "the nodes of this light are not read; it shines by its power and colour")
+        return power
+    strength, colour = node.inputs["Strength"].default_value, node.inputs["Color"].default_value
+    return [value * strength * channel for value, channel in zip(power, colour, strict=False)]
+
+
+def _strength(power: Sequence[float], over: float = 1.0) -> dict[str, object]:
+    brightest = max(power)
+    return {"color": [value / brightest for value in power], "intensity": brightest / over}
+
+
+def ball(radius: float) -> tuple[list[list[float]], list[list[int]]]:
+    """A ball of triangles whose surface is that of a sphere, so that it shines as brightly."""
+    columns = 2 * RINGS
+    positions = [[0.0, 0.0, radius]]
+    for ring in range(1, RINGS):
+        z, across = math.cos(math.pi * ring / RINGS), math.sin(math.pi * ring / RINGS)
+        for column in range(columns):
+            turn = 2 * math.pi * column / columns
+            positions.append([radius * across * math.cos(turn), radius * across * math.sin(turn), radius * z])
+    positions.append([0.0, 0.0, -radius])
+    triangles = []
+    last = len(positions) - 1
+    for column in range(columns):
+        after = (column + 1) % columns
+        triangles.append([0, 1 + column, 1 + after])
+        for ring in range(RINGS - 2):
+            top, below = 1 + ring * columns, 1 + (ring + 1) * columns
+            triangles += [[top + column, below + column, below + after], [top + column, below + after, top + after]]
+        under = 1 + (RINGS - 2) * columns
+        triangles.append([last, under + after, under + column])
+    grow = math.sqrt(4 * math.pi * radius * radius / surface(positions, triangles))
+    return [[grow * value for value in position] for position in positions], triangles
+
+
+def panel(width: float, height: float, is_round: bool) -> tuple[list[list[float]], list[list[int]]]:
+    """A rectangle or an ellipse in the plane z = 0 that faces -z, of the true area."""
+    if not is_round:
+        x, y = width / 2, height / 2
+        return [[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]], [[0, 2, 1], [0, 3, 2]]
+    turns = [2 * math.pi * corner / CORNERS for corner in range(CORNERS)]
+    grow = math.sqrt(2 * math.pi / CORNERS / math.sin(2 * math.pi / CORNERS))
+    edge = [[grow * width / 2 * math.cos(turn), grow * height / 2 * math.sin(turn), 0.0] for turn in turns]
+    return [[0.0, 0.0, 0.0], *edge], [[0, 1 + (corner + 1) % CORNERS, 1 + corner] for corner in range(CORNERS)]
+
+
+def surface(positions: Sequence[Sequence[float]], triangles: Sequence[Sequence[int]]) -> float:
+    """Area of triangles."""
+    total = 0.0
+    for a, b, c in triangles:
+        u = [positions[b][axis] - positions[a][axis] for axis in range(3)]
+        v = [positions[c][axis] - positions[a][axis] for axis in range(3)]
+        cross = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+        total += math.sqrt(sum(part * part for part in cross)) / 2
+    return total
+
+
+def _without_scale(matrix: Any) -> Any:
+    """A point light's ball does not grow with its object."""
+    return matrix.normalized()
+
+
+def _add_cameras(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
+    cameras = [held for held in scene.objects if held.type == "CAMERA" and held is not scene.camera]
+    if scene.camera is not None and scene.camera.type == "CAMERA":
+        cameras.insert(0, scene.camera)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    for held in cameras:
+        frame = [tuple(corner) for corner in held.data.view_frame(scene=scene)]
+        xs, ys = [corner[0] for corner in frame], [corner[1] for corner in frame]
+        width, height = max(xs) - min(xs), max(ys) - min(ys)
+        if held.data.type == "PERSP":
+            yfov = 2 * math.atan2(height / 2, abs(frame[0][2]))
+            camera: dict[str, Any] = {"type": "perspective", "perspective": {"yfov": yfov, "aspectRatio": width / height, "znear": held.data.clip_start}}
+        elif held.data.type == "ORTHO":
+            lens = {"xmag": width / 2, "ymag": height / 2, "znear": 0.0, "zfar": held.data.clip_end}
+            camera = {"type": "orthographic", "orthographic": lens}
+        else:
+            warn(held.name, f"a camera of type {held.data.type.lower()} is left out")
+            continue
+        if abs(max(xs) + min(xs)) > 1e-3 * width or abs(max(ys) + min(ys)) > 1e-3 * height:
+            warn(held.name, "the camera's picture is shifted; it is taken on its axis")
+        matrix = held.evaluated_get(depsgraph).matrix_world.normalized()
+        file.add_camera(held.name, y_up(matrix), camera, focus_of(bpy, held))
+
+
+def _add_world(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
+    world = scene.world
+    if world is None:
+        return
+    colour = plain_colour(world)
+    if colour is None:
+        width, height, texels = _picture_of_world(bpy, scene)
+    else:
+        width, height, texels = 8, 4, [colour] * 32
+    if any(max(texel) > 0.0 for texel in texels):
+        file.set_environment(width, height, texels)
+    if world.node_tree is not None and any(
+        node.type == "OUTPUT_WORLD" and node.inputs["Volume"].is_linked for node in world.node_tree.nodes
+    ):
+        warn(world.name, "the world's volume is left out")
+
+
+def plain_colour(world: Any) -> list[float] | None:
+    """The radiance of a world that is the same everywhere; None of any other."""
+    if not world.use_nodes or world.node_tree is None:
+        return [float(channel) for channel in world.color]
+    outputs = [node for node in world.node_tree.nodes if node.type == "OUTPUT_WORLD" and node.is_active_output]
+    links = outputs[0].inputs["Surface"].links if outputs else ()
+    if not links:
+        return [0.0, 0.0, 0.0]
+    node = links[0].from_node
+    if node.type != "BACKGROUND" or node.inputs["Color"].is_linked or node.inputs["Strength"].is_linked:
+        return None
+    strength = node.inputs["Strength"].default_value
+    return [float(channel) * strength for channel in node.inputs["Color"].default_value[:3]]
+
+
+def _picture_of_world(bpy: Any, scene: Any) -> tuple[int, int, list[list[float]]]:
+    """The world as Cycles sees it, in a scene of its own: rows from the top, the middle column along Blender's +y."""
+    import tempfile
+
+    import numpy
+
+    width, height = SKY
+    place = bpy.data.scenes.new("Lumistack world")
+    data = bpy.data.cameras.new("Lumistack world")
+    held = bpy.data.objects.new("Lumistack world", data)
+    image = None
+    try:
+        place.collection.objects.link(held)
+        place.camera, place.world = held, scene.world
+        held.rotation_euler = (math.pi / 2, 0.0, 0.0)
+        data.type = "PANO"
+        owner = data if hasattr(data, "panorama_type") else data.cycles
+        owner.panorama_type = "EQUIRECTANGULAR"
+        render = place.render
+        render.engine = "CYCLES"
+        render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
+        render.use_compositing = render.use_sequencer = False
+        render.film_transparent = False
+        render.use_file_extension = False
+        place.cycles.samples, place.cycles.use_denoising = SKY_SAMPLES, False
+        place.frame_current = scene.frame_current
+        settings = render.image_settings
+        if hasattr(settings, "media_type"):
+            settings.media_type = "IMAGE"
+        settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
+        with tempfile.TemporaryDirectory() as folder:
+            render.filepath = str(Path(folder) / "world.exr")
+            bpy.ops.render.render(write_still=True, scene=place.name)
+            image = bpy.data.images.load(render.filepath)
+            values = numpy.empty(width * height * 4, dtype=numpy.float32)
+            image.pixels.foreach_get(values)
+        # Blender's first row is the lowest
+        texels: list[list[float]] = values.reshape(height, width, 4)[::-1, :, :3].reshape(-1, 3).tolist()
+        return width, height, texels
+    finally:
+        if image is not None:
+            bpy.data.images.remove(image)
+        bpy.data.objects.remove(held, do_unlink=True)
+        bpy.data.cameras.remove(data)
+        bpy.data.scenes.remove(place)

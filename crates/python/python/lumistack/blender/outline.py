@@ -1,0 +1,73 @@
+"""What is drawn around the window in the 3D view, and what a hand that moves there means. Lines are pairs of points of display space, millimetres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+Point = tuple[float, float, float]
+Line = tuple[Point, Point]
+
+#: Length of the drawn part of the viewing cone, widths of the window.
+CONE = 0.9
+#: Depths of field are drawn up to so many widths of the window.
+MOST_DEPTH = 2.0
+
+
+def frame(size_mm: Sequence[float], z_mm: float = 0.0, spread: Sequence[float] = (1.0, 1.0)) -> list[Line]:
+    """The window's edge at a depth."""
+    x, y = size_mm[0] / 2 * spread[0], size_mm[1] / 2 * spread[1]
+    corners: list[Point] = [(-x, y, z_mm), (x, y, z_mm), (x, -y, z_mm), (-x, -y, z_mm)]
+    return list(zip(corners, corners[1:] + corners[:1], strict=True))
+
+
+def spread_at(z_mm: float, distance_mm: float | None) -> float:
+    """How much of the window's width is seen at a depth, straight on: all of it in parallel projection, (D - z)/D before an eye."""
+    return 1.0 if distance_mm is None else max((distance_mm - z_mm) / distance_mm, 0.0)
+
+
+def depth_box(size_mm: Sequence[float], depth_mm: Sequence[float] | None, distance_mm: float | None) -> list[Line]:
+    """The depths that the display shows sharply: a frame at either end, and lines between their corners. Empty of a display that shows none."""
+    if depth_mm is None:
+        return []
+    most = MOST_DEPTH * size_mm[0]
+    if distance_mm is not None:
+        most = min(most, 0.95 * distance_mm)
+    low, high = max(depth_mm[0], -MOST_DEPTH * size_mm[0]), min(depth_mm[1], most)
+    ends = [frame(size_mm, z, (spread_at(z, distance_mm),) * 2) for z in (low, high)]
+    between: list[Line] = [(a[0], b[0]) for a, b in zip(*ends, strict=True)]
+    return [*ends[0], *ends[1], *between]
+
+
+def cone(size_mm: Sequence[float], fov_deg: Sequence[float]) -> list[Line]:
+    """From where the display is seen: planes through the window's edges that lean outwards by half the angle of view."""
+    reach = CONE * size_mm[0]
+    x, y = size_mm[0] / 2, size_mm[1] / 2
+    out_x, out_y = (reach * math.tan(math.radians(angle) / 2) for angle in fov_deg)
+    near: list[Point] = [(-x, y, 0.0), (x, y, 0.0), (x, -y, 0.0), (-x, -y, 0.0)]
+    far: list[Point] = [(-x - out_x, y + out_y, reach), (x + out_x, y + out_y, reach), (x + out_x, -y - out_y, reach), (-x - out_x, -y - out_y, reach)]
+    return [*zip(near, far, strict=True), *zip(far, far[1:] + far[:1], strict=True)]
+
+
+def slope_of_mouse(mouse_px: Sequence[float], size_px: Sequence[float], fov_deg: Sequence[float]) -> tuple[float, float]:
+    """The mouse's place in an area as a direction from which the display is looked at: the area's edges are those of the field of view. y counts up."""
+    shares = [2.0 * min(max(place / max(size, 1.0), 0.0), 1.0) - 1.0 for place, size in zip(mouse_px, size_px, strict=True)]
+    x, y = (share * math.tan(math.radians(angle) / 2) for share, angle in zip(shares, fov_deg, strict=True))
+    return (x, y)
+
+
+def is_in_front(eye_mm: Sequence[float], size_mm: Sequence[float]) -> bool:
+    """Whether an eye sees the window from its front, not from within a hundredth of its width."""
+    return eye_mm[2] > 0.01 * size_mm[0]
+
+
+def in_cone(eye_mm: Sequence[float], fov_deg: Sequence[float]) -> bool:
+    """Whether an eye is where the display shows what it should, seen from the window's centre."""
+    if eye_mm[2] <= 0.0:
+        return False
+    return all(abs(place) <= eye_mm[2] * math.tan(math.radians(angle) / 2) for place, angle in zip(eye_mm, fov_deg, strict=False))
+
+
+def turned(value: float, step: float, low: float, high: float) -> float:
+    """A value that a gizmo moves, kept in its range."""
+    return min(max(value + step, low), high)

@@ -1,0 +1,230 @@
+"""Renders views with Blender's own engines: a camera for every view, settings that make them comparable, and everything put back afterwards."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from .cameras import SENSOR_MM, ViewCamera, Window, window_of_camera
+
+#: Names what is added to a file for a render, and taken out again.
+TEMPORARY = "Lumistack view"
+
+
+class NoWindow(ValueError):
+    """The scene gives no window: the message says what is missing."""
+
+
+class Rig:
+    """A camera that takes any matrix, and render settings: linear OpenEXR of the display's resolution. `with Rig(...) as rig: rig.aim(...)`."""
+
+    def __init__(self, bpy: Any, scene: Any, resolution: Sequence[int]) -> None:
+        self._bpy, self._scene, self._resolution = bpy, scene, resolution
+        self._old: list[tuple[Any, str, Any]] = []
+        self._camera: Any = None
+        self._holder: Any = None
+
+    def __enter__(self) -> Rig:
+        try:
+            self._add()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _add(self) -> None:
+        bpy, scene = self._bpy, self._scene
+        data = bpy.data.cameras.new(TEMPORARY)
+        self._camera = bpy.data.objects.new(TEMPORARY, data)
+        # a child's matrix is its parent's times any other, which may be a shear
+        self._holder = bpy.data.objects.new(TEMPORARY, None)
+        for held in (self._holder, self._camera):
+            scene.collection.objects.link(held)
+        self._camera.parent = self._holder
+        data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
+        data.dof.use_dof = False
+        render = scene.render
+        self._set(scene, "camera", self._camera)
+        self._set(render, "resolution_x", int(self._resolution[0]))
+        self._set(render, "resolution_y", int(self._resolution[1]))
+        self._set(render, "resolution_percentage", 100)
+        self._set(render, "pixel_aspect_x", 1.0)
+        self._set(render, "pixel_aspect_y", 1.0)
+        for name in ("use_border", "use_multiview", "use_sequencer", "use_stamp", "use_overwrite", "use_placeholder"):
+            self._set(render, name, name == "use_overwrite")
+        self._set(render, "use_file_extension", False)
+        self._set(render, "filepath", render.filepath)
+        image = render.image_settings
+        if hasattr(image, "media_type"):
+            self._set(image, "media_type", "IMAGE")
+        for name, value in (("file_format", "OPEN_EXR"), ("color_mode", "RGBA"), ("color_depth", "32"), ("exr_codec", "ZIP")):
+            self._set(image, name, value)
+
+    def _set(self, held: Any, name: str, value: Any) -> None:
+        self._old.append((held, name, getattr(held, name)))
+        setattr(held, name, value)
+
+    def set(self, held: Any, name: str, value: Any) -> None:
+        """Changes a setting until the end."""
+        if hasattr(held, name):
+            self._set(held, name, value)
+
+    def aim(self, camera: ViewCamera, path: str | Path) -> None:
+        """Turns the camera to a view, whose picture goes to a file."""
+        data, held = self._camera.data, self._camera
+        # plain lists would be taken column by column
+        held.matrix_parent_inverse = type(held.matrix_world)([list(row) for row in camera.matrix])
+        if camera.ortho_scale is not None:
+            data.type, data.ortho_scale = "ORTHO", camera.ortho_scale
+        else:
+            data.type, data.lens = "PERSP", camera.lens_mm
+        data.shift_x, data.shift_y = camera.shift
+        data.clip_start, data.clip_end = camera.clip_start, camera.clip_end
+        self._scene.render.filepath = str(path)
+
+    def close(self) -> None:
+        """Puts everything back; a second time does nothing."""
+        while self._old:
+            held, name, value = self._old.pop()
+            try:
+                setattr(held, name, value)
+            except (AttributeError, ReferenceError, TypeError):
+                # a scene that was deleted in between
+                pass
+        for held in (self._camera, self._holder):
+            if held is None:
+                continue
+            try:
+                data = held.data
+                self._bpy.data.objects.remove(held, do_unlink=True)
+                if data is not None:
+                    self._bpy.data.cameras.remove(data)
+            except ReferenceError:
+                pass
+        self._camera = self._holder = None
+
+
+def remove_leftovers(bpy: Any) -> None:
+    """Removes what a render left in a file that was saved in the middle of it."""
+    for held in [held for held in bpy.data.objects if held.name.startswith(TEMPORARY)]:
+        bpy.data.objects.remove(held, do_unlink=True)
+    for data in [data for data in bpy.data.cameras if data.name.startswith(TEMPORARY) and not data.users]:
+        bpy.data.cameras.remove(data)
+
+
+def render_views(
+    bpy: Any,
+    scene: Any,
+    resolution: Sequence[int],
+    todo: Iterable[tuple[ViewCamera, Path, Callable[[], object]]],
+    prepare: Callable[[Rig], None] = lambda _: None,
+) -> None:
+    """Renders views one after the other, and calls the function of each when its file is whole. Blocks; runs where Blender's Python runs."""
+    with Rig(bpy, scene, resolution) as rig:
+        prepare(rig)
+        for camera, path, finished in todo:
+            rig.aim(camera, path)
+            bpy.ops.render.render(write_still=True, scene=scene.name)
+            finished()
+
+
+def focus_of(bpy: Any, camera: Any) -> float | None:
+    """Distance of a camera's plane of focus, scene units; None where the camera focuses on nothing."""
+    dof = camera.data.dof
+    held = dof.focus_object
+    if held is not None:
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        matrix = camera.evaluated_get(depsgraph).matrix_world.normalized()
+        target = held.evaluated_get(depsgraph).matrix_world
+        bone = getattr(dof, "focus_subtarget", "")
+        if bone and held.type == "ARMATURE" and bone in held.pose.bones:
+            target = target @ held.pose.bones[bone].matrix
+        return abs(float((target.translation - matrix.translation).dot(matrix.col[2].xyz)))
+    return float(dof.focus_distance) if dof.use_dof else None
+
+
+def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: float | None = None, camera: Any = None) -> Window:
+    """The window of the scene's camera: at its plane of focus, at a distance, or else where the middle of what it sees is."""
+    camera = camera or scene.camera
+    if camera is None:
+        raise NoWindow("the scene has no camera: add one (Add > Camera, then View > Cameras > Set Active Object as Camera)")
+    if camera.type != "CAMERA":
+        raise NoWindow(f"{camera.name}: expected a camera, found an object of type {camera.type.lower()}")
+    if camera.data.type not in ("PERSP", "ORTHO"):
+        raise NoWindow(f"{camera.name}: expected a perspective or an orthographic camera, found {camera.data.type.lower()}")
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    matrix = [list(row) for row in camera.evaluated_get(depsgraph).matrix_world]
+    frame = [tuple(corner) for corner in camera.data.view_frame(scene=scene)]
+    focus = distance or focus_of(bpy, camera) or middle_of_view(bpy, scene, camera)
+    if focus is None:
+        raise NoWindow(f"{camera.name}: the camera sees nothing on which a window could stand: aim it, or set its focus distance")
+    return window_of_camera(matrix, frame, camera.data.type == "ORTHO", focus, size_mm)
+
+
+def middle_of_view(bpy: Any, scene: Any, camera: Any, columns: int = 15, rows: int = 11) -> float | None:
+    """The middle between the nearest and the farthest of what a camera sees, scene units; None where it sees nothing."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    matrix = camera.evaluated_get(depsgraph).matrix_world.normalized()
+    frame = [corner.copy() for corner in camera.data.view_frame(scene=scene)]
+    xs, ys = [corner.x for corner in frame], [corner.y for corner in frame]
+    orthographic = camera.data.type == "ORTHO"
+    depths = []
+    for row in range(rows):
+        for column in range(columns):
+            place = frame[0].copy()
+            place.x = min(xs) + (max(xs) - min(xs)) * (column + 0.5) / columns
+            place.y = min(ys) + (max(ys) - min(ys)) * (row + 0.5) / rows
+            origin, direction = matrix.translation, matrix.to_3x3() @ place
+            if orthographic:
+                place.z = 0.0
+                origin, direction = matrix @ place, -matrix.col[2].xyz
+            hit, point, *_ = scene.ray_cast(depsgraph, origin, direction.normalized())
+            if hit:
+                depths.append(float(-(matrix.inverted() @ point).z))
+    if not depths:
+        return None
+    # stray surfaces and the ground's far end do not count
+    depths.sort()
+    low, high = depths[len(depths) // 10], depths[len(depths) - 1 - len(depths) // 10]
+    return (low + high) / 2
+
+
+def depths_through(bpy: Any, scene: Any, window: Window, distance_mm: float | None, columns: int = 40, rows: int = 25) -> list[float]:
+    """What is seen straight on through the window: depths in millimetres."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    vector = type(scene.cursor.location)
+    nearest = depth_range(bpy, scene, window)[1]
+    stand = (max(nearest, 0.0) + window.size_mm[0]) if distance_mm is None else distance_mm
+    depths = []
+    for row in range(rows):
+        for column in range(columns):
+            x = window.size_mm[0] * ((column + 0.5) / columns - 0.5)
+            y = window.size_mm[1] * (0.5 - (row + 0.5) / rows)
+            origin = vector(window.point((x, y, stand) if distance_mm is None else (0.0, 0.0, stand)))
+            direction = vector(window.point((x, y, 0.0))) - origin
+            hit, point, *_ = scene.ray_cast(depsgraph, origin, direction.normalized())
+            if hit:
+                depths.append(window.place_mm(point)[2])
+    return depths
+
+
+def depth_range(bpy: Any, scene: Any, window: Window) -> tuple[float, float]:
+    """Farthest and nearest of everything that can be rendered, millimetres along the window's normal."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    depths = [0.0]
+    for instance in depsgraph.object_instances:
+        held = instance.object
+        if held.type in ("CAMERA", "LIGHT", "EMPTY", "ARMATURE", "SPEAKER", "LIGHT_PROBE", "LATTICE") or held.original.hide_render:
+            continue
+        matrix = instance.matrix_world
+        for corner in held.bound_box:
+            place = tuple(sum(matrix[row][axis] * corner[axis] for axis in range(3)) + matrix[row][3] for row in range(3))
+            depth = window.place_mm(place)[2]
+            if math.isfinite(depth):
+                depths.append(depth)
+    return min(depths), max(depths)

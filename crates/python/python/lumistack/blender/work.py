@@ -1,0 +1,66 @@
+"""Long work off the main thread: a job that tells how far it is, can be stopped, and gives its result or its error."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+
+class Stopped(Exception):
+    """Somebody asked the work to stop."""
+
+
+class Work:
+    """One piece of work on a thread of its own.
+
+    make(report) does it; report(stage, fraction) is to be called now and then and raises Stopped once somebody has asked for it. It has the
+    signature of the callback of the package's functions, which then stop too.
+    """
+
+    def __init__(self, make: Callable[[Callable[[str, float], None]], Any]) -> None:
+        self._make = make
+        self._stop = threading.Event()
+        self._lock = threading.Lock()
+        self._progress = ("", 0.0)
+        self.result: Any = None
+        self.error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="lumistack", daemon=True)
+
+    def start(self) -> Work:
+        self._thread.start()
+        return self
+
+    def stop(self) -> None:
+        """Asks the work to stop; it does at its next report."""
+        self._stop.set()
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Waits for the end; whether it came."""
+        self._thread.join(seconds)
+        return self.is_done()
+
+    def is_done(self) -> bool:
+        return self._thread.ident is not None and not self._thread.is_alive()
+
+    def was_stopped(self) -> bool:
+        return isinstance(self.error, Stopped)
+
+    @property
+    def progress(self) -> tuple[str, float]:
+        """Name of the stage, and the share of it that is done."""
+        with self._lock:
+            return self._progress
+
+    def _report(self, stage: str, fraction: float) -> None:
+        with self._lock:
+            self._progress = (stage, fraction)
+        if self._stop.is_set():
+            raise Stopped
+
+    def _run(self) -> None:
+        try:
+            self._report("", 0.0)
+            self.result = self._make(self._report)
+        except BaseException as error:  # noqa: BLE001  it is told on the main thread
+            self.error = error

@@ -1,0 +1,242 @@
+"""What the Blender extension shares with the hand-over of .blend files, without Blender: cameras, kept views, outlines, forms, .glb files."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+import threading
+import time
+from pathlib import Path
+
+import numpy
+import pytest
+
+import lumistack
+from lumistack.blender import command_line, depth, forms, outline
+from lumistack.blender.cameras import Window, WindowError, seen_at_mm, view_camera, window_of_camera, window_of_job
+from lumistack.blender.glb import Glb, radiance_hdr
+from lumistack.blender.handover import ball, panel, surface
+from lumistack.blender.views import Views, key_of
+from lumistack.blender.work import Work
+
+
+def random_window(chance: random.Random) -> Window:
+    axes, _ = numpy.linalg.qr([[chance.gauss(0, 1) for _ in range(3)] for _ in range(3)])
+    right, up = (tuple(float(part) for part in axes[:, column]) for column in (0, 1))
+    back = tuple(float(part) for part in numpy.cross(right, up))
+    centre = (chance.uniform(-5, 5), chance.uniform(-5, 5), chance.uniform(-5, 5))
+    return Window(centre, right, up, back, chance.uniform(1e-3, 0.1), (chance.uniform(50, 500), chance.uniform(50, 400)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("distance_mm", [None, 600.0, 200.0])
+def test_a_view_sees_what_lies_on_its_rays(distance_mm: float | None) -> None:
+    """The rays of the design: (x, y, 0) + z (s, 1), and those through an eye; worked out here a second time."""
+    chance = random.Random(1)
+    for _ in range(200):
+        window = random_window(chance)
+        slope = (chance.uniform(-0.3, 0.3), chance.uniform(-0.3, 0.3))
+        place = (chance.uniform(-80, 80), chance.uniform(-80, 80), chance.uniform(-150, 100))
+        camera = view_camera(window, slope, distance_mm, (-200.0, 120.0))
+        x, y, z = place
+        if distance_mm is None:
+            expected = (x - z * slope[0], y - z * slope[1])
+        else:
+            eye = (distance_mm * slope[0], distance_mm * slope[1], distance_mm)
+            share = distance_mm / (distance_mm - z)
+            expected = (eye[0] + share * (x - eye[0]), eye[1] + share * (y - eye[1]))
+        assert seen_at_mm(camera, window, window.point(place)) == pytest.approx(expected, abs=1e-6)
+        back = window.place_mm(window.point(place))
+        assert back == pytest.approx(place, abs=1e-9)
+        # nothing between the camera and the scene is cut off
+        columns = numpy.array(camera.matrix)
+        inner = numpy.linalg.solve(columns[:3, :3], numpy.array(window.point(place)) - columns[:3, 3])
+        assert -camera.clip_end < inner[2] < -camera.clip_start
+
+
+def test_views_beyond_what_cameras_can_are_refused() -> None:
+    window = random_window(random.Random(2))
+    with pytest.raises(WindowError, match="shift: expected at most 10"):
+        view_camera(window, (30.0, 0.0), 600.0, (-1.0, 1.0))
+    with pytest.raises(WindowError, match="distance_mm"):
+        view_camera(window, (0.0, 0.0), -1.0, (-1.0, 1.0))
+
+
+def test_the_window_is_the_camera_frustum_at_its_focus() -> None:
+    frame = [(0.6, 0.3, -1.0), (0.6, -0.3, -1.0), (-0.4, -0.3, -1.0), (-0.4, 0.3, -1.0)]
+    # turned by 90 degrees about z, and scaled, which does not count
+    matrix = [[0.0, -2.0, 0.0, 1.0], [2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 5.0], [0.0, 0.0, 0.0, 1.0]]
+    window = window_of_camera(matrix, frame, False, 4.0, (400.0, 250.0))
+    assert window.scale * 400.0 == pytest.approx(4.0)
+    # the shifted picture's middle is 0.1 to the camera's right, which is the scene's +y
+    assert window.centre == pytest.approx((1.0, 0.4, 1.0))
+    flat = window_of_camera(matrix, frame, True, 4.0, (400.0, 250.0))
+    assert flat.scale * 400.0 == pytest.approx(1.0)
+    for focus in (0.0, -1.0, math.nan):
+        with pytest.raises(WindowError):
+            window_of_camera(matrix, frame, False, focus, (400.0, 250.0))
+    job = window.as_job()
+    again = window_of_job(job, (400.0, 250.0))
+    for name in ("centre", "right", "up", "back"):
+        assert getattr(again, name) == pytest.approx(getattr(window, name))
+
+
+def test_kept_views_are_not_rendered_again(tmp_path: Path) -> None:
+    folder = tmp_path / "Ansichten ü"
+    views = Views(folder, 3, 3, key_of({"size": [64, 40]}))
+    for view in views.missing()[:4]:
+        views.begin(view).write_bytes(b"whole")
+        views.keep(view)
+    # killed in the middle of the fifth
+    views.begin((1, 1)).write_bytes(b"ha")
+    again = Views(folder, 3, 3, key_of({"size": [64, 40]}))
+    assert again.missing() == [(1, 1), (1, 2), (2, 0), (2, 1), (2, 2)]
+    assert not again.begin((1, 1)).exists()
+    with pytest.raises(FileNotFoundError):
+        again.keep((1, 1))
+    assert len(Views(folder, 3, 3, key_of({"size": [64, 41]})).missing()) == 9
+
+
+def test_work_reports_stops_and_tells_its_error() -> None:
+    started = threading.Event()
+
+    def forever(report: object) -> None:
+        assert callable(report)
+        while True:
+            report("waiting", 0.5)
+            started.set()
+            time.sleep(0.005)
+
+    work = Work(forever).start()
+    assert started.wait(5.0) and work.progress == ("waiting", 0.5) and not work.is_done()
+    work.stop()
+    assert work.wait(5.0) and work.was_stopped()
+    assert Work(lambda _: 7).start().wait(5.0)
+    failed = Work(lambda _: 1 / 0).start()
+    failed.wait(5.0)
+    assert isinstance(failed.error, ZeroDivisionError) and not failed.was_stopped()
+
+
+def test_a_stopped_factorization_ends(slow: tuple[lumistack.LightField, lumistack.Display]) -> None:
+    field, display = slow
+    work = Work(lambda report: lumistack.factorize(field, display, iterations=10000, callback=report)).start()
+    while work.progress[0] == "" and not work.is_done():
+        time.sleep(0.01)
+    work.stop()
+    assert work.wait(20.0) and work.was_stopped()
+
+
+def test_outlines() -> None:
+    size, eye = (400.0, 250.0), 600.0
+    assert len(outline.frame(size)) == 4
+    box = outline.depth_box(size, (-60.0, 60.0), eye)
+    assert len(box) == 12
+    # before an eye the box follows the lines of sight
+    for (x, y, z) in (end for line in box for end in line):
+        assert abs(x) == pytest.approx(200.0 * (eye - z) / eye) and abs(y) == pytest.approx(125.0 * (eye - z) / eye)
+    assert outline.depth_box(size, None, None) == []
+    deep = outline.depth_box(size, (-math.inf, math.inf), eye)
+    assert all(math.isfinite(part) for line in deep for end in line for part in end)
+    far = max(abs(end[0]) for line in outline.cone(size, (90.0, 60.0)) for end in line)
+    assert far == pytest.approx(200.0 + 0.9 * 400.0)
+    assert outline.slope_of_mouse((50, 100), (100, 100), (90.0, 40.0)) == pytest.approx((0.0, math.tan(math.radians(20))))
+    assert outline.slope_of_mouse((-9, 0), (100, 100), (90.0, 40.0))[0] == pytest.approx(-1.0)
+    assert outline.in_cone((0.0, 0.0, 100.0), (20.0, 20.0)) and not outline.in_cone((50.0, 0.0, 100.0), (20.0, 20.0))
+    assert not outline.is_in_front((0.0, 0.0, 1.0), size)
+
+
+@pytest.mark.parametrize("distance_mm", [None, 500.0])
+def test_fitted_depths_lie_in_the_range(distance_mm: float | None) -> None:
+    chance = random.Random(3)
+    depths = [chance.uniform(-300.0, -100.0) for _ in range(500)]
+    assert "100 % of what is seen" in (depth.sentence(depths, (-60.0, 60.0)) or "")
+    moved = depth.best_fit(depths, (-150.0, 150.0), distance_mm, compress=False)
+    shown = [depth.shown_at(z, moved, distance_mm) for z in depths]
+    assert moved.depth_scale == 1.0 and depth.outside(shown, (-150.0, 150.0)) == 0.0
+    fit = depth.best_fit(depths, (-20.0, 20.0), distance_mm, compress=True)
+    shown = [depth.shown_at(z, fit, distance_mm) for z in depths]
+    assert 0.01 < fit.depth_scale < 0.4
+    assert depth.outside(shown, (-20.0, 20.0)) <= 0.05
+    # and no more than needed: something reaches an end
+    assert max(map(abs, shown)) > 19.0
+    assert depth.best_fit([], (-1.0, 1.0), distance_mm, True) == depth.Fit(0.0, 1.0)
+    assert depth.sentence([], (-1.0, 1.0)) is None and "no depth" in (depth.sentence([1.0], None) or "")
+
+
+def test_every_parameter_of_every_output_plugin_becomes_a_property() -> None:
+    outputs = [plugin for plugin in lumistack.plugins() if plugin["kind"] == "output"]
+    names = [each.identifier for plugin in outputs for each in forms.fields_of(plugin)]
+    assert len(outputs) >= 4 and len(names) > 20 and len(set(names)) == len(names)
+    for plugin in outputs:
+        fields = forms.fields_of(plugin)
+        values = {each.identifier: each.default for each in fields}
+        assert forms.given(fields, values) == {}
+        for each in fields:
+            assert each.kind in ("bool", "int", "float", "choice", "text", "file") and each.identifier.isidentifier()
+            if each.kind == "choice":
+                assert each.default in [value for value, _ in each.options]
+    numbers = forms.fields_of({"id": "p", "params": [{"name": "a b", "kind": "int", "default": 3, "min": -(2**60), "max": 2**60, "help": "x."}]})
+    assert numbers[0].most == 2**31 - 1 and numbers[0].identifier == "p_a_b"
+    assert forms.given(numbers, {"p_a_b": 4}) == {"a b": 4}
+
+
+def test_what_is_added_to_a_glb_is_what_the_reader_finds(tmp_path: Path) -> None:
+    file = Glb.empty()
+    turned = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
+    positions, triangles = panel(2.0, 1.0, False)
+    file.add_glow("Lampe ß", turned, positions, triangles, (4.0, 2.0, 1.0))
+    file.add_glow("ball", turned, *ball(0.5), (1.0, 1.0, 1.0))
+    file.add_light("sun", turned, {"type": "directional", "intensity": 2.0})
+    file.add_camera("first", turned, {"type": "perspective", "perspective": {"yfov": 1.0, "znear": 0.1}}, 2.5)
+    file.add_camera("second", turned, {"type": "orthographic", "orthographic": {"xmag": 1, "ymag": 1, "znear": 0, "zfar": 9}}, None)
+    file.set_environment(8, 4, [(0.25, 0.5, 1.0)] * 32)
+    path = tmp_path / "szene ü.glb"
+    file.write(path)
+    again = Glb.read(path)
+    assert again.document["meshes"] == file.document["meshes"] and bytes(again.binary)[: len(file.binary)] == bytes(file.binary)
+    scene = lumistack.Scene(path)
+    assert scene.cameras == ["first", "second"]
+    assert scene.triangles == 2 + len(ball(0.5)[1])
+    (x0, y0, z0), (x1, y1, z1) = scene.bounds
+    assert (x0, x1) == pytest.approx((0.0, 2.0)) and (z0, z1) == pytest.approx((2.5, 3.5), abs=0.02)
+    assert json.loads(json.dumps(again.scene["extras"]))["lumistack"]["environment"]["strength"] == 1.0
+    with pytest.raises(ValueError, match="expected a .glb"):
+        (tmp_path / "no.glb").write_bytes(b"nothing of the kind, but long enough")
+        Glb.read(tmp_path / "no.glb")
+
+
+def test_light_shapes_have_their_true_area() -> None:
+    assert surface(*ball(0.3)) == pytest.approx(4 * math.pi * 0.09)
+    assert surface(*panel(2.0, 3.0, False)) == pytest.approx(6.0)
+    assert surface(*panel(2.0, 3.0, True)) == pytest.approx(math.pi * 1.5)
+    for positions, triangles in (ball(1.0), panel(1.0, 1.0, True), panel(1.0, 1.0, False)):
+        for a, b, c in triangles:
+            p = numpy.array(positions)
+            normal = numpy.cross(p[b] - p[a], p[c] - p[a])
+            outwards = p[a] + p[b] + p[c] if len(positions) > 30 and p[:, 2].any() else numpy.array([0.0, 0.0, -1.0])
+            assert normal @ outwards > 0.0
+
+
+def test_shared_exponents_keep_eight_bits() -> None:
+    chance = random.Random(4)
+    for _ in range(300):
+        rgb = [2.0 ** chance.uniform(-20, 20) * chance.random() for _ in range(3)]
+        code = radiance_hdr(1, 1, [rgb])[-4:]
+        back = [value / 256 * 2.0 ** (code[3] - 128) for value in code[:3]]
+        assert back == pytest.approx(rgb, abs=max(rgb) / 250)
+    assert radiance_hdr(1, 1, [(0.0, 0.0, 0.0)])[-4:] == b"\0\0\0\0"
+
+
+def test_words_become_settings() -> None:
+    asked = command_line.parse(["make", "-o", "out", "--display", "mine.toml", "--views", "3x2", "--pixels", "10", "--frames", "2..5", "--window-distance", "3"])
+    assert asked.settings["file"] == "mine.toml" and asked.settings["display_from"] == "FILE"
+    assert asked.settings["views"] == (3, 2) and asked.settings["use_views"] and asked.settings["quality"] == "CUSTOM"
+    assert asked.settings["window_from"] == "DISTANCE" and asked.scene_settings == {"frame_start": 2, "frame_end": 5}
+    assert command_line.parse([]).settings == {} and command_line.parse([]).what == "make"
+    for words in (["bake"], ["--views", "3"], ["--frames", "5..2"], ["--unknown"]):
+        with pytest.raises(command_line.Usage) as caught:
+            command_line.parse(words)
+        assert caught.value.code == 2
+    with pytest.raises(command_line.Usage) as caught:
+        command_line.parse(["--help"])
+    assert caught.value.code == 0 and "--display" in str(caught.value)

@@ -1,0 +1,131 @@
+"""Runs in the user's Blender, or in a Python with the module bpy: opens a .blend file and hands it over.
+
+    blender -b --python-exit-code 1 --python blend.py -- FOLDER
+    python blend.py -- FOLDER
+
+FOLDER holds request.json; answer.json is written there last, scene.glb before it. The modules that do the work are those of the Python package
+`lumistack.blender`; their source comes in the request.
+"""
+
+import json
+import os
+import sys
+import types
+
+#: The oldest Blender for which this is written.
+OLDEST = (4, 2, 0)
+
+
+def main():
+    folder = sys.argv[sys.argv.index("--") + 1]
+    with open(os.path.join(folder, "request.json"), encoding="utf-8") as file:
+        request = json.load(file)
+    answer = {"warnings": [], "files": []}
+    try:
+        import bpy
+
+        answer["blender"] = bpy.app.version_string
+        if bpy.app.version < OLDEST:
+            raise Unfit("Blender %s, and 4.2 is the oldest that does" % bpy.app.version_string)
+        work(bpy, request, folder, answer)
+    except ImportError as error:
+        answer["error"] = {"kind": "bpy", "message": "Python %s without bpy (%s)" % (sys.version.split()[0], error)}
+    except Unfit as error:
+        answer["error"] = {"kind": "bpy", "message": str(error)}
+    except Refused as error:
+        answer["error"] = {"kind": "scene", "message": str(error)}
+    except Exception as error:
+        text = str(error).strip().replace("Error: ", "", 1)
+        answer["error"] = {"kind": "other", "message": "%s: %s" % (type(error).__name__, text)}
+    written = os.path.join(folder, "answer.json.new")
+    with open(written, "w", encoding="utf-8") as file:
+        json.dump(answer, file)
+    os.replace(written, os.path.join(folder, "answer.json"))
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # as a module Blender may hang or crash while Python ends
+    if "bpy" not in sys.modules or sys.modules["bpy"].app.module:
+        os._exit(0)
+
+
+class Unfit(Exception):
+    """Another Blender may do."""
+
+
+class Refused(Exception):
+    """The file, or what is asked of it, makes no sense."""
+
+
+def work(bpy, request, folder, answer):
+    modules = package(request["modules"])
+    try:
+        bpy.ops.wm.open_mainfile(filepath=request["path"], load_ui=False)
+    except RuntimeError as error:
+        raise Refused(str(error).replace("Error: ", "", 1).strip().splitlines()[0]) from error
+    scene = bpy.context.scene
+    rate = scene.render.fps / scene.render.fps_base
+    answer["contents"] = {
+        "scenes": [each.name for each in bpy.data.scenes],
+        "frames": [scene.frame_start, scene.frame_end],
+        "frames_per_second": rate,
+        "engine": scene.render.engine,
+    }
+    answer["files"] = modules["handover"].files_of(bpy)
+    if request["contents_only"]:
+        return
+    modules["rig"].remove_leftovers(bpy)
+    if request["time_s"] is not None:
+        frame = scene.frame_start + request["time_s"] * rate
+        whole = int(frame // 1)
+        scene.frame_set(whole, subframe=frame - whole)
+    else:
+        scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+    if "io_scene_gltf2" not in bpy.context.preferences.addons:
+        import addon_utils
+
+        addon_utils.enable("io_scene_gltf2")
+
+    def warn(place, message):
+        answer["warnings"].append([place, message])
+
+    if request["views"] is None:
+        modules["handover"].export_scene(bpy, os.path.join(folder, "scene.glb"), warn)
+    else:
+        render(bpy, scene, modules, request["views"], folder)
+
+
+def render(bpy, scene, modules, asked, folder):
+    """The views that are asked for: one picture each, renamed when it is whole."""
+    cameras, rig = modules["cameras"], modules["rig"]
+    window = cameras.window_of_job(asked["window"], tuple(asked["size_mm"]))
+    depths = rig.depth_range(bpy, scene, window)
+
+    def todo():
+        for number, slope in enumerate(asked["slopes"]):
+            camera = cameras.view_camera(window, slope, asked["distance_mm"], depths)
+            path = os.path.join(folder, "view_%05d.exr" % number)
+
+            def finished(number=number, path=path):
+                os.replace(path, os.path.join(folder, "done_%05d.exr" % number))
+
+            yield camera, path, finished
+
+    rig.render_views(bpy, scene, asked["resolution"], todo())
+
+
+def package(sources):
+    """The modules of the request, as a package."""
+    name = "_lumistack_handover"
+    parent = types.ModuleType(name)
+    parent.__path__ = []
+    sys.modules[name] = parent
+    made = {}
+    for module, source in sources:
+        made[module] = types.ModuleType(name + "." + module)
+        made[module].__package__ = name
+        sys.modules[name + "." + module] = made[module]
+        exec(compile(source, "<lumistack %s>" % module, "exec"), made[module].__dict__)
+    return made
+
+
+main()

@@ -1,0 +1,373 @@
+//! `.blend` files, by way of the user's Blender.
+//!
+//! ```text
+//! .blend file ─▶ child: Blender, or a Python with bpy ─▶ scene.glb with lights, cameras and world ─▶ the glTF reader
+//! ```
+//!
+//! Blender itself opens the file, so whatever it reads is read. What runs there is `python/blend.py` and the modules of the Python package that the Blender
+//! extension uses too; `docs/BLENDER.md` says what is handed over.
+
+use std::env::var_os;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use lumistack_core::{Cancel, Task};
+use serde::{Deserialize, Serialize};
+
+use crate::UsdError;
+use crate::child::{last_lines, read_end, wait};
+use crate::python::{Candidate, Surroundings};
+
+/// Extension of Blender's files.
+pub const EXTENSION: &str = "blend";
+/// Names the Blender to take, and no other: the program, or a Python with the module bpy.
+pub const VARIABLE: &str = "LUMISTACK_BLENDER";
+
+/// What runs in Blender; a later one may import those before it. The Python package has them as `lumistack.blender`.
+const MODULES: [(&str, &str); 4] = [
+    ("cameras", include_str!("../../python/python/lumistack/blender/cameras.py")),
+    ("glb", include_str!("../../python/python/lumistack/blender/glb.py")),
+    ("rig", include_str!("../../python/python/lumistack/blender/rig.py")),
+    ("handover", include_str!("../../python/python/lumistack/blender/handover.py")),
+];
+/// What starts them.
+const BOOT: &str = include_str!("../python/blend.py");
+
+/// What a `.blend` file offers to choose from.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+pub struct BlendContents {
+    /// Its scenes; the open one is taken.
+    pub scenes: Vec<String>,
+    /// First and last frame of the open scene.
+    pub frames: [i32; 2],
+    /// Frames per second.
+    pub frames_per_second: f64,
+    /// The engine that the scene is set up for.
+    pub engine: String,
+}
+
+impl BlendContents {
+    /// Seconds from the first frame to the last.
+    pub fn duration_s(&self) -> f64 {
+        f64::from(self.frames[1] - self.frames[0]) / self.frames_per_second
+    }
+}
+
+/// A scene that Blender handed over.
+#[derive(Debug)]
+pub struct HandedOver {
+    /// A binary glTF file that needs no other.
+    pub glb: Vec<u8>,
+    /// Files besides the `.blend` that it was made from: libraries, pictures.
+    pub files: Vec<PathBuf>,
+    /// Blender's version.
+    pub blender: String,
+}
+
+/// Has Blender export a file's scene at a time: seconds after its first frame, or the frame that the file was saved at.
+///
+/// # Errors
+/// When no Blender is found, the file is refused, Blender breaks down, or the task is cancelled.
+pub fn hand_over(path: &Path, time_s: Option<f64>, task: Task<'_>) -> Result<HandedOver, UsdError> {
+    let folder = temporary()?;
+    let answer = ask(&Request::new(path, time_s, false)?, folder.path(), task.cancel)?;
+    answer.warnings.iter().for_each(|(place, message)| task.warn(place, message));
+    let glb = folder.path().join("scene.glb");
+    let glb = std::fs::read(&glb).map_err(|source| UsdError::Io { place: glb.display().to_string(), source })?;
+    Ok(HandedOver { glb, files: answer.files, blender: answer.blender })
+}
+
+/// Lists what a file offers to choose from.
+///
+/// # Errors
+/// As [`hand_over`].
+pub fn blend_contents(path: &Path, task: Task<'_>) -> Result<BlendContents, UsdError> {
+    let folder = temporary()?;
+    Ok(ask(&Request::new(path, None, true)?, folder.path(), task.cancel)?.contents)
+}
+
+/// Views that Blender is to render.
+#[derive(Clone, Debug, Serialize)]
+pub struct BlendViews {
+    /// The window in the scene, in glTF's axes.
+    pub window: BlendWindow,
+    /// Its width and height, millimetres.
+    pub size_mm: [f64; 2],
+    /// Columns and rows.
+    pub resolution: [usize; 2],
+    /// Distance of the eyes, millimetres; `None` of oblique views.
+    pub distance_mm: Option<f64>,
+    /// Slope of every view, right and up.
+    pub slopes: Vec<[f64; 2]>,
+}
+
+/// A window as `Window::given` takes it.
+#[derive(Clone, Debug, Serialize)]
+pub struct BlendWindow {
+    /// Its centre.
+    pub centre: [f64; 3],
+    /// Where its viewer looks.
+    pub forward: [f64; 3],
+    /// Upwards.
+    pub up: [f64; 3],
+    /// Width in scene units.
+    pub width: f64,
+}
+
+/// Has the file's own engine render views at a time, with the file's settings. `finished` hears of every view, by its number, as soon as its picture, linear OpenEXR,
+/// is whole; the picture is removed afterwards.
+///
+/// # Errors
+/// As [`hand_over`].
+pub fn render_views(
+    path: &Path,
+    time_s: Option<f64>,
+    views: &BlendViews,
+    finished: &mut dyn FnMut(usize, &Path),
+    task: Task<'_>,
+) -> Result<(), UsdError> {
+    let folder = temporary()?;
+    let mut next = 0;
+    // they come in their order
+    let mut collect = || {
+        while next < views.slopes.len() {
+            let picture = folder.path().join(format!("done_{next:05}.exr"));
+            if !picture.is_file() {
+                break;
+            }
+            finished(next, &picture);
+            // a full disk is told by the next picture
+            let _ = std::fs::remove_file(&picture);
+            next += 1;
+        }
+    };
+    let request = Request { views: Some(views), ..Request::new(path, time_s, false)? };
+    ask_one_of(&candidates(), &request, folder.path(), &mut collect, task.cancel)?;
+    collect();
+    Ok(())
+}
+
+#[derive(Serialize)]
+struct Request<'a> {
+    modules: &'a [(&'a str, &'a str)],
+    path: String,
+    time_s: Option<f64>,
+    contents_only: bool,
+    views: Option<&'a BlendViews>,
+}
+
+impl<'a> Request<'a> {
+    fn new(path: &Path, time_s: Option<f64>, contents_only: bool) -> Result<Self, UsdError> {
+        let io = |source| UsdError::Io { place: path.display().to_string(), source };
+        std::fs::metadata(path).map_err(io)?;
+        let absolute = std::path::absolute(path).map_err(io)?;
+        let Some(path) = absolute.to_str() else {
+            let message = "expected a name in UTF-8, as Blender needs it";
+            return Err(io(std::io::Error::new(std::io::ErrorKind::InvalidInput, message)));
+        };
+        Ok(Self { modules: &MODULES, path: path.to_owned(), time_s, contents_only, views: None })
+    }
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct Answer {
+    blender: String,
+    files: Vec<PathBuf>,
+    warnings: Vec<(String, String)>,
+    contents: BlendContents,
+    error: Option<Failure>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Failure {
+    kind: String,
+    message: String,
+}
+
+/// How one Blender fails.
+enum Failed {
+    /// It does not do; another may.
+    Unfit(String),
+    Final(UsdError),
+}
+
+fn temporary() -> Result<tempfile::TempDir, UsdError> {
+    tempfile::tempdir().map_err(|source| UsdError::Io { place: "a temporary folder".into(), source })
+}
+
+/// The programs to try, in this order: Blender, then Pythons that may have bpy.
+fn candidates() -> Vec<Candidate> {
+    let named = |program: PathBuf, from| Candidate { program, from, given: false };
+    if let Some(program) = var_os(VARIABLE).filter(|value| !value.is_empty()) {
+        return vec![Candidate { program: program.into(), from: VARIABLE, given: true }];
+    }
+    let mut found = vec![named("blender".into(), "PATH")];
+    if cfg!(target_os = "macos") {
+        found.push(named("/Applications/Blender.app/Contents/MacOS/Blender".into(), "the applications"));
+    }
+    if cfg!(windows) {
+        let folder = Path::new(r"C:\Program Files\Blender Foundation");
+        let mut versions: Vec<PathBuf> =
+            std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+        versions.sort();
+        found.extend(versions.iter().rev().map(|version| named(version.join("blender.exe"), "the programs")));
+    }
+    found.extend(Surroundings::of_system().candidates().into_iter().map(|python| Candidate { given: false, ..python }));
+    found
+}
+
+fn ask(request: &Request<'_>, folder: &Path, cancel: &Cancel) -> Result<Answer, UsdError> {
+    ask_one_of(&candidates(), request, folder, &mut || (), cancel)
+}
+
+fn ask_one_of(
+    candidates: &[Candidate],
+    request: &Request<'_>,
+    folder: &Path,
+    meanwhile: &mut dyn FnMut(),
+    cancel: &Cancel,
+) -> Result<Answer, UsdError> {
+    let mut tried = Vec::new();
+    for candidate in candidates {
+        let program = candidate.program.display().to_string();
+        match ask_program(&candidate.program, request, folder, meanwhile, cancel) {
+            Ok(answer) => return Ok(answer),
+            Err(Failed::Final(error)) => return Err(error),
+            Err(Failed::Unfit(found)) if candidate.given => {
+                return Err(UsdError::GivenBlender { found: format!("{program}: {found}") });
+            }
+            Err(Failed::Unfit(found)) => tried.push(format!("{program} from {}: {found}", candidate.from)),
+        }
+    }
+    Err(UsdError::NoBlender { file: request.path.clone(), tried })
+}
+
+fn ask_program(
+    program: &Path,
+    request: &Request<'_>,
+    folder: &Path,
+    meanwhile: &mut dyn FnMut(),
+    cancel: &Cancel,
+) -> Result<Answer, Failed> {
+    let io = |place: &Path, source| Failed::Final(UsdError::Io { place: place.display().to_string(), source });
+    let (boot, asked, answered) = (folder.join("blend.py"), folder.join("request.json"), folder.join("answer.json"));
+    std::fs::write(&boot, BOOT).map_err(|error| io(&boot, error))?;
+    std::fs::write(&asked, serde_json::to_vec(request).expect("requests serialize"))
+        .map_err(|error| io(&asked, error))?;
+    let _ = std::fs::remove_file(&answered);
+    let mut command = Command::new(program);
+    if !is_python(program) {
+        command.args(["-b", "--python-exit-code", "1", "--python"]);
+    }
+    command.arg(&boot).arg("--").arg(folder).env("PYTHONUTF8", "1").env("PYTHONSAFEPATH", "1");
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().map_err(|error| Failed::Unfit(format!("cannot be started: {error}")))?;
+    let (said, printed) = (read_end(child.stderr.take()), read_end(child.stdout.take()));
+    let status = wait(&mut child, cancel, meanwhile).map_err(|error| Failed::Final(error.into()))?;
+    let (said, printed) = (said.join().unwrap_or_default(), printed.join().unwrap_or_default());
+    let failed = |found: String| {
+        let python = program.display().to_string();
+        Failed::Final(UsdError::Child { file: request.path.clone(), python, found })
+    };
+    let Ok(text) = std::fs::read(&answered) else {
+        // it never got as far as our first line, or broke down
+        let last = last_lines(&said, &printed);
+        let last = if last.is_empty() { String::new() } else { format!("; the last it said: {last}") };
+        let found = format!("its end with {status}{last}");
+        return Err(if is_python(program) && status.code() == Some(1) { Failed::Unfit(found) } else { failed(found) });
+    };
+    let answer: Answer =
+        serde_json::from_slice(&text).map_err(|error| failed(format!("an answer that is none: {error}")))?;
+    match &answer.error {
+        None => Ok(answer),
+        Some(Failure { kind, message }) => Err(match kind.as_str() {
+            "bpy" => Failed::Unfit(message.clone()),
+            "scene" => Failed::Final(UsdError::Refused { file: request.path.clone(), message: message.clone() }),
+            _ => failed(format!("an exception: {message}")),
+        }),
+    }
+}
+
+/// Python runs a script by its name alone.
+fn is_python(program: &Path) -> bool {
+    program.file_name().is_some_and(|name| name.to_string_lossy().to_ascii_lowercase().starts_with("py"))
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    /// A program that stands in for Blender.
+    fn fake(folder: &Path, name: &str, script: &str) -> Candidate {
+        let program = folder.join(name);
+        std::fs::write(&program, format!("#!/bin/sh\nfor last; do :; done\n{script}\n")).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+        Candidate { program, from: "PATH", given: false }
+    }
+
+    fn asked(folder: &Path, candidates: &[Candidate]) -> Result<Answer, UsdError> {
+        let file = folder.join("szene.blend");
+        std::fs::write(&file, "BLENDER").unwrap();
+        let request = Request::new(&file, Some(0.5), false).unwrap();
+        ask_one_of(candidates, &request, temporary().unwrap().path(), &mut || (), &Cancel::default())
+    }
+
+    #[test]
+    fn without_blender_the_message_says_what_was_tried_and_what_helps() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing = Candidate { program: "/no/such/blender".into(), from: "PATH", given: false };
+        let old = fake(
+            folder.path(),
+            "old-blender",
+            r#"echo '{"error": {"kind": "bpy", "message": "Blender 3.4.1, and 4.2 is the oldest that does"}}' > "$last/answer.json""#,
+        );
+        let text = asked(folder.path(), &[missing.clone(), old]).unwrap_err().to_string();
+        for part in [
+            "szene.blend: .blend files are read by Blender 4.2 or newer",
+            "LUMISTACK_BLENDER",
+            "/no/such/blender from PATH: cannot be started",
+            "old-blender from PATH: Blender 3.4.1",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        let text = asked(folder.path(), &[Candidate { given: true, ..missing }]).unwrap_err().to_string();
+        assert!(text.starts_with("LUMISTACK_BLENDER: expected Blender 4.2 or newer"), "{text}");
+        assert!(Request::new(&folder.path().join("none.blend"), None, false).is_err());
+    }
+
+    #[test]
+    fn what_goes_wrong_in_blender_is_one_message() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, script, expected) in [
+            ("crash", "echo 'last words' >&2; kill -SEGV $$", "the last it said: last words"),
+            ("garbage", r#"echo '{' > "$last/answer.json""#, "an answer that is none"),
+            (
+                "refused",
+                r#"echo '{"error": {"kind": "scene", "message": "File format is not supported"}}' > "$last/answer.json""#,
+                "szene.blend: File format is not supported",
+            ),
+            (
+                "exception",
+                r#"echo '{"error": {"kind": "other", "message": "KeyError: x"}}' > "$last/answer.json""#,
+                "an exception: KeyError: x",
+            ),
+        ] {
+            let text = asked(folder.path(), &[fake(folder.path(), name, script)]).unwrap_err().to_string();
+            assert!(text.contains(expected) && text.contains("szene.blend"), "{name}: {text}");
+        }
+    }
+
+    #[test]
+    fn the_request_reaches_the_program_and_its_answer_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let script = r#"grep -q '"time_s":0.5' "$last/request.json" && grep -q 'def export_scene' "$last/request.json" && test -s "$last/blend.py" &&
+            echo '{"blender": "9.9", "files": ["/a.png"], "warnings": [["x", "y"]], "contents": {"scenes": ["S"], "frames": [1, 25], "frames_per_second": 24.0, "engine": "CYCLES"}}' > "$last/answer.json""#;
+        let answer = asked(folder.path(), &[fake(folder.path(), "blender", script)]).unwrap();
+        assert_eq!(answer.blender, "9.9");
+        assert_eq!(answer.warnings, [("x".to_owned(), "y".to_owned())]);
+        assert!((answer.contents.duration_s() - 1.0).abs() < 1e-12);
+    }
+}

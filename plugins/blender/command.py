@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`blender -b FILE.blend --command lumistack ...`: the button without a window, with an exit code.
+
+Where Blender's version has no --command, or the file of a script is more handy:
+
+    blender -b FILE.blend --python-expr "import sys; from bl_ext.user_default.lumistack import command; sys.exit(command.main(['make']))"
+"""
+
+from __future__ import annotations
+
+import sys
+
+import bpy
+import lumistack
+from lumistack.blender import command_line
+
+from . import jobs
+
+_handle = None
+
+
+def main(words: list[str]) -> int:
+    """0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    try:
+        asked = command_line.parse(words)
+    except command_line.Usage as usage:
+        print(usage, file=sys.stderr if usage.code else sys.stdout)
+        return usage.code
+    try:
+        if asked.blend:
+            bpy.ops.wm.open_mainfile(filepath=asked.blend, load_ui=False)
+        scene = bpy.data.scenes[asked.scene] if asked.scene else bpy.context.scene
+        for name, value in asked.settings.items():
+            setattr(scene.lumistack, name, value)
+        for name, value in asked.scene_settings.items():
+            setattr(scene, name, value)
+        job = jobs.Job(scene, factorize=asked.what == "make")
+        if asked.fit_depth:
+            print(jobs.fit_depth(scene, compress=asked.fit_depth == "compress"), flush=True)
+        said = command_line.Teller(sys.stdout)
+        jobs.run_now(job, said)
+    except KeyboardInterrupt:
+        print("stopped; what is finished is kept", file=sys.stderr)
+        return 130
+    except KeyError as error:
+        print(f"error: expected one of the scenes {', '.join(each.name for each in bpy.data.scenes)}, found {error}", file=sys.stderr)
+        return 1
+    except (jobs.JobError, lumistack.Error, RuntimeError, TypeError, ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    for warning in job.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    for line in [f"{job.rendered} views rendered, {job.kept} kept", *job.said]:
+        print(line)
+    return 0
+
+
+def register() -> None:
+    global _handle
+    if hasattr(bpy.utils, "register_cli_command"):
+        _handle = bpy.utils.register_cli_command("lumistack", main)
+
+
+def unregister() -> None:
+    global _handle
+    if _handle is not None:
+        bpy.utils.unregister_cli_command(_handle)
+        _handle = None

@@ -1,0 +1,370 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the button does, as a list of steps that is made while it is walked through.
+
+A step is a view that Blender's main thread renders, or work that runs on a thread of its own. `operators` walks through the steps from a timer, so that the
+window stays alive; `command` and a render farm walk through them at once. Every finished view and every finished time is a file, and a second walk leaves out
+what is there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import bpy
+import lumistack
+import numpy
+from lumistack.blender import cameras, depth, handover, rig
+from lumistack.blender.views import Views, key_of
+from lumistack.blender.work import Work
+
+from . import digest, pictures, settings as settings_of
+
+#: Full updates of every time after the first, which starts from the patterns of the one before.
+NEXT_ITERATIONS = 5
+#: Share of clipped values that is worth a warning.
+CLIPPED = 0.01
+
+
+class JobError(Exception):
+    """What is wrong, in one sentence."""
+
+
+@dataclass
+class Render:
+    """A view that is to be rendered: call `aim`, render the scene with write_still, call `finished`."""
+
+    scene: object
+    aim: Callable[[], None]
+    finished: Callable[[], None]
+    title: str
+    share: float
+
+
+@dataclass
+class Wait:
+    """Work on another thread, which is to be waited for."""
+
+    work: Work
+    title: str
+    #: Of all that is to be done, what is done before, and what this is.
+    share: float
+    part: float
+
+
+@dataclass
+class Tick:
+    """A moment to breathe."""
+
+    title: str
+    share: float
+
+
+Step = Render | Wait | Tick
+
+
+@dataclass
+class Shown:
+    """What a job left to be looked at."""
+
+    stack: lumistack.LayerStack
+    window: cameras.Window
+    folder: Path
+    psnr: float
+
+
+@dataclass
+class Job:
+    """One press of the button; `steps()` does it."""
+
+    scene: object
+    factorize: bool = True
+    warnings: list[str] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+    rendered: int = 0
+    kept: int = 0
+
+    def warn(self, place: str, message: str) -> None:
+        line = f"{place}: {message}"
+        if line not in self.warnings:
+            self.warnings.append(line)
+
+    def steps(self) -> Iterator[Step]:
+        scene, settings = self.scene, self.scene.lumistack
+        folder = output_folder(scene)
+        rig.remove_leftovers(bpy)
+        if settings.times == "CURRENT":
+            yield from self._time(folder, None, 0.0, 1.0)
+            return
+        frames = list(range(scene.frame_start, scene.frame_end + 1, max(scene.frame_step, 1)))
+        current, before = scene.frame_current, None
+        try:
+            for number, frame in enumerate(frames):
+                scene.frame_set(frame)
+                start = number / len(frames)
+                before = yield from self._time(folder / f"t{number + 1:04}", before, start, 1.0 / len(frames))
+        finally:
+            scene.frame_set(current)
+
+    def _time(self, folder: Path, before: lumistack.LayerStack | None, start: float, part: float):
+        """One time: views, light field, patterns, outputs."""
+        scene, settings = self.scene, self.scene.lumistack
+        display = display_of(settings)
+        window = window_of(scene, display)
+        self._check_depth(display, window)
+        folder.mkdir(parents=True, exist_ok=True)
+        fields = {}
+        rendering = 0.6 * part
+        if settings.renderer in ("BLENDER", "BOTH"):
+            fields["Blender"] = yield from self._views(display, window, folder, start, rendering)
+        if settings.renderer in ("LUMISTACK", "BOTH"):
+            fields["Lumistack"] = yield from self._trace(display, window, folder, start, rendering)
+        if len(fields) == 2:
+            self.said.append(compared(fields["Blender"], fields["Lumistack"]))
+        light_field = next(iter(fields.values()))
+        if not self.factorize:
+            light_field.save(folder / "target")
+            return None
+        iterations = settings_of.quality(settings)[1]
+        key = key_of({"target": hash_of(light_field.radiance), "display": display.to_toml(), "iterations": iterations, "first": before is None})
+        stamp = folder / "blender.json"
+        kept = kept_patterns(folder, stamp, key)
+        output, parameters = settings.output, {} if settings.output == "NONE" else settings_of.output_parameters(scene, settings.output)
+
+        def solve(report):
+            stack = kept
+            if stack is None:
+                stamp.unlink(missing_ok=True)
+                light_field.save(folder / "target")
+                more = {} if before is None else {"warm_start": before, "solver": "block-exact"}
+                updates = iterations if before is None else min(NEXT_ITERATIONS, iterations)
+                stack = lumistack.factorize(light_field, display, iterations=updates, callback=report, **more)
+                stack.save(folder)
+                lumistack.report(stack, light_field, folder, title=scene.name, callback=report)
+                write_stamp(stamp, key)
+            if output != "NONE":
+                lumistack.write(stack, output, folder / "outputs" / "tensor-display" / output, target=light_field, callback=report, **parameters)
+            return stack, stack.psnr(light_field)
+
+        work = Work(solve).start()
+        yield Wait(work, "Patterns", start + rendering, part - rendering)
+        stack, psnr = result_of(work)
+        self.said.append(f"{folder.name}: PSNR {psnr:.1f} dB, {folder}")
+        shown[scene.name] = Shown(stack, window, folder, psnr)
+        return stack
+
+    def _check_depth(self, display: lumistack.Display, window: cameras.Window) -> None:
+        sentence = depth_sentence(self.scene, display, window)
+        if sentence:
+            self.warn("depth", f"{sentence}. Fit Depth brings the scene into that range")
+
+    def _views(self, display, window, folder: Path, start: float, part: float):
+        """Views by Blender's engine."""
+        scene, settings = self.scene, self.scene.lumistack
+        slope_x, slope_y = display.slopes
+        _, _, rows, columns, _ = display.light_field_shape
+        scale = settings.depth_scale
+        yield Tick("Looking at the scene", start)
+        key = key_of(
+            {
+                "digest": digest.digest(scene),
+                "frame": scene.frame_current,
+                "window": [window.centre, window.right, window.up, window.scale, window.size_mm],
+                "slopes": [[scale * slope for slope in slope_x], [scale * slope for slope in slope_y]],
+                "distance": display.distance_mm,
+                "size": [columns, rows],
+            }
+        )
+        views = Views(folder, len(slope_y), len(slope_x), key)
+        missing = views.missing()
+        total = len(slope_x) * len(slope_y)
+        self.kept += total - len(missing)
+        depths = rig.depth_range(bpy, scene, window)
+        if missing:
+            with rig.Rig(bpy, scene, (columns, rows)) as held:
+                for view in missing:
+                    slope = (scale * slope_x[view[1]], scale * slope_y[view[0]])
+                    camera = cameras.view_camera(window, slope, display.distance_mm, depths)
+
+                    def aim(view=view, camera=camera):
+                        held.aim(camera, views.begin(view))
+
+                    done = total - len(views.missing())
+                    yield Render(scene, aim, lambda view=view: views.keep(view), f"View {done + 1} of {total}", start + 0.9 * part * done / total)
+                    self.rendered += 1
+        radiance = numpy.empty(display.light_field_shape, numpy.float32)
+        for number, view in enumerate(views.all()):
+            yield Tick("Reading views", start + part * (0.9 + 0.1 * number / total))
+            radiance[view] = self._look(views.path(view))
+        return lumistack.LightField(radiance, display=display)
+
+    def _look(self, path: Path) -> numpy.ndarray:
+        settings = self.scene.lumistack
+        if settings.look == "SCENE":
+            return pictures.as_shown(path, self.scene)
+        picture = pictures.load(path) * 2.0**settings.exposure_ev
+        if (picture > 1.0).mean() > CLIPPED:
+            self.warn("look", "more than 1 % of the light is brighter than white and cut: lower the exposure, or take the look of the scene")
+        return numpy.clip(picture, 0.0, 1.0)
+
+    def _trace(self, display, window, folder: Path, start: float, part: float):
+        """Views by our own path tracer, of the exported scene."""
+        scene, settings = self.scene, self.scene.lumistack
+        yield Tick("Exporting the scene", start)
+        path = folder / "scene.glb"
+        handover.export_scene(bpy, path, self.warn)
+        samples = settings_of.quality(settings)[2]
+        linear = settings.look == "LINEAR" or settings.renderer == "BOTH"
+        light = {"automatic": False, "automatic_exposure": not linear}
+        tone = "linear" if linear else "auto"
+        scale, exposure = settings.depth_scale, settings.exposure_ev
+
+        def trace(report):
+            loaded = lumistack.Scene(path, light={"automatic": False}, callback=report)
+            return lumistack.render(
+                loaded, display, window=window.as_job(), depth_scale=scale, samples=samples, light=light, tone=tone,
+                exposure_ev=exposure, cache=folder / "cache", callback=report,
+            )  # fmt: skip
+
+        work = Work(trace).start()
+        yield Wait(work, "Path tracing", start, part)
+        return result_of(work)
+
+
+#: What was made of every scene in this session, by its name.
+shown: dict[str, Shown] = {}
+_running: list[Work] = []
+
+
+def result_of(work: Work):
+    """What work gave; its error, on this thread."""
+    if work.error is not None:
+        raise work.error
+    return work.result
+
+
+def display_of(settings) -> lumistack.Display:
+    try:
+        return settings_of.display_of(settings)
+    except (lumistack.Error, ValueError, OSError) as error:
+        raise JobError(str(error)) from error
+
+
+def window_of(scene, display: lumistack.Display) -> cameras.Window:
+    """The window as the scene's settings place it."""
+    settings = scene.lumistack
+    _, _, rows, columns, _ = display.light_field_shape
+    size_mm = (columns * display.pitch_mm, rows * display.pitch_mm)
+    distance = settings.distance if settings.window_from == "DISTANCE" else None
+    try:
+        window = rig.window_of(bpy, scene, size_mm, distance)
+    except ValueError as error:
+        raise JobError(str(error)) from error
+    return window.moved_back(settings.moved_back_mm, display.distance_mm)
+
+
+def depth_sentence(scene, display: lumistack.Display, window: cameras.Window) -> str | None:
+    """The warning of a scene that is too deep for its display."""
+    return depth.sentence(depths_shown(scene, display, window), display.depth_of_field_mm())
+
+
+def depths_shown(scene, display, window) -> list[float]:
+    """Depths of what is seen, as the display shows them."""
+    fit = depth.Fit(0.0, scene.lumistack.depth_scale)
+    distance_mm = display.distance_mm
+    return [depth.shown_at(z, fit, distance_mm) for z in rig.depths_through(bpy, scene, window, distance_mm)]
+
+
+def fit_depth(scene, compress: bool) -> str:
+    """Moves the window, and scales depth, so that the display shows the scene sharply; says what was done."""
+    settings = scene.lumistack
+    display = display_of(settings)
+    range_mm = display.depth_of_field_mm()
+    if range_mm is None:
+        raise JobError(f"{display.name}: the display shows its own pixels sharply at no depth")
+    settings.moved_back_mm, settings.depth_scale = 0.0, 1.0
+    depths = rig.depths_through(bpy, scene, window_of(scene, display), display.distance_mm)
+    if not depths:
+        raise JobError("nothing is seen through the window")
+    fit = depth.best_fit(depths, range_mm, display.distance_mm, compress)
+    settings.moved_back_mm, settings.depth_scale = fit.moved_back_mm, fit.depth_scale
+    return f"The window moved back by {fit.moved_back_mm:.0f} mm; depth is shown at {100 * fit.depth_scale:.0f} %"
+
+
+def output_folder(scene) -> Path:
+    """Where a scene's results go."""
+    text = scene.lumistack.folder or "//lumistack"
+    if text.startswith("//") and not bpy.data.filepath:
+        return Path(bpy.app.tempdir) / text[2:]
+    return Path(bpy.path.abspath(text))
+
+
+def hash_of(array: numpy.ndarray) -> str:
+    import hashlib
+
+    return hashlib.sha256(numpy.ascontiguousarray(array).data).hexdigest()
+
+
+def kept_patterns(folder: Path, stamp: Path, key: str) -> lumistack.LayerStack | None:
+    """The patterns of an earlier run, if they are of the same light field and settings."""
+    try:
+        if json.loads(stamp.read_text(encoding="utf-8")).get("key") != key:
+            return None
+        return lumistack.LayerStack.open(folder)
+    except (OSError, ValueError, lumistack.Error):
+        return None
+
+
+def write_stamp(stamp: Path, key: str) -> None:
+    beside = stamp.with_suffix(".json.new")
+    beside.write_text(json.dumps({"key": key}), encoding="utf-8")
+    os.replace(beside, stamp)
+
+
+def compared(ours, theirs) -> str:
+    """How far two light fields are apart."""
+    error = float(numpy.mean((ours.radiance.astype(numpy.float64) - theirs.radiance) ** 2))
+    means = [float(each.radiance.mean()) for each in (ours, theirs)]
+    psnr = float("inf") if error == 0.0 else -10.0 * numpy.log10(error)
+    return f"Lumistack's views against Blender's: {psnr:.1f} dB, mean {means[1]:.4f} against {means[0]:.4f}"
+
+
+def track(work: Work) -> None:
+    """Remembers work that must end before Blender does."""
+    _running.append(work)
+
+
+def run_now(job: Job, say: Callable[[str, float], None] = lambda *_: None) -> None:
+    """Walks through a job at once; for scripts and render farms."""
+    walk = job.steps()
+    try:
+        for step in walk:
+            say(step.title, step.share)
+            if isinstance(step, Render):
+                step.aim()
+                bpy.ops.render.render(write_still=True, scene=step.scene.name)
+                step.finished()
+            elif isinstance(step, Wait):
+                track(step.work)
+                while not step.work.wait(0.1):
+                    stage, share = step.work.progress
+                    say(f"{step.title}: {stage}", step.share + step.part * share)
+    except BaseException:
+        end_all()
+        raise
+    finally:
+        walk.close()
+
+
+def end_all() -> None:
+    """Stops all work that still runs."""
+    for work in _running:
+        work.stop()
+    deadline = time.monotonic() + 10.0
+    for work in _running:
+        work.wait(max(deadline - time.monotonic(), 0.1))
+    _running.clear()

@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the buttons do."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import lumistack
+from lumistack.blender import outline
+
+from . import jobs, overlay, pictures
+
+#: Seconds between two looks at what runs.
+TICK = 0.1
+_previews: list[subprocess.Popen] = []
+
+
+def _text(error: BaseException) -> str:
+    return str(error) or type(error).__name__
+
+
+class _Steps(bpy.types.Operator):
+    """Walks through a job from a timer; without a window, at once."""
+
+    bl_options = {"REGISTER"}
+    factorizes = True
+
+    @classmethod
+    def poll(cls, context):
+        return context.scene is not None
+
+    def execute(self, context):
+        job = jobs.Job(context.scene, factorize=self.factorizes)
+        try:
+            jobs.run_now(job)
+        except Exception as error:  # whatever it is, it is told
+            self.report({"ERROR"}, _text(error))
+            return {"CANCELLED"}
+        return self._end(context, job)
+
+    def invoke(self, context, _event):
+        self._job = jobs.Job(context.scene, factorize=self.factorizes)
+        self._walk = self._job.steps()
+        self._step = None
+        self._state = "next"
+        bpy.app.handlers.render_complete.append(self._complete)
+        bpy.app.handlers.render_cancel.append(self._cancelled)
+        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        context.window_manager.progress_begin(0.0, 1.0)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type == "ESC" and event.value == "PRESS":
+            return self._stop(context, "Stopped; what is finished is kept")
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        try:
+            return self._go_on(context)
+        except Exception as error:  # whatever it is, nothing may stay behind
+            self._close(context)
+            self.report({"ERROR"}, _text(error))
+            return {"CANCELLED"}
+
+    def _go_on(self, context):
+        step = self._step
+        if self._state == "rendering":
+            return {"PASS_THROUGH"}
+        if self._state == "cancelled":
+            return self._stop(context, "Stopped; what is finished is kept")
+        if bpy.app.is_job_running("RENDER"):
+            # the last view's job is being wound up
+            return {"PASS_THROUGH"}
+        if self._state == "rendered":
+            step.finished()
+            self._state = "next"
+        if isinstance(step, jobs.Wait) and not step.work.is_done():
+            stage, share = step.work.progress
+            self._tell(context, f"{step.title} {stage}", step.share + step.part * share)
+            return {"PASS_THROUGH"}
+        try:
+            self._step = step = next(self._walk)
+        except StopIteration:
+            self._close(context)
+            return self._end(context, self._job)
+        self._tell(context, step.title, step.share)
+        if isinstance(step, jobs.Wait):
+            jobs.track(step.work)
+        elif isinstance(step, jobs.Render):
+            step.aim()
+            self._state = "rendering"
+            if "CANCELLED" in bpy.ops.render.render("INVOKE_DEFAULT", write_still=True, scene=step.scene.name):
+                raise jobs.JobError("Blender does not start to render: another render is running, or the scene has no camera")
+        return {"PASS_THROUGH"}
+
+    def _complete(self, *_):
+        if self._state == "rendering":
+            self._state = "rendered"
+
+    def _cancelled(self, *_):
+        if self._state == "rendering":
+            self._state = "cancelled"
+
+    def _tell(self, context, title, share):
+        context.window_manager.progress_update(share)
+        if context.workspace:
+            context.workspace.status_text_set(f"Lumistack: {title} ({100 * share:.0f} %). Esc stops")
+
+    def _stop(self, context, message):
+        if isinstance(self._step, jobs.Wait):
+            self._step.work.stop()
+        self._close(context)
+        self.report({"WARNING"}, message)
+        return {"CANCELLED"}
+
+    def _close(self, context):
+        self._walk.close()
+        for handlers, handler in ((bpy.app.handlers.render_complete, self._complete), (bpy.app.handlers.render_cancel, self._cancelled)):
+            if handler in handlers:
+                handlers.remove(handler)
+        context.window_manager.event_timer_remove(self._timer)
+        context.window_manager.progress_end()
+        if context.workspace:
+            context.workspace.status_text_set(None)
+
+    def _end(self, context, job):
+        for warning in job.warnings:
+            self.report({"WARNING"}, warning)
+        for line in job.said:
+            self.report({"INFO"}, line)
+        self._show(context)
+        return {"FINISHED"}
+
+    def _show(self, context):
+        pass
+
+
+class LUMISTACK_OT_make(_Steps):
+    """Render the views, make the layers' patterns, and show what the display shows"""
+
+    bl_idname = "lumistack.make"
+    bl_label = "Make Tensor Display"
+
+    def _show(self, context):
+        show_view(context.scene, (0.0, 0.0))
+        if not bpy.app.background:
+            show_editor(context)
+
+
+class LUMISTACK_OT_render_views(_Steps):
+    """Render the display's views as a light field; views that are finished and still hold are left as they are"""
+
+    bl_idname = "lumistack.render_views"
+    bl_label = "Render Views"
+    factorizes = False
+
+
+def show_view(scene, slope) -> None:
+    """Simulates the display of a scene from a direction, into the image and the 3D view."""
+    held = jobs.shown.get(scene.name)
+    if held is not None:
+        picture = lumistack.simulate(held.stack, slope=slope)
+        pictures.show(picture)
+        overlay.set_picture(scene.name, picture)
+
+
+def show_editor(context) -> None:
+    """Shows the simulated view in an image editor: one that is open, else a new window's."""
+    image = bpy.data.images.get(pictures.SHOWN)
+    if image is None:
+        return
+    areas = [area for window in context.window_manager.windows for area in window.screen.areas if area.type == "IMAGE_EDITOR"]
+    if not areas:
+        bpy.ops.wm.window_new()
+        areas = [context.window_manager.windows[-1].screen.areas[0]]
+        areas[0].type = "IMAGE_EDITOR"
+    areas[0].spaces.active.image = image
+
+
+class LUMISTACK_OT_look(bpy.types.Operator):
+    """Look at the display from where the mouse is: left and right, up and down. Esc or the right button ends it"""
+
+    bl_idname = "lumistack.look"
+    bl_label = "Look Around"
+
+    @classmethod
+    def poll(cls, context):
+        return context.scene is not None and context.scene.name in jobs.shown
+
+    def execute(self, context):
+        show_view(context.scene, (0.0, 0.0))
+        return {"FINISHED"}
+
+    def invoke(self, context, event):
+        self._fov = jobs.shown[context.scene.name].stack.display.to_dict()["field"]["fov_deg"]
+        show_view(context.scene, (0.0, 0.0))
+        show_editor(context)
+        context.window_manager.modal_handler_add(self)
+        if context.workspace:
+            context.workspace.status_text_set("Lumistack: move the mouse to look around. Esc ends it")
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type in ("ESC", "RIGHTMOUSE") or context.scene.name not in jobs.shown:
+            if context.workspace:
+                context.workspace.status_text_set(None)
+            show_view(context.scene, (0.0, 0.0))
+            return {"FINISHED"}
+        if event.type == "MOUSEMOVE":
+            window = context.window
+            show_view(context.scene, outline.slope_of_mouse((event.mouse_x, event.mouse_y), (window.width, window.height), self._fov))
+            for area in window.screen.areas:
+                if area.type in ("IMAGE_EDITOR", "VIEW_3D"):
+                    area.tag_redraw()
+        return {"PASS_THROUGH"}
+
+
+class LUMISTACK_OT_fit_depth(bpy.types.Operator):
+    """Bring the scene into the depths that the display shows sharply: the window moves along its normal, and depth is scaled where that is not enough"""
+
+    bl_idname = "lumistack.fit_depth"
+    bl_label = "Fit Depth"
+    bl_options = {"REGISTER", "UNDO"}
+
+    compress: bpy.props.BoolProperty(name="Scale depth", description="Also flatten the scene where moving the window is not enough", default=True)
+
+    def execute(self, context):
+        try:
+            self.report({"INFO"}, jobs.fit_depth(context.scene, self.compress))
+        except jobs.JobError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class LUMISTACK_OT_check_depth(bpy.types.Operator):
+    """Say how the depth of the scene fits the display"""
+
+    bl_idname = "lumistack.check_depth"
+    bl_label = "Check Depth"
+
+    def execute(self, context):
+        try:
+            display = jobs.display_of(context.scene.lumistack)
+            sentence = jobs.depth_sentence(context.scene, display, jobs.window_of(context.scene, display))
+        except jobs.JobError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"WARNING"} if sentence else {"INFO"}, sentence or "The scene fits the display's depth of field")
+        return {"FINISHED"}
+
+
+class LUMISTACK_OT_preview(bpy.types.Operator):
+    """Open the finished display in the browser"""
+
+    bl_idname = "lumistack.preview"
+    bl_label = "Open in Browser"
+
+    def execute(self, context):
+        folder = finished_folder(context.scene)
+        if folder is None:
+            self.report({"ERROR"}, f"{jobs.output_folder(context.scene)}: there are no patterns yet: make the tensor display first")
+            return {"CANCELLED"}
+        end_previews()
+        _previews.append(subprocess.Popen(preview_command(folder), env=preview_environment(), stdin=subprocess.DEVNULL))
+        return {"FINISHED"}
+
+
+def finished_folder(scene) -> Path | None:
+    """The run folder to look at: the scene's, or its first time."""
+    folder = jobs.output_folder(scene)
+    return next((each for each in (folder, folder / "t0001") if (each / "layers" / "stack.json").is_file()), None)
+
+
+def preview_command(folder: Path) -> list[str]:
+    return [sys.executable, "-m", "lumistack", "preview", str(folder)]
+
+
+def preview_environment() -> dict[str, str]:
+    """A child finds the package where this process found it."""
+    home = str(Path(lumistack.__file__).resolve().parent.parent)
+    paths = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def end_previews() -> None:
+    while _previews:
+        process = _previews.pop()
+        process.terminate()
+        try:
+            process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
+_CLASSES = (
+    LUMISTACK_OT_make,
+    LUMISTACK_OT_render_views,
+    LUMISTACK_OT_look,
+    LUMISTACK_OT_fit_depth,
+    LUMISTACK_OT_check_depth,
+    LUMISTACK_OT_preview,
+)
+
+
+def register() -> None:
+    for each in _CLASSES:
+        bpy.utils.register_class(each)
+
+
+def unregister() -> None:
+    end_previews()
+    jobs.shown.clear()
+    pictures.remove()
+    for each in reversed(_CLASSES):
+        bpy.utils.unregister_class(each)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the 3D view shows: the window with its depth of field and viewing cone, the simulated view on it, and an arrow that moves it."""
+
+from __future__ import annotations
+
+import bpy
+from lumistack.blender import cameras, outline
+
+from . import jobs
+
+#: Linear RGBA.
+WINDOW, DEPTH, CONE = (1.0, 0.75, 0.1, 1.0), (0.2, 0.75, 1.0, 0.7), (0.6, 1.0, 0.4, 0.5)
+WIDTH_PX = 1.5
+
+_handle = None
+_pictures: dict[str, object] = {}
+_textures: dict[str, object] = {}
+_outlines: dict[str, tuple[object, object]] = {}
+
+
+def forget() -> None:
+    """Something that the lines depend on has changed."""
+    _outlines.clear()
+
+
+def set_picture(scene_name: str, picture) -> None:
+    """The simulated view [row, column, rgb] that is shown on the window."""
+    _pictures[scene_name] = picture
+    _textures.pop(scene_name, None)
+
+
+def lines_of(scene) -> list[tuple[tuple[float, ...], list[tuple[float, float, float]]]]:
+    """(colour, ends of lines in the scene) of what the settings show; nothing where there is no window."""
+    settings = scene.lumistack
+    placed = placement(scene)
+    if placed is None:
+        return []
+    display, window = placed
+    fov = display.to_dict()["field"]["fov_deg"]
+    kinds = [
+        (settings.show_window, WINDOW, outline.frame(window.size_mm)),
+        (settings.show_depth, DEPTH, outline.depth_box(window.size_mm, display.depth_of_field_mm(), display.distance_mm)),
+        (settings.show_cone, CONE, outline.cone(window.size_mm, fov)),
+    ]
+    return [(colour, [window.point(end) for line in lines for end in line]) for is_shown, colour, lines in kinds if is_shown and lines]
+
+
+def placement(scene) -> tuple[object, cameras.Window] | None:
+    """Display and window, found again when the camera or a setting has changed."""
+    camera = scene.camera
+    key = (camera.matrix_world.copy(), camera.data.lens, camera.data.ortho_scale, camera.data.dof.focus_distance) if camera and camera.type == "CAMERA" else None
+    kept = _outlines.get(scene.name)
+    if kept is not None and kept[0] == key:
+        return kept[1]
+    try:
+        display = jobs.display_of(scene.lumistack)
+        found = (display, jobs.window_of(scene, display))
+    except jobs.JobError:
+        found = None
+    _outlines[scene.name] = (key, found)
+    return found
+
+
+def _draw() -> None:
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+
+    scene = bpy.context.scene
+    if scene is None or not hasattr(scene, "lumistack"):
+        return
+    gpu.state.blend_set("ALPHA")
+    gpu.state.depth_test_set("LESS_EQUAL")
+    try:
+        _draw_picture(scene, gpu, batch_for_shader)
+        shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
+        shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
+        shader.uniform_float("lineWidth", WIDTH_PX)
+        for colour, ends in lines_of(scene):
+            shader.uniform_float("color", colour)
+            batch_for_shader(shader, "LINES", {"pos": ends}).draw(shader)
+    finally:
+        gpu.state.depth_test_set("NONE")
+        gpu.state.blend_set("NONE")
+
+
+def _draw_picture(scene, gpu, batch_for_shader) -> None:
+    picture = _pictures.get(scene.name)
+    placed = placement(scene)
+    if picture is None or placed is None or not scene.lumistack.show_picture:
+        return
+    _, window = placed
+    texture = _textures.get(scene.name)
+    if texture is None:
+        import numpy
+
+        rows, columns, _ = picture.shape
+        values = numpy.ones((rows, columns, 4), numpy.float32)
+        # overlays are drawn in the screen's code values
+        values[..., :3] = to_srgb(picture[::-1])
+        texture = gpu.types.GPUTexture((columns, rows), format="RGBA16F", data=gpu.types.Buffer("FLOAT", values.size, values.ravel()))
+        _textures[scene.name] = texture
+    corners = [window.point(line[0]) for line in outline.frame(window.size_mm)]
+    shader = gpu.shader.from_builtin("IMAGE")
+    shader.uniform_sampler("image", texture)
+    places = {"pos": corners, "texCoord": [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]}
+    batch_for_shader(shader, "TRI_FAN", places).draw(shader)
+
+
+def to_srgb(linear):
+    """Linear light to sRGB code values 0..1."""
+    import numpy
+
+    light = numpy.clip(linear, 0.0, 1.0)
+    return numpy.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
+    bl_label = "Lumistack window"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "WINDOW"
+    bl_options = {"3D", "PERSISTENT", "SHOW_MODAL_ALL"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.scene is not None and context.scene.lumistack.show_window and placement(context.scene) is not None
+
+    def setup(self, context):
+        arrow = self.gizmos.new("GIZMO_GT_arrow_3d")
+        arrow.draw_style = "NORMAL"
+        arrow.color, arrow.alpha = WINDOW[:3], 0.8
+        arrow.color_highlight, arrow.alpha_highlight = (1.0, 1.0, 1.0), 1.0
+        arrow.target_set_handler("offset", get=self._get, set=self._set)
+        self._arrow = arrow
+        self.refresh(context)
+
+    def _get(self):
+        scene = bpy.context.scene
+        placed = placement(scene)
+        return 0.0 if placed is None else -scene.lumistack.moved_back_mm * placed[1].scale
+
+    def _set(self, offset):
+        scene = bpy.context.scene
+        placed = placement(scene)
+        if placed is not None:
+            scene.lumistack.moved_back_mm = outline.turned(-offset / placed[1].scale, 0.0, -1e5, 1e5)
+
+    def refresh(self, context):
+        placed = placement(context.scene)
+        if placed is not None:
+            self._arrow.matrix_basis = arrow_matrix(placed[1], context.scene.lumistack.moved_back_mm)
+
+    def draw_prepare(self, context):
+        self.refresh(context)
+
+
+def arrow_matrix(window: cameras.Window, moved_back_mm: float):
+    """The arrow's own place: where the window stands when it is not moved, along its normal."""
+    from mathutils import Matrix
+
+    origin = window.point((0.0, 0.0, moved_back_mm))
+    return Matrix([[window.right[row], window.up[row], window.back[row], origin[row]] for row in range(3)] + [[0.0, 0.0, 0.0, 1.0]])
+
+
+def register() -> None:
+    global _handle
+    bpy.utils.register_class(LUMISTACK_GGT_window)
+    if not bpy.app.background:
+        _handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+
+
+def unregister() -> None:
+    global _handle
+    if _handle is not None:
+        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
+        _handle = None
+    bpy.utils.unregister_class(LUMISTACK_GGT_window)
+    for kept in (_pictures, _textures, _outlines):
+        kept.clear()

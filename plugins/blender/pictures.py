@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Views from files to arrays, as the scene's colour management shows them, and simulated views to Blender's image editor."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy
+
+#: The image that shows the simulated view.
+SHOWN = "Lumistack"
+
+
+def load(path: Path, linear: bool = True) -> numpy.ndarray:
+    """[row, column, rgb] of a picture as it stands in the file, the top row first."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    try:
+        if not linear:
+            image.colorspace_settings.name = "Non-Color"
+        width, height = image.size
+        if width * height == 0:
+            raise ValueError(f"{path}: expected a picture, found a damaged file; remove it and render again")
+        values = numpy.empty(width * height * image.channels, dtype=numpy.float32)
+        image.pixels.foreach_get(values)
+        picture = values.reshape(height, width, image.channels)[::-1, :, :3]
+        return numpy.ascontiguousarray(picture)
+    finally:
+        bpy.data.images.remove(image)
+
+
+def as_shown(path: Path, scene) -> numpy.ndarray:
+    """The same after the view transform, exposure, look and curves of the scene, for an sRGB screen, in linear light 0..1."""
+    settings, display = scene.render.image_settings, scene.display_settings
+    old: list[tuple[object, str, object]] = []
+
+    def change(held, name, value):
+        if hasattr(held, name):
+            old.append((held, name, getattr(held, name)))
+            setattr(held, name, value)
+
+    image = bpy.data.images.load(str(path), check_existing=False)
+    try:
+        change(settings, "media_type", "IMAGE")
+        change(settings, "file_format", "PNG")
+        change(settings, "color_mode", "RGB")
+        change(settings, "color_depth", "16")
+        change(settings, "color_management", "FOLLOW_SCENE")
+        if display.display_device != "sRGB":
+            change(display, "display_device", "sRGB")
+        with tempfile.TemporaryDirectory() as folder:
+            shown = Path(folder) / "shown.png"
+            image.save_render(str(shown), scene=scene)
+            codes = load(shown, linear=False)
+    finally:
+        for held, name, value in reversed(old):
+            setattr(held, name, value)
+        bpy.data.images.remove(image)
+    return from_srgb(codes)
+
+
+def from_srgb(codes: numpy.ndarray) -> numpy.ndarray:
+    """sRGB code values 0..1 to linear light."""
+    linear = numpy.where(codes <= 0.04045, codes / 12.92, ((numpy.maximum(codes, 0.0) + 0.055) / 1.055) ** 2.4)
+    return numpy.clip(linear, 0.0, 1.0).astype(numpy.float32)
+
+
+def show(picture: numpy.ndarray) -> object:
+    """Puts a linear picture [row, column, rgb] into the image that editors show."""
+    rows, columns, _ = picture.shape
+    image = bpy.data.images.get(SHOWN)
+    if image is None or tuple(image.size) != (columns, rows) or not image.is_float:
+        if image is not None:
+            bpy.data.images.remove(image)
+        image = bpy.data.images.new(SHOWN, columns, rows, alpha=False, float_buffer=True)
+    values = numpy.ones((rows, columns, 4), numpy.float32)
+    values[..., :3] = picture[::-1]
+    image.pixels.foreach_set(values.ravel())
+    image.update()
+    return image
+
+
+def remove() -> None:
+    image = bpy.data.images.get(SHOWN)
+    if image is not None:
+        bpy.data.images.remove(image)

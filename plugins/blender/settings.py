@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a scene keeps: display, window, views, quality, outputs."""
+
+from __future__ import annotations
+
+import functools
+
+import bpy
+import lumistack
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, IntVectorProperty, PointerProperty, StringProperty
+from lumistack.blender import forms
+
+#: Share of the display's pixels in percent, iterations, and paths per pixel of our own path tracer.
+QUALITY = {"DRAFT": (20, 10, 4), "PREVIEW": (50, 25, 16), "FULL": (100, 50, 64)}
+
+
+@functools.cache
+def plugins() -> list[dict]:
+    """Plugins that write, as the package describes them."""
+    return [plugin for plugin in lumistack.plugins() if plugin["kind"] == "output"]
+
+
+@functools.cache
+def fields(plugin: str) -> list[forms.Field]:
+    return next((forms.fields_of(each) for each in plugins() if each["id"] == plugin), [])
+
+
+def _presets():
+    return [(name, name.replace("-", " ").capitalize(), "") for name in lumistack.displays()]
+
+
+def _outputs():
+    return [("NONE", "None", "Only the patterns")] + [(each["id"], each["id"].replace("_", " ").capitalize(), each["doc"]) for each in plugins()]
+
+
+def _redraw(_self, context):
+    from . import overlay
+
+    overlay.forget()
+    for window in context.window_manager.windows if context.window_manager else ():
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def _property(each: forms.Field):
+    common = {"name": each.label, "description": each.help[:900]}
+    match each.kind:
+        case "bool":
+            return BoolProperty(default=each.default, **common)
+        case "int":
+            return IntProperty(default=each.default, min=each.least, max=each.most, **common)
+        case "float":
+            return FloatProperty(default=each.default, min=each.least, max=each.most, **common)
+        case "choice":
+            items = [(value, value.replace("_", " ").capitalize(), text) for value, text in each.options]
+            return EnumProperty(items=items, default=each.default, **common)
+        case "file":
+            return StringProperty(subtype="FILE_PATH", **common)
+        case _:
+            return StringProperty(default=each.default or "", **common)
+
+
+class LumistackOutputs(bpy.types.PropertyGroup):
+    """Parameters of all output plugins; their properties are added before it is registered."""
+
+
+def _settings_class():
+    """The property group of a scene, whose lists come from the package."""
+    presets = _presets()
+    default = "paper-three-layer" if any(name == "paper-three-layer" for name, *_ in presets) else presets[0][0]
+    draw = {"update": _redraw}
+    annotations = {
+        "display_from": EnumProperty(
+            name="Display",
+            items=[("PRESET", "Preset", "A display that Lumistack knows"), ("FILE", "File", "A display file (.toml)")],
+            **draw,
+        ),
+        "preset": EnumProperty(name="Preset", description="Display of the scene", items=presets, default=default, **draw),
+        "file": StringProperty(name="File", description="Display file (.toml)", subtype="FILE_PATH", **draw),
+        "grid": EnumProperty(
+            name="Views",
+            description="How the rays of a view lie",
+            items=[
+                ("DISPLAY", "As the display", "What the display's description says"),
+                ("OBLIQUE", "Parallel", "Every view a parallel projection, as from far away"),
+                ("PERSPECTIVE", "Eyes", "Every view from an eye at a distance before the display"),
+            ],
+            **draw,
+        ),
+        "distance_mm": FloatProperty(name="Eye distance", description="Millimetres from the display to the viewer", default=600.0, min=1.0, max=1e6, **draw),
+        "use_views": BoolProperty(name="Own number of views", **draw),
+        "views": IntVectorProperty(name="Views", description="Horizontal and vertical", size=2, default=(5, 5), min=1, max=64, **draw),
+        "use_brightness": BoolProperty(name="Own brightness", **draw),
+        "brightness": FloatProperty(name="Brightness", description="Share of the target's light that the display emits", default=0.2, min=0.001, max=1.0, **draw),
+        "quality": EnumProperty(
+            name="Quality",
+            items=[
+                ("DRAFT", "Draft", "A fifth of the display's pixels, 10 iterations"),
+                ("PREVIEW", "Preview", "Half of the display's pixels, 25 iterations"),
+                ("FULL", "Full", "All pixels, 50 iterations"),
+                ("CUSTOM", "Custom", "The numbers below"),
+            ],
+            default="PREVIEW",
+            **draw,
+        ),
+        "percentage": IntProperty(name="Pixels", description="Share of the display's pixels", subtype="PERCENTAGE", default=50, min=1, max=100, **draw),
+        "iterations": IntProperty(name="Iterations", description="Full updates of all layers", default=25, min=1, max=10000),
+        "samples": IntProperty(name="Paths", description="Paths per pixel of Lumistack's path tracer", default=16, min=1, max=65536),
+        "window_from": EnumProperty(
+            name="Window",
+            description="Where the display stands: as wide as the camera's picture there",
+            items=[
+                ("AUTO", "Automatic", "The camera's plane of focus where it has one, else the middle of what it sees"),
+                ("DISTANCE", "Distance", "At a distance from the camera"),
+            ],
+            **draw,
+        ),
+        "distance": FloatProperty(name="Distance", description="From the camera to the window", subtype="DISTANCE", default=10.0, min=1e-4, max=1e6, **draw),
+        "moved_back_mm": FloatProperty(name="Move back", description="Moves the window along its normal, millimetres of the display; what is seen straight on stays", default=0.0, min=-1e5, max=1e5, **draw),
+        "depth_scale": FloatProperty(name="Depth", description="Factor on parallax: below 1 the scene looks flatter and is sharper", default=1.0, min=0.01, max=10.0, **draw),
+        "renderer": EnumProperty(
+            name="Renderer",
+            items=[
+                ("BLENDER", "Blender", "The scene's engine, Cycles or EEVEE, with its settings"),
+                ("LUMISTACK", "Lumistack", "Lumistack's path tracer, of the exported scene"),
+                ("BOTH", "Both", "Blender's views, and how far Lumistack's are from them"),
+            ],
+        ),
+        "look": EnumProperty(
+            name="Look",
+            items=[
+                ("SCENE", "As Blender shows it", "The view transform, exposure and look of Color Management, one for all views"),
+                ("LINEAR", "Linear", "Radiance times the exposure below; what is brighter than white is cut"),
+            ],
+        ),
+        "exposure_ev": FloatProperty(name="Exposure", description="Stops", default=0.0, min=-20.0, max=20.0),
+        "times": EnumProperty(
+            name="Time",
+            items=[("CURRENT", "Current frame", "A still"), ("RANGE", "Frame range", "The scene's frames, each starting from the patterns of the one before")],
+        ),
+        "folder": StringProperty(name="Folder", description="Where views, patterns and outputs go", subtype="DIR_PATH", default="//lumistack"),
+        "output": EnumProperty(name="Output", description="What is written besides the patterns", items=_outputs(), default="NONE"),
+        "show_window": BoolProperty(name="Window", description="Draw the display's window in the 3D view", default=True, **draw),
+        "show_depth": BoolProperty(name="Depth of field", description="Draw the depths that the display shows sharply", default=True, **draw),
+        "show_cone": BoolProperty(name="Viewing cone", description="Draw from where the display is seen", default=False, **draw),
+        "show_picture": BoolProperty(name="Simulated view", description="Show what the display shows on the window in the 3D view", default=True, **draw),
+    }
+    return type("LumistackSettings", (bpy.types.PropertyGroup,), {"__annotations__": annotations, "__doc__": __doc__})
+
+
+_registered: list[type] = []
+
+
+def register() -> None:
+    LumistackOutputs.__annotations__ = {each.identifier: _property(each) for plugin in plugins() for each in fields(plugin["id"])}
+    for made in (LumistackOutputs, _settings_class()):
+        bpy.utils.register_class(made)
+        _registered.append(made)
+    bpy.types.Scene.lumistack = PointerProperty(type=_registered[1])
+    bpy.types.Scene.lumistack_outputs = PointerProperty(type=_registered[0])
+
+
+def unregister() -> None:
+    del bpy.types.Scene.lumistack_outputs
+    del bpy.types.Scene.lumistack
+    while _registered:
+        bpy.utils.unregister_class(_registered.pop())
+    plugins.cache_clear()
+    fields.cache_clear()
+
+
+def quality(settings) -> tuple[int, int, int]:
+    """Percent of the pixels, iterations, paths per pixel."""
+    if settings.quality == "CUSTOM":
+        return settings.percentage, settings.iterations, settings.samples
+    return QUALITY[settings.quality]
+
+
+def display_of(settings) -> lumistack.Display:
+    """The display, as the settings change it. Raises what the package raises of one that makes no sense."""
+    what = settings.preset if settings.display_from == "PRESET" else bpy.path.abspath(settings.file)
+    display = lumistack.Display(what)
+    described = display.to_dict()
+    field = described["field"]
+    if settings.grid != "DISPLAY":
+        field["projection"] = settings.grid.lower()
+        field.pop("distance_mm", None)
+        if settings.grid == "PERSPECTIVE":
+            field["distance_mm"] = settings.distance_mm
+        display = lumistack.Display(described)
+    share = quality(settings)[0] / 100.0
+    changes: dict[str, object] = {}
+    if share < 1.0:
+        changes["resolution"] = [max(round(share * pixels), 8) for pixels in field["resolution"]]
+    if settings.use_views:
+        changes["views"] = list(settings.views)
+    if settings.use_brightness:
+        changes["brightness"] = settings.brightness
+    return lumistack.Display(display, **changes) if changes else display
+
+
+def output_parameters(scene, plugin: str) -> dict[str, object]:
+    values = scene.lumistack_outputs
+    found = {each.identifier: getattr(values, each.identifier) for each in fields(plugin)}
+    for each in fields(plugin):
+        if each.kind == "file" and found[each.identifier] and not found[each.identifier].lstrip().startswith("{"):
+            found[each.identifier] = bpy.path.abspath(found[each.identifier])
+    return forms.given(fields(plugin), found)

@@ -1,0 +1,642 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What must hold in a real Blender, each case in a process of its own.
+
+    python cases.py CASE ZIP FOLDER     the case in the Blender of this Python's module bpy
+    python cases.py all ZIP FOLDER      every case, one after the other
+
+`cargo xtask blender --check` does the latter.
+"""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+#: Seconds after which a case is taken to hang.
+LONGEST = 420
+#: Radiance: how far the mean over a view may be from ours.
+MEAN = 0.02
+
+
+def settings_file(folder):
+    import scenes
+
+    path = folder / "anzeige ü.toml"
+    path.write_text(scenes.DISPLAY, encoding="utf-8")
+    return path
+
+
+def install(zip_path):
+    """As a user does: Preferences > Get Extensions > Install from Disk."""
+    import bpy
+
+    result = bpy.ops.extensions.package_install_files(filepath=str(zip_path), repo="user_default", enable_on_install=True)
+    assert result == {"FINISHED"}, result
+    assert "bl_ext.user_default.lumistack" in bpy.context.preferences.addons.keys()
+
+
+def disable():
+    import bpy
+
+    bpy.ops.preferences.addon_disable(module="bl_ext.user_default.lumistack")
+
+
+def configure(scene, folder, **values):
+    held = scene.lumistack
+    held.display_from, held.file = "FILE", str(settings_file(folder))
+    held.quality, held.percentage, held.iterations, held.samples = "CUSTOM", 100, 3, 16
+    held.look = "LINEAR"
+    held.folder = str(folder / "Ausgabe ü")
+    for name, value in values.items():
+        setattr(held, name, value)
+    return Path(held.folder)
+
+
+def run(scene, **values):
+    from bl_ext.user_default.lumistack import jobs
+
+    job = jobs.Job(scene, **values)
+    jobs.run_now(job)
+    return job
+
+
+def hit_masks(field):
+    """[view, row, column]: whether the shape covers at least half of a pixel."""
+    return field.radiance[..., 1].reshape(-1, *field.shape[2:4]) >= 0.5
+
+
+def grown(mask):
+    """A mask and its neighbours, diagonal ones too."""
+    import numpy
+
+    padded = numpy.pad(mask, ((0, 0), (1, 1), (1, 1)))
+    rows, columns = mask.shape[1:]
+    return numpy.logical_or.reduce([padded[:, y : y + rows, x : x + columns] for y in range(3) for x in range(3)])
+
+
+def light_fields(scene, folder, grid):
+    """The same views by Cycles and by our path tracer."""
+    import lumistack
+
+    fields = []
+    for renderer in ("BLENDER", "LUMISTACK"):
+        out = configure(scene, folder, grid=grid, distance_mm=500.0, renderer=renderer)
+        scene.lumistack.folder = str(out / f"{grid} {renderer}")
+        job = run(scene, factorize=False)
+        assert not [line for line in job.warnings if not line.startswith("depth")], job.warnings
+        fields.append(lumistack.LightField.open(Path(scene.lumistack.folder) / "target"))
+    return fields
+
+
+def picture_of(path):
+    """[row, column, channel] of an OpenEXR picture."""
+    import bpy
+    import numpy
+
+    image = bpy.data.images.load(str(path))
+    values = numpy.empty(image.size[0] * image.size[1] * image.channels, numpy.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], image.channels)[..., :3]
+
+
+def case_lifecycle(folder, zip_path):
+    """Enable, disable and enable again leave nothing behind, and Blender ends by itself."""
+    import bpy
+
+    def traces():
+        found = [name for name in dir(bpy.types) if "lumistack" in name.lower()]
+        found += [name for name in ("lumistack", "lumistack_outputs") if hasattr(bpy.types.Scene, name)]
+        found += [name for name in dir(bpy.ops.lumistack)]
+        for name in dir(bpy.app.handlers):
+            held = getattr(bpy.app.handlers, name)
+            if isinstance(held, list):
+                found += [str(each) for each in held if "lumistack" in getattr(each, "__module__", "")]
+        return found
+
+    assert not traces(), traces()
+    install(zip_path)
+    there = traces()
+    assert {"lumistack", "lumistack_outputs", "LUMISTACK_PT_main", "make", "fit_depth"} <= set(there), there
+    import lumistack
+
+    assert ".local" in lumistack.__file__, lumistack.__file__
+    for _ in range(2):
+        disable()
+        assert not traces(), traces()
+        bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lumistack")
+        assert sorted(traces()) == sorted(there)
+    disable()
+    assert not traces(), traces()
+    return "ends by itself"
+
+
+def case_silhouettes(folder, zip_path):
+    """Both grids: every view's outline is that of our path tracer, to one pixel."""
+    import scenes
+
+    install(zip_path)
+    scene = scenes.silhouettes()
+    for grid in ("OBLIQUE", "PERSPECTIVE"):
+        ours, theirs = light_fields(scene, folder, grid)
+        assert ours.shape == theirs.shape == (3, 3, 60, 96, 3)
+        assert (ours.distance_mm is None) == (grid == "OBLIQUE")
+        a, b = hit_masks(ours), hit_masks(theirs)
+        share = a.mean()
+        assert 0.1 < share < 0.4, share
+        # content moves from view to view by more than the tolerance
+        assert (a[0] & ~grown(a)[8]).sum() > 50
+        beyond = [int((a[view] & ~grown(b)[view]).sum() + (b[view] & ~grown(a)[view]).sum()) for view in range(9)]
+        apart = int((a != b).sum())
+        print(f"{grid}: {apart} of {a.size} pixels on the outlines differ, {sum(beyond)} by more than one pixel; views {beyond}")
+        assert sum(beyond) == 0, beyond
+    return ""
+
+
+def case_radiance(folder, zip_path):
+    """The mean radiance of a diffuse scene, view by view and channel by channel."""
+    import numpy
+    import scenes
+
+    install(zip_path)
+    scene = scenes.diffuse()
+    scene.cycles.samples = 96
+    for grid in ("OBLIQUE", "PERSPECTIVE"):
+        configure(scene, folder, grid=grid)
+        ours, theirs = light_fields_of(scene, folder, grid, samples=96)
+        means = [field.radiance.astype(numpy.float64).mean(axis=(2, 3)) for field in (ours, theirs)]
+        off = means[1] / means[0] - 1.0
+        clipped = float((ours.radiance >= 1.0).mean())
+        print(f"{grid}: means {means[0].mean():.4f} and {means[1].mean():.4f}, apart by {100 * abs(off).max():.2f} % at most, {100 * off.mean():+.2f} % in all; {100 * clipped:.2f} % clipped")
+        assert clipped < 0.005
+        assert abs(off).max() < MEAN, off
+    return ""
+
+
+def light_fields_of(scene, folder, grid, samples):
+    import lumistack
+
+    fields = []
+    for renderer in ("BLENDER", "LUMISTACK"):
+        out = configure(scene, folder, grid=grid, distance_mm=500.0, renderer=renderer, samples=samples, exposure_ev=-1.0)
+        scene.lumistack.folder = str(out / f"{grid} {renderer}")
+        run(scene, factorize=False)
+        fields.append(lumistack.LightField.open(Path(scene.lumistack.folder) / "target"))
+    return fields
+
+
+def case_make(folder, zip_path):
+    """The button: patterns, an output, a report, the simulated view; a second press renders nothing."""
+    import bpy
+    import numpy
+    import scenes
+
+    install(zip_path)
+    import lumistack
+    from bl_ext.user_default.lumistack import jobs, operators, overlay, pictures
+
+    scene = scenes.diffuse()
+    scene.cycles.samples = 4
+    out = configure(scene, folder, grid="PERSPECTIVE", output="images", look="SCENE", iterations=8)
+    scene.lumistack_outputs.images_png8 = False
+    scene.lumistack_outputs.images_npz = True
+    before = sorted(held.name for held in bpy.data.objects), scene.render.filepath, scene.render.image_settings.file_format, scene.camera
+    job = run(scene)
+    after = sorted(held.name for held in bpy.data.objects), scene.render.filepath, scene.render.image_settings.file_format, scene.camera
+    assert before == after, "a render leaves the scene as it was"
+    assert (job.rendered, job.kept) == (9, 0)
+    for name in ("display.toml", "layers/stack.json", "report.html", "target/lightfield.json", "outputs/tensor-display/images/stack.npz"):
+        assert (out / name).is_file(), name
+    assert not list((out / "outputs/tensor-display/images").glob("*.png"))
+    held = jobs.shown[scene.name]
+    assert held.psnr > 15.0, held.psnr
+    assert bpy.ops.lumistack.look() == {"FINISHED"}
+    image = bpy.data.images[pictures.SHOWN]
+    assert tuple(image.size) == (96, 60) and image.is_float
+    pixels = numpy.empty(96 * 60 * 4, numpy.float32)
+    image.pixels.foreach_get(pixels)
+    straight = lumistack.simulate(held.stack)
+    assert numpy.allclose(pixels.reshape(60, 96, 4)[::-1, :, :3], straight, atol=1e-6)
+    operators.show_view(scene, (0.15, 0.0))
+    image.pixels.foreach_get(pixels)
+    assert abs(pixels.reshape(60, 96, 4)[::-1, :, :3] - straight).max() > 0.05, "the other side looks otherwise"
+    assert operators.finished_folder(scene) == out
+    lines = overlay.lines_of(scene)
+    assert [len(ends) for _, ends in lines] == [8, 24]
+    # patterns are kept too
+    start = (out / "layers/stack.json").stat().st_mtime_ns
+    job = run(scene)
+    assert (job.rendered, job.kept) == (0, 9) and (out / "layers/stack.json").stat().st_mtime_ns == start
+    # until something that is seen changes
+    bpy.data.materials["clay"].node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.1, 0.9, 0.1, 1.0)
+    job = run(scene, factorize=False)
+    assert job.rendered == 9
+    return f"PSNR {held.psnr:.1f} dB"
+
+
+def case_animation(folder, zip_path):
+    """A range of frames: one folder per time, each from the patterns before; a second run goes on where the first was stopped."""
+    import bpy
+    import scenes
+
+    install(zip_path)
+    scene = scenes.silhouettes()
+    scene.cycles.samples = 1
+    held = bpy.data.objects["Cube"]
+    held.keyframe_insert("location", frame=1)
+    held.location.x += 0.4
+    held.keyframe_insert("location", frame=3)
+    scene.frame_start, scene.frame_end = 1, 3
+    scene.frame_set(2)
+    out = configure(scene, folder, times="RANGE", use_views=True, views=(2, 1))
+    job = run(scene)
+    assert job.rendered == 6 and scene.frame_current == 2
+    assert sorted(each.name for each in out.iterdir()) == ["t0001", "t0002", "t0003"]
+    shutil.rmtree(next((out / "t0003").glob("views-*")))
+    job = run(scene)
+    assert (job.rendered, job.kept) == (2, 4)
+    return ""
+
+
+def case_faults(folder, zip_path):
+    """What is missing is said; what can be done without is."""
+    import bpy
+    import scenes
+
+    install(zip_path)
+    from bl_ext.user_default.lumistack import jobs
+
+    def fails(part, scene):
+        try:
+            run(scene, factorize=False)
+        except jobs.JobError as error:
+            assert part in str(error), error
+            print("  ", error)
+        else:
+            raise AssertionError(f"no error with {part}")
+
+    scene = scenes.silhouettes()
+    configure(scene, folder)
+    scene.camera = None
+    fails("the scene has no camera", scene)
+    assert bpy.ops.lumistack.check_depth.poll()
+    held = scenes.camera("pano")
+    held.data.type = "PANO"
+    fails("pano: expected a perspective or an orthographic camera, found pano", scene)
+    scene.camera = bpy.data.objects["Cube"]
+    fails("Cube: expected a camera, found an object of type mesh", scene)
+    away = scenes.camera("away")
+    away.data.dof.use_dof = False
+    away.rotation_euler = (3.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    fails("away: the camera sees nothing", scene)
+    scene.lumistack.file = str(folder / "no such.toml")
+    scene.camera = bpy.data.objects["camera"]
+    fails("no such.toml", scene)
+    # an orthographic camera works
+    scene = scenes.empty()
+    scenes.shapes(scenes.material("white", (1.0, 1.0, 1.0), glow=1.0))
+    scenes.camera(orthographic=True)
+    configure(scene, folder, use_views=True, views=(1, 1))
+    scene.cycles.samples = 1
+    ours, theirs = light_fields(scene, folder, "OBLIQUE")
+    assert not (hit_masks(ours) & ~grown(hit_masks(theirs))).any() and 0.1 < hit_masks(ours).mean() < 0.4
+    # depth that does not fit is said, and fitted by one click
+    scene.lumistack.moved_back_mm = -200.0
+    warned = [line for line in run(scene, factorize=False).warnings if line.startswith("depth")]
+    assert warned, "the scene lies behind the depth of field"
+    print("  ", warned[0])
+    assert bpy.ops.lumistack.fit_depth() == {"FINISHED"}
+    assert not run(scene, factorize=False).warnings
+    return f"fitted: back by {scene.lumistack.moved_back_mm:.1f} mm, depth {scene.lumistack.depth_scale:.2f}"
+
+
+def case_handover(folder, zip_path):
+    """Linked libraries, pictures that are there and that are missing, names beyond ASCII, instances, modifiers: as .blend scene files."""
+    import bpy
+    import numpy
+    import scenes
+
+    install(zip_path)
+    place = folder / "Szenen ü é 日本"
+    place.mkdir()
+    scenes.empty()
+    made = scenes.add("cube", scenes.material("rot", (0.9, 0.1, 0.1)), size=0.7)
+    made.name = "Würfel"
+    made.modifiers.new("Fläche", "SUBSURF").render_levels = 2
+    made.modifiers["Fläche"].levels = 0
+    bpy.ops.wm.save_as_mainfile(filepath=str(place / "bücherei.blend"))
+    scene = scenes.diffuse()
+    with bpy.data.libraries.load(str(place / "bücherei.blend"), link=True) as (there, here):
+        here.objects = [name for name in there.objects if name == "Würfel"]
+    scene.collection.objects.link(here.objects[0])
+    look = bpy.data.materials["clay"]
+    picture = bpy.data.images.new("muster", 8, 8)
+    picture.filepath_raw, picture.file_format = str(place / "muster é.png"), "PNG"
+    picture.save()
+    texture = look.node_tree.nodes.new("ShaderNodeTexImage")
+    texture.image = bpy.data.images.load(str(place / "muster é.png"))
+    look.node_tree.links.new(texture.outputs["Color"], look.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
+    for number in range(2):
+        held = bpy.data.objects.new("group", None)
+        held.instance_type = "COLLECTION"
+        scene.collection.objects.link(held)
+        held.location = (number, 2.0, 0.0)
+        if number == 0:
+            group = bpy.data.collections.new("stones")
+            group.objects.link(bpy.data.objects["Cube"])
+        held.instance_collection = group
+    path = place / "szene 東京.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.file.make_paths_relative()
+    bpy.ops.wm.save_mainfile()
+
+    import lumistack as package
+
+    home = str(Path(package.__file__).parent.parent)
+
+    def lumistack(*words, code=0):
+        program = os.environ.get("LUMISTACK_PROGRAM")
+        done = subprocess.run(
+            [*([program] if program else [sys.executable, "-m", "lumistack"]), *map(str, words)], capture_output=True, text=True, env={**os.environ, "LUMISTACK_BLENDER": sys.executable, "PYTHONPATH": home}
+        )
+        assert done.returncode == code, (words, done.stdout, done.stderr)
+        return done.stdout + done.stderr
+
+    said = lumistack("info", path)
+    print("  ", " | ".join(said.split("\n"))[:600])
+    assert "Würfel" not in said and "warning" not in said, said
+    assert "camera" in said and "rot" in said and "environment: yes" in said and "engine: CYCLES" in said, said
+    # 2 levels of a cube are 6 · 16 quads, whatever the viewport shows
+    shapes = 48 * 22 * 2 + 96 + 12 + 78 + 48 * 12 * 2
+    print("  ", [line for line in said.split("\n") if "triangles" in line], shapes)
+    said = lumistack("render", path, "--display", settings_file(folder), "--views", "1x1", "--resolution", "48x30", "--samples", "2", "-o", folder / "aus")
+    assert (folder / "aus" / "lightfield.json").is_file()
+    # the same view by Cycles, window and all
+    common = ["--display", settings_file(folder), "--views", "1x1", "--resolution", "48x30"]
+    said = lumistack("render", path, *common, "--engine", "blender", "-o", folder / "cycles")
+    pictures = [picture_of(folder / name / "view_00_00.exr") for name in ("aus", "cycles")]
+    apart = abs(pictures[0].mean() / pictures[1].mean() - 1.0)
+    alike = float(numpy.corrcoef(pictures[0].ravel(), pictures[1].ravel())[0, 1])
+    print(f"   our path tracer and Cycles on the command line: means apart by {100 * apart:.1f} %, correlation {alike:.3f}")
+    assert apart < 0.05 and alike > 0.9
+    # a picture and a library that are gone
+    (place / "muster é.png").unlink()
+    (place / "bücherei.blend").unlink()
+    said = lumistack("info", path)
+    assert "muster é.png is missing" in said and "bücherei.blend is missing" in said, said
+    # a file that is none, and settings that make no sense
+    (place / "kaputt.blend").write_bytes(b"not a blend file, though it says so")
+    said = lumistack("info", place / "kaputt.blend", code=1)
+    assert "kaputt.blend" in said and "Traceback" not in said, said
+    print("  ", said.strip())
+    said = lumistack("render", path, "--variant", "a=b", "-o", folder / "aus2", code=1)
+    assert "pose.variant" in said, said
+    return ""
+
+
+def case_resume(folder, zip_path):
+    """Killed in the middle of view 5 of 9, the second run starts at view 5."""
+    import bpy
+    import scenes
+
+    scene = scenes.silhouettes()
+    scene.cycles.samples = 1
+    path = folder / "szene ü.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    words = [sys.executable, str(HERE / "cases.py"), "command", str(zip_path), str(folder / "inner")]
+    (folder / "inner").mkdir()
+    settings_file(folder / "inner")
+    environment = {**os.environ, "CASE_BLEND": str(path), "BLENDER_USER_RESOURCES": str(folder / "inner" / "user")}
+    killed = subprocess.run(words, env={**environment, "CASE_KILL": "5"}, capture_output=True, text=True)
+    assert killed.returncode == -signal.SIGKILL, killed
+    views = next((folder / "inner" / "aus").glob("views-*"))
+    names = sorted(each.name for each in views.iterdir())
+    assert names == ["unfinished_view_01_01.exr", "view_00_00.exr", "view_00_01.exr", "view_00_02.exr", "view_01_00.exr"], names
+    stamps = {name: (views / name).stat().st_mtime_ns for name in names if name.startswith("view")}
+    again = subprocess.run(words, env={**environment, "CASE_KILL": "0"}, capture_output=True, text=True)
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert "5 views rendered, 4 kept" in again.stdout, again.stdout
+    assert all((views / name).stat().st_mtime_ns == stamp for name, stamp in stamps.items())
+    assert len(list(views.iterdir())) == 9
+    return ""
+
+
+def case_command(folder, zip_path):
+    """Not a test of its own: what `case_resume` runs and kills."""
+    import bpy
+
+    install(zip_path)
+    from bl_ext.user_default.lumistack import command
+
+    bpy.ops.wm.open_mainfile(filepath=os.environ["CASE_BLEND"])
+    kill, count = int(os.environ["CASE_KILL"]), 0
+
+    def begin(*_):
+        nonlocal count
+        count += 1
+        if count == kill:
+            Path(bpy.context.scene.render.filepath).write_bytes(b"half a picture")
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    bpy.app.handlers.render_pre.append(begin)
+    code = command.main(["views", "-o", str(folder / "aus"), "--display", str(settings_file(folder)), "--look", "linear"])
+    sys.stdout.flush()
+    os._exit(code)
+
+
+def case_headless(folder, zip_path):
+    """The command line: exit codes, and what it says."""
+    import bpy
+    import scenes
+
+    install(zip_path)
+    from bl_ext.user_default.lumistack import command
+
+    scene = scenes.silhouettes()
+    scene.cycles.samples = 1
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "szene.blend"))
+    display = str(settings_file(folder))
+    common = ["--display", display, "--views", "2x1", "--pixels", "50", "--iterations", "2", "--look", "linear"]
+    assert command.main(["make", *common, "-o", str(folder / "a"), "--plugin", "quilt"]) == 0
+    assert list((folder / "a" / "outputs" / "tensor-display" / "quilt").iterdir())
+    assert command.main(["make", *common, "-o", str(folder / "b"), "--renderer", "both", "--samples", "4", "--blend", str(folder / "szene.blend")]) == 0
+    assert (folder / "b" / "scene.glb").is_file()
+    assert command.main(["--help"]) == 0
+    assert command.main(["bake"]) == 2
+    assert command.main(["make", "--scene", "none", "-o", str(folder / "c")]) == 1
+    assert command.main(["make", "--display", "no-such-display", "-o", str(folder / "c")]) == 1
+    assert command.main(["make", "--blend", str(folder / "none.blend"), "-o", str(folder / "c")]) == 1
+    bpy.context.scene.camera = None
+    assert command.main(["make", *common, "-o", str(folder / "c")]) == 1
+    return ""
+
+
+def case_digest(folder, zip_path):
+    """Kept views are taken again only while nothing that is seen has changed."""
+    import bpy
+    import scenes
+
+    install(zip_path)
+    from bl_ext.user_default.lumistack import digest
+
+    scene = scenes.diffuse()
+    path = folder / "d.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    scene = bpy.context.scene
+    first = digest.digest(scene)
+    assert first == digest.digest(scene)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    assert digest.digest(bpy.context.scene) == first, "the same file gives the same digest"
+    objects, materials = bpy.data.objects, bpy.data.materials
+    nodes = materials["clay"].node_tree.nodes
+
+    def vertex():
+        objects["Cube"].data.vertices[0].co.x += 0.1
+        objects["Cube"].data.update()
+
+    changes = {
+        "an object moves": lambda: setattr(objects["Cube"], "location", (1.0, 0.0, 0.0)),
+        "a vertex moves": vertex,
+        "a light": lambda: setattr(bpy.data.lights["area"], "energy", 31.0),
+        "a colour": lambda: setattr(nodes["Principled BSDF"].inputs["Base Color"], "default_value", (0.1, 0.2, 0.3, 1.0)),
+        "the world": lambda: scenes.background(0.3),
+        "samples": lambda: setattr(bpy.context.scene.cycles, "samples", 7),
+        "a modifier": lambda: objects["Cube"].modifiers.new("b", "BEVEL"),
+        "hidden in renders": lambda: setattr(objects["Torus"], "hide_render", True),
+        "a new object": lambda: scenes.add("cube", materials["clay"], size=0.1),
+    }
+    seen = {first}
+    for name, change in changes.items():
+        change()
+        bpy.context.view_layer.update()
+        found = digest.digest(bpy.context.scene)
+        assert found not in seen, name
+        seen.add(found)
+    return f"{len(changes)} changes"
+
+
+def case_overlay(folder, zip_path):
+    """What the 3D view draws, drawn here: the window's edges are those of the camera's picture; a picture from the side is left to be looked at."""
+    import bpy
+    import numpy
+    import scenes
+    from bpy_extras.object_utils import world_to_camera_view
+    from mathutils import Vector
+
+    install(zip_path)
+    from bl_ext.user_default.lumistack import jobs, operators, overlay
+
+    scene = scenes.diffuse()
+    scene.cycles.samples = 8
+    configure(scene, folder, use_views=True, views=(3, 1), look="SCENE", show_cone=True)
+    display, window = overlay.placement(scene)
+    scene.render.resolution_x, scene.render.resolution_y = 960, 600
+    for colour, ends in overlay.lines_of(scene):
+        if colour == overlay.WINDOW:
+            places = [world_to_camera_view(scene, scene.camera, Vector(end)) for end in ends]
+            assert {(round(place.x, 3), round(place.y, 3)) for place in places} == {(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)}
+            assert all(abs(place.z - 4.0) < 1e-4 for place in places), "in the plane of focus"
+    # the arrow moves the window along its normal, and shows where it stands
+    origin = overlay.arrow_matrix(window, 0.0).translation.copy()
+    scene.lumistack.moved_back_mm = 30.0
+    overlay.forget()
+    moved = overlay.placement(scene)[1]
+    normal = Vector(window.back)
+    assert (Vector(moved.centre) - Vector(window.centre) + 30.0 * window.scale * normal).length < 1e-5
+    assert (overlay.arrow_matrix(moved, 30.0).translation - origin).length < 1e-5
+    scene.lumistack.moved_back_mm = 0.0
+    overlay.forget()
+    run(scene)
+    operators.show_view(scene, (0.0, 0.0))
+    # from the side, as a 3D view would show it
+    look, side = scene.camera, scenes.camera("side")
+    side.data.dof.use_dof = False
+    side.location, side.rotation_euler = (4.2, -2.6, 2.0), (1.25, 0.0, 0.98)
+    side.data.lens = 30.0
+    bpy.context.view_layer.update()
+    path = folder / "side.png"
+    scene.render.filepath, scene.render.image_settings.file_format = str(path), "PNG"
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path))
+    pixels = numpy.empty(960 * 600 * 4, numpy.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(600, 960, 4)
+    drawn = []
+    scene.camera = look
+    overlay.forget()
+    shown = overlay._pictures[scene.name][::-1]
+    corners = [Vector(window.point(line[0])) for line in overlay.outline.frame(window.size_mm)]
+    for v in numpy.linspace(0.0, 1.0, 500, endpoint=False):
+        for u in numpy.linspace(0.0, 1.0, 800, endpoint=False):
+            point = corners[3].lerp(corners[2], u).lerp(corners[0].lerp(corners[1], u), v)
+            place = world_to_camera_view(scene, side, point)
+            row, column = int(place.y * 600), int(place.x * 960)
+            if 0 <= row < 600 and 0 <= column < 960:
+                linear = shown[int(v * shown.shape[0]), int(u * shown.shape[1])]
+                pixels[row, column, :3] = numpy.clip(linear, 0.0, 1.0) ** (1 / 2.2)
+    for colour, ends in overlay.lines_of(scene):
+        for start, end in zip(ends[::2], ends[1::2]):
+            drawn.append(colour)
+            for share in numpy.linspace(0.0, 1.0, 1500):
+                place = world_to_camera_view(scene, side, Vector(start).lerp(Vector(end), share))
+                row, column = int(place.y * 600), int(place.x * 960)
+                if place.z > 0.0 and 1 <= row < 599 and 1 <= column < 959:
+                    pixels[row : row + 2, column : column + 2, :3] = numpy.array(colour[:3]) ** (1 / 2.2)
+    assert len(drawn) == 4 + 12 + 8
+    image.pixels.foreach_set(pixels.ravel())
+    image.filepath_raw = str(folder / "overlay.png")
+    image.save()
+    return str(folder / "overlay.png")
+
+
+CASES = ["lifecycle", "silhouettes", "radiance", "make", "animation", "faults", "handover", "resume", "headless", "digest", "overlay"]
+
+
+def run_all(zip_path, folder, names):
+    failed = []
+    for name in names:
+        place = folder / name
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir(parents=True)
+        environment = {**os.environ, "BLENDER_USER_RESOURCES": str(place / "user"), "PYTHONPATH": str(HERE), "PYTHONUTF8": "1"}
+        start = time.monotonic()
+        try:
+            done = subprocess.run([sys.executable, __file__, name, str(zip_path), str(place)], env=environment, capture_output=True, text=True, timeout=LONGEST)
+            code, said = done.returncode, done.stdout + done.stderr
+        except subprocess.TimeoutExpired as error:
+            code, said = -1, f"{error.stdout or b''}\nhangs"
+        ok = code == 0
+        lines = [line for line in said.split("\n") if line.startswith(("case:", "  ", "OBLIQUE", "PERSPECTIVE"))]
+        print(f"{'ok  ' if ok else 'FAIL'} {name} ({time.monotonic() - start:.0f} s)", *lines if ok else [said[-6000:]], sep="\n     ", flush=True)
+        failed += [] if ok else [name]
+    return failed
+
+
+def main():
+    name, zip_path, folder = sys.argv[1], Path(sys.argv[2]).resolve(), Path(sys.argv[3]).resolve()
+    if name == "all" or "," in name:
+        failed = run_all(zip_path, folder, CASES if name == "all" else name.split(","))
+        sys.exit(1 if failed else 0)
+    try:
+        said = globals()[f"case_{name}"](folder, zip_path)
+        print(f"case: {said}" if said else "case: done")
+        code = 0
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if code == 0 and said == "ends by itself":
+        return
+    # Blender as a module may hang or crash while Python ends with classes registered
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scenes that the tests build, and a small display for them."""
+
+import math
+
+import bpy
+
+#: Millimetres: a display of 96 × 60 pixels, 3 × 3 views.
+DISPLAY = """name = "three small layers"
+frames = 3
+refresh_hz = 180.0
+brightness = 0.5
+
+[backlight]
+kind = "uniform"
+
+[field]
+resolution = [96, 60]
+pitch_mm = 2.0
+views = [3, 3]
+fov_deg = [24.0, 18.0]
+
+[[layers]]
+d_mm = -12.0
+resolution = [96, 60]
+pitch_mm = 2.0
+
+[[layers]]
+d_mm = 0.0
+resolution = [96, 60]
+pitch_mm = 2.0
+
+[[layers]]
+d_mm = 12.0
+resolution = [96, 60]
+pitch_mm = 2.0
+"""
+
+
+def empty():
+    # unlike read_factory_settings this leaves extensions enabled
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = 16
+    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.use_denoising = False
+    scene.cycles.pixel_filter_type = "BOX"
+    scene.cycles.filter_width = 1.0
+    # nothing is cut off, and paths are as long as ours
+    scene.cycles.sample_clamp_direct = scene.cycles.sample_clamp_indirect = 0.0
+    scene.cycles.blur_glossy = 0.0
+    scene.cycles.light_sampling_threshold = 0.0
+    for kind in ("max", "diffuse", "glossy", "transmission"):
+        setattr(scene.cycles, kind + "_bounces", 6)
+    world = bpy.data.worlds.new("world")
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    scene.world = world
+    background(0.0)
+    return scene
+
+
+def background(value):
+    node = bpy.context.scene.world.node_tree.nodes["Background"]
+    node.inputs["Color"].default_value = (value, value, value, 1.0)
+
+
+def material(name, colour=(0.8, 0.8, 0.8), glow=0.0):
+    made = bpy.data.materials.new(name)
+    if bpy.app.version < (5, 0, 0):
+        made.use_nodes = True
+    shader = made.node_tree.nodes["Principled BSDF"]
+    shader.inputs["Base Color"].default_value = (*colour, 1.0)
+    shader.inputs["Roughness"].default_value = 1.0
+    shader.inputs["Metallic"].default_value = 0.0
+    shader.inputs["Specular IOR Level"].default_value = 0.0
+    if glow:
+        shader.inputs["Base Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+        shader.inputs["Emission Color"].default_value = (*colour, 1.0)
+        shader.inputs["Emission Strength"].default_value = glow
+    return made
+
+
+def add(kind, look, **where):
+    getattr(bpy.ops.mesh, f"primitive_{kind}_add")(**where)
+    held = bpy.context.object
+    held.data.materials.append(look)
+    return held
+
+
+def camera(name="camera", focus=4.0, orthographic=False):
+    """Looks along +y from the left and from above, turned a little about its axis."""
+    data = bpy.data.cameras.new(name)
+    data.dof.use_dof = True
+    data.dof.focus_distance = focus
+    if orthographic:
+        data.type, data.ortho_scale = "ORTHO", 3.0
+    else:
+        data.lens = 40.0
+    held = bpy.data.objects.new(name, data)
+    held.location = (-1.0, -4.0, 1.0)
+    held.rotation_euler = (math.radians(78.0), math.radians(4.0), math.radians(-14.0))
+    bpy.context.scene.collection.objects.link(held)
+    bpy.context.scene.camera = held
+    bpy.context.view_layer.update()
+    return held
+
+
+def shapes(look):
+    """Before, in and behind the window."""
+    add("uv_sphere", look, radius=0.35, location=(-0.7, 0.4, 0.15), segments=48, ring_count=24)
+    add("cube", look, size=0.5, location=(0.35, -0.7, 0.25), rotation=(0.3, 0.5, 0.2))
+    add("cone", look, radius1=0.35, depth=0.8, location=(0.55, 1.6, 0.5), vertices=40)
+    add("torus", look, major_radius=0.3, minor_radius=0.09, location=(-0.15, 0.9, 0.75), rotation=(0.8, 0.3, 0.0))
+
+
+def silhouettes():
+    scene = empty()
+    shapes(material("white", (1.0, 1.0, 1.0), glow=1.0))
+    camera()
+    return scene
+
+
+def diffuse():
+    """Everything diffuse, lit by a sun, a lamp with a surface, a round lamp, and a grey world."""
+    scene = empty()
+    background(0.25)
+    shapes(material("clay", (0.6, 0.5, 0.4)))
+    floor = add("plane", material("floor", (0.35, 0.4, 0.45)), size=9.0, location=(0.0, 1.0, -0.4))
+    floor.rotation_euler = (0.05, 0.0, 0.1)
+    lamp("SUN", 0.5, rotation=(0.5, 0.3, 0.0))
+    area = lamp("AREA", 30.0, location=(-1.0, 0.2, 2.6), rotation=(0.2, -0.3, 0.1))
+    area.data.shape, area.data.size, area.data.size_y = "RECTANGLE", 1.2, 0.7
+    ball = lamp("POINT", 12.0, location=(1.4, -0.6, 1.6))
+    ball.data.shadow_soft_size, ball.data.color = 0.15, (1.0, 0.8, 0.6)
+    camera()
+    return scene
+
+
+def lamp(kind, energy, location=(0.0, 0.0, 3.0), rotation=(0.0, 0.0, 0.0)):
+    data = bpy.data.lights.new(kind.lower(), kind)
+    data.energy = energy
+    if kind == "SUN":
+        data.angle = 0.0
+    held = bpy.data.objects.new(kind.lower(), data)
+    held.location, held.rotation_euler = location, rotation
+    bpy.context.scene.collection.objects.link(held)
+    return held
