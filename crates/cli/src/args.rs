@@ -52,6 +52,15 @@ pub(crate) enum Command {
         after_help = "Example:\n  lumistack preview runs/still-life\n\nServes this machine alone, opens the browser, and reloads the page when the patterns change. A preview folder can also be put on any\nweb server as it is; its preview.html opens by a double click."
     )]
     Preview(Preview),
+    /// What displays can show by their geometry: depth of field, spectral support, viewing zone, frame rate, brightness
+    #[command(after_help = crate::analyze::EXAMPLES)]
+    Analyze(crate::analyze::Analyze),
+    /// PSNR and brightness of many designs on one light field, as a table and plots; with constraints, the design to build
+    #[command(after_help = crate::sweep::EXAMPLES)]
+    Sweep(crate::sweep::Sweep),
+    /// Two runs side by side, or a run beside a photograph of its panels; pictures as an eye's pupil sees them
+    #[command(after_help = crate::compare::EXAMPLES)]
+    Compare(crate::compare::Compare),
     /// What is in a scene, a light field, a layer stack, a run folder, a display or a job
     Info(Info),
     /// All plugins with their parameters and where they come from, and which libraries could not be used and why

@@ -46,6 +46,9 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         Command::Factorize(factorize) => factorize_command(&factorize, line, &registry_for_work()?, args.json, task),
         Command::Simulate(simulate) => simulate_command(&simulate, args.json),
         Command::Preview(preview) => preview_command(&preview, &registry_for_work()?, args.json, task),
+        Command::Analyze(analyze) => crate::analyze::run(&analyze, &registry_for_work()?, args.json, task),
+        Command::Sweep(sweep) => crate::sweep::run(&sweep, &registry_for_work()?, args.json, task),
+        Command::Compare(compare) => crate::compare::run(&compare, args.json, task),
         Command::Info(info) => info::print(&info, &registry_for_work()?, args.json, task),
         Command::Plugins => {
             info::print_plugins(&registry()?, args.json);
@@ -242,7 +245,7 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     }
 }
 
-fn change_factorize(job: &mut Job, args: &FactorizeArgs) {
+pub(crate) fn change_factorize(job: &mut Job, args: &FactorizeArgs) {
     let factorize = &mut job.factorize;
     factorize.iterations = args.iterations.unwrap_or(factorize.iterations);
     if let Some(solver) = &args.solver {

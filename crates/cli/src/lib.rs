@@ -2,12 +2,15 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 
+mod analyze;
 mod args;
 mod commands;
+mod compare;
 mod console;
 mod info;
 mod preview;
 mod server;
+mod sweep;
 
 use std::ffi::OsString;
 

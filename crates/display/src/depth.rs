@@ -39,7 +39,7 @@ impl Display {
     }
 
     /// The segments along one axis.
-    fn generators(&self, axis: usize) -> Vec<[f64; 2]> {
+    pub(crate) fn generators(&self, axis: usize) -> Vec<[f64; 2]> {
         let mut generators: Vec<[f64; 2]> = self
             .layers
             .iter()
@@ -60,16 +60,16 @@ impl Display {
     }
 }
 
-fn cross(a: [f64; 2], c: [f64; 2]) -> f64 {
+pub(crate) fn cross(a: [f64; 2], c: [f64; 2]) -> f64 {
     a[0] * c[1] - a[1] * c[0]
 }
 
 /// Σ_j |g × g_j|.
-fn width(generators: &[[f64; 2]], g: [f64; 2]) -> f64 {
+pub(crate) fn width(generators: &[[f64; 2]], g: [f64; 2]) -> f64 {
     generators.iter().map(|other| cross(g, *other).abs()).sum()
 }
 
-fn cutoff(generators: &[[f64; 2]], z_mm: f64) -> f64 {
+pub(crate) fn cutoff(generators: &[[f64; 2]], z_mm: f64) -> f64 {
     // of parallel segments the sum is a segment
     let along = || generators.iter().map(|g| g[0]).sum();
     let bounds = generators.iter().map(|&g| (width(generators, g), cross(g, [1.0, z_mm]).abs()));

@@ -35,18 +35,25 @@ pub struct Outlook {
 /// # Errors
 /// When the job has no scene, or scene, display or window make no sense.
 pub fn outlook(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
+    outlook_on(job, &job.resolve_display()?, registry, task)
+}
+
+/// [`outlook`] with another display than the job's.
+///
+/// # Errors
+/// As there.
+pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
     let Some(scene) = &job.scene else {
         return Err(PipelineError::value("job", "scene", "a scene", "none"));
     };
-    let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let ingested = load_scene(scene, &job.pose, &job.importer, registry, &job.light, task)?;
-    let placement = fit::place(&ingested, &job.window, &display, &geometry, None, task)?;
+    let placement = fit::place(&ingested, &job.window, display, &geometry, None, task)?;
     let renderer = ingested.renderer(task)?;
     let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
     let depths = Depths::trace(renderer, &placement.window, &traced, None, task)?;
     let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
-    Ok(Outlook { depth: depths.budget(&display, &geometry, &placement), coverage, memory: renderer.memory() })
+    Ok(Outlook { depth: depths.budget(display, &geometry, &placement), coverage, memory: renderer.memory() })
 }
 
 /// z of the first surface along rays of all views, in the display space of the window.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::Cancelled;
 use lumistack_core::config::ConfigError;
+use lumistack_design::plot::PlotError;
 use lumistack_display::{DisplayError, GridError, StackError, WeightError};
 use lumistack_factorizer::FactorizeError;
 use lumistack_field_io::FieldError;
@@ -140,6 +141,9 @@ pub enum PipelineError {
     /// The report could not be made.
     #[error(transparent)]
     Report(ReportError),
+    /// A plot could not be drawn.
+    #[error(transparent)]
+    Plot(PlotError),
 }
 
 impl From<Cancelled> for PipelineError {

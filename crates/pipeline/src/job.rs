@@ -9,6 +9,7 @@ mod graph;
 mod light;
 mod render;
 mod sequence;
+mod sweep;
 mod window;
 
 use std::path::{Path, PathBuf};
@@ -24,6 +25,7 @@ pub use self::graph::{ImporterJob, NodeJob, OutputJob, SourceJob};
 pub use self::light::{LightJob, Tone};
 pub use self::render::{AngularFilter, Denoise, Engine, RenderJob};
 pub use self::sequence::SequenceJob;
+pub use self::sweep::{SearchJob, SweepJob};
 pub use self::window::{FitDepth, WindowFrom, WindowJob};
 use crate::error::{PipelineError, read_to_string};
 
@@ -72,6 +74,9 @@ pub struct Job {
     /// Times of a sequence; without it the job is a still.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sequence: Option<SequenceJob>,
+    /// Designs to compare, for `lumistack sweep`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sweep: Option<SweepJob>,
     /// Report.
     #[serde(default)]
     pub report: ReportJob,
@@ -168,6 +173,7 @@ impl Job {
             render: RenderJob::default(),
             factorize: FactorizeJob::default(),
             sequence: None,
+            sweep: None,
             report: ReportJob::default(),
             importer: ImporterJob::default(),
             source: None,
@@ -309,6 +315,8 @@ mod tests {
             keys::<RenderJob>(),
             keys::<FactorizeJob>(),
             keys::<SequenceJob>(),
+            keys::<SweepJob>(),
+            keys::<SearchJob>(),
             keys::<ReportJob>(),
             keys::<OutputJob>(),
             keys::<ImporterJob>(),

@@ -11,6 +11,7 @@
 
 mod blender;
 mod cache;
+mod compare;
 mod denoise;
 mod depth;
 mod error;
@@ -31,16 +32,18 @@ mod run;
 mod sequence;
 mod simulate;
 mod steps;
+mod sweep;
 
 pub use cache::{KeyBuilder, Stamps};
-pub use depth::{Outlook, outlook};
+pub use compare::{Likeness, PhotoComparison, RunComparison, compare_photo, compare_runs, refocused};
+pub use depth::{Outlook, outlook, outlook_on};
 pub use error::PipelineError;
 pub use graph::NodeSummary;
 pub use ingest::{Ingested, SceneContents, is_blend, is_usd, load_scene, place_window, scene_contents, take_scene};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
-    AngularFilter, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob,
-    OutputJob, PoseJob, RenderJob, ReportJob, SequenceJob, SourceJob, Tone, WindowFrom, WindowJob,
+AngularFilter, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob,
+    OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone, WindowFrom, WindowJob,
 };
 pub use look::automatic_look;
 pub use lumistack_plugin_host::{OutputData, Registry};
@@ -50,6 +53,7 @@ pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file};
 pub use steps::{
     ReportOn, Traced, WeightsFrom, factorize_field, open_field, render_field, weights_of, write_output, write_report_on,
 };
+pub use sweep::{SweepSummary, sweep};
 
 /// Sets the number of worker threads of the whole program; results do not depend on it. Call it before any work.
 ///

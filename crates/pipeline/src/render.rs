@@ -57,7 +57,8 @@ pub fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid> {
     Some(ViewGrid { projection: grid.projection, slope_x: pick(&midpoints.slope_x), slope_y: pick(&midpoints.slope_y) })
 }
 
-/// Traces all views that the cache does not hold. With a depth scale they are traced at slopes that much smaller than those of `geometry`.
+/// Traces all views that the cache does not hold. With a depth scale they are traced at slopes that much smaller than those of `geometry`. `footprint` is the
+/// width of slopes of the display's own prefilter.
 ///
 /// # Errors
 /// When rendering fails or is cancelled, or a view cannot be stored.
@@ -66,6 +67,7 @@ pub(crate) fn render(
     ingested: &Ingested,
     placement: &Placement,
     geometry: &FieldGeometry,
+    footprint: [f64; 2],
     cache_dir: &Path,
     task: Task<'_>,
 ) -> Result<Rendered, PipelineError> {
@@ -83,6 +85,9 @@ pub(crate) fn render(
             }
             AngularFilter::Point => lumistack_pathtracer::AngularFilter::Point,
             AngularFilter::Bin => lumistack_pathtracer::AngularFilter::Bin,
+            AngularFilter::Display => {
+                lumistack_pathtracer::AngularFilter::Width(footprint.map(|width| placement.depth_scale * width))
+            }
         },
         ..Settings::default()
     };

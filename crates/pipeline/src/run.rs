@@ -87,6 +87,10 @@ pub fn run(
     command: Option<&str>,
     task: Task<'_>,
 ) -> Result<Summary, PipelineError> {
+    if job.sweep.is_some() {
+        let expected = "a job without `[sweep]`, or `lumistack sweep`, which compares its designs";
+        return Err(PipelineError::value("job", "sweep", expected, "`[sweep]`"));
+    }
     let job = &file_params::resolved(job, registry)?;
     if let Some(sequence) = &job.sequence {
         return sequence::run(job, sequence, run_dir, registry, command, task);

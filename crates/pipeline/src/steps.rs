@@ -47,7 +47,7 @@ pub fn render_field(
     let placement = fit::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
-    let rendered = render::render(&job, ingested, &placement, &geometry, cache_dir, task)?;
+    let rendered = render::render(&job, ingested, &placement, &geometry, display.angular_footprint(), cache_dir, task)?;
     let depth = rendered.depths.budget(display, &geometry, &placement);
     warn_of_depth(&depth, task);
     let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());

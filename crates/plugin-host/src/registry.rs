@@ -42,8 +42,15 @@ impl Registry {
     /// If a plugin describes itself badly, a mistake in the plugin.
     pub fn built_in() -> Result<Self, HostError> {
         let mut registry = Self::default();
+        #[cfg(feature = "directional-sequence")]
+        registry
+            .add(Plugin::compiled_in(&lumistack_plugin_directional_sequence::PLUGIN).map_err(HostError::BadPlugin)?)?;
         #[cfg(feature = "images")]
         registry.add(Plugin::compiled_in(&lumistack_plugin_images::PLUGIN).map_err(HostError::BadPlugin)?)?;
+        #[cfg(feature = "integral-imaging")]
+        registry.add(Plugin::compiled_in(&lumistack_plugin_integral_imaging::PLUGIN).map_err(HostError::BadPlugin)?)?;
+        #[cfg(feature = "log-tomography")]
+        registry.add(Plugin::compiled_in(&lumistack_plugin_log_tomography::PLUGIN).map_err(HostError::BadPlugin)?)?;
         #[cfg(feature = "obj")]
         registry.add(Plugin::compiled_in(&lumistack_plugin_obj::PLUGIN).map_err(HostError::BadPlugin)?)?;
         #[cfg(feature = "parallax-barrier")]
@@ -54,6 +61,8 @@ impl Registry {
         registry.add(Plugin::compiled_in(&lumistack_plugin_test_views::PLUGIN).map_err(HostError::BadPlugin)?)?;
         #[cfg(feature = "transparencies")]
         registry.add(Plugin::compiled_in(&lumistack_plugin_transparencies::PLUGIN).map_err(HostError::BadPlugin)?)?;
+        #[cfg(feature = "two-layer-nmf")]
+        registry.add(Plugin::compiled_in(&lumistack_plugin_two_layer_nmf::PLUGIN).map_err(HostError::BadPlugin)?)?;
         #[cfg(feature = "web-simulator")]
         registry.add(Plugin::compiled_in(&lumistack_plugin_web_simulator::PLUGIN).map_err(HostError::BadPlugin)?)?;
         Ok(registry)
@@ -166,7 +175,10 @@ mod tests {
         let error = registry.get("imagse").unwrap_err();
         assert_eq!(error.to_string(), "unknown plugin `imagse`; did you mean `images`?");
         let error = registry.get("zzz").unwrap_err();
-        assert!(error.to_string().starts_with("unknown plugin `zzz`; expected one of images, "), "{error}");
+        assert!(
+            error.to_string().starts_with("unknown plugin `zzz`; expected one of directional_sequence, images, "),
+            "{error}"
+        );
         let error = registry.check_params("images", &json!({"png6": true})).unwrap_err();
         assert!(
             error.to_string().starts_with("output `images`: unknown parameter `png6`; did you mean `png"),

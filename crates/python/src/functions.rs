@@ -41,7 +41,7 @@ pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
 /// in a job file (docs/JOB.md; defaults() has the defaults):
 ///
 /// * samples: paths per pixel and view, 1 to 65536; max_bounces: bounces after the first hit, 0 to 1024; clamp: largest value of a single path
-/// * denoise: "off", "guided" or "oidn"; angular_filter: "point" or "bin"; lens_deg: angle of a lens, degrees, 0 to 90
+/// * denoise: "off", "guided" or "oidn"; angular_filter: "point", "bin" or "display"; lens_deg: angle of a lens, degrees, 0 to 90
 /// * camera: name or number of the camera whose plane of focus the display takes; fit_depth: "off", "move" or "compress"; depth_scale: factor on parallax,
 ///   0.001 to 10; window: a mapping with the other keys of [window], such as {"from": "bounds"}
 /// * exposure_ev: stops added to the automatic exposure; tone: "auto", "linear", "khronos-neutral" or "agx"; light: a mapping with other keys of [light]

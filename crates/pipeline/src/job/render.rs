@@ -17,7 +17,7 @@ pub struct RenderJob {
     /// Largest value of a single path, which dims brighter ones and so loses light; none keeps all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clamp: Option<f32>,
-    /// `point`: rays at the view's slope; `bin`: spread over the view's bin.
+    /// `point`: rays at the view's slope; `bin`: spread over the view's bin; `display`: over what the display cannot tell apart far from itself.
     pub angular_filter: AngularFilter,
     /// Full angle under which a lens focused on the window is seen from it, degrees; 0 for a pinhole. Instead of `angular_filter`.
     pub lens_deg: f64,
@@ -61,6 +61,8 @@ pub enum AngularFilter {
     Point,
     /// Slopes spread over the view's bin.
     Bin,
+    /// Slopes spread over [`Display::angular_footprint`](lumistack_display::Display::angular_footprint): the display's own prefilter.
+    Display,
 }
 
 /// What takes noise out of finished views.
@@ -124,8 +126,8 @@ impl RenderJob {
         if !(0.0..=90.0).contains(&self.lens_deg) {
             return fail("render.lens_deg", "0 to 90", self.lens_deg.to_string());
         }
-        if self.lens_deg > 0.0 && self.angular_filter == AngularFilter::Bin {
-            return fail("render.lens_deg", "either a lens or `angular_filter = \"bin\"`", "both".into());
+        if self.lens_deg > 0.0 && self.angular_filter != AngularFilter::Point {
+            return fail("render.lens_deg", "either a lens or `angular_filter`", "both".into());
         }
         let plain = (self.angular_filter, self.lens_deg, self.denoise) == (AngularFilter::Point, 0.0, Denoise::Off);
         if self.engine == Engine::Blender && !(plain && self.clamp.is_none()) {

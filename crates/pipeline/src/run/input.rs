@@ -25,7 +25,7 @@ use crate::sequence;
 /// What the input stage gives.
 pub(crate) struct Input {
     pub(crate) target: LightField,
-    pub(super) held_out: Option<LightField>,
+    pub(crate) held_out: Option<LightField>,
     pub(super) outside: Option<LightField>,
     /// How it became display-referred, where it was rendered.
     pub(crate) look: Option<Look>,
@@ -58,7 +58,7 @@ pub fn render_only(
     let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
-    let rendered = render::render(&job, &ingested, &placement, &geometry, &cache, task)?;
+    let rendered = render::render(&job, &ingested, &placement, &geometry, display.angular_footprint(), &cache, task)?;
     let budget = rendered.depths.budget(&display, &geometry, &placement);
     warn_of_depth(&budget, task);
     write_field(target_dir, &rendered.target, &field_info(&rendered, &placement))?;
@@ -93,7 +93,8 @@ impl Run<'_> {
         let placement = fit::place(ingested, &job.window, &self.display, &geometry, Some(&cache), task)?;
         let rendered = self.timed("render", |run| {
             let views = run.dir.join("cache/views");
-            let rendered = render::render(job, ingested, &placement, &geometry, &views, task)?;
+            let footprint = run.display.angular_footprint();
+            let rendered = render::render(job, ingested, &placement, &geometry, footprint, &views, task)?;
             let cached = rendered.cached;
             Ok((rendered, cached))
         })?;

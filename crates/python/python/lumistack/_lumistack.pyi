@@ -188,7 +188,7 @@ def render(
     max_bounces: int | None = None,
     clamp: float | None = None,
     denoise: Literal["off", "guided", "oidn"] | None = None,
-    angular_filter: Literal["point", "bin"] | None = None,
+    angular_filter: Literal["point", "bin", "display"] | None = None,
     lens_deg: float | None = None,
     camera: str | int | None = None,
     fit_depth: Literal["off", "move", "compress"] | None = None,

@@ -1,0 +1,264 @@
+//! `lumistack analyze`: what displays can show by their geometry.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use lumistack_core::Task;
+use lumistack_design::contrast::{self, Contrast, ContrastError, FactorizeError, Gratings};
+use lumistack_design::{Analysis, Scene, plot};
+use lumistack_display::{Display, Variation};
+use lumistack_pipeline::{PipelineError, Registry, RunFolder, outlook_on, presets};
+use serde_json::json;
+
+use crate::commands::job_or_scene;
+use crate::console::say;
+
+pub(crate) const EXAMPLES: &str = "\
+Examples:
+  lumistack analyze paper-directional                       what it shows how sharply, beside the paper's eqs. 23 and 26
+  lumistack analyze paper-three-layer:layers=2 paper-three-layer paper-directional paper-directional:layers=2,gap_mm=8.5 -o bounds
+                                                            the curves of the paper's Figure 6, and the supports of Figure 4
+  lumistack analyze paper-three-layer --contrast -o bounds  what a solver achieves of the bound
+  lumistack analyze my.toml --scene model.glb               what the scene's depth asks of it
+  lumistack analyze runs/still-life                         a finished run: its display and its scene";
+
+/// What to analyze.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Analyze {
+    /// Presets (see `lumistack displays`), display files or run folders; after a colon what to change: layers, frames, brightness, gap_mm, fov
+    /// (HxV), lenslets (CxR)
+    #[arg(required = true, value_name = "NAME|FILE|DIR[:KEY=VALUE,...]")]
+    displays: Vec<Which>,
+    /// A scene (or job) in which every display is placed, to see what its depth asks
+    #[arg(long, value_name = "SCENE|JOB", conflicts_with = "run")]
+    scene: Option<PathBuf>,
+    /// A finished run whose scene's depth is taken
+    #[arg(long, value_name = "DIR")]
+    run: Option<PathBuf>,
+    /// Depth up to which the bound is worked out, millimetres [default: what display and scene need]
+    #[arg(long, value_name = "MM")]
+    reach_mm: Option<f64>,
+    /// Solve every display for gratings at many depths and frequencies, and tell the contrast that is achieved of the bound (some seconds each)
+    #[arg(long)]
+    contrast: bool,
+    /// Folder for analysis.json and the plots, as SVG and PNG
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+}
+
+/// A display and what to change about it.
+#[derive(Clone, Debug)]
+struct Which {
+    name: String,
+    change: Variation,
+    told: String,
+}
+
+impl FromStr for Which {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        // C:\display.toml has a colon of its own
+        let at = text.rfind(':').filter(|&at| text[at..].contains('='));
+        let (name, told) = at.map_or((text, ""), |at| (&text[..at], &text[at + 1..]));
+        let mut change = Variation::default();
+        for part in told.split(',').filter(|part| !part.is_empty()) {
+            let (key, value) = part.split_once('=').ok_or_else(|| format!("expected KEY=VALUE, found `{part}`"))?;
+            let wrong = || format!("`{value}` is no value of {key}");
+            match key.trim() {
+                "layers" => change.layers = Some(value.parse().map_err(|_| wrong())?),
+                "frames" => change.frames = Some(value.parse().map_err(|_| wrong())?),
+                "brightness" => change.brightness = Some(value.parse().map_err(|_| wrong())?),
+                "gap_mm" => change.gap_mm = Some(value.parse().map_err(|_| wrong())?),
+                "fov" => change.fov_deg = Some(value.parse::<crate::args::Angles>().map_err(|_| wrong())?.0),
+                "lenslets" => change.lenslets = Some(value.parse::<crate::args::Size>().map_err(|_| wrong())?.0),
+                _ => {
+                    return Err(format!("expected layers, frames, brightness, gap_mm, fov or lenslets, found `{key}`"));
+                }
+            }
+        }
+        Ok(Self { name: name.into(), change, told: told.into() })
+    }
+}
+
+pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+    if let Some(reach) = args.reach_mm.filter(|reach| !(reach.is_finite() && *reach > 0.0)) {
+        return Err(PipelineError::value("--reach-mm", "MM", "a depth above 0", reach.to_string()));
+    }
+    let (mut displays, mut scenes) = (Vec::new(), Vec::new());
+    for which in &args.displays {
+        let folder = Path::new(&which.name);
+        let is_run = folder.join("display.toml").is_file();
+        let display = load(which, is_run.then_some(folder))?;
+        let scene = match (&args.scene, &args.run) {
+            (Some(scene), _) => Some(looked_at(scene, &display, registry, task)?),
+            (None, Some(run)) => Some(of_run(run)?),
+            (None, None) if is_run => of_run(folder).ok(),
+            (None, None) => None,
+        };
+        displays.push(display);
+        scenes.push(scene);
+    }
+    let analyzed = |reach_mm: Option<f64>| -> Vec<Analysis> {
+        displays.iter().zip(&scenes).map(|(display, scene)| Analysis::of(display, scene.clone(), reach_mm)).collect()
+    };
+    let alone = analyzed(args.reach_mm);
+    // one depth for all, or plots would compare what they do not show
+    let reach_mm = alone.iter().map(Analysis::reach_mm).fold(0.0, f64::max);
+    let all = if alone.len() > 1 { analyzed(Some(reach_mm)) } else { alone };
+    let mut files = match &args.output {
+        Some(folder) => write(&all, folder)?,
+        None => Vec::new(),
+    };
+    let measured = if args.contrast { contrasts(&displays, &all, task)? } else { Vec::new() };
+    if let (Some(folder), false) = (&args.output, measured.is_empty()) {
+        files.extend(write_contrasts(&measured, folder)?);
+    }
+    if json {
+        let mut event = json!({ "event": "done", "displays": all, "contrast": measured, "files": files });
+        if args.output.is_some() {
+            // they are in analysis.json
+            for axis in
+                event["displays"].as_array_mut().into_iter().flatten().flat_map(|d| d["axes"].as_array_mut()).flatten()
+            {
+                for key in ["bound", "closed", "lens_array"] {
+                    axis[key].take();
+                }
+            }
+        }
+        say!("{event}");
+    } else {
+        for (number, analysis) in all.iter().enumerate() {
+            say!("{}", analysis.text());
+            if let Some((_, found)) = measured.get(number) {
+                say!("  Achieved        half contrast, × the pixels' own: {}", achieved(found));
+            }
+        }
+        files.iter().for_each(|file| say!("{}", file.display()));
+    }
+    Ok(())
+}
+
+fn load(which: &Which, run: Option<&Path>) -> Result<Display, PipelineError> {
+    let base = match run {
+        Some(folder) => presets::load_file(&folder.join("display.toml"))?,
+        None => presets::by_name_or_path(&which.name).resolve()?,
+    };
+    let changed = which.change.applied_to(&base);
+    let mut display = changed.map_err(|source| PipelineError::Display {
+        path: which.name.clone().into(),
+        text: String::new(),
+        source,
+    })?;
+    if !which.told.is_empty() {
+        display.name = format!("{}, {}", base.name, which.told.replace(',', ", ").replace('=', " "));
+    }
+    Ok(display)
+}
+
+/// Places a display in a scene.
+fn looked_at(scene: &Path, display: &Display, registry: &Registry, task: Task<'_>) -> Result<Scene, PipelineError> {
+    let depth = outlook_on(&job_or_scene(scene)?, display, registry, task)?.depth;
+    Ok(Scene::from_budget(&depth.to_json(), depth.sentence()))
+}
+
+/// What the report of a run says of its depth.
+fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
+    RunFolder::open(folder)?;
+    let path = folder.join("report.json");
+    let bytes = std::fs::read(&path).map_err(|source| PipelineError::Read { path: path.clone(), source })?;
+    let report: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
+    let budget = &report["depth"];
+    if budget["depth_histogram"].is_null() {
+        return Err(PipelineError::value(&path, "depth", "a run that rendered a scene", "one without depth"));
+    }
+    let title = report["title"].as_str().unwrap_or("the run");
+    Ok(Scene::from_budget(budget, format!("that of {title}")))
+}
+
+type Measured = (String, Vec<Contrast>);
+
+/// Gratings as deep as 1.5 times the depth of field, where there is one.
+fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<Vec<Measured>, PipelineError> {
+    let measure = |(display, analysis): (&Display, &Analysis)| {
+        let ends = analysis.depth_of_field_mm.into_iter().flatten().map(|z| 1.5 * z.abs());
+        let reach = ends.chain(analysis.layers_mm.iter().map(|d| 2.0 * d.abs())).fold(10.0, f64::max);
+        let found = Gratings::up_to(reach).measure(display, 0, task).map_err(|error| match error {
+            ContrastError::Factorize(FactorizeError::Cancelled(_)) => PipelineError::Cancelled,
+            other => PipelineError::value(
+                &display.name,
+                "contrast",
+                "a display that gratings can be solved for",
+                other.to_string(),
+            ),
+        })?;
+        Ok((analysis.name.clone(), found))
+    };
+    displays.iter().zip(all).map(measure).collect()
+}
+
+fn achieved(found: &[Contrast]) -> String {
+    let at = |[z, frequency]: &[f64; 2]| format!("{frequency:.2} at {z:.0} mm").replace('-', "−");
+    contrast::achieved_cutoff(found).iter().step_by(4).map(at).collect::<Vec<_>>().join(", ")
+}
+
+fn write_contrasts(measured: &[Measured], folder: &Path) -> Result<Vec<PathBuf>, PipelineError> {
+    let mut plots = vec![("achieved".to_string(), contrast::achieved_plot(measured))];
+    for (number, (name, found)) in measured.iter().enumerate() {
+        plots.push((format!("contrast-{}", number + 1), contrast::contrast_plot(name, found)));
+    }
+    let mut files = Vec::new();
+    for (stem, svg) in plots {
+        let svg = svg.map_err(PipelineError::Plot)?;
+        let path = folder.join(format!("{stem}.svg"));
+        let save = |path: &Path, bytes: &[u8]| {
+            lumistack_field_io::atomic::write_bytes(path, bytes).map_err(PipelineError::Field)
+        };
+        save(&path, svg.as_bytes())?;
+        save(&path.with_extension("png"), &plot::png(&svg, 1.5).map_err(PipelineError::Plot)?)?;
+        files.push(path);
+    }
+    Ok(files)
+}
+
+fn write(all: &[Analysis], folder: &Path) -> Result<Vec<PathBuf>, PipelineError> {
+    std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
+    let save = |name: &str, bytes: &[u8]| {
+        let path = folder.join(name);
+        lumistack_field_io::atomic::write_bytes(&path, bytes).map_err(PipelineError::Field)?;
+        Ok::<_, PipelineError>(path)
+    };
+    let text = serde_json::to_vec_pretty(&json!({ "schema": "lumistack/analysis", "version": 1, "displays": all }));
+    let mut files = vec![save("analysis.json", &text.expect("analyses serialize"))?];
+    for (axis, suffix) in [(0, ""), (1, "-vertical")] {
+        let plots = [
+            ("depth-of-field", Analysis::depth_of_field_plot(all, axis)),
+            ("spectral-support", Analysis::support_plot(all, axis)),
+        ];
+        for (stem, svg) in plots {
+            let svg = svg.map_err(PipelineError::Plot)?;
+            files.push(save(&format!("{stem}{suffix}.svg"), svg.as_bytes())?);
+            save(&format!("{stem}{suffix}.png"), &plot::png(&svg, 1.5).map_err(PipelineError::Plot)?)?;
+        }
+    }
+    Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn changes_stand_after_a_colon() {
+        let which: Which = "paper-directional:layers=2,gap_mm=8.5,fov=40x20,lenslets=47x29".parse().unwrap();
+        assert_eq!(
+            (which.name.as_str(), which.change.layers, which.change.gap_mm),
+            ("paper-directional", Some(2), Some(8.5))
+        );
+        assert_eq!((which.change.fov_deg, which.change.lenslets), (Some([40.0, 20.0]), Some([47, 29])));
+        let plain: Which = "C:\\displays\\a.toml".parse().unwrap();
+        assert_eq!((plain.name.as_str(), plain.change), ("C:\\displays\\a.toml", Variation::default()));
+        assert!("a:layer=2".parse::<Which>().unwrap_err().contains("expected layers, frames"));
+        assert!("a:layers=two".parse::<Which>().is_err());
+    }
+}

@@ -1,0 +1,236 @@
+//! `lumistack sweep`: many designs on one light field.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use lumistack_core::Task;
+use lumistack_design::table::Row;
+use lumistack_pipeline::{PipelineError, Registry, SearchJob, sweep};
+
+use crate::args::{Angles, DisplayArgs, FactorizeArgs, RenderArgs, Size};
+use crate::commands::{change_display, change_factorize, change_render, job_or_scene};
+use crate::console::say;
+
+pub(crate) const EXAMPLES: &str = "\
+Every combination of the axes is a design; an axis that is not given stays as the display has it. A sweep that was stopped or killed goes on from
+the designs that are finished.
+
+Examples:
+  lumistack sweep scenes/sweeps/figure-7.toml
+  lumistack sweep model.glb --resolution 105x66 --layers 1..5 --frames 1,2,4,8 -o sweeps/model
+  lumistack sweep views.toml --brightness 0.1..1:0.1 --displays fig7-uniform,fig7-directional --gap-mm 40
+  lumistack sweep model.glb --layers 1..6 --frames 1..8 --search --max-refresh-hz 240 --max-panels 3 --enough-db 35";
+
+/// What to sweep.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Sweep {
+    /// Job file (.toml), with a table [sweep] or without, or a scene
+    input: PathBuf,
+    /// Folder for the results [default: sweeps/NAME]
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    axes: Axes,
+    #[command(flatten)]
+    search: Search,
+    /// Display to vary, a preset (see `lumistack displays`) or a display file, instead of the job's
+    #[arg(long, value_name = "NAME|FILE", help_heading = "Display")]
+    display: Option<String>,
+    /// Columns and rows of the light field; masks scale along
+    #[arg(long, value_name = "CxR", help_heading = "Display")]
+    resolution: Option<Size>,
+    #[command(flatten)]
+    render: RenderArgs,
+    #[command(flatten)]
+    factorize: FactorizeArgs,
+}
+
+/// Lists like 1..5 or 1,2,4..8; numbers with a step like 0.1..1:0.1.
+#[derive(Debug, Default, clap::Args)]
+#[command(next_help_heading = "Axes")]
+struct Axes {
+    /// Displays that are varied, presets or files, between commas
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    displays: Vec<String>,
+    /// Layers N
+    #[arg(long, value_name = "LIST")]
+    layers: Option<List>,
+    /// Frames M
+    #[arg(long, value_name = "LIST")]
+    frames: Option<List>,
+    /// Brightness scales β
+    #[arg(long, value_name = "LIST")]
+    brightness: Option<List>,
+    /// Distances of neighbouring layers, millimetres
+    #[arg(long, value_name = "LIST")]
+    gap_mm: Option<List>,
+    /// Fields of view, HxV degrees between commas
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    fov: Vec<Angles>,
+    /// Columns and rows of lenslets, CxR between commas
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    lenslets: Vec<Size>,
+}
+
+/// Constraints; any of them makes it a search.
+#[derive(Debug, Default, clap::Args)]
+#[command(next_help_heading = "Search")]
+struct Search {
+    /// Propose a design: solve all with few iterations and only the promising ones to the end
+    #[arg(long)]
+    search: bool,
+    /// Most depth from the rearmost part to the frontmost, millimetres
+    #[arg(long, value_name = "MM")]
+    max_thickness_mm: Option<f64>,
+    /// Fastest refresh rate of the panels, hertz
+    #[arg(long, value_name = "HZ")]
+    max_refresh_hz: Option<f64>,
+    /// Panels at hand: the layers, and the one behind the lenslets
+    #[arg(long, value_name = "N")]
+    max_panels: Option<usize>,
+    /// Least brightness scale β
+    #[arg(long, value_name = "B")]
+    min_brightness: Option<f64>,
+    /// A PSNR that is enough, dB: propose what reaches it with the fewest panels and frames
+    #[arg(long, value_name = "DB")]
+    enough_db: Option<f64>,
+}
+
+/// Numbers: single ones and ranges between commas.
+#[derive(Clone, Debug, PartialEq)]
+struct List(Vec<f64>);
+
+impl FromStr for List {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |text: &str| {
+            let parsed = text.trim().parse::<f64>().ok().filter(|number| number.is_finite());
+            parsed.ok_or_else(|| format!("expected numbers and ranges such as 1,2,4..8 or 0.1..1:0.1, found `{text}`"))
+        };
+        let mut numbers = Vec::new();
+        for part in text.split(',') {
+            let Some((from, rest)) = part.split_once("..") else {
+                numbers.push(number(part)?);
+                continue;
+            };
+            let (to, step) = rest.split_once(':').unwrap_or((rest, "1"));
+            let (from, to, step) = (number(from)?, number(to)?, number(step)?);
+            let count = ((to - from) / step + 1e-9).floor();
+            if !(step > 0.0 && (0.0..1e6).contains(&count)) {
+                return Err(format!("expected a rising range, found `{part}`"));
+            }
+            // 0.1 + 2 · 0.1 is not 0.3, but what is meant is
+            numbers.extend((0..=count as usize).map(|i| ((from + i as f64 * step) * 1e9).round() / 1e9));
+        }
+        Ok(Self(numbers))
+    }
+}
+
+impl List {
+    fn whole(&self, option: &str) -> Result<Vec<usize>, PipelineError> {
+        let whole = |number: &f64| {
+            let is_whole = number.fract() == 0.0 && (1.0..1e6).contains(number);
+            is_whole
+                .then_some(*number as usize)
+                .ok_or_else(|| PipelineError::value(option, "LIST", "whole numbers from 1 on", number.to_string()))
+        };
+        self.0.iter().map(whole).collect()
+    }
+}
+
+pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+    let mut job = job_or_scene(&args.input)?;
+    let display = DisplayArgs { display: args.display.clone(), resolution: args.resolution, ..DisplayArgs::default() };
+    change_display(&mut job, &display);
+    change_render(&mut job, &args.render);
+    change_factorize(&mut job, &args.factorize);
+    let table = job.sweep.get_or_insert_default();
+    let Axes { displays, layers, frames, brightness, gap_mm, fov, lenslets } = &args.axes;
+    if !displays.is_empty() {
+        // what is typed is relative to where it is typed
+        table.displays = displays.iter().map(|name| typed(name)).collect();
+    }
+    if let Some(layers) = layers {
+        table.layers = layers.whole("--layers")?;
+    }
+    if let Some(frames) = frames {
+        table.frames = frames.whole("--frames")?;
+    }
+    if let Some(List(brightness)) = brightness {
+        table.brightness.clone_from(brightness);
+    }
+    if let Some(List(gap_mm)) = gap_mm {
+        table.gap_mm.clone_from(gap_mm);
+    }
+    if !fov.is_empty() {
+        table.fov_deg = fov.iter().map(|fov| fov.0).collect();
+    }
+    if !lenslets.is_empty() {
+        table.lenslets = lenslets.iter().map(|size| size.0).collect();
+    }
+    change_search(&mut table.search, &args.search);
+    let folder = args.output.clone().unwrap_or_else(|| Path::new("sweeps").join(&job.name));
+    let summary = sweep(&job, &folder, registry, task)?;
+    if json {
+        let mut event = serde_json::to_value(&summary).expect("summaries serialize");
+        event["event"] = "done".into();
+        say!("{event}");
+        return Ok(());
+    }
+    for (place, row) in summary.proposed.iter().enumerate() {
+        let rank = if place == 0 { "Proposed:".to_string() } else { format!("{:8}:", place + 1) };
+        say!("{rank} {}", told(row));
+    }
+    if let Some(display) = &summary.display {
+        say!("{}", display.display());
+    }
+    summary.plots.iter().for_each(|plot| say!("{}", plot.display()));
+    say!("{} designs, {} of them from before", summary.designs, summary.kept);
+    say!("{}", summary.csv.display());
+    Ok(())
+}
+
+fn typed(name: &str) -> String {
+    let is_file = name.ends_with(".toml");
+    let path = is_file.then(|| std::path::absolute(name).ok()).flatten();
+    path.map_or(name.into(), |path| path.to_string_lossy().into_owned())
+}
+
+fn change_search(old: &mut Option<SearchJob>, args: &Search) {
+    let given = [args.max_thickness_mm, args.max_refresh_hz, args.min_brightness, args.enough_db];
+    if !args.search && args.max_panels.is_none() && given.iter().all(Option::is_none) {
+        return;
+    }
+    let search = old.get_or_insert_default();
+    search.max_thickness_mm = args.max_thickness_mm.or(search.max_thickness_mm);
+    search.max_refresh_hz = args.max_refresh_hz.or(search.max_refresh_hz);
+    search.max_panels = args.max_panels.or(search.max_panels);
+    search.min_brightness = args.min_brightness.or(search.min_brightness);
+    search.enough_db = args.enough_db.or(search.enough_db);
+}
+
+fn told(row: &Row) -> String {
+    let d = &row.design;
+    let lenses =
+        if d.lenslets == [0, 0] { String::new() } else { format!(", {} × {} lenslets", d.lenslets[0], d.lenslets[1]) };
+    format!(
+        "{:.1} dB: {} with {} layers, {} frames{lenses}, β = {}, {:.1} mm thick, {:.0} Hz, {} panels",
+        row.psnr_view_db, d.display, d.layers, d.frames, d.brightness, d.thickness_mm, d.refresh_hz, d.panels
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_are_numbers_and_ranges() {
+        let list = |text: &str| text.parse::<List>().map(|list| list.0);
+        assert_eq!(list("1..3,8").unwrap(), [1.0, 2.0, 3.0, 8.0]);
+        assert_eq!(list("0.1..0.4:0.1").unwrap(), [0.1, 0.2, 0.3, 0.4]);
+        assert_eq!(list("5..5").unwrap(), [5.0]);
+        assert!(list("3..1").is_err() && list("a").is_err() && list("1..3:0").is_err() && list("inf").is_err());
+        assert!(List(vec![1.5]).whole("--layers").is_err());
+    }
+}

@@ -1,0 +1,386 @@
+//! What a display can show by its geometry alone: bound on depth of field, spectral support, viewing zone, frame rate, brightness; and what a
+//! scene's depth asks of it.
+
+mod plots;
+mod text;
+
+use lumistack_display::{Backlight, ClosedForm, Display, Formation, OutsideBins, ProjectionKind};
+use serde::Serialize;
+
+/// Depths at which the bound is sampled.
+const SAMPLES: usize = 1601;
+
+/// What is known of a display.
+#[derive(Clone, Debug, Serialize)]
+pub struct Analysis {
+    /// Its name.
+    pub name: String,
+    /// Number of layers N.
+    pub layers: usize,
+    /// Their distances from z = 0, millimetres.
+    pub layers_mm: Vec<f64>,
+    /// Whether the backlight is directional, and its distance from z = 0, millimetres.
+    pub backlight_mm: Option<f64>,
+    /// Depth from the rearmost part to the frontmost, millimetres.
+    pub thickness_mm: f64,
+    /// [low, high] depths at which the finest detail of the light field's pixels can be shown, millimetres.
+    pub depth_of_field_mm: Option<[f64; 2]>,
+    /// Whether the bound is one for this display: where layers add up, planes other than the layers' own have none.
+    pub bound_holds: bool,
+    /// Along x and y.
+    pub axes: [AxisAnalysis; 2],
+    /// From where it can be seen.
+    pub zone: Zone,
+    /// Frames in time.
+    pub timing: Timing,
+    /// Light.
+    pub brightness: Brightness,
+    /// What a scene asks of it, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<Scene>,
+}
+
+/// The bound along one axis. Frequencies are cycles per millimetre.
+#[derive(Clone, Debug, Serialize)]
+pub struct AxisAnalysis {
+    /// Finest frequency of the light field's pixels, 1/(2 pitch).
+    pub own_cutoff: f64,
+    /// ω0: that of the finest layer.
+    pub layer_cutoff: f64,
+    /// The bound on the display's plane.
+    pub cutoff_on_screen: f64,
+    /// [z in millimetres, bound].
+    pub bound: Vec<[f64; 2]>,
+    /// Corners of the spectral support: [cycles per millimetre, cycles per unit of slope].
+    pub support: Vec<[f64; 2]>,
+    /// Width of slopes of the prefilter.
+    pub footprint: f64,
+    /// The paper's formula for a display of this kind.
+    pub closed: Option<Closed>,
+    /// Equation (23) for its lens array alone.
+    pub lens_array: Option<Closed>,
+}
+
+/// A closed form beside the general one.
+#[derive(Clone, Debug, Serialize)]
+pub struct Closed {
+    /// Its number in the paper.
+    pub equation: u32,
+    /// What it assumes.
+    pub assumes: &'static str,
+    /// Which of that does not hold here.
+    pub broken: Vec<String>,
+    /// Largest of |general/closed − 1| over the sampled depths.
+    pub largest_difference: f64,
+    /// Depth of that, millimetres.
+    pub at_mm: f64,
+    /// General over closed − 1, far from the display.
+    pub difference_far: f64,
+    /// [z in millimetres, value].
+    pub bound: Vec<[f64; 2]>,
+}
+
+/// From where a display can be seen. [horizontal, vertical].
+#[derive(Clone, Debug, Serialize)]
+pub struct Zone {
+    /// Full angles, degrees.
+    pub fov_deg: [f64; 2],
+    /// Views.
+    pub views: [usize; 2],
+    /// Slope between neighbouring views.
+    pub step: [f64; 2],
+    /// Distance from which an eye on the axis has the whole display in the zone, millimetres; of pinhole views their own distance.
+    pub whole_from_mm: f64,
+    /// Width of the zone at twice that distance (of pinhole views at their own), millimetres.
+    pub width_mm: [f64; 2],
+    /// Distance at which the width is given, millimetres.
+    pub at_mm: f64,
+    /// Neighbouring views between two eyes 63 mm apart, at that distance.
+    pub views_between_eyes: f64,
+    /// Whether the zone repeats beside itself.
+    pub repeats: bool,
+}
+
+/// Frames in time.
+#[derive(Clone, Debug, Serialize)]
+pub struct Timing {
+    /// Frames M.
+    pub frames: usize,
+    /// Refreshes of a period: M, or 3M with colours in turn.
+    pub subframes: usize,
+    /// Refresh rate of the panels, hertz.
+    pub refresh_hz: f64,
+    /// Periods a second.
+    pub period_hz: f64,
+    /// Refresh rate for [`Display::FLICKER_HZ`] periods a second, hertz.
+    pub wanted_hz: f64,
+    /// Whether it flickers.
+    pub flickers: bool,
+}
+
+/// Light.
+#[derive(Clone, Debug, Serialize)]
+pub struct Brightness {
+    /// Brightness scale β.
+    pub beta: f64,
+    /// Brightest white that the layers let through; β above this cannot be reached.
+    pub white: f64,
+    /// Darkest over brightest.
+    pub black: f64,
+}
+
+/// What a scene asks, from the depth budget of a run or an outlook.
+#[derive(Clone, Debug, Serialize)]
+pub struct Scene {
+    /// In a line.
+    pub sentence: String,
+    /// Share of what is seen within the depth of field.
+    pub inside: Option<f64>,
+    /// 2nd, 25th, 50th, 75th and 98th percentile of depth, millimetres, with the bound there relative to the pixels' own.
+    pub percentiles: Vec<[f64; 2]>,
+    /// Bars: [from, to in millimetres, share].
+    pub shares: Vec<[f64; 3]>,
+}
+
+impl Scene {
+    /// Reads a depth budget as `report.json` has it.
+    pub fn from_budget(budget: &serde_json::Value, sentence: String) -> Self {
+        let number = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
+        let histogram = &budget["depth_histogram"];
+        let (low, width) = (number(&histogram["low"]), number(&histogram["width"]));
+        let shares = histogram["shares"].as_array().map_or(&[][..], Vec::as_slice).iter().enumerate();
+        let shares = shares.map(|(i, share)| [low + width * i as f64, low + width * (i + 1) as f64, number(share)]);
+        let percentiles = ["p2", "p25", "p50", "p75", "p98"].map(|p| [number(&budget["depth_mm"][p]), f64::NAN]);
+        Self {
+            sentence,
+            inside: budget["inside"].as_f64(),
+            percentiles: percentiles.into_iter().filter(|p| p[0].is_finite()).collect(),
+            shares: shares.filter(|bar| bar.iter().all(|v| v.is_finite())).collect(),
+        }
+    }
+}
+
+impl Analysis {
+    /// Works it out. `reach_mm` is the depth up to which the bound is sampled; without it what the display and the scene need.
+    pub fn of(display: &Display, scene: Option<Scene>, reach_mm: Option<f64>) -> Self {
+        let depth_of_field_mm = display.depth_of_field(display.field.pitch_mm);
+        let layers_mm: Vec<f64> = display.layers.iter().map(|layer| layer.d_mm).collect();
+        let backlight_mm = match &display.backlight {
+            Backlight::Lenslets(backlight) => Some(backlight.d_mm),
+            Backlight::Uniform => None,
+        };
+        let parts = || layers_mm.iter().copied().chain(backlight_mm);
+        let (rear, front) = parts().fold((f64::MAX, f64::MIN), |(a, b), d| (a.min(d), b.max(d)));
+        let of_scene = scene.iter().flat_map(|scene| &scene.percentiles).map(|p| 1.2 * p[0].abs());
+        let of_field = depth_of_field_mm.into_iter().flatten().map(|z| 1.6 * z.abs());
+        let reach = reach_mm
+            .unwrap_or_else(|| parts().map(|d| 3.0 * d.abs()).chain(of_scene).chain(of_field).fold(20.0, f64::max));
+        let mut depths: Vec<f64> =
+            (0..SAMPLES).map(|i| reach * (2.0 * i as f64 / (SAMPLES - 1) as f64 - 1.0)).chain(parts()).collect();
+        depths.retain(|z| z.abs() <= reach);
+        depths.sort_by(f64::total_cmp);
+        depths.dedup();
+        let axes = [0, 1].map(|axis| AxisAnalysis::of(display, axis, &depths));
+        let scene = scene.map(|mut scene| {
+            for p in &mut scene.percentiles {
+                p[1] = display.spatial_cutoff(p[0]) / axes[0].own_cutoff;
+            }
+            scene.inside =
+                depth_of_field_mm.map_or(scene.inside, |[low, high]| share_between(&scene.shares, low, high));
+            scene
+        });
+        Self {
+            name: display.name.clone(),
+            layers: layers_mm.len(),
+            thickness_mm: front - rear,
+            layers_mm,
+            backlight_mm,
+            depth_of_field_mm,
+            bound_holds: display.formation != Formation::Additive,
+            axes,
+            zone: Zone::of(display),
+            timing: Timing::of(display),
+            brightness: Brightness::of(display),
+            scene,
+        }
+    }
+}
+
+impl Analysis {
+    /// Depth up to which the bound is sampled, millimetres.
+    pub fn reach_mm(&self) -> f64 {
+        self.axes[0].bound.last().map_or(0.0, |last| last[0])
+    }
+}
+
+/// Share of bars between two depths; bars that are cut count by their part.
+fn share_between(bars: &[[f64; 3]], low: f64, high: f64) -> Option<f64> {
+    let all: f64 = bars.iter().map(|bar| bar[2]).sum();
+    let inside =
+        bars.iter().map(|[from, to, share]| share * ((to.min(high) - from.max(low)) / (to - from)).clamp(0.0, 1.0));
+    (all > 0.0).then(|| inside.sum::<f64>() / all)
+}
+
+impl AxisAnalysis {
+    fn of(display: &Display, axis: usize, depths: &[f64]) -> Self {
+        let general = |z: f64| display.spatial_cutoff_along(axis, z);
+        let closed = |form: ClosedForm| {
+            let bound: Vec<[f64; 2]> = depths.iter().map(|&z| [z, form.cutoff(z)]).collect();
+            let differences = bound.iter().map(|&[z, value]| (z, (general(z) / value - 1.0).abs()));
+            let (at_mm, largest_difference) =
+                differences.fold((0.0, 0.0), |most, at| if at.1 > most.1 { at } else { most });
+            let far = 1e3 * depths.last().copied().unwrap_or(1.0);
+            let difference_far = general(far) / form.cutoff(far) - 1.0;
+            let ClosedForm { equation, assumes, broken, .. } = form;
+            Closed { equation, assumes, broken, largest_difference, at_mm, difference_far, bound }
+        };
+        Self {
+            own_cutoff: 0.5 / display.field.pitch_mm,
+            layer_cutoff: display.layers.iter().map(|layer| 0.5 / layer.pitch_mm).fold(0.0, f64::max),
+            cutoff_on_screen: general(0.0),
+            bound: depths.iter().map(|&z| [z, general(z)]).collect(),
+            support: display.spectral_support(axis),
+            footprint: display.angular_footprint()[axis],
+            closed: display.closed_form(axis).map(closed),
+            lens_array: display.lens_array_form(axis).map(closed),
+        }
+    }
+}
+
+impl Zone {
+    /// Distance of two eyes, millimetres.
+    const EYES_MM: f64 = 63.0;
+
+    fn of(display: &Display) -> Self {
+        let field = &display.field;
+        let half = field.fov_deg.map(|fov| (0.5 * fov.to_radians()).tan());
+        let size = display.field_pixels().size_mm();
+        let step = [0, 1].map(|axis| 2.0 * half[axis] / field.views[axis] as f64);
+        let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
+        // from D on the rays to both edges have slopes of no more than tan(α/2); an axis with one direction never has that
+        let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
+        let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
+        let at_mm = pinholes.unwrap_or(2.0 * whole_from_mm);
+        let edge = |axis: usize| if pinholes.is_some() { 0.0 } else { size[axis] };
+        let width_mm = [0, 1].map(|axis| (2.0 * at_mm * half[axis] - edge(axis)).max(0.0));
+        let repeats = matches!(&display.backlight, Backlight::Lenslets(b) if b.outside_bins == OutsideBins::Repeat);
+        let views_between_eyes = Self::EYES_MM / (at_mm * step[0]);
+        Self {
+            fov_deg: field.fov_deg,
+            views: field.views,
+            step,
+            whole_from_mm,
+            width_mm,
+            at_mm,
+            views_between_eyes: if views_between_eyes.is_finite() { views_between_eyes } else { 0.0 },
+            repeats,
+        }
+    }
+}
+
+impl Timing {
+    fn of(display: &Display) -> Self {
+        Self {
+            frames: display.frames,
+            subframes: display.subframes(),
+            refresh_hz: display.refresh_hz,
+            period_hz: display.period_hz(),
+            wanted_hz: Display::FLICKER_HZ * display.subframes() as f64,
+            flickers: display.flicker_warning().is_some(),
+        }
+    }
+}
+
+impl Brightness {
+    fn of(display: &Display) -> Self {
+        let peaks = display.layers.iter().map(|layer| layer.peak);
+        let blacks = display.layers.iter().map(|layer| layer.black_level);
+        let lamp = match &display.backlight {
+            Backlight::Lenslets(backlight) => backlight.black_level,
+            Backlight::Uniform => 1.0,
+        };
+        let (white, black) = match display.formation {
+            Formation::Attenuating => (peaks.product(), blacks.product::<f64>() * lamp),
+            // a sum of layers, and the sine of one: any layer alone reaches the brightest
+            _ => (1.0, blacks.fold(0.0, f64::max)),
+        };
+        Self { beta: display.brightness, white, black }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_display::LensletBacklight;
+
+    use super::*;
+
+    fn directional() -> Display {
+        let mut display = Display::uniform([840, 525], 0.5655, [5, 5], [48.0, 48.0], &[0.0], 12);
+        display.backlight = Backlight::Lenslets(LensletBacklight::new(-8.5, [187, 117], 2.54, [5, 5], [48.0, 48.0]));
+        Display { refresh_hz: 120.0, name: "prototype".into(), ..display }
+    }
+
+    #[test]
+    fn the_prototypes_gap_is_told() {
+        let analysis = Analysis::of(&directional(), None, None);
+        let closed = analysis.axes[0].closed.as_ref().unwrap();
+        assert_eq!((closed.equation, closed.broken.len()), (26, 1));
+        assert!((0.55..0.65).contains(&closed.difference_far), "{}", closed.difference_far);
+        assert!(closed.largest_difference >= closed.difference_far - 1e-6);
+        assert_eq!(analysis.axes[0].lens_array.as_ref().unwrap().equation, 23);
+        assert_eq!(analysis.thickness_mm, 8.5);
+        assert!(analysis.timing.flickers && analysis.timing.wanted_hz == 720.0);
+        let text = analysis.text();
+        assert!(text.contains("eq. 26") && text.contains("the lens array stands at -8.5 mm"), "{text}");
+    }
+
+    #[test]
+    fn where_its_assumptions_hold_a_closed_form_is_the_bound() {
+        let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);
+        let analysis = Analysis::of(&display, None, None);
+        let closed = analysis.axes[1].closed.as_ref().unwrap();
+        assert!(closed.broken.is_empty() && closed.largest_difference < 1e-9, "{}", closed.largest_difference);
+        assert!(analysis.text().contains("eq. 25") && analysis.text().contains("the same"), "{}", analysis.text());
+    }
+
+    /// An eye at D sees the edge at W/2 under a slope of W/(2D).
+    #[test]
+    fn the_zone_holds_the_whole_display() {
+        let zone = Analysis::of(&directional(), None, None).zone;
+        let half = 24f64.to_radians().tan();
+        assert!((zone.whole_from_mm - 0.5 * 840.0 * 0.5655 / half).abs() < 1e-9);
+        assert!((zone.width_mm[0] - 840.0 * 0.5655).abs() < 1e-9, "at twice the distance it is as wide as the display");
+    }
+
+    #[test]
+    fn a_scene_is_measured_by_the_bound() {
+        let budget = serde_json::json!({
+            "inside": 0.1,
+            "depth_mm": {"p2": -100.0, "p25": -50.0, "p50": 0.0, "p75": 40.0, "p98": 80.0},
+            "depth_histogram": {"low": -120.0, "width": 80.0, "shares": [0.5, 0.25, 0.25]},
+        });
+        let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);
+        let analysis = Analysis::of(&display, Some(Scene::from_budget(&budget, "deep".into())), None);
+        let scene = analysis.scene.as_ref().unwrap();
+        // depth of field is −80 to 80 mm: half of the first and of the last bar are beyond
+        assert!((scene.inside.unwrap() - 0.625).abs() < 1e-6, "{:?}", scene.inside);
+        let expected = [0.8, 3.0 * 40.0 / 90.0, 3.0, 1.5, 1.0];
+        for (found, expected) in scene.percentiles.iter().zip(expected) {
+            assert!((found[1] - expected).abs() < 1e-9, "{found:?}");
+        }
+        assert!(analysis.text().contains("deep"));
+    }
+
+    #[test]
+    fn plots_come_out_of_every_kind() {
+        let single = Display::uniform([84, 52], 1.0, [1, 1], [0.0, 0.0], &[0.0], 1);
+        let additive = Display { formation: Formation::Additive, ..directional() };
+        let all: Vec<Analysis> =
+            [directional(), single, additive].iter().map(|display| Analysis::of(display, None, None)).collect();
+        for axis in [0, 1] {
+            assert!(Analysis::depth_of_field_plot(&all, axis).unwrap().contains("prototype"));
+            assert!(Analysis::support_plot(&all, axis).unwrap().contains("prototype"));
+        }
+        assert!(all[2].text().contains("layers add"), "{}", all[2].text());
+    }
+}

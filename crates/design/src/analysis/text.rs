@@ -1,0 +1,160 @@
+//! The analysis in words.
+
+use std::fmt::Write as _;
+
+use super::{Analysis, Closed};
+
+impl Analysis {
+    /// For people: a headline and a line per subject.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        let plural = |count: usize, one: &str| if count == 1 { format!("1 {one}") } else { format!("{count} {one}s") };
+        let light = if self.backlight_mm.is_some() { "directional" } else { "uniform" };
+        let (layers, frames) = (plural(self.layers, "layer"), plural(self.timing.frames, "frame"));
+        let _ = writeln!(
+            text,
+            "{}: {layers}, {light} backlight, {frames}, {} mm thick",
+            self.name,
+            number(self.thickness_mm)
+        );
+        let mut line = |name: &str, value: String| {
+            let _ = writeln!(text, "  {name:15} {value}");
+        };
+        line("Depth of field", self.depth_of_field());
+        line("Bound", self.bound());
+        if !self.bound_holds {
+            line("", "layers add: on a plane between them nothing of this is reached, only on each itself".into());
+        }
+        let [x, y] = &self.axes;
+        for form in [&x.closed, &x.lens_array].into_iter().flatten() {
+            line("Closed form", closed(form));
+        }
+        if x.closed.is_none() {
+            line("Closed form", "the paper prints none for this stack".into());
+        }
+        let footprint = [x.footprint, y.footprint].map(|width| format!("{width:.4}")).join(" × ");
+        line(
+            "Prefilter",
+            format!(
+                "a pixel, and slopes over {footprint} (a view's bin is {:.4} × {:.4})",
+                self.zone.step[0], self.zone.step[1]
+            ),
+        );
+        line("Viewing zone", self.zone_text());
+        line("Frame rate", self.rate_text());
+        line("Brightness", self.brightness_text());
+        if let Some(scene) = &self.scene {
+            line("Scene", scene.sentence.clone());
+            let depths = scene.percentiles.iter().zip(["2 %", "25 %", "50 %", "75 %", "98 %"]);
+            let depths = depths.map(|([z, bound], share)| format!("{share} at {} mm: {bound:.2}", number(*z)));
+            line("", format!("detail it may have there, × its pixels' own: {}", depths.collect::<Vec<_>>().join(", ")));
+        }
+        text.trim_end().into()
+    }
+
+    fn depth_of_field(&self) -> String {
+        let own = self.axes[0].own_cutoff;
+        match self.depth_of_field_mm {
+            Some([low, high]) if high - low < 1e-6 => {
+                format!(
+                    "the plane at {} mm alone, for the finest detail of its pixels ({own:.3} cycles/mm)",
+                    number(low)
+                )
+            }
+            Some([low, high]) => {
+                let [low, high] = [low, high].map(number);
+                format!("{low} to {high} mm, for the finest detail of its pixels ({own:.3} cycles/mm)")
+            }
+            None => format!("none: it shows the finest detail of its pixels ({own:.3} cycles/mm) at no depth"),
+        }
+    }
+
+    fn bound(&self) -> String {
+        let x = &self.axes[0];
+        let reach = x.bound.last().map_or(0.0, |last| last[0]);
+        let at = |z: f64| {
+            let nearest = x.bound.iter().min_by(|a, b| (a[0] - z).abs().total_cmp(&(b[0] - z).abs()));
+            nearest.map_or(f64::NAN, |point| point[1] / x.own_cutoff)
+        };
+        let values = [0.0, 0.125, 0.25, 0.5, 1.0].map(|share| share * reach);
+        let values = values.map(|z| format!("{:.2} at {} mm", at(z), number(z)));
+        format!("× the pixels' own: {}", values.join(", "))
+    }
+
+    fn zone_text(&self) -> String {
+        let zone = &self.zone;
+        let [h, v] = zone.fov_deg;
+        let step = zone.step[0].atan().to_degrees();
+        let [width, height] = zone.width_mm.map(|side| number(side.round()));
+        let beside = if zone.repeats { "it repeats beside itself" } else { "beyond it nothing is constrained" };
+        format!(
+            "{h}° × {v}°, {} × {} views {step:.2}° apart; all of the display from {} mm on, at {} mm over {width} × {height} mm, {:.1} views between \
+             two eyes; {beside}",
+            zone.views[0],
+            zone.views[1],
+            number(zone.whole_from_mm.round()),
+            number(zone.at_mm.round()),
+            zone.views_between_eyes
+        )
+    }
+
+    fn rate_text(&self) -> String {
+        let timing = &self.timing;
+        if timing.subframes == 1 {
+            return format!("static: one frame, any refresh rate ({} Hz)", number(timing.refresh_hz));
+        }
+        let wanted = number(timing.wanted_hz);
+        let flicker =
+            if timing.flickers { format!("flickers; 60 a second need {wanted} Hz") } else { "does not flicker".into() };
+        let (refreshes, hz) = (timing.subframes, number(timing.refresh_hz));
+        format!("{refreshes} refreshes at {hz} Hz: {:.1} periods a second, {flicker}", timing.period_hz)
+    }
+
+    fn brightness_text(&self) -> String {
+        let light = &self.brightness;
+        let mut text = format!("β = {}: {:.1} % of the backlight for white", light.beta, 100.0 * light.beta);
+        if light.white < 1.0 {
+            let _ = write!(text, "; the layers let through {:.1} % at most", 100.0 * light.white);
+        }
+        if light.beta > light.white {
+            text.push_str(", so that this β cannot be reached");
+        }
+        if light.black > 0.0 {
+            let _ = write!(text, "; contrast {:.0}:1", light.white / (light.black * light.white));
+        }
+        text
+    }
+}
+
+fn closed(form: &Closed) -> String {
+    let Closed { equation, assumes, broken, largest_difference, at_mm, difference_far, .. } = form;
+    if *equation == 23 {
+        let more = 100.0 * difference_far;
+        return format!(
+            "eq. 23 ({assumes}), its lens array alone: far away the bound of the whole is {more:.1} % above that"
+        );
+    }
+    let differs = if *largest_difference < 1e-6 {
+        "the same as the general form".into()
+    } else {
+        let percent = 100.0 * largest_difference;
+        format!("{percent:.1} % off at {} mm, {:+.1} % far away", number(*at_mm), 100.0 * difference_far)
+    };
+    let because = if broken.is_empty() { String::new() } else { format!(", since {}", broken.join(" and ")) };
+    format!("eq. {equation} ({assumes}): {differs}{because}")
+}
+
+/// No more decimals than tell something.
+fn number(value: f64) -> String {
+    let digits = match value.abs() {
+        size if size >= 100.0 || size.fract() == 0.0 => 0,
+        size if size >= 10.0 => 1,
+        _ => 2,
+    };
+    let text = format!("{value:.digits$}");
+    match text.strip_prefix('-') {
+        Some(rest) if rest.chars().all(|c| c == '0' || c == '.') => rest.into(),
+        Some(rest) => format!("−{rest}"),
+        None => text,
+    }
+}

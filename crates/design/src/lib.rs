@@ -1,0 +1,16 @@
+//! What a display can show, and which display to build.
+//!
+//! ```text
+//! Display ──▶ analysis: bound on depth of field, spectral support, zone, brightness, rate ──▶ text, JSON, plots
+//! Display ──▶ contrast: gratings at many depths through the solved stack ──▶ what is achieved of the bound
+//! results of a sweep ──▶ table: CSV, maps and curves like the paper's Figures 7 and 8
+//! ```
+//!
+//! Plots are SVG, and PNG made of the same SVG.
+
+mod analysis;
+pub mod contrast;
+pub mod plot;
+pub mod table;
+
+pub use analysis::{Analysis, AxisAnalysis, Brightness, Closed, Scene, Timing, Zone};

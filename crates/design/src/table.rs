@@ -1,0 +1,368 @@
+//! Results of many designs: a table as CSV, and plots of it like the paper's Figures 7 and 8.
+
+use lumistack_display::{Backlight, Display};
+use serde::{Deserialize, Serialize};
+
+use crate::plot::{self, Axes, COLOURS, Curve, Map, PlotError};
+
+/// One design: what it is and what it takes to build.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Design {
+    /// Name of the display that it varies.
+    pub display: String,
+    /// Layers N.
+    pub layers: usize,
+    /// Frames M.
+    pub frames: usize,
+    /// Brightness scale β.
+    pub brightness: f64,
+    /// Mean distance of neighbouring layers, millimetres; of a single layer its distance from the backlight, 0 without one.
+    pub gap_mm: f64,
+    /// [horizontal, vertical] full angles, degrees.
+    pub fov_deg: [f64; 2],
+    /// [columns, rows] of lenslets; [0, 0] without.
+    pub lenslets: [usize; 2],
+    /// Depth from the rearmost part to the frontmost, millimetres.
+    pub thickness_mm: f64,
+    /// Panels: the layers, and the one behind the lenslets.
+    pub panels: usize,
+    /// Refresh rate at which nothing flickers, hertz; 0 of a static display.
+    pub refresh_hz: f64,
+    /// Values of the patterns per ray of the light field: degrees of freedom. At 1 and above every ray could have its own.
+    pub values_per_ray: f64,
+}
+
+impl Design {
+    /// Of a display.
+    pub fn of(name: &str, display: &Display) -> Self {
+        let layers = &display.layers;
+        let d_mm = || layers.iter().map(|layer| layer.d_mm);
+        let (first, last) = d_mm().fold((f64::MAX, f64::MIN), |(a, b), d| (a.min(d), b.max(d)));
+        let pixels = |[cols, rows]: [usize; 2]| (cols * rows) as f64;
+        let mut values: f64 = layers.iter().map(|layer| pixels(layer.resolution)).sum();
+        let (mut rear, mut lenslets) = (first, [0, 0]);
+        if let Backlight::Lenslets(backlight) = &display.backlight {
+            (rear, lenslets) = (backlight.d_mm, backlight.lenslets);
+            values += pixels(lenslets) * pixels(backlight.views);
+        }
+        let rays = pixels(display.field.resolution) * pixels(display.field.views);
+        Self {
+            display: name.into(),
+            layers: layers.len(),
+            frames: display.frames,
+            brightness: display.brightness,
+            gap_mm: if layers.len() > 1 { (last - first) / (layers.len() - 1) as f64 } else { first - rear },
+            fov_deg: display.field.fov_deg,
+            lenslets,
+            thickness_mm: last - rear,
+            panels: layers.len() + usize::from(lenslets != [0, 0]),
+            refresh_hz: if display.subframes() > 1 { Display::FLICKER_HZ * display.subframes() as f64 } else { 0.0 },
+            values_per_ray: display.frames as f64 * values / rays,
+        }
+    }
+}
+
+/// A design and what it reached.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// The design.
+    pub design: Design,
+    /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
+    pub psnr_view_db: f64,
+    /// PSNR of L̃ against βL, dB.
+    pub psnr_raw_db: f64,
+    /// PSNR of L̃/β at views between the target's, dB, where they are known.
+    pub psnr_between_db: Option<f64>,
+}
+
+/// Figures are cut here: an exact display has no finite one.
+pub const MOST_DB: f64 = 200.0;
+
+/// The table as CSV: a line of names, a line per row.
+pub fn csv(rows: &[Row]) -> String {
+    let mut text = String::from(
+        "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
+         psnr_view_db,psnr_raw_db,psnr_between_db\n",
+    );
+    for Row { design: d, psnr_view_db, psnr_raw_db, psnr_between_db } in rows {
+        let name = if d.display.contains([',', '"', '\n']) {
+            format!("\"{}\"", d.display.replace('"', "\"\""))
+        } else {
+            d.display.clone()
+        };
+        let numbers = [
+            d.layers as f64,
+            d.frames as f64,
+            d.brightness,
+            d.gap_mm,
+            d.fov_deg[0],
+            d.fov_deg[1],
+            d.lenslets[0] as f64,
+            d.lenslets[1] as f64,
+            d.thickness_mm,
+            d.panels as f64,
+            d.refresh_hz,
+        ];
+        let mut cells: Vec<String> = std::iter::once(name).chain(numbers.map(|n| rounded(n, 6))).collect();
+        cells.push(rounded(d.values_per_ray, 4));
+        cells.extend([*psnr_view_db, *psnr_raw_db].map(|psnr| format!("{psnr:.3}")));
+        cells.push(psnr_between_db.map_or(String::new(), |psnr| format!("{psnr:.3}")));
+        text.push_str(&cells.join(","));
+        text.push('\n');
+    }
+    text
+}
+
+/// A number with at most so many decimals.
+fn rounded(value: f64, digits: usize) -> String {
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+}
+
+/// An axis along which designs differ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Axis {
+    Display,
+    Layers,
+    Frames,
+    Brightness,
+    Gap,
+    Fov,
+    Lenslets,
+}
+
+impl Axis {
+    const ALL: [Self; 7] =
+        [Self::Display, Self::Layers, Self::Frames, Self::Brightness, Self::Gap, Self::Fov, Self::Lenslets];
+
+    /// For labels, with its unit.
+    fn label(self) -> &'static str {
+        match self {
+            Self::Display => "display",
+            Self::Layers => "layers N",
+            Self::Frames => "frames M",
+            Self::Brightness => "brightness β",
+            Self::Gap => "distance of layers Δd, mm",
+            Self::Fov => "horizontal field of view α, degrees",
+            Self::Lenslets => "lenslets per row",
+        }
+    }
+
+    fn stem(self) -> &'static str {
+        ["display", "layers", "frames", "brightness", "gap", "fov", "lenslets"][self as usize]
+    }
+
+    /// Place of a design along it.
+    fn number(self, design: &Design) -> f64 {
+        match self {
+            Self::Display => f64::NAN,
+            Self::Layers => design.layers as f64,
+            Self::Frames => design.frames as f64,
+            Self::Brightness => design.brightness,
+            Self::Gap => design.gap_mm,
+            Self::Fov => design.fov_deg[0],
+            Self::Lenslets => design.lenslets[0] as f64,
+        }
+    }
+
+    /// Whether a design has a place along it.
+    fn concerns(self, design: &Design) -> bool {
+        match self {
+            Self::Gap => design.layers > 1,
+            Self::Lenslets => design.lenslets != [0, 0],
+            _ => true,
+        }
+    }
+
+    /// Its value as text: one for each value.
+    fn name(self, design: &Design) -> String {
+        match self {
+            Self::Display => design.display.clone(),
+            axis => rounded(axis.number(design), 4),
+        }
+    }
+
+    /// With what it is, for titles.
+    fn told(self, design: &Design) -> String {
+        let value = self.name(design);
+        match self {
+            Self::Display => value,
+            Self::Layers => format!("N = {value}"),
+            Self::Frames => format!("M = {value}"),
+            Self::Brightness => format!("β = {value}"),
+            Self::Gap => format!("Δd = {value} mm"),
+            Self::Fov => format!("α = {value}°"),
+            Self::Lenslets if design.lenslets == [0, 0] => "no lenslets".into(),
+            Self::Lenslets => format!("{value} lenslets"),
+        }
+    }
+}
+
+/// A plot of the table: the stem of its file name, and the SVG.
+pub type Plot = (String, String);
+
+/// More than so many of one kind tell nobody anything.
+const MOST_PLOTS: usize = 12;
+/// What counts as good in the paper's figures.
+const GOOD_DB: f64 = 40.0;
+
+/// Plots of everything that varies: a map of PSNR for every two of N, M and β (Figures 7 and 8), and curves along every single axis.
+///
+/// # Errors
+/// If drawing fails.
+pub fn plots(rows: &[Row]) -> Result<Vec<Plot>, PlotError> {
+    let varying: Vec<Axis> = Axis::ALL.into_iter().filter(|axis| values(rows, *axis).len() > 1).collect();
+    let mut plots = Vec::new();
+    let pairs = [(Axis::Frames, Axis::Layers), (Axis::Frames, Axis::Brightness), (Axis::Layers, Axis::Brightness)];
+    for (x, y) in pairs.into_iter().filter(|(x, y)| varying.contains(x) && varying.contains(y)) {
+        let others: Vec<Axis> = varying.iter().copied().filter(|axis| ![x, y].contains(axis)).collect();
+        for (number, part) in groups(rows, &others).into_iter().take(MOST_PLOTS).enumerate() {
+            plots.push((
+                format!("psnr-{}-{}-{:02}", x.stem(), y.stem(), number + 1),
+                map_of(rows, &part, x, y, &others)?,
+            ));
+        }
+    }
+    for &x in varying.iter().filter(|axis| **axis != Axis::Display) {
+        let by = varying.iter().copied().find(|axis| *axis != x && *axis != Axis::Display);
+        let others: Vec<Axis> = varying.iter().copied().filter(|axis| *axis != x && Some(*axis) != by).collect();
+        for (number, part) in groups(rows, &others).into_iter().take(MOST_PLOTS).enumerate() {
+            plots.push((format!("psnr-{}-{:02}", x.stem(), number + 1), curves_of(rows, &part, x, by, &others)?));
+        }
+    }
+    Ok(plots)
+}
+
+/// The values of an axis in rising order, or of displays in the order in which they come.
+fn values(rows: &[Row], axis: Axis) -> Vec<String> {
+    let mut found: Vec<(f64, String)> = Vec::new();
+    for row in rows.iter().filter(|row| axis.concerns(&row.design)) {
+        let name = axis.name(&row.design);
+        if !found.iter().any(|(_, other)| *other == name) {
+            found.push((axis.number(&row.design), name));
+        }
+    }
+    if axis != Axis::Display {
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    }
+    found.into_iter().map(|(_, name)| name).collect()
+}
+
+/// Rows that agree on all of some axes, in the order in which they come.
+fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
+    let mut found: Vec<(Vec<String>, Vec<Row>)> = Vec::new();
+    for row in rows {
+        let key: Vec<String> = axes.iter().map(|axis| axis.name(&row.design)).collect();
+        match found.iter_mut().find(|(other, _)| *other == key) {
+            Some((_, part)) => part.push(row.clone()),
+            None => found.push((key, vec![row.clone()])),
+        }
+    }
+    found.into_iter().map(|(_, part)| part).collect()
+}
+
+fn title(part: &[Row], others: &[Axis]) -> String {
+    let told: Vec<String> =
+        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.told(&row.design)).collect());
+    if told.is_empty() { "All designs".into() } else { told.join(", ") }
+}
+
+fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Result<String, PlotError> {
+    let (columns, rows) = (values(part, x), values(part, y));
+    let value = |row: &String, column: &String| {
+        let here = part.iter().find(|r| x.name(&r.design) == *column && y.name(&r.design) == *row);
+        here.map_or(f64::NAN, |row| row.psnr_view_db)
+    };
+    let values = rows.iter().map(|row| columns.iter().map(|column| value(row, column)).collect()).collect();
+    let lowest = all.iter().map(|row| row.psnr_view_db).fold(f64::MAX, f64::min);
+    plot::map(&Map {
+        title: title(part, others),
+        x_label: x.label().into(),
+        y_label: y.label().into(),
+        value_label: format!("PSNR at the target views, dB; framed from {GOOD_DB:.0} dB on"),
+        columns,
+        rows,
+        values,
+        mark_from: Some(GOOD_DB),
+        range: [lowest.min(20.0), 50.0],
+    })
+}
+
+fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axis]) -> Result<String, PlotError> {
+    let names = by.map_or(vec![String::new()], |by| values(part, by));
+    let curves = names.iter().enumerate().map(|(place, name)| {
+        let own =
+            part.iter().filter(|row| x.concerns(&row.design) && by.is_none_or(|by| by.name(&row.design) == *name));
+        let mut points: Vec<[f64; 2]> =
+            own.clone().map(|row| [x.number(&row.design), row.psnr_view_db.min(plot::CAP_DB)]).collect();
+        points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let first = own.clone().next();
+        let name = by.zip(first).map_or(String::new(), |(by, row)| by.told(&row.design));
+        Curve { name, points, colour: place % COLOURS.len(), dashed: place >= COLOURS.len(), dots: true }
+    });
+    let lowest = all.iter().map(|row| row.psnr_view_db).fold(f64::MAX, f64::min);
+    let highest = all.iter().map(|row| row.psnr_view_db.min(plot::CAP_DB)).fold(f64::MIN, f64::max);
+    let axes = Axes {
+        title: title(part, others),
+        x_label: x.label().into(),
+        y_label: "PSNR, dB".into(),
+        x: None,
+        y: Some([(lowest - 1.0).floor(), (highest + 1.0).ceil()]),
+    };
+    plot::curves(&axes, &curves.collect::<Vec<_>>(), &[], &[])
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_display::{LensletBacklight, Variation};
+
+    use super::*;
+
+    fn rows() -> Vec<Row> {
+        let base = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 12.0], 2);
+        let mut rows = Vec::new();
+        for (name, layers, frames) in [("a", 1, 1), ("a", 2, 1), ("a", 1, 3), ("a", 2, 3), ("b, wide", 1, 1)] {
+            let variation = Variation { layers: Some(layers), frames: Some(frames), ..Variation::default() };
+            let design = Design::of(name, &variation.applied_to(&base).unwrap());
+            let psnr = 20.0 + 5.0 * (layers * frames) as f64;
+            rows.push(Row { design, psnr_view_db: psnr, psnr_raw_db: psnr, psnr_between_db: None });
+        }
+        rows
+    }
+
+    #[test]
+    fn a_design_says_what_it_takes() {
+        let mut display = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], 6);
+        let design = Design::of("x", &display);
+        assert_eq!((design.gap_mm, design.thickness_mm, design.panels, design.refresh_hz), (12.0, 24.0, 3, 360.0));
+        assert!((design.values_per_ray - 2.0).abs() < 1e-12, "6 frames of 3 layers for 9 views");
+        display.backlight = Backlight::Lenslets(LensletBacklight::new(-20.0, [4, 5], 4.0, [3, 3], [20.0, 20.0]));
+        let design = Design::of("x", &display);
+        assert_eq!((design.lenslets, design.thickness_mm, design.panels), ([4, 5], 32.0, 4));
+        assert!((design.values_per_ray - 6.0 * (3.0 * 160.0 + 180.0) / (9.0 * 160.0)).abs() < 1e-12);
+        let still = Display { frames: 1, ..display };
+        assert_eq!(Design::of("x", &still).refresh_hz, 0.0);
+    }
+
+    #[test]
+    fn the_table_has_a_line_per_design() {
+        let text = csv(&rows());
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 6);
+        assert_eq!(lines[0].split(',').count(), 16);
+        assert_eq!(lines[1], "a,1,1,1,0,20,20,0,0,0,1,0,0.1111,25.000,25.000,");
+        assert!(lines[5].starts_with("\"b, wide\",1,1,"));
+    }
+
+    #[test]
+    fn what_varies_is_plotted() {
+        let found = plots(&rows()).unwrap();
+        let stems: Vec<&str> = found.iter().map(|(stem, _)| stem.as_str()).collect();
+        for stem in ["psnr-frames-layers-01", "psnr-frames-layers-02", "psnr-layers-01", "psnr-frames-01"] {
+            assert!(stems.contains(&stem), "{stem} is not among {stems:?}");
+        }
+        // a single layer has no distance to vary
+        assert!(!stems.iter().any(|stem| stem.contains("brightness") || stem.contains("gap")), "{stems:?}");
+        assert!(plots(&rows()[..1]).unwrap().is_empty(), "one design is no trend");
+    }
+}

@@ -1,0 +1,198 @@
+//! The paper's closed forms of the bound on depth of field, eqs. (23) to (26), with what each assumes of a display.
+//!
+//! With slopes (d_r = 1), ω0 = 1/(2p), Δs = (2/A) tan(α/2), Δd the distance of neighbouring layers and z the depth:
+//!
+//! ```text
+//! (23) lens array                1/(2Δx)          if |z| ≤ Δx/Δs,                   else 1/(2|z|Δs)
+//! (24) two layers                ω0 · 2Δd/(Δd + 2|z|)
+//! (25) three layers              ω0 · 3Δd/(Δd + |z|)   if |z| ≤ 2Δd,               else ω0 · 2Δd/|z|
+//! (26) a layer on a lens array   1/(2Δx) + ω0     if |z| ≤ Δx/(Δs + 2ΔxΔsω0),      else 1/(2|z|Δs)
+//! ```
+//!
+//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions; where they hold, both agree.
+
+use crate::{Backlight, Display};
+
+/// A closed form, for one axis of a display.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClosedForm {
+    /// Its number in the paper, 23 to 26.
+    pub equation: u32,
+    /// What it assumes, for people.
+    pub assumes: &'static str,
+    /// Which of that the display breaks; empty where the closed form is exact.
+    pub broken: Vec<String>,
+    form: Form,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Form {
+    Lenses { lenslet_mm: f64, step: f64 },
+    Two { gap_mm: f64, own: f64 },
+    Three { gap_mm: f64, own: f64 },
+    LayerOnLenses { lenslet_mm: f64, step: f64, own: f64 },
+}
+
+/// Relative difference that is no difference: rounding in a file.
+const ROUNDING: f64 = 1e-9;
+
+impl Display {
+    /// The closed form for a display of this kind along one axis (0: x, 1: y); `None` where the paper has none.
+    pub fn closed_form(&self, axis: usize) -> Option<ClosedForm> {
+        let own = self.layers.iter().map(|layer| 0.5 / layer.pitch_mm).fold(f64::INFINITY, f64::min);
+        let mut broken = Vec::new();
+        if self.layers.iter().any(|layer| 0.5 / layer.pitch_mm > own * (1.0 + ROUNDING)) {
+            broken.push("the layers' pitches differ; it takes the coarsest".to_string());
+        }
+        let d_mm: Vec<f64> = self.layers.iter().map(|layer| layer.d_mm).collect();
+        let (first, last) = (*d_mm.first()?, *d_mm.last()?);
+        let scale = (last - first).abs().max(1e-9);
+        let centred = |broken: &mut Vec<String>| {
+            if (first + last).abs() > ROUNDING * scale {
+                broken.push(format!("the stack's middle stands at {} mm", 0.5 * (first + last)));
+            }
+        };
+        let (equation, assumes, form) = match (d_mm.len(), &self.backlight) {
+            (2, Backlight::Uniform) => {
+                centred(&mut broken);
+                let form = Form::Two { gap_mm: last - first, own };
+                (24, "two layers of one pitch at −Δd/2 and Δd/2", form)
+            }
+            (3, Backlight::Uniform) => {
+                centred(&mut broken);
+                let (rear, front) = (d_mm[1] - first, last - d_mm[1]);
+                if (rear - front).abs() > ROUNDING * scale {
+                    broken.push(format!("gaps of {rear} and {front} mm; it takes their mean"));
+                }
+                let form = Form::Three { gap_mm: 0.5 * (last - first), own };
+                (25, "three layers of one pitch at −Δd, 0 and Δd", form)
+            }
+            (1, Backlight::Lenslets(_)) => {
+                if first != 0.0 {
+                    broken.push(format!("the layer stands at {first} mm"));
+                }
+                let Form::Lenses { lenslet_mm, step } = self.lenses(axis, &mut broken)? else { return None };
+                let form = Form::LayerOnLenses { lenslet_mm, step, own };
+                (26, "a layer at z = 0 and the lens array in the same plane", form)
+            }
+            _ => return None,
+        };
+        Some(ClosedForm { equation, assumes, broken, form })
+    }
+
+    /// Equation (23) for the display's lens array alone: integral imaging with the same lenslets and views. `None` without a lens array.
+    pub fn lens_array_form(&self, axis: usize) -> Option<ClosedForm> {
+        let mut broken = Vec::new();
+        let form = self.lenses(axis, &mut broken)?;
+        Some(ClosedForm { equation: 23, assumes: "a lens array or barrier at z = 0 and nothing else", broken, form })
+    }
+
+    fn lenses(&self, axis: usize, broken: &mut Vec<String>) -> Option<Form> {
+        let Backlight::Lenslets(backlight) = &self.backlight else { return None };
+        if backlight.d_mm != 0.0 {
+            broken.push(format!("the lens array stands at {} mm", backlight.d_mm));
+        }
+        let step = 2.0 / backlight.views[axis] as f64 * (0.5 * backlight.fov_deg[axis].to_radians()).tan();
+        Some(Form::Lenses { lenslet_mm: backlight.pitch_mm, step })
+    }
+}
+
+impl ClosedForm {
+    /// ω at depth `z_mm`, cycles per millimetre.
+    pub fn cutoff(&self, z_mm: f64) -> f64 {
+        let far = z_mm.abs();
+        let angular = |step: f64| 0.5 / (far * step);
+        match self.form {
+            Form::Lenses { lenslet_mm, step } if far * step <= lenslet_mm => 0.5 / lenslet_mm,
+            Form::Lenses { step, .. } => angular(step),
+            Form::Two { gap_mm, own } => own * 2.0 * gap_mm / (gap_mm + 2.0 * far),
+            Form::Three { gap_mm, own } if far <= 2.0 * gap_mm => own * 3.0 * gap_mm / (gap_mm + far),
+            Form::Three { gap_mm, own } => own * 2.0 * gap_mm / far,
+            Form::LayerOnLenses { lenslet_mm, step, own } => {
+                if far * step * (1.0 + 2.0 * lenslet_mm * own) <= lenslet_mm {
+                    0.5 / lenslet_mm + own
+                } else {
+                    angular(step)
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_core::seed::Stream;
+
+    use super::*;
+    use crate::LensletBacklight;
+
+    /// How near the general form comes to the closed ones.
+    const AGREEMENT: f64 = 1e-6;
+
+    /// A random display for which the closed form of a kind is exact.
+    fn random(kind: u32, stream: &mut Stream) -> Display {
+        let mut number = |low: f64, high: f64| low + (high - low) * f64::from(stream.next_f32());
+        let (pitch, gap) = (number(0.05, 2.0), number(1.0, 80.0));
+        let d_mm: Vec<f64> = match kind {
+            24 => vec![-0.5 * gap, 0.5 * gap],
+            25 => vec![-gap, 0.0, gap],
+            _ => vec![0.0],
+        };
+        let mut display = Display::uniform([16, 10], pitch, [5, 5], [20.0, 20.0], &d_mm, 1);
+        if kind == 23 || kind == 26 {
+            let views = [number(2.0, 12.0) as usize, number(2.0, 12.0) as usize];
+            let fov = [number(5.0, 80.0), number(5.0, 80.0)];
+            let lenses = LensletBacklight::new(0.0, [9, 9], pitch * number(1.0, 20.0), views, fov);
+            display.backlight = Backlight::Lenslets(lenses);
+        }
+        if kind == 23 {
+            display.layers.clear();
+        }
+        display
+    }
+
+    #[test]
+    fn the_general_form_equals_the_papers_on_random_displays() {
+        let mut stream = Stream::new(23);
+        for (kind, _) in [23, 24, 25, 26].into_iter().flat_map(|kind| (0..1000).map(move |i| (kind, i))) {
+            let display = random(kind, &mut stream);
+            for axis in [0, 1] {
+                let form = if kind == 23 { display.lens_array_form(axis) } else { display.closed_form(axis) };
+                let form = form.unwrap();
+                assert_eq!((form.equation, form.broken.len()), (kind, 0), "{form:?}");
+                for _ in 0..5 {
+                    let z = 400.0 * f64::from(stream.next_f32()) - 200.0;
+                    let (general, closed) = (display.spatial_cutoff_along(axis, z), form.cutoff(z));
+                    assert!((general / closed - 1.0).abs() < AGREEMENT, "({kind}) at {z}: {general}, {closed}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_display_breaks_is_named() {
+        let display = Display::uniform([16, 10], 0.5, [5, 5], [20.0, 20.0], &[-10.0, 0.0, 30.0], 1);
+        let form = display.closed_form(0).unwrap();
+        assert_eq!((form.equation, form.broken.len()), (25, 2), "{:?}", form.broken);
+        let mut directional = Display::uniform([16, 10], 0.5, [5, 5], [20.0, 20.0], &[0.0], 1);
+        assert_eq!(directional.closed_form(0), None, "one layer alone has no formula");
+        directional.backlight = Backlight::Lenslets(LensletBacklight::new(-8.5, [9, 9], 2.5, [5, 5], [48.0, 48.0]));
+        let form = directional.closed_form(1).unwrap();
+        assert_eq!(form.broken, ["the lens array stands at -8.5 mm"]);
+        assert_eq!(directional.lens_array_form(1).unwrap().equation, 23);
+        let four = Display::uniform([16, 10], 0.5, [5, 5], [20.0, 20.0], &[-3.0, -1.0, 1.0, 3.0], 1);
+        assert_eq!(four.closed_form(0), None);
+    }
+
+    /// The prototype's lenses stand 8.5 mm behind the layer: away from the screen the bound is some 60 % above (26), which assumes no gap.
+    #[test]
+    fn a_gap_before_the_lenses_raises_the_bound() {
+        let mut display = Display::uniform([840, 525], 0.5655, [5, 5], [48.0, 48.0], &[0.0], 12);
+        display.backlight = Backlight::Lenslets(LensletBacklight::new(-8.5, [187, 117], 2.54, [5, 5], [48.0, 48.0]));
+        let form = display.closed_form(0).unwrap();
+        let excess = display.spatial_cutoff_along(0, 100.0) / form.cutoff(100.0) - 1.0;
+        assert!((0.55..0.65).contains(&excess), "{excess}");
+        // with the lenses so far behind, the layer's own plane alone has all of both
+        assert!((display.spatial_cutoff_along(0, 0.0) / form.cutoff(0.0) - 1.0).abs() < 0.2);
+    }
+}

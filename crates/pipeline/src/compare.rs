@@ -1,0 +1,395 @@
+//! Two runs side by side, a run beside a photograph of its panels, and what an eye's pupil makes of a display.
+//!
+//! Two runs are simulated at the same rays, those of the first one's target, and compared with each other and with their targets. A photograph is brought
+//! onto the display by the homography of its four corners, and to the simulation's exposure by the one factor g that minimizes Σ (g p − s)² over
+//! photograph p and simulation s, in linear light:
+//!
+//! ```text
+//! g = Σ s p / Σ p²
+//! ```
+//!
+//! Through a pupil around the eye e at distance D, focused on depth z, a display is the mean of what is seen from points q of the pupil, each moved so that the
+//! plane at z stays where it is: by (q − e) z/(D − z) on z = 0.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::metrics::{Flip, Mean, SquaredError, ssim};
+use lumistack_core::{Task, Tensor};
+use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator};
+use lumistack_field_io::picture::Picture;
+use serde::Serialize;
+
+use crate::error::{PipelineError, display_error, field_error};
+use crate::simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file};
+
+/// How alike two pictures or light fields are.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Likeness {
+    /// Peak signal-to-noise ratio, dB; none where they are equal.
+    pub psnr_db: Option<f64>,
+    /// Structural similarity, at most 1.
+    pub ssim: f64,
+    /// FLIP error, 0 to 1.
+    pub flip: f64,
+}
+
+/// What two runs have in common and what not.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunComparison {
+    /// Rays' views at which both were simulated.
+    pub views: usize,
+    /// The first against its target, where it has one.
+    pub first: Option<Likeness>,
+    /// The second against the same target.
+    pub second: Option<Likeness>,
+    /// The second against the first.
+    pub between: Likeness,
+    /// Pictures that were written.
+    pub pictures: Vec<PathBuf>,
+}
+
+/// A photograph beside the simulation.
+#[derive(Clone, Debug, Serialize)]
+pub struct PhotoComparison {
+    /// Photograph against simulation, at the simulation's exposure.
+    pub likeness: Likeness,
+    /// Factor that was put on the photograph's linear values.
+    pub gain: f64,
+    /// Pictures that were written.
+    pub pictures: Vec<PathBuf>,
+}
+
+/// Sums of the metrics over views.
+struct Sums {
+    error: SquaredError,
+    ssim: Mean,
+    flip: Mean,
+    filter: Flip,
+}
+
+impl Sums {
+    fn new() -> Self {
+        let filter = Flip::new(Flip::DEFAULT_PIXELS_PER_DEGREE);
+        Self { error: SquaredError::default(), ssim: Mean::default(), flip: Mean::default(), filter }
+    }
+
+    /// Pixels where `valid` says so; the others are given the reference's values.
+    fn add(&mut self, reference: &[f32], test: &[f32], shape: [usize; 2], valid: &[bool]) {
+        let counted = |i: usize| valid[i];
+        let mut test = test.to_vec();
+        for (i, (test, reference)) in test.chunks_exact_mut(3).zip(reference.chunks_exact(3)).enumerate() {
+            if valid[i] {
+                for c in 0..3 {
+                    self.error.add(f64::from(test[c]), f64::from(reference[c]));
+                }
+            } else {
+                test.copy_from_slice(reference);
+            }
+        }
+        self.ssim = self.ssim.merged(ssim(reference, &test, shape).mean_where(counted));
+        self.flip = self.flip.merged(self.filter.compare(reference, &test, shape).mean_where(counted));
+    }
+
+    fn likeness(&self) -> Likeness {
+        let psnr = self.error.psnr();
+        Likeness { psnr_db: psnr.is_finite().then_some(psnr), ssim: self.ssim.value(), flip: self.flip.value() }
+    }
+}
+
+/// Compares two run folders whose light fields have the same pixels; writes the left, middle and right view of both with their difference into `out`.
+///
+/// # Errors
+/// When they cannot be read, or have other pixels.
+pub fn compare_runs(
+    first: &Path,
+    second: &Path,
+    out: Option<&Path>,
+    task: Task<'_>,
+) -> Result<RunComparison, PipelineError> {
+    let [a, b] = [RunFolder::open(first)?, RunFolder::open(second)?];
+    let [own, other] = [&a, &b].map(|run| run.display.field_pixels());
+    if [own.rows, own.cols] != [other.rows, other.cols] || (own.pitch_mm / other.pitch_mm - 1.0).abs() > 1e-6 {
+        let of = |g: &lumistack_display::FieldGeometry| format!("{} × {} pixels of {} mm", g.cols, g.rows, g.pitch_mm);
+        return Err(PipelineError::value(second, "field", of(&own), of(&other)));
+    }
+    let target = target_of(first)?;
+    let geometry = match &target {
+        Some(target) => target.geometry().clone(),
+        None => a.display.geometry().map_err(|source| display_error(source, "field"))?,
+    };
+    let simulators = [&a, &b].map(|run| Simulator::new(&run.display, &run.stack));
+    let maps = [&a, &b].map(|run| RayMap::new(&run.display, &geometry));
+    let shape = [geometry.rows, geometry.cols];
+    let [rows, cols] = geometry.grid.views();
+    let shown_as_picture = [[rows / 2, 0], [rows / 2, cols / 2], [rows / 2, cols - 1]];
+    let (mut of_first, mut of_second, mut between) = (Sums::new(), Sums::new(), Sums::new());
+    let mut pictures = Vec::new();
+    task.progress.begin("compare", (rows * cols) as u64, "views");
+    for view in geometry.grid.iter() {
+        task.cancel.check()?;
+        let emitted = [0, 1].map(|i| simulators[i].view(&maps[i], &geometry, view));
+        let seen = [0, 1].map(|i| {
+            let scale = 1.0 / [&a, &b][i].stack.brightness as f32;
+            emitted[i].radiance.data().iter().map(|value| value * scale).collect::<Vec<f32>>()
+        });
+        if let Some(target) = &target {
+            of_first.add(target.view(view), &seen[0], shape, &emitted[0].valid);
+            of_second.add(target.view(view), &seen[1], shape, &emitted[1].valid);
+        }
+        let both: Vec<bool> = emitted[0].valid.iter().zip(&emitted[1].valid).map(|(a, b)| *a && *b).collect();
+        between.add(&seen[0], &seen[1], shape, &both);
+        if let Some(out) = out.filter(|_| shown_as_picture.contains(&view)) {
+            let path = out.join(format!("view_{:02}_{:02}.png", view[0], view[1]));
+            if !pictures.contains(&path) {
+                let target = target.as_ref().map(|target| target.view(view));
+                let panes = target.into_iter().chain([&seen[0][..], &seen[1][..]]).map(<[f32]>::to_vec);
+                save(&path, panes.chain([difference(&seen[0], &seen[1])]).collect(), shape)?;
+                pictures.push(path);
+            }
+        }
+        task.progress.advance(1, "");
+    }
+    task.progress.end();
+    let has_target = target.is_some();
+    Ok(RunComparison {
+        views: rows * cols,
+        first: has_target.then(|| of_first.likeness()),
+        second: has_target.then(|| of_second.likeness()),
+        between: between.likeness(),
+        pictures,
+    })
+}
+
+/// The target of a run, or of the graph's run that a node's folder lies in.
+fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError> {
+    for folder in [run.join("target"), run.join("../../target")] {
+        if folder.join("lightfield.json").is_file() {
+            return Ok(Some(lumistack_field_io::read_field_folder(&folder).map_err(field_error)?.0));
+        }
+    }
+    Ok(None)
+}
+
+/// Compares a photograph with what the run shows from the viewpoint. `corners` are those of the light field's rectangle in the photograph, pixels from its top left
+/// corner, in the order left top, right top, right bottom, left bottom; without them it fills the photograph.
+///
+/// # Errors
+/// When run or photograph cannot be read, the viewpoint makes no sense, or the corners span nothing.
+pub fn compare_photo(
+    run: &Path,
+    photo: &Path,
+    viewpoint: Viewpoint,
+    corners: Option<[[f64; 2]; 4]>,
+    out: Option<&Path>,
+) -> Result<PhotoComparison, PipelineError> {
+    let run = RunFolder::open(run)?;
+    let simulated = run.picture(viewpoint, false)?;
+    let [rows, cols, _] = simulated.shape();
+    let picture = Picture::read(photo).map_err(field_error)?;
+    let size = picture.size();
+    let [width, height] = size.map(|side| side as f64);
+    let corners = corners.unwrap_or([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]);
+    let map = Homography::of_unit_square(corners).ok_or_else(|| {
+        PipelineError::value("--corners", "corners", "four corners of a convex figure", format!("{corners:?}"))
+    })?;
+    let mut taken = rectified(&picture.into_linear(), size, &map, [rows, cols]);
+    let (mut products, mut squares) = (0.0, 0.0);
+    for (p, s) in taken.iter().zip(simulated.data()) {
+        products += f64::from(*p) * f64::from(*s);
+        squares += f64::from(*p) * f64::from(*p);
+    }
+    let gain = if squares > 0.0 { products / squares } else { 1.0 };
+    taken.iter_mut().for_each(|value| *value *= gain as f32);
+    let mut sums = Sums::new();
+    sums.add(simulated.data(), &taken, [rows, cols], &vec![true; rows * cols]);
+    let mut pictures = Vec::new();
+    if let Some(out) = out {
+        let path = out.join("photograph.png");
+        let panes = vec![simulated.data().to_vec(), taken.clone(), difference(simulated.data(), &taken)];
+        save(&path, panes, [rows, cols])?;
+        pictures.push(path);
+    }
+    Ok(PhotoComparison { likeness: sums.likeness(), gain, pictures })
+}
+
+/// Samples of a pupil per axis; those outside its disc do not count.
+const PUPIL_SAMPLES: usize = 7;
+
+/// What an eye at `eye_mm` with a pupil of `pupil_mm` sees of a display, focused on the depth `focus_mm`: `[row][col][rgb]`, linear, L̃/β.
+///
+/// # Errors
+/// When the eye is not in front of the display and of the focus.
+pub fn refocused(
+    display: &Display,
+    stack: &LayerStack,
+    eye_mm: [f64; 3],
+    pupil_mm: f64,
+    focus_mm: f64,
+) -> Result<Tensor<3>, PipelineError> {
+    let distance = eye_mm[2];
+    if !(pupil_mm.is_finite() && pupil_mm >= 0.0) {
+        return Err(PipelineError::value("--pupil-mm", "MM", "a diameter ≥ 0", pupil_mm.to_string()));
+    }
+    if !(focus_mm.is_finite() && focus_mm < distance) {
+        let expected = format!("a depth before the eye, less than {distance} mm");
+        return Err(PipelineError::value("--focus", "Z", expected, focus_mm.to_string()));
+    }
+    let pixels = display.field_pixels();
+    let mut sum = Tensor::zeros(["row", "col", "rgb"], [pixels.rows, pixels.cols, 3]);
+    let mut count = 0u32;
+    let place = |i: usize| ((2 * i + 1) as f64 / PUPIL_SAMPLES as f64 - 1.0) * 0.5 * pupil_mm;
+    for (dy, dx) in (0..PUPIL_SAMPLES).flat_map(|y| (0..PUPIL_SAMPLES).map(move |x| (place(y), place(x)))) {
+        if dx.hypot(dy) > 0.5 * pupil_mm {
+            continue;
+        }
+        let view = picture_from(display, stack, Viewpoint::Eye([eye_mm[0] + dx, eye_mm[1] + dy, distance]), false)?;
+        // columns to the right, rows down
+        let shift = [-dy, dx].map(|offset| offset * focus_mm / ((distance - focus_mm) * pixels.pitch_mm));
+        add_moved(&mut sum, &view, shift);
+        count += 1;
+    }
+    sum.data_mut().iter_mut().for_each(|value| *value /= count.max(1) as f32);
+    Ok(sum)
+}
+
+/// Adds a picture moved by [rows, columns]; beyond its edge it goes on as at the edge.
+fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
+    let [rows, cols, _] = view.shape();
+    let axis = |i: usize, shift: f64, count: usize| {
+        let at = (i as f64 - shift).clamp(0.0, (count - 1) as f64);
+        let first = at.floor() as usize;
+        (first, (first + 1).min(count - 1), (at - at.floor()) as f32)
+    };
+    for row in 0..rows {
+        let (top, bottom, ty) = axis(row, down, rows);
+        for col in 0..cols {
+            let (left, right, tx) = axis(col, right, cols);
+            for c in 0..3 {
+                let mix = |row: usize| (1.0 - tx) * view.get([row, left, c]) + tx * view.get([row, right, c]);
+                *sum.at_mut([row, col, c]) += (1.0 - ty) * mix(top) + ty * mix(bottom);
+            }
+        }
+    }
+}
+
+/// From the unit square, x to the right and y down, to the plane of a picture.
+struct Homography([f64; 8]);
+
+impl Homography {
+    /// (0,0), (1,0), (1,1), (0,1) go to the corners; `None` where they span nothing. Source: Heckbert, "Fundamentals of Texture Mapping and Image Warping"
+    /// (1989), section 2.2.3.
+    fn of_unit_square([a, b, c, d]: [[f64; 2]; 4]) -> Option<Self> {
+        let (dx1, dx2, sx) = (b[0] - c[0], d[0] - c[0], a[0] - b[0] + c[0] - d[0]);
+        let (dy1, dy2, sy) = (b[1] - c[1], d[1] - c[1], a[1] - b[1] + c[1] - d[1]);
+        let area = dx1 * dy2 - dx2 * dy1;
+        let (g, h) = ((sx * dy2 - dx2 * sy) / area, (dx1 * sy - sx * dy1) / area);
+        let found = [
+            b[0] - a[0] + g * b[0],
+            d[0] - a[0] + h * d[0],
+            a[0],
+            b[1] - a[1] + g * b[1],
+            d[1] - a[1] + h * d[1],
+            a[1],
+            g,
+            h,
+        ];
+        // nothing of the square may lie on or beyond the horizon
+        let sound = area.abs() > 1e-9 && [1.0, 1.0 + g, 1.0 + h, 1.0 + g + h].iter().all(|w| *w > 1e-9);
+        (sound && found.iter().all(|value| value.is_finite())).then_some(Self(found))
+    }
+
+    fn at(&self, u: f64, v: f64) -> [f64; 2] {
+        let m = &self.0;
+        let w = m[6] * u + m[7] * v + 1.0;
+        [(m[0] * u + m[1] * v + m[2]) / w, (m[3] * u + m[4] * v + m[5]) / w]
+    }
+}
+
+/// Points per pixel and axis of the rectified picture.
+const POINTS: usize = 4;
+
+/// The part of a picture `[row][col][rgb]` of size [width, height] that a homography frames, at [rows, cols].
+fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, cols]: [usize; 2]) -> Vec<f32> {
+    let mut result = vec![0.0f32; 3 * rows * cols];
+    let share = 1.0 / (POINTS * POINTS) as f32;
+    for (i, pixel) in result.chunks_exact_mut(3).enumerate() {
+        let (row, col) = (i / cols, i % cols);
+        for (py, px) in (0..POINTS).flat_map(|y| (0..POINTS).map(move |x| (y, x))) {
+            let part = |i: usize, p: usize, count: usize| (i as f64 + (p as f64 + 0.5) / POINTS as f64) / count as f64;
+            let [x, y] = map.at(part(col, px, cols), part(row, py, rows));
+            let axis = |at: f64, count: usize| {
+                let at = (at - 0.5).clamp(0.0, (count - 1) as f64);
+                (at.floor() as usize, (at.floor() as usize + 1).min(count - 1), (at - at.floor()) as f32)
+            };
+            let ((left, right, tx), (top, bottom, ty)) = (axis(x, width), axis(y, height));
+            for (c, value) in pixel.iter_mut().enumerate() {
+                let mix = |row: usize| {
+                    (1.0 - tx) * rgb[3 * (row * width + left) + c] + tx * rgb[3 * (row * width + right) + c]
+                };
+                *value += share * ((1.0 - ty) * mix(top) + ty * mix(bottom));
+            }
+        }
+    }
+    result
+}
+
+/// ½ + the difference, so that equal is middle grey.
+fn difference(first: &[f32], second: &[f32]) -> Vec<f32> {
+    // middle grey of the encoded picture
+    first.iter().zip(second).map(|(a, b)| (0.214 + (b - a)).clamp(0.0, 1.0)).collect()
+}
+
+/// Writes pictures of one shape side by side.
+fn save(path: &Path, panes: Vec<Vec<f32>>, [rows, cols]: [usize; 2]) -> Result<(), PipelineError> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
+    }
+    let mut sheet = Tensor::zeros(["row", "col", "rgb"], [rows, cols * panes.len(), 3]);
+    for (number, pane) in panes.iter().enumerate() {
+        for row in 0..rows {
+            sheet.block_mut([row])[3 * cols * number..][..3 * cols]
+                .copy_from_slice(&pane[3 * cols * row..][..3 * cols]);
+        }
+    }
+    simulate_to_file(&sheet, path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_homography_takes_the_square_to_its_corners() {
+        let corners = [[10.0, 5.0], [90.0, 12.0], [80.0, 70.0], [4.0, 60.0]];
+        let map = Homography::of_unit_square(corners).unwrap();
+        for ([u, v], corner) in [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].into_iter().zip(corners) {
+            let found = map.at(u, v);
+            assert!((found[0] - corner[0]).hypot(found[1] - corner[1]) < 1e-9, "{found:?} {corner:?}");
+        }
+        // the diagonals cross where they do
+        let middle = map.at(0.5, 0.5);
+        let side = |a: [f64; 2], b: [f64; 2]| (b[0] - a[0]) * (middle[1] - a[1]) - (b[1] - a[1]) * (middle[0] - a[0]);
+        assert!(side(corners[0], corners[2]).abs() < 1e-6 && side(corners[1], corners[3]).abs() < 1e-6);
+        assert!(Homography::of_unit_square([[0.0, 0.0]; 4]).is_none());
+        // a corner inside the triangle of the others
+        assert!(Homography::of_unit_square([[0.0, 0.0], [10.0, 0.0], [3.0, 3.0], [0.0, 10.0]]).is_none());
+    }
+
+    /// A dot on the front layer is sharp in focus and a disc of the pupil's size out of it.
+    #[test]
+    fn focus_is_sharp_where_it_lies() {
+        let mut display = Display::uniform([41, 41], 1.0, [3, 3], [20.0, 20.0], &[0.0, 60.0], 1);
+        (display.missing, display.sampling) =
+            (lumistack_display::Missing::Clear, lumistack_display::Sampling::Bilinear);
+        let mut stack = LayerStack::filled(&display, 1.0);
+        stack.layers[1].block_mut([0, 20, 20]).fill(0.0);
+        let eye = [0.0, 0.0, 600.0];
+        let darkest = |focus: f64| {
+            let seen = refocused(&display, &stack, eye, 60.0, focus).unwrap();
+            seen.data().iter().copied().fold(f32::MAX, f32::min)
+        };
+        let (sharp, blurred) = (darkest(60.0), darkest(0.0));
+        assert!(sharp < 0.35 && blurred > 0.75, "{sharp} {blurred}");
+        assert!(refocused(&display, &stack, eye, 4.0, 700.0).is_err());
+    }
+}

@@ -1,0 +1,101 @@
+//! `[sweep]`: designs to compare on one light field.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::PipelineError;
+
+/// Axes along which designs differ; every combination is one. An axis without values stays as the display has it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SweepJob {
+    /// Presets, or display files relative to the job, that are varied; without any the job's own.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub displays: Vec<String>,
+    /// Layers N.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub layers: Vec<usize>,
+    /// Frames M.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub frames: Vec<usize>,
+    /// Brightness scales β.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub brightness: Vec<f64>,
+    /// Distances of neighbouring layers Δd, millimetres.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub gap_mm: Vec<f64>,
+    /// [horizontal, vertical] full angles of view, degrees; each is a light field of its own.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub fov_deg: Vec<[f64; 2]>,
+    /// [columns, rows] of lenslets; displays without a directional backlight stay.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lenslets: Vec<[usize; 2]>,
+    /// What a design must be like; then not all are solved to the end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub search: Option<SearchJob>,
+}
+
+/// Constraints of a search.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SearchJob {
+    /// Most depth from the rearmost part to the frontmost, millimetres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_thickness_mm: Option<f64>,
+    /// Fastest refresh rate of the panels, hertz: a period of all frames must come 60 times a second.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_refresh_hz: Option<f64>,
+    /// Panels at hand: the layers, and the one behind the lenslets.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_panels: Option<usize>,
+    /// Least brightness scale β.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub min_brightness: Option<f64>,
+    /// A PSNR that is enough, dB: the design of fewest panels and frames that reaches it is proposed, not the best one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub enough_db: Option<f64>,
+}
+
+impl SweepJob {
+    /// Number of designs, before those are left out that are the same.
+    pub fn count(&self) -> usize {
+        let lengths = [
+            self.displays.len(),
+            self.layers.len(),
+            self.frames.len(),
+            self.brightness.len(),
+            self.gap_mm.len(),
+            self.fov_deg.len(),
+            self.lenslets.len(),
+        ];
+        lengths.iter().fold(1, |count: usize, length| count.saturating_mul(*length.max(&1)))
+    }
+
+    /// Checks what no display checks.
+    pub(crate) fn check(&self) -> Result<(), PipelineError> {
+        if self.count() > Self::MOST {
+            let expected = format!("at most {} designs", Self::MOST);
+            return Err(PipelineError::value("job", "sweep", expected, self.count().to_string()));
+        }
+        let Some(search) = &self.search else { return Ok(()) };
+        let numbers = [
+            ("max_thickness_mm", search.max_thickness_mm),
+            ("max_refresh_hz", search.max_refresh_hz),
+            ("min_brightness", search.min_brightness),
+            ("enough_db", search.enough_db),
+        ];
+        for (key, number) in numbers {
+            if let Some(number) = number.filter(|number| !(number.is_finite() && *number >= 0.0)) {
+                return Err(PipelineError::value(
+                    "job",
+                    format!("sweep.search.{key}"),
+                    "a number ≥ 0",
+                    number.to_string(),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// More than this is a mistake.
+    pub const MOST: usize = 10_000;
+}

@@ -1,0 +1,141 @@
+//! The designs of a sweep, and the light fields that they need.
+
+use std::path::Path;
+
+use lumistack_design::table::Design;
+use lumistack_display::{Display, Variation};
+
+use crate::error::{PipelineError, display_error};
+use crate::job::{DisplayJob, Job, SweepJob};
+use crate::presets;
+
+/// A design to solve.
+#[derive(Clone, Debug)]
+pub(crate) struct Candidate {
+    pub(crate) design: Design,
+    pub(crate) display: Display,
+    /// Its light field, by number.
+    pub(crate) field: usize,
+}
+
+/// Every design once, and a job per light field.
+///
+/// # Errors
+/// When a display does not load, or a combination makes no sense.
+pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Job>), PipelineError> {
+    let bases: Vec<(String, DisplayJob)> = if sweep.displays.is_empty() {
+        let own = &job.display;
+        let stem = |path: &Path| path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let name = own.preset.clone().or_else(|| own.file.as_deref().and_then(stem)).unwrap_or_default();
+        vec![(name, own.clone())]
+    } else {
+        sweep.displays.iter().map(|text| base(job, text)).collect()
+    };
+    if !sweep.fov_deg.is_empty() && job.scene.is_none() {
+        return Err(PipelineError::value("job", "sweep.fov_deg", "a scene to render from other angles", "none"));
+    }
+    let mut candidates: Vec<Candidate> = Vec::new();
+    let mut fields: Vec<(Display, Job)> = Vec::new();
+    for (name, display_job) in &bases {
+        let base = display_job.resolve()?;
+        for variation in variations(sweep) {
+            let display =
+                variation.applied_to(&base).map_err(|source| display_error(source, &format!("sweep of `{name}`")))?;
+            let known = |other: &Candidate| other.design.display == *name && other.display == display;
+            if candidates.iter().any(known) {
+                continue;
+            }
+            let field = match fields.iter().position(|(other, _)| other.field == display.field) {
+                Some(field) => field,
+                None => {
+                    let shown =
+                        DisplayJob { fov_deg: variation.fov_deg.or(display_job.fov_deg), ..display_job.clone() };
+                    let mut of = Job { display: shown, sweep: None, outputs: Vec::new(), ..job.clone() };
+                    of.render.outside = 0;
+                    fields.push((display.clone(), of));
+                    fields.len() - 1
+                }
+            };
+            candidates.push(Candidate { design: Design::of(name, &display), display, field });
+        }
+    }
+    Ok((candidates, fields.into_iter().map(|(_, job)| job).collect()))
+}
+
+/// A preset or a file, with what the job changes about its display.
+fn base(job: &Job, text: &str) -> (String, DisplayJob) {
+    let named = presets::by_name_or_path(text);
+    let name = Path::new(text).file_stem().map_or(text.into(), |stem| stem.to_string_lossy().into_owned());
+    let file = named.file.map(|file| job.folder.join(file));
+    (name, DisplayJob { preset: named.preset, file, ..job.display.clone() })
+}
+
+/// Every combination, the last axis fastest.
+fn variations(sweep: &SweepJob) -> Vec<Variation> {
+    let mut all = vec![Variation::default()];
+    expand(&mut all, &sweep.layers, |variation, layers| variation.layers = Some(layers));
+    expand(&mut all, &sweep.frames, |variation, frames| variation.frames = Some(frames));
+    expand(&mut all, &sweep.brightness, |variation, brightness| variation.brightness = Some(brightness));
+    expand(&mut all, &sweep.gap_mm, |variation, gap_mm| variation.gap_mm = Some(gap_mm));
+    expand(&mut all, &sweep.fov_deg, |variation, fov_deg| variation.fov_deg = Some(fov_deg));
+    expand(&mut all, &sweep.lenslets, |variation, lenslets| variation.lenslets = Some(lenslets));
+    all
+}
+
+fn expand<T: Copy>(all: &mut Vec<Variation>, values: &[T], set: impl Fn(&mut Variation, T)) {
+    if values.is_empty() {
+        return;
+    }
+    let old = std::mem::take(all);
+    for (variation, &value) in old.iter().flat_map(|variation| values.iter().map(move |value| (variation, value))) {
+        let mut variation = variation.clone();
+        set(&mut variation, value);
+        all.push(variation);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job(sweep: SweepJob) -> Job {
+        let display = DisplayJob { resolution: Some([16, 10]), ..presets::by_name_or_path("fig7-uniform") };
+        Job { scene: Some("a.glb".into()), sweep: Some(sweep), ..Job::new(display) }
+    }
+
+    #[test]
+    fn every_combination_comes_once() {
+        let sweep = SweepJob {
+            displays: vec!["fig7-uniform".into(), "fig7-directional".into()],
+            layers: vec![1, 2, 3],
+            frames: vec![1, 4],
+            gap_mm: vec![40.0],
+            lenslets: vec![[4, 3], [8, 6]],
+            ..SweepJob::default()
+        };
+        assert_eq!(sweep.count(), 24);
+        let (found, fields) = all(&job(sweep.clone()), &sweep).unwrap();
+        // a uniform backlight has no lenslets to vary
+        assert_eq!((found.len(), fields.len()), (6 + 12, 1));
+        assert_eq!(found[5].design.layers, 3);
+        assert!(found.iter().all(|candidate| candidate.field == 0 && candidate.display.field.resolution == [16, 10]));
+    }
+
+    #[test]
+    fn every_field_of_view_is_a_light_field() {
+        let sweep = SweepJob { fov_deg: vec![[20.0, 20.0], [40.0, 20.0]], frames: vec![1, 2], ..SweepJob::default() };
+        let (found, fields) = all(&job(sweep.clone()), &sweep).unwrap();
+        assert_eq!((found.len(), fields.len()), (4, 2));
+        assert_eq!(fields[1].display.fov_deg, Some([40.0, 20.0]));
+        let read = Job { scene: None, light_field: Some("a.npy".into()), ..job(sweep.clone()) };
+        let error = all(&read, &sweep).unwrap_err().to_string();
+        assert!(error.contains("sweep.fov_deg"), "{error}");
+    }
+
+    #[test]
+    fn a_design_that_makes_no_sense_names_the_display() {
+        let sweep = SweepJob { displays: vec!["fig7-directional".into()], layers: vec![3], ..SweepJob::default() };
+        let error = all(&job(sweep.clone()), &sweep).unwrap_err().to_string();
+        assert!(error.starts_with("sweep of `fig7-directional`: gap_mm"), "{error}");
+    }
+}

@@ -1,0 +1,159 @@
+//! A design under constraints, without solving all of them to the end.
+//!
+//! Successive halving: what the constraints allow is solved with few iterations, the better part with more, and so on; only the last few get all. The order of
+//! designs after few iterations is nearly that after many, and every row is kept, so that a search takes up what a sweep left.
+
+use lumistack_design::table::{Design, Row};
+
+use super::Solver;
+use super::designs::Candidate;
+use crate::error::PipelineError;
+use crate::job::SearchJob;
+
+/// Shares of the iterations, and of the candidates that go on from there.
+const RUNGS: [(f64, f64); 2] = [(0.08, 0.5), (0.3, 0.4)];
+/// No fewer go on.
+const LEAST: usize = 6;
+/// Designs this much apart are equally good, dB: the one that takes less is preferred.
+const AS_GOOD_DB: f64 = 0.3;
+/// A design that falls short by more than this early on will not get there, dB.
+const HOPE_DB: f64 = 8.0;
+
+/// Those that the constraints allow.
+///
+/// # Errors
+/// If there are none; the error says what came nearest.
+pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<Vec<Candidate>, PipelineError> {
+    let fits = |d: &Design| {
+        // a period of one frame never flickers, whatever the panels
+        let checks = [
+            search.max_thickness_mm.is_none_or(|most| d.thickness_mm <= most * (1.0 + 1e-9)),
+            search.max_refresh_hz.is_none_or(|most| d.refresh_hz <= most * (1.0 + 1e-9)),
+            search.max_panels.is_none_or(|most| d.panels <= most),
+            search.min_brightness.is_none_or(|least| d.brightness >= least * (1.0 - 1e-9)),
+        ];
+        checks.into_iter().all(|holds| holds)
+    };
+    let least = |value: fn(&Design) -> f64| candidates.iter().map(|c| value(&c.design)).fold(f64::INFINITY, f64::min);
+    let found = format!(
+        "designs of at least {} mm, {} Hz and {} panels, β up to {}",
+        least(|d| d.thickness_mm),
+        least(|d| d.refresh_hz),
+        least(|d| d.panels as f64),
+        -least(|d| -d.brightness)
+    );
+    let kept: Vec<Candidate> = candidates.into_iter().filter(|candidate| fits(&candidate.design)).collect();
+    if kept.is_empty() {
+        return Err(PipelineError::value("job", "sweep.search", "constraints that some design keeps", found));
+    }
+    Ok(kept)
+}
+
+/// Rows of the last rung in the candidates' order, how many were kept from before, and the proposals, best first.
+///
+/// # Errors
+/// When a design cannot be solved, or when cancelled.
+pub(crate) fn run(
+    solver: &Solver<'_>,
+    mut candidates: Vec<Candidate>,
+    search: &SearchJob,
+) -> Result<(Vec<Row>, usize, Vec<(Candidate, Row)>), PipelineError> {
+    for (share, on) in RUNGS {
+        if candidates.len() <= LEAST {
+            break;
+        }
+        let iterations = ((share * f64::from(solver.iterations())).round() as u32).max(1);
+        let (rows, _) = solver.solve_all(&candidates, iterations)?;
+        let goes_on = ((on * candidates.len() as f64).ceil() as usize).max(LEAST);
+        let mut order: Vec<usize> = (0..candidates.len()).collect();
+        match search.enough_db {
+            None => order.sort_by(|&a, &b| rows[b].psnr_view_db.total_cmp(&rows[a].psnr_view_db)),
+            // the cheapest of those that may get there; where none may, the best
+            Some(enough) => {
+                let hopeless = |i: usize| rows[i].psnr_view_db < enough - HOPE_DB;
+                order.sort_by(|&a, &b| {
+                    let by_cost = || {
+                        cost(&rows[a].design).partial_cmp(&cost(&rows[b].design)).unwrap_or(std::cmp::Ordering::Equal)
+                    };
+                    let by_psnr = || rows[b].psnr_view_db.total_cmp(&rows[a].psnr_view_db);
+                    hopeless(a)
+                        .cmp(&hopeless(b))
+                        .then_with(|| if hopeless(a) { by_psnr() } else { by_cost().then_with(by_psnr) })
+                });
+            }
+        }
+        let mut chosen: Vec<usize> = order.into_iter().take(goes_on).collect();
+        chosen.sort_unstable();
+        candidates = chosen.into_iter().map(|i| candidates[i].clone()).collect();
+    }
+    let (rows, kept) = solver.solve_all(&candidates, solver.iterations())?;
+    let ranked = ranked(&rows, search.enough_db);
+    let proposed = ranked.into_iter().take(5).map(|i| (candidates[i].clone(), rows[i].clone())).collect();
+    Ok((rows, kept, proposed))
+}
+
+/// What a design takes: panels first, then frames, then depth, then darkness.
+fn cost(design: &Design) -> [f64; 4] {
+    [design.panels as f64, design.frames as f64, design.thickness_mm, -design.brightness]
+}
+
+/// Rows by rank, best first: with a PSNR that is enough the cheapest that reach it come first; otherwise the best, and of equally good ones the cheapest.
+fn ranked(rows: &[Row], enough_db: Option<f64>) -> Vec<usize> {
+    let by_cost = |a: usize, b: usize| {
+        cost(&rows[a].design).partial_cmp(&cost(&rows[b].design)).unwrap_or(std::cmp::Ordering::Equal)
+    };
+    let mut left: Vec<usize> = (0..rows.len()).collect();
+    let mut order = Vec::new();
+    if let Some(enough) = enough_db {
+        let mut reach: Vec<usize> = left.iter().copied().filter(|&i| rows[i].psnr_view_db >= enough).collect();
+        reach.sort_by(|&a, &b| by_cost(a, b));
+        left.retain(|i| !reach.contains(i));
+        order.extend(reach);
+    }
+    while !left.is_empty() {
+        let best = left.iter().map(|&i| rows[i].psnr_view_db).fold(f64::MIN, f64::max);
+        let near = left.iter().copied().filter(|&i| rows[i].psnr_view_db >= best - AS_GOOD_DB);
+        let Some(next) = near.min_by(|&a, &b| by_cost(a, b)) else { break };
+        left.retain(|&i| i != next);
+        order.push(next);
+    }
+    order
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_display::Display;
+
+    use super::*;
+
+    fn candidate(layers: usize, frames: usize) -> Candidate {
+        let d_mm: Vec<f64> = (0..layers).map(|n| 10.0 * n as f64).collect();
+        let display = Display::uniform([4, 4], 1.0, [3, 3], [20.0, 20.0], &d_mm, frames);
+        Candidate { design: Design::of("a", &display), display, field: 0 }
+    }
+
+    fn row(layers: usize, frames: usize, psnr: f64) -> Row {
+        let design = candidate(layers, frames).design;
+        Row { design, psnr_view_db: psnr, psnr_raw_db: psnr, psnr_between_db: None }
+    }
+
+    #[test]
+    fn constraints_leave_out_what_they_say() {
+        let all = || vec![candidate(1, 1), candidate(2, 2), candidate(3, 1), candidate(3, 4)];
+        let left = |search: &SearchJob| allowed(all(), search).map(|kept| kept.len());
+        assert_eq!(left(&SearchJob::default()).unwrap(), 4);
+        assert_eq!(left(&SearchJob { max_refresh_hz: Some(120.0), ..SearchJob::default() }).unwrap(), 3);
+        assert_eq!(left(&SearchJob { max_thickness_mm: Some(10.0), ..SearchJob::default() }).unwrap(), 2);
+        assert_eq!(left(&SearchJob { max_panels: Some(1), ..SearchJob::default() }).unwrap(), 1);
+        let error = left(&SearchJob { max_panels: Some(0), ..SearchJob::default() }).unwrap_err().to_string();
+        assert!(error.contains("at least 0 mm, 0 Hz and 1 panels, β up to 1"), "{error}");
+    }
+
+    #[test]
+    fn the_cheapest_of_the_good_is_proposed() {
+        let rows = [row(1, 1, 20.0), row(3, 4, 40.1), row(2, 4, 40.0), row(2, 6, 42.0)];
+        assert_eq!(ranked(&rows, None), [3, 2, 1, 0], "0.1 dB are not worth a layer");
+        assert_eq!(ranked(&rows, Some(35.0)), [2, 3, 1, 0]);
+        assert_eq!(ranked(&rows, Some(50.0)), [3, 2, 1, 0], "none reaches it: the best");
+    }
+}

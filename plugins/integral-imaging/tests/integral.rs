@@ -1,0 +1,82 @@
+//! What the lens array shows against what it should, ray by ray.
+
+use lumistack_plugin::core::seed::Stream;
+use lumistack_plugin::display::{Backlight, Display, LayerStack, LensletBacklight, LightField, RayMap, Simulator};
+use lumistack_plugin::serve::{Plugin, make_stack};
+use lumistack_plugin::testkit::{MemoryHost, conformance};
+use lumistack_plugin::{PluginError, Time};
+use lumistack_plugin_integral_imaging::PLUGIN;
+
+/// Rounding of f32 values.
+const ROUNDING: f32 = 1e-6;
+
+/// A layer in the plane of `lenslets` per axis over 12 × 12 pixels.
+fn display(lenslets: usize) -> Display {
+    let mut display = Display::uniform([12, 12], 1.0, [3, 3], [20.0, 20.0], &[0.0], 2);
+    let pitch = 12.0 / lenslets as f64;
+    display.backlight = Backlight::Lenslets(LensletBacklight::new(-1e-9, [lenslets; 2], pitch, [3, 3], [20.0, 20.0]));
+    display.layers[0].peak = 0.8;
+    display
+}
+
+fn random_field(display: &Display) -> LightField {
+    let mut field = LightField::black(display.geometry().unwrap()).unwrap();
+    let mut stream = Stream::new(7);
+    field.radiance_mut().data_mut().fill_with(|| stream.next_f32());
+    field
+}
+
+fn make(display: &Display, field: &LightField) -> Result<LayerStack, PluginError> {
+    let (plugin, host) = (Plugin::compiled_in(&PLUGIN).unwrap(), MemoryHost::new());
+    make_stack(&plugin, &host, "{}", display, Time::default(), field)
+}
+
+#[test]
+fn conforms() {
+    conformance(&PLUGIN).unwrap();
+}
+
+#[test]
+fn with_a_lenslet_per_pixel_all_rays_are_right() {
+    let display = display(12);
+    let field = random_field(&display);
+    let stack = make(&display, &field).unwrap();
+    assert_eq!(stack.brightness, 0.8);
+    let (map, simulator) = (RayMap::new(&display, field.geometry()), Simulator::new(&display, &stack));
+    for view in field.geometry().grid.iter() {
+        let shown = simulator.view(&map, field.geometry(), view);
+        for (shown, wanted) in shown.radiance.data().iter().zip(field.view(view)) {
+            assert!((shown / 0.8 - wanted).abs() < ROUNDING, "{view:?}");
+        }
+    }
+}
+
+/// Every lenslet is a pixel: it shows the mean of what lies over it.
+#[test]
+fn a_coarse_array_shows_means() {
+    let display = display(4);
+    let field = random_field(&display);
+    let stack = make(&display, &field).unwrap();
+    let emission = stack.emission.as_ref().unwrap();
+    let [_, bins_y, bins_x, rows, cols, _] = emission.shape();
+    for (bin_y, bin_x) in (0..bins_y).flat_map(|y| (0..bins_x).map(move |x| (y, x))) {
+        for (row, col) in (0..rows).flat_map(|y| (0..cols).map(move |x| (y, x))) {
+            let over = (0..3).flat_map(|y| (0..3).map(move |x| (3 * row + y, 3 * col + x)));
+            let mean: f32 = over.map(|(y, x)| field.radiance().get([bin_y, bin_x, y, x, 1])).sum::<f32>() / 9.0;
+            for frame in [0, 1] {
+                let found = emission.get([frame, bin_y, bin_x, row, col, 1]);
+                assert!((found - mean).abs() < ROUNDING, "bin {bin_y} {bin_x}, lenslet {row} {col}");
+            }
+        }
+    }
+}
+
+#[test]
+fn other_displays_are_refused() {
+    let display = Display::uniform([12, 12], 1.0, [3, 3], [20.0, 20.0], &[0.0], 2);
+    let error = make(&display, &random_field(&display)).unwrap_err();
+    assert!(
+        matches!(&error, PluginError::Refused(text) if text.contains("expected a directional backlight")),
+        "{error:?}"
+    );
+}

@@ -1,0 +1,146 @@
+//! `analyze` and `sweep` from the command line.
+
+mod common;
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use common::{fail, lumistack, root, succeed};
+use serde_json::Value;
+
+/// A sweep of 18 small designs on a light field that needs no rendering.
+fn small_sweep(folder: &Path) -> std::path::PathBuf {
+    let job = folder.join("small.toml");
+    let text = "[source]\nplugin = \"test_views\"\nparams = { pattern = \"cards\", depth_mm = 120.0 }\n\n[display]\npreset = \"fig7-uniform\"\nresolution = [64, 40]\n\n\
+        [factorize]\niterations = 40\n\n[sweep]\nlayers = [1, 2, 3]\nframes = [1, 2, 3]\nbrightness = [0.2, 0.6]\ngap_mm = [120.0]\n";
+    std::fs::write(&job, text).unwrap();
+    job
+}
+
+fn rows(folder: &Path) -> Vec<Value> {
+    let text = std::fs::read(folder.join("sweep.json")).unwrap();
+    serde_json::from_slice::<Value>(&text).unwrap()["rows"].as_array().unwrap().clone()
+}
+
+#[test]
+fn a_killed_sweep_goes_on_and_ends_with_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = small_sweep(folder.path());
+    let (whole, killed) = (folder.path().join("whole"), folder.path().join("killed"));
+    let sweep = |out: &Path, threads: &str| {
+        let mut command = lumistack();
+        command.args(["--threads", threads, "--json", "sweep"]).arg(&job).arg("-o").arg(out);
+        command
+    };
+    succeed(&mut sweep(&whole, "2"));
+    let all = rows(&whole).len();
+    assert_eq!(all, 18);
+
+    let mut child = sweep(&killed, "1").stdout(std::process::Stdio::null()).spawn().unwrap();
+    let done = || {
+        let designs = std::fs::read_dir(killed.join("designs"));
+        designs.map_or(0, |entries| {
+            entries.flatten().filter(|e| e.path().extension().is_some_and(|e| e == "json")).count()
+        })
+    };
+    let start = Instant::now();
+    while done() < 3 && start.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    // SIGKILL: nothing is cleaned up
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let finished = done();
+    assert!((3..all).contains(&finished) && !killed.join("sweep.csv").exists(), "{finished} designs were finished");
+
+    let text = succeed(&mut sweep(&killed, "2"));
+    let event: Value =
+        text.lines().filter_map(|line| serde_json::from_str(line).ok()).find(|e: &Value| e["event"] == "done").unwrap();
+    assert!(event["kept"].as_u64().unwrap() >= finished as u64 && event["designs"] == all, "{event}");
+    for name in ["sweep.csv", "sweep.json"] {
+        assert_eq!(std::fs::read(whole.join(name)).unwrap(), std::fs::read(killed.join(name)).unwrap(), "{name}");
+    }
+    for plot in std::fs::read_dir(whole.join("plots")).unwrap().flatten() {
+        let other = killed.join("plots").join(plot.file_name());
+        assert_eq!(std::fs::read(plot.path()).unwrap(), std::fs::read(other).unwrap(), "{:?}", plot.file_name());
+    }
+
+    // what the paper finds of such a table
+    let found = rows(&whole);
+    let psnr = |layers: u64, frames: u64, brightness: f64| {
+        let is = |row: &&Value| {
+            let d = &row["design"];
+            d["layers"] == layers && d["frames"] == frames && d["brightness"] == brightness
+        };
+        found.iter().find(is).unwrap()["psnr_view_db"].as_f64().unwrap()
+    };
+    for (layers, frames) in [(2, 2), (2, 3), (3, 2), (3, 3)] {
+        assert!(
+            psnr(layers, frames, 0.2) > psnr(1, frames, 0.2),
+            "{layers} layers, {frames} frames: layers are worth something"
+        );
+        assert!(
+            psnr(layers, frames, 0.2) > psnr(layers, frames - 1, 0.2),
+            "{layers} layers: frame {frames} is worth something"
+        );
+        assert!(
+            psnr(layers, frames, 0.2) > psnr(layers, frames, 0.6),
+            "{layers} layers, {frames} frames: light costs something"
+        );
+    }
+}
+
+#[test]
+fn a_search_proposes_what_the_constraints_allow() {
+    let folder = tempfile::tempdir().unwrap();
+    let (job, out) = (small_sweep(folder.path()), folder.path().join("search"));
+    let constraints = ["--max-refresh-hz", "120", "--max-panels", "2", "--min-brightness", "0.5"];
+    let text = succeed(lumistack().args(["--json", "sweep"]).arg(&job).args(constraints).arg("-o").arg(&out));
+    let event: Value =
+        text.lines().filter_map(|line| serde_json::from_str(line).ok()).find(|e: &Value| e["event"] == "done").unwrap();
+    let best = &event["proposed"][0]["design"];
+    assert_eq!((&best["layers"], &best["frames"], &best["brightness"]), (&2.into(), &2.into(), &0.6.into()), "{event}");
+    let display = event["display"].as_str().unwrap();
+    let told = succeed(lumistack().args(["analyze", display]));
+    assert!(told.contains("2 layers, uniform backlight, 2 frames"), "{told}");
+    let text = fail(lumistack().arg("sweep").arg(&job).args(["--max-panels", "0", "-o"]).arg(&out));
+    assert!(text.contains("sweep.search: expected constraints that some design keeps"), "{text}");
+}
+
+#[test]
+fn a_job_with_a_sweep_is_not_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = small_sweep(folder.path());
+    let text = fail(lumistack().arg("run").arg(&job).arg("-o").arg(folder.path().join("out")));
+    assert!(text.contains("lumistack sweep"), "{text}");
+}
+
+#[test]
+fn analyze_tells_draws_and_refuses() {
+    let folder = tempfile::tempdir().unwrap();
+    let names = [
+        "paper-three-layer:layers=2",
+        "paper-three-layer",
+        "paper-directional",
+        "paper-directional:layers=2,gap_mm=8.5",
+    ];
+    let told = succeed(lumistack().arg("analyze").args(names).arg("-o").arg(folder.path()));
+    assert!(
+        told.contains("eq. 24") && told.contains("eq. 25") && told.contains("eq. 26") && told.contains("eq. 23"),
+        "{told}"
+    );
+    for name in ["depth-of-field", "spectral-support", "depth-of-field-vertical", "spectral-support-vertical"] {
+        let svg = std::fs::read_to_string(folder.path().join(format!("{name}.svg"))).unwrap();
+        assert!(svg.contains("<svg") && svg.contains("prototype"), "{name}");
+        assert!(image::open(folder.path().join(format!("{name}.png"))).unwrap().width() > 1000);
+    }
+    let analysis: Value = serde_json::from_slice(&std::fs::read(folder.path().join("analysis.json")).unwrap()).unwrap();
+    let closed = &analysis["displays"][2]["axes"][0]["closed"];
+    assert_eq!(closed["equation"], 26);
+    assert!(closed["difference_far"].as_f64().unwrap() > 0.5, "{closed}");
+    let scene = root().join("scenes/letters/letters.gltf");
+    let told = succeed(lumistack().args(["analyze", "fig7-uniform", "--scene"]).arg(scene));
+    assert!(told.contains("of what is seen lies in the depth of field"), "{told}");
+    let text = fail(lumistack().args(["analyze", "fig7-uniforn"]));
+    assert!(text.contains("did you mean `fig7-uniform`?"), "{text}");
+}
