@@ -5,9 +5,11 @@
 mod args;
 mod commands;
 mod console;
+mod display;
 mod info;
 mod preview;
 mod server;
+mod show;
 
 use std::ffi::OsString;
 

@@ -271,8 +271,7 @@ const LETTER: RasterHeight = RasterHeight::Size32;
 impl Label {
     fn new(text: &str, size: [usize; 2]) -> Self {
         let letter = |c: char| {
-            get_raster(c, FontWeight::Bold, LETTER)
-                .map(|raster| raster.rows().map(|row| row.to_vec()).collect())
+            get_raster(c, FontWeight::Bold, LETTER).map(|raster| raster.rows().map(|row| row.to_vec()).collect())
         };
         Self { letters: text.chars().filter_map(letter).collect(), size }
     }

@@ -234,11 +234,10 @@ impl App<'_> {
         }
         let all: Vec<Output> = outputs.iter().map(|(output, _)| output.clone()).collect();
         let assigned = assign(display, &all)?;
-        let part =
-            |screen: usize, origin: [u32; 2], (shows, output): (Shows, Output)| {
-                let extent = Some(output.size.map(|count| count as u32));
-                Part { shows, output, screen, origin, extent }
-            };
+        let part = |screen: usize, origin: [u32; 2], (shows, output): (Shows, Output)| {
+            let extent = Some(output.size.map(|count| count as u32));
+            Part { shows, output, screen, origin, extent }
+        };
         if settings.mode == Mode::Span {
             let is_x11 = is_x11(event_loop);
             if !is_x11 {
