@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use crate::blender;
 use crate::layers::{self, PORTABLE};
+use crate::panels;
 use crate::plugins;
 use crate::python;
 use crate::tools::{self, Outcome, cargo, command, output_of, run};
@@ -37,6 +38,7 @@ pub fn run_steps(full: bool) -> Outcome {
     tools::poppler();
     step("tests", || run(command("cargo").args(["test", "--workspace"]).env("LUMISTACK_PYTHON", &python)))?;
     step("plugins", || plugins::run(false))?;
+    step("panels", panels::check)?;
     step("python", python::check)?;
     step("blender", || blender::check(full))?;
     step("web", web::check)?;

@@ -7,6 +7,7 @@ mod ci;
 mod fuzz;
 mod gallery;
 mod layers;
+mod panels;
 mod plugins;
 mod python;
 mod tools;
@@ -20,6 +21,7 @@ cargo xtask <task>
   ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
                 --full adds the slow ones
   layers        the layer and forbidden-edge check alone
+  panels        build the windows of `lumistack show`, lint them, and test them on compositors without hardware
   plugins [--write]
                 build every plugin as a library and compare it with its compiled-in self, build the samples, and compare
                 docs/plugins.json and the pages made from it with what the program says; --write writes them anew
@@ -44,6 +46,7 @@ fn main() -> ExitCode {
         ["ci"] => ci::run_ci(false),
         ["ci", "--full"] => ci::run_ci(true),
         ["layers"] => layers::check(),
+        ["panels"] => panels::check(),
         ["plugins"] => plugins::run(false),
         ["plugins", "--write"] => plugins::run(true),
         ["python"] => python::check(),

@@ -61,12 +61,22 @@ pub(crate) enum Command {
     /// Two runs side by side, or a run beside a photograph of its panels; pictures as an eye's pupil sees them
     #[command(after_help = crate::compare::EXAMPLES)]
     Compare(crate::compare::Compare),
+    /// Drives physical panels: every layer on its output, frame after frame
+    #[command(
+        after_help = "Examples:\n  lumistack show --list                                          outputs and their names\n  lumistack show runs/still-life                                 one surface per output; keys: space, comma, full stop, Tab, arrows, s, r, q\n  lumistack show my-display.toml --pattern crosshairs --only 1   to align a stack by\n  lumistack show runs/still-life --rehearse                      no panels: a window, the mouse moves the viewer\n\nPatterns that are written anew are shown from the next period on. docs/PANELS.md says how to build and calibrate a stack."
+    )]
+    Show(Box<crate::show::Show>),
     /// What is in a scene, a light field, a layer stack, a run folder, a display or a job
     Info(Info),
     /// All plugins with their parameters and where they come from, and which libraries could not be used and why
     Plugins,
     /// The displays that come with the program
     Displays,
+    /// A display file for your own panels, and its calibration
+    Display {
+        #[command(subcommand)]
+        what: crate::display::DisplayCommand,
+    },
     /// Installs what some files need and the program does not bring along
     Setup {
         #[command(subcommand)]

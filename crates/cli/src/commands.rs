@@ -49,11 +49,13 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         Command::Analyze(analyze) => crate::analyze::run(&analyze, &registry_for_work()?, args.json, task),
         Command::Sweep(sweep) => crate::sweep::run(&sweep, &registry_for_work()?, args.json, task),
         Command::Compare(compare) => crate::compare::run(&compare, args.json, task),
+        Command::Show(show) => crate::show::show_command(&show, args.json, task),
         Command::Info(info) => info::print(&info, &registry_for_work()?, args.json, task),
         Command::Plugins => {
             info::print_plugins(&registry()?, args.json);
             Ok(())
         }
+        Command::Display { what } => crate::display::display_command(&what, args.json),
         Command::Displays => info::print_displays(args.json),
         Command::Setup { what: Setup::Usd { materialx, python } } => {
             let setup = lumistack_usd::Setup { python, materialx, folder: None };

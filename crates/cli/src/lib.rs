@@ -7,9 +7,11 @@ mod args;
 mod commands;
 mod compare;
 mod console;
+mod display;
 mod info;
 mod preview;
 mod server;
+mod show;
 mod sweep;
 
 use std::ffi::OsString;

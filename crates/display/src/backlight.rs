@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::Transfer;
+use crate::{Lens, Panel, Transfer};
 
 /// What lights the layers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -48,6 +48,12 @@ pub struct LensletBacklight {
     /// Pitch of that panel, millimetres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_pitch_mm: Option<f64>,
+    /// What drives that panel, and where its pixels are; patterns do not depend on it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panel: Option<Panel>,
+    /// The lens array as built; patterns do not depend on it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lens: Option<Lens>,
 }
 
 impl LensletBacklight {
@@ -66,6 +72,8 @@ impl LensletBacklight {
             transfer: Transfer::default(),
             panel_resolution: None,
             panel_pitch_mm: None,
+            panel: None,
+            lens: None,
         }
     }
 

@@ -3,7 +3,7 @@
 use lumistack_core::config::ConfigError;
 use thiserror::Error;
 
-use crate::{Backlight, Display, GridError, Layer, LayerColour};
+use crate::{Backlight, Display, GridError, Layer, LayerColour, Lens, Panel};
 
 /// A display file that cannot be used.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -97,6 +97,9 @@ impl Display {
             if let Some(pitch_mm) = layer.panel_pitch_mm {
                 positive(&key("panel_pitch_mm"), pitch_mm)?;
             }
+            if let Some((name, expected, found)) = layer.panel.as_ref().and_then(Panel::problem) {
+                check(false, &key(&format!("panel.{name}")), expected, found)?;
+            }
             if n > 0 {
                 let behind = self.layers[n - 1].d_mm;
                 let expected = format!("more than layers[{}].d_mm = {behind} (layers go rear to front)", n - 1);
@@ -120,6 +123,12 @@ impl Display {
             }
             if let Some(pitch_mm) = backlight.panel_pitch_mm {
                 positive("backlight.panel_pitch_mm", pitch_mm)?;
+            }
+            if let Some((name, expected, found)) = backlight.panel.as_ref().and_then(Panel::problem) {
+                check(false, &format!("backlight.panel.{name}"), expected, found)?;
+            }
+            if let Some((name, expected, found)) = backlight.lens.as_ref().and_then(Lens::problem) {
+                check(false, &format!("backlight.lens.{name}"), expected, found)?;
             }
             let behind = self.layers[0].d_mm;
             let expected = format!("at most layers[0].d_mm = {behind}");

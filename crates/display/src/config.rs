@@ -3,7 +3,9 @@
 use lumistack_core::config;
 use serde::{Deserialize, Serialize};
 
-use crate::{Backlight, ColourSequence, DisplayError, FieldGeometry, Formation, Layer, Projection, ViewGrid};
+use crate::{
+    Backlight, ColourOrder, ColourSequence, DisplayError, FieldGeometry, Formation, Layer, Projection, ViewGrid,
+};
 
 /// A tensor display and the light field that it is made for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,6 +27,9 @@ pub struct Display {
     /// Whether the colours of a frame are shown together or one after another.
     #[serde(default)]
     pub colour_sequence: ColourSequence,
+    /// Order of the colours that are shown one after another.
+    #[serde(default, skip_serializing_if = "ColourOrder::is_default")]
+    pub colour_order: ColourOrder,
     /// How the layers of one frame form an image.
     #[serde(default)]
     pub formation: Formation,
@@ -143,6 +148,7 @@ impl Display {
             frames,
             refresh_hz: default_refresh_hz(),
             colour_sequence: ColourSequence::default(),
+            colour_order: ColourOrder::default(),
             formation: Formation::default(),
             brightness: default_brightness(),
             sampling: Sampling::default(),
@@ -348,9 +354,12 @@ pitch_mm = 1.0
             ("", keys::<Display>()),
             ("field.", keys::<FieldConfig>()),
             ("layers[].", keys::<Layer>()),
+            ("layers[].panel.", keys::<crate::Panel>()),
             ("backlight.", keys::<LensletBacklight>()),
+            ("backlight.lens.", keys::<crate::Lens>()),
         ] {
-            for key in keys.iter().filter(|key| !["field", "backlight", "layers"].contains(&key.as_str())) {
+            let tables = ["field", "backlight", "layers", "panel", "lens"];
+            for key in keys.iter().filter(|key| !tables.contains(&key.as_str())) {
                 assert!(table.contains(&format!("`{prefix}{key}`")), "docs/JOB.md does not list `{prefix}{key}`");
             }
         }

@@ -10,7 +10,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::Transfer;
+use crate::{Panel, Transfer};
 
 /// One layer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,6 +56,9 @@ pub struct Layer {
     /// Pitch of the physical panel, millimetres, where it differs from the mask's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_pitch_mm: Option<f64>,
+    /// What drives the physical panel, and where its pixels are; patterns do not depend on it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panel: Option<Panel>,
 }
 
 fn default_peak() -> f64 {
@@ -96,6 +99,7 @@ impl Layer {
             filters: Vec::new(),
             panel_resolution: None,
             panel_pitch_mm: None,
+            panel: None,
         }
     }
 

@@ -144,6 +144,9 @@ pub enum PipelineError {
     /// A plot could not be drawn.
     #[error(transparent)]
     Plot(PlotError),
+    /// What a command does beside the pipeline failed.
+    #[error(transparent)]
+    Command(Box<dyn std::error::Error + Send + Sync>),
 }
 
 impl From<Cancelled> for PipelineError {
@@ -161,6 +164,11 @@ impl PipelineError {
         found: impl Into<String>,
     ) -> Self {
         Self::Value { path: path.as_ref().to_owned(), key: key.into(), expected: expected.into(), found: found.into() }
+    }
+
+    /// An error of something that a command does beside the pipeline, as a conversion for `map_err`.
+    pub fn command(error: impl std::error::Error + Send + Sync + 'static) -> Self {
+        Self::Command(Box::new(error))
     }
 
     /// A failed write, as a conversion for `map_err`.

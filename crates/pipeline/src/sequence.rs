@@ -170,7 +170,7 @@ fn run_time(
 /// Everything that the figures of a time depend on.
 fn key(run: &Run<'_>, made: &Made, last: Option<&Last>) -> String {
     let mut key = KeyBuilder::new("measure", MEASURE_VERSION);
-    key.add("display", run.display.to_toml().as_bytes());
+    key.add("display", run.display.without_panels().to_toml().as_bytes());
     add_weights(&mut key, &made.weights);
     for Made { input, stack, .. } in last.map(|last| &last.made).into_iter().chain([made]) {
         key.add_f32("target", input.target.radiance().data());

@@ -47,17 +47,19 @@ pub struct Spot {
 }
 
 impl LensletPanel {
-    /// The array as the display file has it, in front of a panel. The focal length is the one at which a lens' picture fills the horizontal bins:
-    /// p / (2 tan(α/2)).
+    /// The array as the display file has it, in front of a panel. Where nobody measured the focal length it is the one at which a lens' picture fills the
+    /// horizontal bins: p / (2 tan(α/2)).
     pub fn new(backlight: &LensletBacklight, resolution: [usize; 2], pitch_mm: f64) -> Self {
+        let lens = backlight.lens.clone().unwrap_or_default();
+        let fitting_mm = backlight.pitch_mm / (2.0 * (0.5 * backlight.fov_deg[0].to_radians()).tan());
         Self {
             resolution,
             pitch_mm,
             lenslets: backlight.lenslets,
-            lens_pitch_mm: backlight.pitch_mm,
-            focal_mm: backlight.pitch_mm / (2.0 * (0.5 * backlight.fov_deg[0].to_radians()).tan()),
-            rotation_deg: 0.0,
-            offset_mm: backlight.offset_mm,
+            lens_pitch_mm: lens.pitch_mm.unwrap_or(backlight.pitch_mm),
+            focal_mm: lens.focal_mm.unwrap_or(fitting_mm),
+            rotation_deg: lens.rotation_deg,
+            offset_mm: [0, 1].map(|axis| backlight.offset_mm[axis] + lens.offset_mm[axis]),
             bins: backlight.views,
             fov_deg: backlight.fov_deg,
         }

@@ -57,6 +57,8 @@ fn directional(frames: usize, brightness: f64) -> Display {
         transfer: Default::default(),
         panel_resolution: None,
         panel_pitch_mm: None,
+        panel: None,
+        lens: None,
     });
     Display { backlight, ..display(5, 1, frames, brightness) }
 }

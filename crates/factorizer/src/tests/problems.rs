@@ -210,6 +210,8 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
             transfer: Default::default(),
             panel_resolution: None,
             panel_pitch_mm: None,
+            panel: None,
+            lens: None,
         });
     }
     let mut owned = Owned::constant(display, 0.0);

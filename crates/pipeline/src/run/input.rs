@@ -132,7 +132,7 @@ impl Run<'_> {
         let registry = self.registry;
         let mut key = KeyBuilder::new("source", 1);
         key.add("plugin", ingest::plugin_key(registry, &source.plugin, &source.params)?.as_bytes())
-            .add("display", self.display.to_toml().as_bytes())
+            .add("display", self.display.without_panels().to_toml().as_bytes())
             .add_json("time", &(source.time, source.time_s));
         let key = key.finish();
         let path = self.dir.join("cache/source.json");

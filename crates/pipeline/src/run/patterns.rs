@@ -94,7 +94,7 @@ impl Run<'_> {
         let job = &self.job.factorize;
         let Some(warm) = warm_stack(job, display)? else { return Ok(()) };
         let mut key = KeyBuilder::new("start", FACTORIZE_VERSION);
-        key.add("display", display.to_toml().as_bytes())
+        key.add("display", display.without_panels().to_toml().as_bytes())
             .add_json("settings", &(&fresh.solver, &fresh.start, &job.solver, self.job.seed))
             .add_json("coarse", &(fresh.coarse_levels, fresh.coarse_iterations))
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())
@@ -131,7 +131,7 @@ impl Run<'_> {
         let job = &self.job.factorize;
         let warm = warm_stack(job, display)?;
         let mut key = KeyBuilder::new("factorize", FACTORIZE_VERSION);
-        key.add("display", display.to_toml().as_bytes())
+        key.add("display", display.without_panels().to_toml().as_bytes())
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())
             .add_f32("target", target.radiance().data())
             .add_json("settings", &(&job.solver, job.iterations, &job.start, self.job.seed))

@@ -1,0 +1,503 @@
+//! `lumistack display`: a display file for one's own panels, and its calibration from photographs.
+
+use std::io::{BufRead, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+use clap::{Args as ClapArgs, Subcommand};
+use lumistack_display::{Backlight, Display, LensletBacklight, Panel, Transfer};
+use lumistack_pipeline::{PipelineError, presets};
+use lumistack_plugin_panels::calibrate::calibrate;
+use lumistack_plugin_panels::keep_panels;
+use serde_json::json;
+
+use crate::args::{Angles, Numbers, Size};
+use crate::console::say;
+
+/// What can be done with displays.
+#[derive(Debug, Subcommand)]
+pub(crate) enum DisplayCommand {
+    /// Writes a display file for your own panels; asks for what the options do not say
+    #[command(
+        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --outputs DP-1,DP-2,DP-3 --no-questions\n\nWithout --gaps-mm a display has one layer. With --lens-pitch-mm the rearmost panel stands behind a lens array."
+    )]
+    New(Box<New>),
+    /// Where the panels are, from photographs of `lumistack show --pattern crosshairs --only N`, one per layer
+    #[command(
+        after_help = "Example:\n  lumistack display calibrate my-display.toml --eye-mm 0,0,2000 --reference 1=middle.jpg --photo 0=rear.jpg --photo 2=front.jpg\n\ndocs/PANELS.md says how to take the photographs."
+    )]
+    Calibrate(Calibrate),
+}
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct New {
+    /// The file to write
+    pub(crate) file: PathBuf,
+    /// Name for people
+    #[arg(long)]
+    pub(crate) name: Option<String>,
+    /// Distances from panel to panel, rear to front, millimetres: one less than there are layers
+    #[arg(long, value_name = "MM,...", value_delimiter = ',')]
+    pub(crate) gaps_mm: Option<Vec<f64>>,
+    /// Columns and rows of every panel [default: those of the outputs]
+    #[arg(long, value_name = "CxR")]
+    pub(crate) panel_resolution: Option<Size>,
+    /// Pixel pitch of every panel, millimetres
+    #[arg(long, value_name = "MM", conflicts_with = "diagonal_inch")]
+    pub(crate) panel_pitch_mm: Option<f64>,
+    /// Diagonal of every panel, inches, from which the pitch follows
+    #[arg(long, value_name = "IN")]
+    pub(crate) diagonal_inch: Option<f64>,
+    /// Names of the outputs, rear to front, as `lumistack show --list` prints them
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
+    pub(crate) outputs: Option<Vec<String>>,
+    /// Panel pixels per pixel of the masks and of the light field, per axis [default: 2]
+    #[arg(long, value_name = "N")]
+    pub(crate) panel_pixels: Option<usize>,
+    /// Views of the light field [default: 5x5]
+    #[arg(long, value_name = "HxV")]
+    pub(crate) views: Option<Size>,
+    /// Full angles of view, degrees [default: 20x20, or those of the lenses]
+    #[arg(long, value_name = "HxV")]
+    pub(crate) fov: Option<Angles>,
+    /// Time-multiplexed frames [default: as many as flicker at no less than 60 Hz]
+    #[arg(long, value_name = "M")]
+    pub(crate) frames: Option<usize>,
+    /// Refresh rate of the panels [default: that of the outputs, or 60]
+    #[arg(long, value_name = "HZ")]
+    pub(crate) refresh_hz: Option<f64>,
+    /// Brightness scale β [default: 0.2]
+    #[arg(long, value_name = "B")]
+    pub(crate) brightness: Option<f64>,
+    /// Exponent of the panels' transfer function [default: sRGB]
+    #[arg(long, value_name = "G")]
+    pub(crate) gamma: Option<f64>,
+    /// Contrast of the panels, white : black [default: unlimited]
+    #[arg(long, value_name = "N")]
+    pub(crate) contrast: Option<f64>,
+    /// Distance of the axes of a lens array in front of the rearmost panel, millimetres
+    #[arg(long, value_name = "MM", requires_all = ["lens_focal_mm", "lens_gap_mm"])]
+    pub(crate) lens_pitch_mm: Option<f64>,
+    /// Focal length of the lenses in air, millimetres
+    #[arg(long, value_name = "MM", requires = "lens_pitch_mm")]
+    pub(crate) lens_focal_mm: Option<f64>,
+    /// Distance from the lens array to the layer in front of it, millimetres
+    #[arg(long, value_name = "MM", requires = "lens_pitch_mm")]
+    pub(crate) lens_gap_mm: Option<f64>,
+    /// Replace the file if it is there
+    #[arg(long)]
+    pub(crate) force: bool,
+    /// Take defaults instead of asking; what has none must be given
+    #[arg(long, conflicts_with = "questions")]
+    pub(crate) no_questions: bool,
+    /// Ask although standard input is no terminal
+    #[arg(long)]
+    pub(crate) questions: bool,
+}
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct Calibrate {
+    /// The display file, which is changed
+    pub(crate) file: PathBuf,
+    /// Layer and photograph that the others are brought into line with
+    #[arg(long, value_name = "N=FILE")]
+    pub(crate) reference: String,
+    /// Layer and photograph; several times
+    #[arg(long, value_name = "N=FILE", required = true)]
+    pub(crate) photo: Vec<String>,
+    /// Place of the camera's lens, as it was given to `lumistack show` [default: 0,0,2000 or the display's viewing distance]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub(crate) eye_mm: Option<Numbers<3>>,
+    /// Say what was found and change nothing
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+}
+
+pub(crate) fn display_command(command: &DisplayCommand, json: bool) -> Result<(), PipelineError> {
+    match command {
+        DisplayCommand::New(new) => {
+            let asks = new.questions || (!new.no_questions && std::io::stdin().is_terminal());
+            let mut stdin = std::io::stdin().lock();
+            let mut questions = Questions { input: if asks { Some(&mut stdin) } else { None } };
+            new_display(new, &system_outputs(), &mut questions, json)
+        }
+        DisplayCommand::Calibrate(args) => calibrate_display(args, json),
+    }
+}
+
+/// What is known of an output: name, [columns, rows], refresh rate.
+type Known = (String, [usize; 2], Option<f64>);
+
+#[cfg(feature = "panels")]
+fn system_outputs() -> Vec<Known> {
+    let outputs = lumistack_plugin_panels::window::outputs().unwrap_or_default();
+    outputs.into_iter().map(|output| (output.name, output.size, output.refresh_hz)).collect()
+}
+
+/// This build knows of no windows.
+#[cfg(not(feature = "panels"))]
+fn system_outputs() -> Vec<Known> {
+    Vec::new()
+}
+
+/// Asks where an option is missing.
+struct Questions<'a> {
+    input: Option<&'a mut dyn BufRead>,
+}
+
+impl Questions<'_> {
+    /// The option, else the answer, else the default; `flag` is what would have said it.
+    fn value<T>(
+        &mut self,
+        flag: &str,
+        question: &str,
+        given: Option<T>,
+        default: Option<(String, T)>,
+        read: impl Fn(&str) -> Option<T>,
+    ) -> Result<T, PipelineError> {
+        if let Some(given) = given {
+            return Ok(given);
+        }
+        let Some(input) = &mut self.input else {
+            let missing = || PipelineError::value("display new", flag, question, "nothing, and no terminal to ask");
+            return default.map(|(_, value)| value).ok_or_else(missing);
+        };
+        loop {
+            let hint = default.as_ref().map_or(String::new(), |(text, _)| format!(" [{text}]"));
+            eprint!("{question}{hint}: ");
+            let _ = std::io::stderr().flush();
+            let mut line = String::new();
+            let ended = input.read_line(&mut line).map_or(true, |count| count == 0);
+            let answer = line.trim();
+            if answer.is_empty()
+                && let Some((_, default)) = default
+            {
+                return Ok(default);
+            }
+            match read(answer) {
+                Some(value) if !answer.is_empty() => return Ok(value),
+                _ if ended => return Err(PipelineError::value("display new", flag, question, "no answer")),
+                _ => eprintln!("  that is not one; try again"),
+            }
+        }
+    }
+}
+
+fn positive(text: &str) -> Option<f64> {
+    text.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0)
+}
+
+fn list<T>(text: &str, read: impl Fn(&str) -> Option<T>) -> Option<Vec<T>> {
+    text.split(',').map(|word| read(word.trim())).collect()
+}
+
+fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: bool) -> Result<(), PipelineError> {
+    if args.file.exists() && !args.force {
+        return Err(PipelineError::value(&args.file, "file", "a name that is free, or --force", "a file"));
+    }
+    for (name, [cols, rows], rate) in outputs {
+        let rate = rate.map_or(String::new(), |rate| format!(", {rate:.2} Hz"));
+        eprintln!("found output {name}: {cols} × {rows} pixels{rate}");
+    }
+    let name = ask.value(
+        "--name",
+        "Name of the display",
+        args.name.clone(),
+        Some(("my display".into(), "my display".into())),
+        |text| Some(text.into()),
+    )?;
+    let lens_pitch_mm = match args.lens_pitch_mm {
+        Some(pitch) => pitch,
+        None => ask.value(
+            "--lens-pitch-mm",
+            "Pitch of a lens array in front of the rearmost panel, mm (0 for a plain white backlight)",
+            None,
+            Some(("0".into(), 0.0)),
+            |text| text.parse().ok().filter(|value: &f64| *value >= 0.0 && value.is_finite()),
+        )?,
+    };
+    let gaps_mm = ask.value(
+        "--gaps-mm",
+        "Distances between the layers, rear to front, mm, between commas (0 for a single layer)",
+        args.gaps_mm.clone(),
+        (lens_pitch_mm > 0.0).then(|| ("0".into(), Vec::new())),
+        |text| if text == "0" { Some(Vec::new()) } else { list(text, positive) },
+    )?;
+    if let Some(bad) = gaps_mm.iter().find(|gap| !(gap.is_finite() && **gap > 0.0)) {
+        return Err(PipelineError::value("--gaps-mm", "MM", "distances above 0", bad.to_string()));
+    }
+    let layers = gaps_mm.len() + 1;
+    let panels = layers + usize::from(lens_pitch_mm > 0.0);
+    let known: Vec<String> = outputs.iter().take(panels).map(|(name, ..)| name.clone()).collect();
+    let default = match known.len() == panels {
+        true => Some((known.join(","), known)),
+        false => Some(("from left to right".into(), Vec::new())),
+    };
+    let names = ask.value(
+        "--outputs",
+        "Names of their outputs, rear to front, between commas",
+        args.outputs.clone(),
+        default,
+        |text| list(text, |word| (!word.is_empty()).then(|| word.to_string())),
+    )?;
+    if !names.is_empty() && names.len() != panels {
+        return Err(PipelineError::value("--outputs", "NAME", format!("{panels} names"), names.len().to_string()));
+    }
+    let first = names.first().and_then(|name| outputs.iter().find(|output| output.0 == *name)).or(outputs.first());
+    let resolution = ask.value(
+        "--panel-resolution",
+        "Pixels of a panel, columns x rows",
+        args.panel_resolution.map(|size| size.0),
+        first.map(|(_, [cols, rows], _)| (format!("{cols}x{rows}"), [*cols, *rows])),
+        |text| text.parse::<Size>().ok().map(|size| size.0),
+    )?;
+    let from_diagonal = |inches: f64| 25.4 * inches / (resolution[0] as f64).hypot(resolution[1] as f64);
+    let pitch_mm = ask.value(
+        "--panel-pitch-mm or --diagonal-inch",
+        "Diagonal of a panel in inches (22) or its pixel pitch in millimetres (0.2827 mm)",
+        args.panel_pitch_mm.or(args.diagonal_inch.map(from_diagonal)),
+        None,
+        |text| match text.strip_suffix("mm") {
+            Some(pitch) => positive(pitch.trim()),
+            None => positive(text).map(from_diagonal),
+        },
+    )?;
+    let scale = ask.value(
+        "--panel-pixels",
+        "Panel pixels per pixel of the masks (1 is sharpest, 2 factorizes four times as fast)",
+        args.panel_pixels,
+        Some(("2".into(), 2)),
+        |text| text.parse().ok().filter(|count| (1..=64).contains(count)),
+    )?;
+    let size = |text: &str| text.parse::<Size>().ok().map(|size| size.0);
+    let views = ask.value(
+        "--views",
+        "Views of the light field",
+        args.views.map(|size| size.0),
+        Some(("5x5".into(), [5, 5])),
+        size,
+    )?;
+    let lens = match lens_pitch_mm > 0.0 {
+        false => None,
+        true => {
+            let focal = ask.value(
+                "--lens-focal-mm",
+                "Focal length of the lenses in air, mm",
+                args.lens_focal_mm,
+                None,
+                positive,
+            )?;
+            let gap = ask.value(
+                "--lens-gap-mm",
+                "Distance from the lenses to the next layer, mm",
+                args.lens_gap_mm,
+                None,
+                positive,
+            )?;
+            Some((focal, gap))
+        }
+    };
+    let lens_fov = lens.map(|(focal, _)| 2.0 * (0.5 * lens_pitch_mm / focal).atan().to_degrees());
+    let fov_default = lens_fov.unwrap_or(20.0);
+    let fov = ask.value(
+        "--fov",
+        "Full angles of view, degrees",
+        args.fov.map(|fov| fov.0),
+        Some((format!("{fov_default:.1}x{fov_default:.1}"), [fov_default; 2])),
+        |text| text.parse::<Angles>().ok().map(|angles| angles.0),
+    )?;
+    let rate = first.and_then(|output| output.2).unwrap_or(60.0);
+    let refresh_hz = ask.value(
+        "--refresh-hz",
+        "Refresh rate of the panels, Hz",
+        args.refresh_hz,
+        Some((format!("{rate:.2}"), rate)),
+        positive,
+    )?;
+    let steady = ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1);
+    let frames = ask.value(
+        "--frames",
+        "Time-multiplexed frames (more show more, and flicker where a period comes less than 60 times a second)",
+        args.frames,
+        Some((steady.to_string(), steady)),
+        |text| text.parse().ok().filter(|count| (1..=1000).contains(count)),
+    )?;
+    let brightness = ask.value(
+        "--brightness",
+        "Brightness scale β, above 0 and at most 1",
+        args.brightness,
+        Some(("0.2".into(), 0.2)),
+        positive,
+    )?;
+
+    // the middle of the layers is the display's plane
+    let depth_mm: f64 = gaps_mm.iter().sum();
+    let mut d_mm = vec![-depth_mm / 2.0];
+    gaps_mm.iter().for_each(|gap| d_mm.push(d_mm[d_mm.len() - 1] + gap));
+    if layers % 2 == 1 {
+        let middle = d_mm[layers / 2];
+        d_mm.iter_mut().for_each(|d| *d -= middle);
+    }
+    let mask = resolution.map(|count| (count / scale).max(1));
+    let mask_pitch_mm = pitch_mm * scale as f64;
+    let mut display =
+        Display { name, refresh_hz, brightness, ..Display::uniform(mask, mask_pitch_mm, views, fov, &d_mm, frames) };
+    let transfer = args.gamma.map_or(Transfer::Srgb, Transfer::gamma);
+    let black_level = args.contrast.map_or(0.0, |contrast| 1.0 / contrast);
+    let mut names = names.into_iter().map(Some).chain(std::iter::repeat(None));
+    let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
+    if let Some((focal_mm, gap_mm)) = lens {
+        let count = resolution.map(|count| ((count as f64 * pitch_mm / lens_pitch_mm) as usize).max(1));
+        let lens_fov = lens_fov.unwrap_or(fov[0]);
+        let mut backlight = LensletBacklight::new(d_mm[0] - gap_mm, count, lens_pitch_mm, views, [lens_fov; 2]);
+        (backlight.transfer, backlight.black_level) = (transfer.clone(), black_level);
+        (backlight.panel_resolution, backlight.panel_pitch_mm) = (Some(resolution), Some(pitch_mm));
+        backlight.panel = panel();
+        backlight.lens = Some(lumistack_display::Lens { focal_mm: Some(focal_mm), ..Default::default() });
+        display.backlight = Backlight::Lenslets(backlight);
+    }
+    for layer in &mut display.layers {
+        (layer.transfer, layer.black_level) = (transfer.clone(), black_level);
+        (layer.panel_resolution, layer.panel_pitch_mm) = (Some(resolution), Some(pitch_mm));
+        layer.panel = panel();
+    }
+    display.check().map_err(|source| PipelineError::Display {
+        path: args.file.clone(),
+        text: String::new(),
+        source,
+    })?;
+    let text = format!(
+        "# Made by `lumistack display new`; millimetres and degrees, docs/JOB.md explains every key.\n\
+         # The file is yours: what measuring finds goes here (black_level, transfer tables, offset_mm, crosstalk), and nudges are saved here.\n{}",
+        display.to_toml()
+    );
+    lumistack_field_io::atomic::write_bytes(&args.file, text.as_bytes()).map_err(PipelineError::Field)?;
+    if let Some(warning) = display.flicker_warning() {
+        eprintln!("warning: {warning}");
+    }
+    match json {
+        true => say!("{}", json!({"event": "done", "display": args.file})),
+        false => say!("{}", args.file.display()),
+    }
+    Ok(())
+}
+
+fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> {
+    let mut display = presets::load_file(&args.file)?;
+    let eye_mm = args.eye_mm.map_or([0.0, 0.0, display.field.distance_mm.unwrap_or(2000.0)], |eye| eye.0);
+    let photograph = |flag: &str, text: &str| {
+        let wrong = || {
+            let expected = format!("a layer 0 to {} and a picture, such as 1=middle.jpg", display.layers.len() - 1);
+            PipelineError::value(flag, "N=FILE", expected, text)
+        };
+        let (layer, file) = text.split_once('=').ok_or_else(wrong)?;
+        let layer = layer.parse().ok().filter(|layer| *layer < display.layers.len()).ok_or_else(wrong)?;
+        let path = Path::new(file);
+        let picture = image::ImageReader::open(path)
+            .and_then(image::ImageReader::with_guessed_format)
+            .map_err(|source| PipelineError::Read { path: path.to_owned(), source })?
+            .decode()
+            .map_err(|error| PipelineError::value(path, "picture", "PNG, JPEG or WebP", error.to_string()))?;
+        Ok::<_, PipelineError>((layer, picture.to_luma8()))
+    };
+    let reference = photograph("--reference", &args.reference)?;
+    let others = args.photo.iter().map(|text| photograph("--photo", text)).collect::<Result<Vec<_>, _>>()?;
+    let lent: Vec<_> = others.iter().map(|(layer, picture)| (*layer, picture)).collect();
+    let (camera, found) =
+        calibrate(&display, eye_mm, (reference.0, &reference.1), &lent).map_err(PipelineError::command)?;
+    for found in &found {
+        let panel = display.layers[found.layer].panel.get_or_insert_default();
+        panel.homography = Some(found.homography.0);
+        match json {
+            true => say!(
+                "{}",
+                json!({"event": "calibrated", "layer": found.layer, "crosses": found.crosses, "moved_mm": found.moved_mm, "rms_mm": found.rms_mm, "homography": found.homography.0})
+            ),
+            false => say!(
+                "layer {}: {} crosses were {:.3} mm off, are {:.3} mm off with the homography",
+                found.layer,
+                found.crosses,
+                found.moved_mm,
+                found.rms_mm
+            ),
+        }
+    }
+    if !json {
+        say!("the lens bends by {:.4} and {:.4}", camera.distortion[0], camera.distortion[1]);
+    }
+    if args.dry_run {
+        return Ok(());
+    }
+    let read = std::fs::read_to_string(&args.file);
+    let text = read.map_err(|source| PipelineError::Read { path: args.file.clone(), source })?;
+    let text = keep_panels(&text, &display).map_err(PipelineError::command)?;
+    lumistack_field_io::atomic::write_bytes(&args.file, text.as_bytes()).map_err(PipelineError::Field)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        new: New,
+    }
+
+    fn made(folder: &Path, words: &[&str], outputs: &[Known], answers: Option<&str>) -> Result<Display, PipelineError> {
+        let file = folder.join("made.toml");
+        let _ = std::fs::remove_file(&file);
+        let line = Line::parse_from([&["new", file.to_str().unwrap()], words].concat());
+        let mut input = answers.map(str::as_bytes);
+        let mut questions = Questions { input: input.as_mut().map(|input| input as &mut dyn BufRead) };
+        new_display(&line.new, outputs, &mut questions, true)?;
+        Ok(Display::from_toml(&std::fs::read_to_string(file).unwrap()).unwrap())
+    }
+
+    fn outputs() -> Vec<Known> {
+        ["DP-1", "DP-2", "HDMI-1"].map(|name| (name.to_string(), [1680, 1050], Some(120.0))).to_vec()
+    }
+
+    #[test]
+    fn flags_alone_make_the_papers_three_layers() {
+        let folder = tempfile::tempdir().unwrap();
+        let words = ["--gaps-mm", "40,40", "--diagonal-inch", "22", "--no-questions", "--frames", "12"];
+        let display = made(folder.path(), &words, &outputs(), None).unwrap();
+        assert_eq!(display.layers.iter().map(|layer| layer.d_mm).collect::<Vec<_>>(), [-40.0, 0.0, 40.0]);
+        assert_eq!((display.frames, display.refresh_hz, display.brightness), (12, 120.0, 0.2));
+        assert_eq!(display.layers[0].resolution, [840, 525]);
+        assert!((display.layers[0].panel_pitch_mm.unwrap() - 0.2821).abs() < 1e-4);
+        let names = display.layers.iter().map(|layer| layer.panel.as_ref().unwrap().output.as_deref());
+        assert!(names.eq([Some("DP-1"), Some("DP-2"), Some("HDMI-1")]));
+    }
+
+    #[test]
+    fn what_has_no_default_must_be_given() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = made(folder.path(), &["--no-questions"], &outputs(), None).unwrap_err().to_string();
+        assert!(error.contains("--gaps-mm"), "{error}");
+        let words = ["--gaps-mm", "40", "--panel-resolution", "8x6", "--no-questions"];
+        let error = made(folder.path(), &words, &[], None).unwrap_err().to_string();
+        assert!(error.contains("--panel-pitch-mm or --diagonal-inch"), "{error}");
+        let words = ["--gaps-mm", "40", "--outputs", "A", "--no-questions"];
+        let error = made(folder.path(), &words, &outputs(), None).unwrap_err().to_string();
+        assert!(error.contains("expected 2 names, found 1"), "{error}");
+    }
+
+    #[test]
+    fn answers_make_a_directional_display() {
+        let folder = tempfile::tempdir().unwrap();
+        // name, lens pitch, gaps, outputs, resolution, a slip, pitch, pixels, views, focal length, gap, and defaults
+        let answers = "bench\n2.54\n\nDP-2,DP-1\n\nlarge\n0.2827 mm\n\n\n2.85\n8.5\n\n\n\n\n";
+        let display = made(folder.path(), &[], &outputs(), Some(answers)).unwrap();
+        let Backlight::Lenslets(backlight) = &display.backlight else { panic!("directional") };
+        assert_eq!((display.name.as_str(), display.layers.len(), backlight.d_mm), ("bench", 1, -8.5));
+        assert_eq!(backlight.lenslets, [186, 116]);
+        assert!((backlight.fov_deg[0] - 48.04).abs() < 0.01 && (display.field.fov_deg[0] - 48.04).abs() < 0.01);
+        assert_eq!(backlight.panel.as_ref().unwrap().output.as_deref(), Some("DP-2"));
+        assert_eq!(display.layers[0].panel.as_ref().unwrap().output.as_deref(), Some("DP-1"));
+        // 120 Hz show two frames without flicker
+        assert_eq!(display.frames, 2);
+        assert!(made(folder.path(), &[], &outputs(), Some("bench\n")).is_err());
+    }
+}

@@ -1,0 +1,196 @@
+//! Calibration of the physical panels: which output of the computer drives which layer, and where its pixels really are.
+//!
+//! ```text
+//! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal place (x, y) mm ─homography─▶ place on the layer, mm ─pitch─▶ mask pixel
+//!
+//! x = (u − nudge_x − u_centre) · panel_pitch,   y = (v_centre − v + nudge_y) · panel_pitch
+//! ```
+//!
+//! Patterns do not depend on any of this: it is what an output does with them.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Backlight, Display, LensletBacklight, Sampling};
+
+/// One physical panel.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Panel {
+    /// Name of the output that drives it, as `lumistack show --list` prints it; without it the outputs that nobody names, from left to right.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub output: Option<String>,
+    /// How far the upright picture is turned on the output, clockwise: 0, 90, 180 or 270 degrees.
+    #[serde(default)]
+    pub rotate_deg: u32,
+    /// How the upright picture is mirrored before it is turned: a panel that is seen from behind.
+    #[serde(default)]
+    pub flip: Flip,
+    /// [left, top, columns, rows] of the part of the upright picture that is used; its centre is the layer's centre. Default: all of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crop: Option<[usize; 4]>,
+    /// [right, down] by which the upright picture is shifted, panel pixels.
+    #[serde(default)]
+    pub nudge_px: [f64; 2],
+    /// From where a pixel should be to where it is, millimetres from the layer's centre, x right, y up: rows of a 3 × 3 matrix. Default: where it should.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub homography: Option<[[f64; 3]; 3]>,
+    /// Crosstalk that was measured and that the patterns do not know of (`layers[].crosstalk` is what they know): made up for when they are shown. Row =
+    /// emitted channel, column = channel of the picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crosstalk: Option<[[f64; 3]; 3]>,
+    /// How a panel pixel reads the mask.
+    #[serde(default)]
+    pub resample: Sampling,
+}
+
+/// Mirrored how.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Flip {
+    /// Not.
+    #[default]
+    None,
+    /// Left and right exchanged.
+    Horizontal,
+    /// Top and bottom exchanged.
+    Vertical,
+}
+
+/// A lens array as built, where it differs from what the patterns were made for.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Lens {
+    /// Distance of lens axes, millimetres; default: the backlight's `pitch_mm`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pitch_mm: Option<f64>,
+    /// Focal length as light travels in air, millimetres; default: the one at which a lens fills the horizontal bins.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focal_mm: Option<f64>,
+    /// Turn against the panel, counterclockwise seen from the front, degrees.
+    #[serde(default)]
+    pub rotation_deg: f64,
+    /// [x, y] shift of the array beside the backlight's `offset_mm`, millimetres.
+    #[serde(default)]
+    pub offset_mm: [f64; 2],
+}
+
+/// A determinant relative to the matrix' size below which it turns planes into lines.
+const SINGULAR: f64 = 1e-9;
+
+impl Panel {
+    /// What is wrong with it: the key, what was expected and what was found.
+    pub(crate) fn problem(&self) -> Option<(&'static str, &'static str, String)> {
+        if !matches!(self.rotate_deg, 0 | 90 | 180 | 270) {
+            return Some(("rotate_deg", "0, 90, 180 or 270", self.rotate_deg.to_string()));
+        }
+        if let Some(crop) = self.crop
+            && (crop[2] == 0 || crop[3] == 0)
+        {
+            return Some(("crop", "[left, top, columns, rows] with at least one column and row", format!("{crop:?}")));
+        }
+        if !self.nudge_px.iter().all(|shift| shift.is_finite()) {
+            return Some(("nudge_px", "finite numbers", format!("{:?}", self.nudge_px)));
+        }
+        for (key, matrix) in [("homography", &self.homography), ("crosstalk", &self.crosstalk)] {
+            if let Some(matrix) = matrix
+                && !is_regular(matrix)
+            {
+                return Some((key, "a 3 × 3 matrix that can be inverted", format!("{matrix:?}")));
+            }
+        }
+        None
+    }
+}
+
+impl Lens {
+    /// As [`Panel::problem`].
+    pub(crate) fn problem(&self) -> Option<(&'static str, &'static str, String)> {
+        for (key, length) in [("pitch_mm", self.pitch_mm), ("focal_mm", self.focal_mm)] {
+            if let Some(length) = length
+                && !(length.is_finite() && length > 0.0)
+            {
+                return Some((key, "a number above 0", length.to_string()));
+            }
+        }
+        if !(self.rotation_deg.abs() <= 45.0) {
+            return Some(("rotation_deg", "-45 to 45", self.rotation_deg.to_string()));
+        }
+        let finite = self.offset_mm.iter().all(|shift| shift.is_finite());
+        (!finite).then(|| ("offset_mm", "finite numbers", format!("{:?}", self.offset_mm)))
+    }
+}
+
+fn is_regular(m: &[[f64; 3]; 3]) -> bool {
+    let minor = |a: usize, b: usize| m[1][a] * m[2][b] - m[1][b] * m[2][a];
+    let determinant = m[0][0] * minor(1, 2) - m[0][1] * minor(0, 2) + m[0][2] * minor(0, 1);
+    let norm = m.iter().map(|row| row.iter().map(|value| value * value).sum::<f64>().sqrt()).product::<f64>();
+    determinant.is_finite() && determinant.abs() > SINGULAR * norm
+}
+
+impl Display {
+    /// The display without what patterns do not depend on: its panels' calibration. Two displays that differ in nothing else have the same patterns.
+    #[must_use]
+    pub fn without_panels(&self) -> Self {
+        let mut display = Self { colour_order: Default::default(), ..self.clone() };
+        display.layers.iter_mut().for_each(|layer| layer.panel = None);
+        if let Backlight::Lenslets(LensletBacklight { panel, lens, .. }) = &mut display.backlight {
+            (*panel, *lens) = (None, None);
+        }
+        display
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::tests::SMALL;
+
+    const PANEL: &str = "d_mm = 12.0\n[layers.panel]\n";
+
+    fn with(lines: &str) -> String {
+        // the front layer's other keys must stand before its sub-table
+        let (head, _) = SMALL.split_at(SMALL.rfind("d_mm = 12.0").unwrap());
+        format!("{head}resolution = [16, 10]\npitch_mm = 1.0\n{PANEL}{lines}")
+    }
+
+    #[test]
+    fn every_key_of_a_panel_survives_and_patterns_do_not_depend_on_it() {
+        let text = with(
+            "output = \"DP-2\"\nrotate_deg = 270\nflip = \"vertical\"\ncrop = [4, 2, 32, 20]\nnudge_px = [1.5, -2.0]\nresample = \"bilinear\"\n\
+             homography = [[1.0, 0.01, 0.2], [0.0, 1.0, -0.1], [0.0, 1e-5, 1.0]]\ncrosstalk = [[0.9, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.1, 0.9]]\n",
+        );
+        let display = Display::from_toml(&text).unwrap();
+        let panel = display.layers[2].panel.as_ref().unwrap();
+        assert_eq!(
+            (panel.output.as_deref(), panel.flip, panel.crop),
+            (Some("DP-2"), Flip::Vertical, Some([4, 2, 32, 20]))
+        );
+        assert_eq!(Display::from_toml(&display.to_toml()).unwrap(), display);
+        assert_eq!(display.without_panels(), Display::from_toml(SMALL).unwrap());
+    }
+
+    #[test]
+    fn errors_name_the_key() {
+        for (line, message) in [
+            ("rotate_deg = 45", "layers[2].panel.rotate_deg: expected 0, 90, 180 or 270, found 45"),
+            ("crop = [0, 0, 0, 4]", "layers[2].panel.crop: expected [left, top, columns, rows]"),
+            ("nudge_px = [nan, 0.0]", "layers[2].panel.nudge_px: expected finite numbers"),
+            (
+                "homography = [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 1.0]]",
+                "layers[2].panel.homography: expected a 3 × 3",
+            ),
+            (
+                "crosstalk = [[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]",
+                "layers[2].panel.crosstalk: expected a 3 × 3",
+            ),
+        ] {
+            let error = Display::from_toml(&with(line)).unwrap_err().to_string();
+            assert!(error.starts_with(message), "{error}");
+        }
+        let unknown = Display::from_toml(&with("rotation = 90")).unwrap_err().to_string();
+        assert!(unknown.contains("unknown field `rotation`"), "{unknown}");
+        let lens = Lens { focal_mm: Some(0.0), ..Lens::default() };
+        assert_eq!(lens.problem().unwrap().0, "focal_mm");
+        assert_eq!(Lens { rotation_deg: f64::NAN, ..Lens::default() }.problem().unwrap().0, "rotation_deg");
+    }
+}

@@ -1,0 +1,69 @@
+//! A solver beside running panels: a thread that hands over new stacks whenever it has one, and for a while has none. The panels go on meanwhile.
+//!
+//! `cargo run -p lumistack-plugin-panels --features window --example solver -- 8` shows three layers on the first three outputs for eight seconds. The thread gives
+//! a stack every 0.3 s, holds still from the third to the fifth second, and goes on. Printed are the submissions as lines of refresh, place, pictures, seconds.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use lumistack_plugin::display::{Display, LayerStack};
+use lumistack_plugin_panels::window::{Command, Content, Event, Mode, Settings, commands, present};
+
+/// A stack of its own for every number: all pixels of a layer alike, frame by frame another shade.
+fn stack(display: &Display, number: usize) -> LayerStack {
+    let mut stack = LayerStack::filled(display, 1.0);
+    for layer in &mut stack.layers {
+        for frame in 0..display.frames {
+            layer.block_mut([frame]).fill(((number + frame) % 5) as f32 / 4.0);
+        }
+    }
+    stack
+}
+
+fn main() {
+    let seconds: u64 = std::env::args().nth(1).and_then(|word| word.parse().ok()).unwrap_or(8);
+    let display = Display::uniform([320, 240], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], 3);
+    let (send, receive) = commands();
+    let solver = {
+        let display = display.clone();
+        move || {
+            let begun = Instant::now();
+            for number in 1.. {
+                std::thread::sleep(Duration::from_millis(300));
+                let stalls = (3.0..3.3).contains(&begun.elapsed().as_secs_f64());
+                if stalls {
+                    // anything may hold a solver up
+                    std::thread::sleep(Duration::from_secs(2));
+                }
+                if send.send(Command::Stack(stack(&display, number))).is_err() {
+                    return;
+                }
+            }
+        }
+    };
+    std::thread::spawn(solver);
+    let settings = Settings {
+        content: Content::Stack(stack(&display, 0)),
+        display,
+        mode: Mode::Outputs,
+        hold: None,
+        duration: Some(Duration::from_secs(seconds)),
+        log: true,
+    };
+    let tell = Arc::new(|event: Event| {
+        if let Event::Warning(text) = event {
+            eprintln!("warning: {text}");
+        }
+    });
+    match present(settings, receive, &|| false, tell) {
+        Ok(report) => {
+            for (refresh, place, pictures, seconds) in &report.log {
+                println!("{refresh},{place},{pictures},{seconds:.6}");
+            }
+        }
+        Err(error) => {
+            eprintln!("error: {error}");
+            std::process::exit(1);
+        }
+    }
+}

@@ -1,0 +1,240 @@
+//! What one output shows: code values of every pixel.
+//!
+//! ```text
+//! mask value f ─(crosstalk that nobody made up for)⁻¹─▶ f' ─drive─▶ 0..1 of the panel's range ─transfer─▶ code · (2^bits − 1), rounded
+//! ```
+//!
+//! Masks are in linear light, and so is mixing between them; only what comes out are codes. Beside the mask a panel is dark, or as if it were not there
+//! where the display says so (`missing = "clear"`). A colour of a sequence is shown by all three channels: such panels have no colour filters.
+
+use lumistack_plugin::display::{Backlight, Display, LayerStack, LensletBacklight, Missing, Sampling, Transfer};
+use lumistack_plugin::lenslets::LensletPanel;
+
+use crate::place::Homography;
+use crate::{Place, Shows};
+
+/// Points per pixel and axis over which a pixel behind lenses is averaged.
+const LENS_SAMPLES: usize = 4;
+/// Bits per channel of an output.
+const OUTPUT_BITS: u32 = 8;
+/// Places half-way between two pixels go to the right and lower one although they were computed.
+const HALF: f64 = 0.5 + 1e-9;
+
+/// What one output shows of a display's stacks. It keeps what does not change from frame to frame.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    shows: Shows,
+    size: [usize; 2],
+    reads: Reads,
+    drive: Drive,
+}
+
+/// Where every pixel of the output reads.
+#[derive(Clone, Debug)]
+enum Reads {
+    /// A mask pixel, or [`BESIDE`].
+    Nearest(Vec<u32>),
+    /// Four mask pixels and how far between them.
+    Bilinear(Vec<Option<([u32; 4], [f32; 2])>>),
+    /// Places among the bins and lenslets, `LENS_SAMPLES`² of each pixel: bin · lenslets + lenslet, or [`BESIDE`].
+    Lenses(Vec<u32>),
+}
+
+const BESIDE: u32 = u32::MAX;
+
+/// From linear values to codes.
+#[derive(Clone, Debug)]
+struct Drive {
+    layer: Option<lumistack_plugin::display::Layer>,
+    backlight: Option<LensletBacklight>,
+    transfer: Transfer,
+    bits: u32,
+    unmix: Option<Homography>,
+    beside: [u8; 3],
+}
+
+impl Drive {
+    /// The code of what the output would need to show of each channel.
+    fn codes(&self, rgb: [f32; 3]) -> [u8; 3] {
+        let wanted = match &self.unmix {
+            None => rgb,
+            // a plain product of matrix and vector
+            Some(unmix) => unmix.0.map(|row| (0..3).map(|c| row[c] * f64::from(rgb[c])).sum::<f64>() as f32),
+        };
+        let top = (1u32 << self.bits) - 1;
+        [0, 1, 2].map(|c| {
+            let driven = match (&self.layer, &self.backlight) {
+                (Some(layer), _) => layer.drive(wanted[c]),
+                (None, Some(backlight)) => backlight.drive(wanted[c]),
+                (None, None) => wanted[c],
+            };
+            let code = (self.transfer.encode(c, driven) * top as f32 + 0.5) as u32;
+            ((code * 255 + top / 2) / top) as u8
+        })
+    }
+}
+
+impl Picture {
+    /// Works out where the pixels of an output of [columns, rows] pixels read.
+    pub fn new(display: &Display, shows: Shows, output: [usize; 2]) -> Self {
+        let place = Place::new(display, shows, output);
+        let (reads, mut drive) = match (shows, &display.backlight) {
+            (Shows::Backlight, Backlight::Lenslets(backlight)) => {
+                let panel = backlight.panel.clone().unwrap_or_default();
+                let drive = Drive {
+                    layer: None,
+                    transfer: backlight.transfer.clone(),
+                    bits: OUTPUT_BITS,
+                    unmix: panel.crosstalk.map(|mix| Homography(mix).inverse()),
+                    backlight: Some(backlight.clone()),
+                    beside: [0; 3],
+                };
+                (lens_reads(&place, backlight), drive)
+            }
+            _ => {
+                let n = if let Shows::Layer(n) = shows { n } else { 0 };
+                let layer = &display.layers[n];
+                let panel = layer.panel.clone().unwrap_or_default();
+                let drive = Drive {
+                    transfer: layer.transfer.clone(),
+                    bits: layer.bits.unwrap_or(OUTPUT_BITS).min(OUTPUT_BITS),
+                    unmix: panel.crosstalk.map(|mix| Homography(mix).inverse()),
+                    layer: Some(layer.clone()),
+                    backlight: None,
+                    beside: [0; 3],
+                };
+                (mask_reads(&place, layer.resolution, layer.pitch_mm, panel.resample), drive)
+            }
+        };
+        if shows != Shows::Backlight {
+            let beside = if display.missing == Missing::Clear { display.formation.neutral() } else { 0.0 };
+            drive.beside = drive.codes([beside; 3]);
+        }
+        Self { shows, size: output, reads, drive }
+    }
+
+    /// [columns, rows] of the output.
+    pub fn size(&self) -> [usize; 2] {
+        self.size
+    }
+
+    /// The codes of one linear value.
+    pub(crate) fn encode(&self, rgb: [f32; 3]) -> [u8; 3] {
+        self.drive.codes(rgb)
+    }
+
+    /// What it shows.
+    pub fn shows(&self) -> Shows {
+        self.shows
+    }
+
+    /// Codes `[row][col][red, green, blue, 255]` of one frame of a stack; of one of its colours where they come one after another.
+    ///
+    /// # Panics
+    /// If the stack does not fit the display that this was made for.
+    pub fn codes(&self, stack: &LayerStack, frame: usize, colour: Option<usize>) -> Vec<u8> {
+        let code = |rgb: [f32; 3]| {
+            let codes = self.drive.codes(rgb);
+            colour.map_or(codes, |channel| [codes[channel]; 3])
+        };
+        let values = match self.shows {
+            Shows::Layer(n) => stack.layers[n].block([frame]),
+            Shows::Backlight => stack.emission.as_ref().expect("a directional backlight").block([frame]),
+        };
+        let rgb = |i: u32| -> [f32; 3] { values[3 * i as usize..][..3].try_into().expect("three channels") };
+        let beside = self.drive.beside;
+        match &self.reads {
+            Reads::Nearest(reads) => {
+                let mask: Vec<[u8; 3]> = values.chunks_exact(3).map(|v| code([v[0], v[1], v[2]])).collect();
+                fill(reads, |&i| if i == BESIDE { beside } else { mask[i as usize] })
+            }
+            Reads::Bilinear(reads) => fill(reads, |read| {
+                let Some((corners, [tx, ty])) = read else { return beside };
+                let [a, b, c, d] = corners.map(rgb);
+                code([0, 1, 2].map(|i| {
+                    let (top, bottom) = (a[i] + tx * (b[i] - a[i]), c[i] + tx * (d[i] - c[i]));
+                    top + ty * (bottom - top)
+                }))
+            }),
+            Reads::Lenses(reads) => {
+                let points = LENS_SAMPLES * LENS_SAMPLES;
+                fill(reads.chunks_exact(points), |places| {
+                    let mut sum = [0.0f32; 3];
+                    for &i in places.iter().filter(|i| **i != BESIDE) {
+                        sum.iter_mut().zip(rgb(i)).for_each(|(sum, value)| *sum += value);
+                    }
+                    code(sum.map(|sum| sum / points as f32))
+                })
+            }
+        }
+    }
+}
+
+fn fill<T>(reads: impl IntoIterator<Item = T>, code: impl Fn(T) -> [u8; 3]) -> Vec<u8> {
+    reads
+        .into_iter()
+        .flat_map(|read| {
+            let [r, g, b] = code(read);
+            [r, g, b, 255]
+        })
+        .collect()
+}
+
+fn mask_reads(place: &Place, [cols, rows]: [usize; 2], pitch_mm: f64, resample: Sampling) -> Reads {
+    // the mask pixel at a place, as real numbers
+    let at = |output: [f64; 2]| {
+        let [x, y] = place.mm(output)?;
+        Some([x / pitch_mm + (cols as f64 - 1.0) / 2.0, (rows as f64 - 1.0) / 2.0 - y / pitch_mm])
+    };
+    let inside = |place: [f64; 2]| {
+        let [col, row] = place.map(|at| (at + HALF).floor());
+        (col >= 0.0 && row >= 0.0 && col < cols as f64 && row < rows as f64).then_some([col as usize, row as usize])
+    };
+    let pixels = pixels(place.output);
+    match resample {
+        Sampling::Nearest => Reads::Nearest(
+            pixels
+                .map(|pixel| at(pixel).and_then(inside).map_or(BESIDE, |[col, row]| (row * cols + col) as u32))
+                .collect(),
+        ),
+        Sampling::Bilinear => {
+            let read = |pixel: [f64; 2]| {
+                let place = at(pixel)?;
+                inside(place)?;
+                // the border's pixels reach to its edge
+                let [x, y] = [place[0].clamp(0.0, cols as f64 - 1.0), place[1].clamp(0.0, rows as f64 - 1.0)];
+                let (left, top) = (x.floor() as usize, y.floor() as usize);
+                let (right, bottom) = ((left + 1).min(cols - 1), (top + 1).min(rows - 1));
+                let corner = |row: usize, col: usize| (row * cols + col) as u32;
+                let corners = [corner(top, left), corner(top, right), corner(bottom, left), corner(bottom, right)];
+                Some((corners, [(x - x.floor()) as f32, (y - y.floor()) as f32]))
+            };
+            Reads::Bilinear(pixels.map(read).collect())
+        }
+    }
+}
+
+fn lens_reads(place: &Place, backlight: &LensletBacklight) -> Reads {
+    let lenses = LensletPanel::new(backlight, place.upright_size(), place.pitch_mm);
+    let lenslets = lenses.lenslets[0] * lenses.lenslets[1];
+    let offset = |sample: usize| (sample as f64 + 0.5) / LENS_SAMPLES as f64 - 0.5;
+    let mut reads = Vec::with_capacity(place.output[0] * place.output[1] * LENS_SAMPLES * LENS_SAMPLES);
+    for [x, y] in pixels(place.output) {
+        for (sy, sx) in (0..LENS_SAMPLES).flat_map(|sy| (0..LENS_SAMPLES).map(move |sx| (sy, sx))) {
+            let spot = place.mm([x + offset(sx), y + offset(sy)]).and_then(|mm| lenses.spot(mm));
+            reads.push(spot.map_or(BESIDE, |spot| {
+                let bin = spot.bin[0] * lenses.bins[0] + spot.bin[1];
+                (bin * lenslets + spot.lenslet[0] * lenses.lenslets[0] + spot.lenslet[1]) as u32
+            }));
+        }
+    }
+    Reads::Lenses(reads)
+}
+
+/// All pixels (column, row) in the order of memory.
+pub(crate) fn pixels([cols, rows]: [usize; 2]) -> impl Iterator<Item = [f64; 2]> {
+    (0..rows).flat_map(move |row| (0..cols).map(move |col| [col as f64, row as f64]))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,125 @@
+//! Counts what came late, and how far outputs are apart.
+//!
+//! A refresh is late when it comes more than one and a half intervals after the one before; the panel then showed the one before again, once for every whole
+//! interval that passed.
+
+use std::collections::BTreeMap;
+
+/// Refreshes of one output.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tally {
+    interval_s: f64,
+    last: Option<(u64, f64)>,
+    /// Refreshes that came.
+    pub shown: u64,
+    /// Those that came late.
+    pub late: u64,
+    /// Times that a picture was shown once more because the next was not there.
+    pub repeated: u64,
+    /// Refreshes that were handed over and never shown.
+    pub dropped: u64,
+    /// Refreshes that came in another order than they were meant to.
+    pub out_of_order: u64,
+}
+
+impl Tally {
+    /// Nothing yet, at intervals of so many seconds.
+    pub fn new(interval_s: f64) -> Self {
+        Self { interval_s, last: None, shown: 0, late: 0, repeated: 0, dropped: 0, out_of_order: 0 }
+    }
+
+    /// Refresh number `index` came at a time.
+    pub fn came(&mut self, index: u64, time_s: f64) {
+        if let Some((last, before_s)) = self.last {
+            let intervals = (time_s - before_s) / self.interval_s;
+            if intervals > 1.5 {
+                self.late += 1;
+                self.repeated += intervals.round() as u64 - 1;
+            }
+            if index <= last {
+                self.out_of_order += 1;
+            } else {
+                self.dropped += index - last - 1;
+            }
+        }
+        self.shown += 1;
+        self.last = Some((index, time_s));
+    }
+}
+
+/// How far apart the outputs show the same refresh.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Skew {
+    outputs: usize,
+    open: BTreeMap<u64, Vec<f64>>,
+    /// Refreshes that all outputs showed and told about.
+    pub refreshes: u64,
+    sum_s: f64,
+    /// The largest distance in time, seconds.
+    pub largest_s: f64,
+}
+
+/// Refreshes that are waited for; one output may never tell.
+const OPEN: usize = 64;
+
+impl Skew {
+    /// Nothing yet, of so many outputs.
+    pub fn new(outputs: usize) -> Self {
+        Self { outputs, ..Self::default() }
+    }
+
+    /// An output showed refresh number `index` at a time.
+    pub fn came(&mut self, index: u64, time_s: f64) {
+        let times = self.open.entry(index).or_default();
+        times.push(time_s);
+        if times.len() == self.outputs {
+            let latest = times.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let apart = latest - times.iter().copied().fold(f64::INFINITY, f64::min);
+            self.refreshes += 1;
+            self.sum_s += apart;
+            self.largest_s = self.largest_s.max(apart);
+            self.open.remove(&index);
+        }
+        while self.open.len() > OPEN {
+            self.open.pop_first();
+        }
+    }
+
+    /// The mean distance in time, seconds; none where nothing is known.
+    pub fn mean_s(&self) -> Option<f64> {
+        (self.refreshes > 0).then(|| self.sum_s / self.refreshes as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn late_repeated_dropped_and_disordered_are_told_apart() {
+        let mut tally = Tally::new(0.01);
+        for (index, time_s) in [(0, 0.0), (1, 0.0101), (2, 0.0199), (3, 0.0401), (5, 0.05), (4, 0.06)] {
+            tally.came(index, time_s);
+        }
+        assert_eq!((tally.shown, tally.late, tally.repeated), (6, 1, 1));
+        assert_eq!((tally.dropped, tally.out_of_order), (1, 1));
+        let mut stalled = Tally::new(0.01);
+        stalled.came(0, 0.0);
+        stalled.came(1, 0.2);
+        assert_eq!((stalled.late, stalled.repeated), (1, 19));
+    }
+
+    #[test]
+    fn skew_is_the_distance_of_the_first_and_the_last() {
+        let mut skew = Skew::new(3);
+        assert_eq!(skew.mean_s(), None);
+        for (index, time_s) in [(0, 1.0), (0, 1.002), (1, 2.0), (0, 1.001), (1, 2.006), (1, 2.001)] {
+            skew.came(index, time_s);
+        }
+        assert_eq!(skew.refreshes, 2);
+        assert!((skew.mean_s().unwrap() - 0.004).abs() < 1e-12 && (skew.largest_s - 0.006).abs() < 1e-12);
+        // an output that says nothing
+        (0..1000).for_each(|index| skew.came(index, 0.0));
+        assert!(skew.open.len() <= OPEN);
+    }
+}

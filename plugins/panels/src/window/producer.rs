@@ -1,0 +1,199 @@
+//! The thread that makes pictures: whatever comes – a new stack, a nudge, another angle – becomes code values, is loaded, and waits in the feed.
+
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+
+use lumistack_plugin::core::colour::srgb_code;
+use lumistack_plugin::display::{ColourSequence, Display, LayerStack, Simulator};
+
+use super::conductor::Baton;
+use super::gpu::{Deck, Gpu, Part};
+use super::{Content, Event, WindowError};
+use crate::{Picture, Shows, flat_codes};
+
+/// What comes.
+pub(super) enum Work {
+    Stack(LayerStack),
+    Nudge(Shows, [f64; 2]),
+    Save,
+    Look([f64; 2]),
+    /// The ordinary window has another size.
+    Resized([usize; 2]),
+    /// Pictures that nobody shows any more.
+    Retired(Deck),
+}
+
+/// What a producer works with.
+pub(super) struct Producer {
+    pub(super) display: Display,
+    pub(super) content: Content,
+    pub(super) parts: Vec<Part>,
+    pub(super) gpu: Arc<Gpu>,
+    pub(super) baton: Arc<Baton>,
+    pub(super) work: Receiver<Work>,
+    /// Where every output reads, while its calibration stays.
+    pub(super) pictures: Vec<Picture>,
+    pub(super) number: u64,
+}
+
+impl Producer {
+    /// Works until nobody sends anything any more.
+    pub(super) fn run(mut self, tell: &(dyn Fn(Event) + Sync)) {
+        if let Err(error) = self.offer() {
+            tell(Event::Warning(error.to_string()));
+        }
+        while let Ok(first) = self.work.recv() {
+            let mut changed = false;
+            // the newest of what has piled up is enough
+            for work in
+                std::iter::once(first).chain(std::iter::from_fn(|| self.work.try_recv().ok())).collect::<Vec<_>>()
+            {
+                match self.take(work, tell) {
+                    Ok(change) => changed |= change,
+                    Err(error) => tell(Event::Warning(error)),
+                }
+            }
+            if changed && let Err(error) = self.offer() {
+                tell(Event::Warning(error.to_string()));
+            }
+        }
+    }
+
+    /// Whether the pictures are other ones now.
+    fn take(&mut self, work: Work, tell: &(dyn Fn(Event) + Sync)) -> Result<bool, String> {
+        match work {
+            Work::Stack(new) => {
+                new.check(&self.display)
+                    .map_err(|error| format!("the new patterns do not fit the display: {error}"))?;
+                match &mut self.content {
+                    Content::Stack(stack) | Content::Rehearsal { stack, .. } => *stack = new,
+                    Content::Pattern { .. } | Content::Flat { .. } => return Ok(false),
+                }
+                Ok(true)
+            }
+            Work::Nudge(shows, by) => {
+                let Some(nudge) = nudge_of(&mut self.display, shows) else { return Ok(false) };
+                // tenths of a pixel, without the dust of adding them up
+                *nudge = [0, 1].map(|axis| ((nudge[axis] + by[axis]) * 1000.0).round() / 1000.0);
+                tell(Event::Selected(shows, *nudge));
+                for (part, picture) in self.parts.iter().zip(&mut self.pictures).filter(|(part, _)| part.shows == shows)
+                {
+                    *picture = Picture::new(&self.display, shows, part.output.size);
+                }
+                Ok(true)
+            }
+            Work::Save => {
+                tell(Event::Save(Box::new(self.display.clone())));
+                Ok(false)
+            }
+            Work::Look(from) => {
+                let Content::Rehearsal { from_deg, .. } = &mut self.content else { return Ok(false) };
+                *from_deg = from;
+                Ok(true)
+            }
+            Work::Resized(size) => {
+                self.parts.iter_mut().for_each(|part| part.output.size = size);
+                Ok(true)
+            }
+            Work::Retired(deck) => {
+                drop(deck);
+                Ok(false)
+            }
+        }
+    }
+
+    /// Makes and loads the pictures of a period, and puts them into the feed.
+    fn offer(&mut self) -> Result<(), WindowError> {
+        let mut deck = Deck { pictures: Vec::new(), number: self.number };
+        match &self.content {
+            Content::Stack(stack) => {
+                let colours: Vec<Option<usize>> = match self.display.colour_sequence {
+                    ColourSequence::Simultaneous => vec![None],
+                    ColourSequence::Field => self.display.colour_order.0.map(Some).to_vec(),
+                };
+                for (frame, &colour) in (0..stack.frames()).flat_map(|frame| colours.iter().map(move |c| (frame, c))) {
+                    let shown = self.pictures.iter().map(|picture| picture.codes(stack, frame, colour));
+                    deck.pictures.push(self.load(shown));
+                }
+            }
+            Content::Pattern { pattern, only, eye_mm } => {
+                let codes = self
+                    .parts
+                    .iter()
+                    .map(|part| pattern.codes(&self.display, part.shows, part.output.size, *only, *eye_mm));
+                let codes = codes.collect::<Result<Vec<_>, _>>()?;
+                deck.pictures.push(self.load(codes));
+            }
+            Content::Flat { picture, layer } => {
+                let codes = self.parts.iter().map(|part| {
+                    let shown = (part.shows == Shows::Layer(*layer)).then_some(picture);
+                    flat_codes(&self.display, part.shows, part.output.size, shown)
+                });
+                deck.pictures.push(self.load(codes));
+            }
+            Content::Rehearsal { stack, from_deg } => {
+                let slope = from_deg.map(|angle| angle.to_radians().tan());
+                let seen = Simulator::new(&self.display, stack).from_slope(slope).radiance;
+                let [rows, cols, _] = seen.shape();
+                let gain = (1.0 / stack.brightness) as f32;
+                let codes: Vec<u8> = seen.data().iter().map(|value| srgb_code(gain * value)).collect();
+                let windows = self.parts.iter().map(|part| fitted(&codes, [cols, rows], part.output.size));
+                deck.pictures.push(self.load(windows));
+            }
+        }
+        self.number += 1;
+        self.baton.places.store(deck.pictures.len() as u64, std::sync::atomic::Ordering::Relaxed);
+        drop(self.baton.feed.put(deck));
+        Ok(())
+    }
+
+    fn load(&self, codes: impl IntoIterator<Item = Vec<u8>>) -> Vec<wgpu::BindGroup> {
+        let parts = self.parts.iter().zip(codes);
+        parts.map(|(part, codes)| self.gpu.load(&codes, part.output.size, part.origin)).collect()
+    }
+}
+
+/// The shift of a panel, which gets a calibration if it has none.
+fn nudge_of(display: &mut Display, shows: Shows) -> Option<&mut [f64; 2]> {
+    let panel = match (shows, &mut display.backlight) {
+        (Shows::Layer(n), _) => &mut display.layers.get_mut(n)?.panel,
+        (Shows::Backlight, lumistack_plugin::display::Backlight::Lenslets(backlight)) => &mut backlight.panel,
+        (Shows::Backlight, lumistack_plugin::display::Backlight::Uniform) => return None,
+    };
+    Some(&mut panel.get_or_insert_default().nudge_px)
+}
+
+/// A picture `[row][col][rgb]` in the middle of a window, enlarged by the largest whole factor that fits, or reduced: `[row][col][red, green, blue, 255]`.
+fn fitted(codes: &[u8], [cols, rows]: [usize; 2], [width, height]: [usize; 2]) -> Vec<u8> {
+    let fit = (width as f64 / cols as f64).min(height as f64 / rows as f64);
+    let scale = if fit >= 1.0 { fit.floor() } else { fit };
+    let (left, top) = ((width as f64 - scale * cols as f64) / 2.0, (height as f64 - scale * rows as f64) / 2.0);
+    let mut window = Vec::with_capacity(4 * width * height);
+    for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+        let (col, row) = ((x as f64 + 0.5 - left.floor()) / scale, (y as f64 + 0.5 - top.floor()) / scale);
+        let inside = col >= 0.0 && row >= 0.0 && col < cols as f64 && row < rows as f64;
+        let rgb = if inside { &codes[3 * (row as usize * cols + col as usize)..][..3] } else { &[0, 0, 0] };
+        window.extend_from_slice(&[rgb[0], rgb[1], rgb[2], 255]);
+    }
+    window
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_stands_in_the_middle_of_its_window() {
+        let codes: Vec<u8> = (0..6).flat_map(|i| [i, i, i]).collect();
+        let shown: Vec<u8> = fitted(&codes, [3, 2], [8, 5]).chunks_exact(4).map(|rgba| rgba[0]).collect();
+        let rows = [
+            [0, 0, 0, 1, 1, 2, 2, 0],
+            [0, 0, 0, 1, 1, 2, 2, 0],
+            [0, 3, 3, 4, 4, 5, 5, 0],
+            [0, 3, 3, 4, 4, 5, 5, 0],
+            [0; 8],
+        ];
+        assert_eq!(shown, rows.concat());
+        assert_eq!(fitted(&codes, [3, 2], [2, 2]).len(), 16);
+    }
+}

@@ -1,0 +1,128 @@
+//! The paper's single panel on a lens array, all the way: a scene becomes emission and a layer, these become the pictures of two panels, and rays that know nothing of
+//! the display model go through layer and lenses to the panel behind them.
+
+mod common;
+
+use common::{lumistack, number, report, root, succeed};
+use lumistack_display::{Backlight, Display, LensletBacklight, Projection};
+use lumistack_plugin_panels::{Picture, Shows};
+
+/// How far the traced views may be from what the report says of the display.
+const DECIBELS: f64 = 0.5;
+/// A pupil spans this share of a view's bin to either side, in these steps per axis.
+const PUPIL: f64 = 0.3;
+const PUPIL_STEPS: i32 = 3;
+
+/// A panel as it is sent: codes, and the light that its transfer function gives them.
+struct Panel {
+    codes: Vec<u8>,
+    size: [usize; 2],
+    pitch_mm: f64,
+}
+
+impl Panel {
+    fn light(&self, at_mm: [f64; 2]) -> Option<[f64; 3]> {
+        let col = (at_mm[0] / self.pitch_mm + self.size[0] as f64 / 2.0).floor();
+        let row = (self.size[1] as f64 / 2.0 - at_mm[1] / self.pitch_mm).floor();
+        let inside = col >= 0.0 && row >= 0.0 && col < self.size[0] as f64 && row < self.size[1] as f64;
+        let first = 4 * (row as usize * self.size[0] + col as usize);
+        inside.then(|| {
+            [0, 1, 2].map(|c| {
+                let code = f64::from(self.codes[first + c]) / 255.0;
+                // IEC 61966-2-1, which the display file declares
+                if code <= 0.040_45 { code / 12.92 } else { ((code + 0.055) / 1.055).powf(2.4) }
+            })
+        })
+    }
+}
+
+/// The point of the rear panel from which a ray comes that leaves the lens array at a place with a slope: back to the lens plane, through a thin lens of this
+/// focal length, and on to its focal plane. None beside the array.
+fn behind(lenses: &LensletBacklight, focal_mm: f64, place_mm: [f64; 2], slope: [f64; 2]) -> Option<[f64; 2]> {
+    let mut on_panel = [0.0; 2];
+    for axis in 0..2 {
+        let count = lenses.lenslets[axis] as f64;
+        let lens = (place_mm[axis] / lenses.pitch_mm + count / 2.0).floor();
+        if lens < 0.0 || lens >= count {
+            return None;
+        }
+        let centre = (lens + 0.5 - count / 2.0) * lenses.pitch_mm;
+        let height = place_mm[axis] - centre;
+        // a thin lens bends a ray at height h by −h/f: before it the slope was larger by that
+        let before = slope[axis] + height / focal_mm;
+        on_panel[axis] = place_mm[axis] - before * focal_mm;
+    }
+    Some(on_panel)
+}
+
+#[test]
+fn rays_through_lenses_and_layer_see_the_target() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let mut command = lumistack();
+    command.arg("run").arg(root().join("scenes/letters/job.toml")).arg("-o").arg(&run);
+    command.args(["--display", "paper-directional", "--resolution", "84x52", "--frames", "4", "--samples", "8"]);
+    succeed(command.args(["--iterations", "20"]));
+    let display = Display::from_toml(&std::fs::read_to_string(run.join("display.toml")).unwrap()).unwrap();
+    let stack = lumistack_field_io::read_stack(&run.join("layers")).unwrap();
+    let (field, _) = lumistack_field_io::read_field_folder(&run.join("target")).unwrap();
+    let Backlight::Lenslets(lenses) = &display.backlight else { panic!("directional") };
+    let rear = &display.layers[0];
+    let (size, pitch_mm) = (rear.panel_resolution.unwrap(), rear.panel_pitch_mm.unwrap());
+    // lenses whose pictures fill 48 degrees
+    let focal_mm = 0.5 * lenses.pitch_mm / 24f64.to_radians().tan();
+    let panels: Vec<[Panel; 2]> = (0..display.frames)
+        .map(|frame| {
+            [Shows::Backlight, Shows::Layer(0)].map(|shows| {
+                let codes = Picture::new(&display, shows, size).codes(&stack, frame, None);
+                Panel { codes, size, pitch_mm }
+            })
+        })
+        .collect();
+    let geometry = field.geometry();
+    assert_eq!(geometry.grid.projection, Projection::Oblique);
+    let bin = geometry.grid.bin_width();
+    let pupil: Vec<[f64; 2]> = (-PUPIL_STEPS..=PUPIL_STEPS)
+        .flat_map(|y| (-PUPIL_STEPS..=PUPIL_STEPS).map(move |x| [x, y]))
+        .map(|at| [0, 1].map(|axis| f64::from(at[axis]) / f64::from(PUPIL_STEPS) * PUPIL * bin[axis]))
+        .collect();
+    let (mut sum, mut count) = (0.0, 0.0);
+    let [views_y, views_x] = geometry.grid.views();
+    for (view_y, view_x) in (0..views_y).flat_map(|y| (0..views_x).map(move |x| (y, x))) {
+        let slope = [geometry.grid.slope_x[view_x], geometry.grid.slope_y[view_y]];
+        let target = field.view([view_y, view_x]);
+        for (row, col) in (0..geometry.rows).flat_map(|row| (0..geometry.cols).map(move |col| (row, col))) {
+            let on_plane = [geometry.x_mm(col), geometry.y_mm(row)];
+            let mut seen = [0.0; 3];
+            let mut missed = false;
+            for offset in &pupil {
+                let slope = [0, 1].map(|axis| slope[axis] + offset[axis]);
+                let at = |d_mm: f64| [0, 1].map(|axis| on_plane[axis] + d_mm * slope[axis]);
+                let Some(source) = behind(lenses, focal_mm, at(lenses.d_mm), slope) else {
+                    missed = true;
+                    break;
+                };
+                for [backlight, layer] in &panels {
+                    let (Some(emitted), Some(passed)) = (backlight.light(source), layer.light(at(rear.d_mm))) else {
+                        missed = true;
+                        break;
+                    };
+                    (0..3).for_each(|c| seen[c] += emitted[c] * passed[c]);
+                }
+            }
+            if missed {
+                continue;
+            }
+            for c in 0..3 {
+                let mean = seen[c] / (pupil.len() * panels.len()) as f64;
+                let wanted = f64::from(target[3 * (row * geometry.cols + col) + c]);
+                sum += (mean / stack.brightness - wanted).powi(2);
+                count += 1.0;
+            }
+        }
+    }
+    let psnr = -10.0 * (sum / count as f64).log10();
+    let reported = number(&report(&run), "psnr_view");
+    println!("traced through the lenses {psnr:.2} dB, reported {reported:.2} dB");
+    assert!((psnr - reported).abs() <= DECIBELS, "traced {psnr:.2} dB, reported {reported:.2} dB");
+}

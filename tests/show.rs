@@ -1,0 +1,381 @@
+//! Panels on real compositors: what every output shows, in which order, and what happens when something changes or goes away.
+
+#![cfg(feature = "panels")]
+
+mod common;
+#[path = "common/session.rs"]
+mod session;
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, ChildStdout, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use lumistack_core::seed::Stream;
+use lumistack_display::{Display, Flip, LayerStack, Panel, Transfer};
+use serde_json::Value;
+use session::{Picture, SWAY, Screen, Session, XORG, wait_for};
+
+const FRAMES: usize = 4;
+
+/// Three layers for the three outputs: one pixel for pixel; one upside down with a gamma of its own; one whose mask pixels are 2 × 2 panel pixels, mirrored.
+fn display(outputs: &[Screen]) -> Display {
+    let mut display = Display::uniform([320, 180], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], FRAMES);
+    display.brightness = 0.5;
+    for (layer, (name, size, _)) in display.layers.iter_mut().zip(outputs) {
+        layer.resolution = *size;
+        layer.transfer = Transfer::Linear;
+        layer.panel = Some(Panel { output: Some(name.to_string()), ..Panel::default() });
+    }
+    display.layers[1].transfer = Transfer::gamma(2.0);
+    display.layers[1].panel.as_mut().unwrap().rotate_deg = 180;
+    display.layers[2].resolution = [320, 180];
+    display.layers[2].panel_pitch_mm = Some(0.25);
+    display.layers[2].panel.as_mut().unwrap().flip = Flip::Horizontal;
+    display
+}
+
+/// Codes of a mask, `[row][col][rgb]`: noise that tells frames and stacks apart, under a strip that names the frame.
+fn codes(seed: u64, layer: usize, frame: usize, [cols, rows]: [usize; 2]) -> Vec<u8> {
+    let mut random = Stream::new(1000 * seed + 100 * layer as u64 + frame as u64);
+    let noise = (0..rows * cols * 3).map(|_| (random.next_u64() & 255) as u8);
+    let mut codes: Vec<u8> = noise.collect();
+    for (i, pixel) in codes.chunks_exact_mut(3).enumerate().take(20 * cols) {
+        // one stripe per frame, bright where it is this one
+        let lit = i % cols * FRAMES / cols == frame;
+        pixel.fill(if lit { 255 } else { 20 });
+    }
+    codes
+}
+
+fn write_run(folder: &Path, display: &Display, seed: u64) {
+    std::fs::create_dir_all(folder).unwrap();
+    let mut stack = LayerStack::filled(display, 0.0);
+    for (n, layer) in stack.layers.iter_mut().enumerate() {
+        for frame in 0..FRAMES {
+            let codes = codes(seed, n, frame, display.layers[n].resolution);
+            // the light whose code this is
+            let light = |code: u8| {
+                let code = f32::from(code) / 255.0;
+                if n == 1 { code * code } else { code }
+            };
+            layer.block_mut([frame]).iter_mut().zip(codes).for_each(|(value, code)| *value = light(code));
+        }
+    }
+    std::fs::write(folder.join("display.toml"), display.to_toml()).unwrap();
+    lumistack_field_io::write_stack(&folder.join("layers"), display, &stack).unwrap();
+}
+
+/// What an output must show, worked out pixel by pixel from the codes and how the panels are mounted.
+fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Picture {
+    let mask = if n == 2 { [cols / 2, rows / 2] } else { [cols, rows] };
+    let codes = codes(seed, n, frame, mask);
+    let mut rgb = Vec::with_capacity(3 * cols * rows);
+    for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+        let (r, c) = match n {
+            1 => (rows - 1 - row, cols - 1 - col),
+            2 => (row / 2, (cols - 1 - col) / 2),
+            _ => (row, col),
+        };
+        rgb.extend_from_slice(&codes[3 * (r * mask[0] + c)..][..3]);
+    }
+    Picture { size: [cols, rows], rgb }
+}
+
+/// `lumistack show` in a session.
+struct Show {
+    child: Child,
+    stdin: Option<ChildStdin>,
+    events: Receiver<Value>,
+}
+
+impl Show {
+    fn start(session: &Session, run: &Path, options: &[&str]) -> Self {
+        let mut command = session.command(env!("CARGO_BIN_EXE_lumistack"));
+        command.args(["--json", "show"]).arg(run).args(["--control"]).args(options);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let (send, events) = channel();
+        let lines = BufReader::new(child.stdout.take().unwrap() as ChildStdout).lines();
+        std::thread::spawn(move || {
+            for line in lines.map_while(Result::ok) {
+                let _ = send.send(serde_json::from_str(&line).unwrap_or(Value::String(line)));
+            }
+        });
+        let stdin = child.stdin.take();
+        Self { child, stdin, events }
+    }
+
+    fn tell(&mut self, line: &str) {
+        writeln!(self.stdin.as_mut().unwrap(), "{line}").unwrap();
+    }
+
+    /// Waits for an event.
+    fn event(&mut self, name: &str) -> Value {
+        let end = Instant::now() + Duration::from_secs(30);
+        while Instant::now() < end {
+            match self.events.recv_timeout(Duration::from_millis(100)) {
+                Ok(event) if event["event"] == name => return event,
+                Ok(_) => {}
+                Err(_) => {
+                    if let Ok(Some(status)) = self.child.try_wait() {
+                        panic!("ended with {status} before `{name}`: {}", self.errors());
+                    }
+                }
+            }
+        }
+        panic!("no event `{name}`");
+    }
+
+    fn errors(&mut self) -> String {
+        let mut text = String::new();
+        if let Some(mut stderr) = self.child.stderr.take() {
+            let _ = std::io::Read::read_to_string(&mut stderr, &mut text);
+        }
+        text
+    }
+
+    /// Ends it, and gives its report.
+    fn quit(mut self) -> Value {
+        self.tell("quit");
+        let report = self.event("report");
+        assert!(self.child.wait().unwrap().success());
+        report
+    }
+}
+
+impl Drop for Show {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Which frame of which stack a picture is, exactly.
+fn frame_of(picture: &Picture, n: usize, seeds: &[u64]) -> Option<(u64, usize)> {
+    let all = seeds.iter().flat_map(|seed| (0..FRAMES).map(move |frame| (*seed, frame)));
+    all.into_iter().find(|(seed, frame)| *picture == expected(*seed, n, *frame, picture.size))
+}
+
+#[test]
+fn every_output_shows_its_layer_pixel_for_pixel() {
+    let Some(session) = Session::sway(&SWAY) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(&SWAY), 1);
+    let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
+    show.event("started");
+    for frame in [0, 1, 2, 3, 1, 0] {
+        show.tell(&format!("hold {frame}"));
+        for (n, (name, size, _)) in SWAY.iter().enumerate() {
+            let wanted = expected(1, n, frame, *size);
+            wait_for(&format!("frame {frame} on {name}"), || session.grim(name).filter(|shown| *shown == wanted));
+        }
+    }
+    // a nudge moves the picture at once, and is kept in the file
+    show.tell("nudge 0 3 -2");
+    let plain = expected(1, 0, 0, SWAY[0].1);
+    let moved = wait_for("the nudge", || session.grim(SWAY[0].0).filter(|shown| *shown != plain));
+    assert_eq!(moved.part([3, 0], [317, 238]), plain.part([0, 2], [317, 238]));
+    show.tell("save");
+    show.event("saved");
+    let kept = Display::from_toml(&std::fs::read_to_string(folder.path().join("display.toml")).unwrap()).unwrap();
+    assert_eq!(kept.layers[0].panel.as_ref().unwrap().nudge_px, [3.0, -2.0]);
+    let report = show.quit();
+    println!("{report}");
+    assert_eq!(report["submitted"]["out_of_order"], 0);
+}
+
+#[test]
+fn frames_run_in_order_and_what_is_late_is_counted() {
+    let Some(session) = Session::sway(&SWAY) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(&SWAY), 1);
+    let log = folder.path().join("log.csv");
+    let mut show = Show::start(&session, folder.path(), &["--duration-s", "10", "--log", log.to_str().unwrap()]);
+    show.event("started");
+    let report = show.event("report");
+    println!("{report}");
+    let text = std::fs::read_to_string(&log).unwrap();
+    let rows: Vec<Vec<f64>> =
+        text.lines().skip(1).map(|line| line.split(',').map(|number| number.parse().unwrap()).collect()).collect();
+    assert_eq!(rows.len() as u64, report["refreshes"].as_u64().unwrap());
+    // a loaded machine may be slow; what it shows must be in order
+    assert!(rows.len() > 100, "{} refreshes in 10 s", rows.len());
+    for (i, row) in rows.iter().enumerate() {
+        assert_eq!((row[0] as usize, row[1] as usize), (i, i % FRAMES));
+    }
+    let interval = report["interval_s"].as_f64().unwrap();
+    let late = rows.windows(2).filter(|pair| pair[1][3] - pair[0][3] > 1.5 * interval).count() as i64;
+    // the log has microseconds
+    assert!((report["submitted"]["late"].as_i64().unwrap() - late).abs() <= 1, "{late} gaps in the log");
+    // where the compositor tells when pictures were shown, they came in order, and the skew is known
+    if report["presented"].as_object().is_some_and(|presented| !presented.is_empty()) {
+        for (name, ..) in SWAY {
+            assert_eq!(report["presented"][name]["out_of_order"], 0, "{report}");
+        }
+        assert!(report["skew_mean_s"].as_f64().is_some(), "{report}");
+    } else {
+        assert!(report["skew_mean_s"].is_null(), "{report}");
+    }
+}
+
+#[test]
+fn a_stack_that_is_written_anew_replaces_the_old_one() {
+    let Some(session) = Session::sway(&SWAY) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let display = display(&SWAY);
+    write_run(folder.path(), &display, 1);
+    let mut show = Show::start(&session, folder.path(), &["--hold", "2"]);
+    show.event("started");
+    for seed in [1, 2, 3] {
+        if seed > 1 {
+            write_run(folder.path(), &display, seed);
+        }
+        for (n, (name, size, _)) in SWAY.iter().enumerate() {
+            let wanted = expected(seed, n, 2, *size);
+            wait_for(&format!("stack {seed} on {name}"), || session.grim(name).filter(|shown| *shown == wanted));
+        }
+    }
+    assert!(show.quit()["swaps"].as_u64().unwrap() >= 3);
+}
+
+/// Every capture of the whole layout must be one frame of one stack, on every output the same.
+fn one_frame_per_capture(
+    capture: impl Fn() -> Option<Picture>,
+    outputs: &[Screen],
+    session: &Session,
+    corner: [i32; 2],
+) {
+    let folder = tempfile::tempdir().unwrap();
+    let display = display(outputs);
+    write_run(folder.path(), &display, 1);
+    let mut show = Show::start(session, folder.path(), &["--span"]);
+    show.event("started");
+    let place = |at: [i32; 2]| [0, 1].map(|axis| at[axis] - corner[axis]);
+    let seen = |whole: &Picture| -> Option<Vec<(u64, usize)>> {
+        let parts = outputs.iter().enumerate();
+        parts.map(|(n, (_, size, at))| frame_of(&whole.part(place(*at), *size), n, &[1, 2, 3])).collect()
+    };
+    let mut last = wait_for("the first picture", || capture().and_then(|whole| seen(&whole)))[0];
+    let (mut captures, mut frames, mut seeds) = (0, std::collections::BTreeSet::new(), vec![last.0]);
+    for turn in 0..60 {
+        if turn == 20 || turn == 40 {
+            write_run(folder.path(), &display, 1 + turn / 20);
+        }
+        let Some(whole) = capture() else { continue };
+        let Some(parts) = seen(&whole) else {
+            whole.save(&std::env::temp_dir().join("span-capture.png"));
+            panic!(
+                "capture {turn} is no frame of any stack: {}",
+                std::env::temp_dir().join("span-capture.png").display()
+            );
+        };
+        assert!(parts.iter().all(|part| *part == parts[0]), "capture {turn} mixes {parts:?}");
+        assert!(parts[0].0 >= last.0, "an old stack came back");
+        last = parts[0];
+        if !seeds.contains(&last.0) {
+            seeds.push(last.0);
+        }
+        frames.insert(last.1);
+        captures += 1;
+    }
+    // the last stack is the one that stays
+    wait_for("the last stack", || capture().and_then(|whole| seen(&whole)).filter(|parts| parts[0].0 == 3));
+    println!("{captures} captures, frames {frames:?}, stacks {seeds:?}: one frame index each; {}", show.quit());
+    assert!(captures >= 50 && frames.len() >= 2);
+}
+
+#[test]
+fn one_surface_across_all_outputs_never_mixes_frames_on_x11() {
+    let Some(session) = Session::xorg(&XORG) else { return };
+    one_frame_per_capture(|| session.import(), &XORG, &session, [0, 0]);
+}
+
+/// Captures of several outputs of sway are taken one after the other, so only frames that are kept can be compared.
+#[test]
+fn one_surface_reaches_across_the_outputs_of_sway() {
+    let Some(session) = Session::sway(&SWAY) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(&SWAY), 1);
+    let mut show = Show::start(&session, folder.path(), &["--span", "--hold", "0"]);
+    show.event("started");
+    for frame in [0, 3, 1] {
+        show.tell(&format!("hold {frame}"));
+        for (n, (name, size, at)) in SWAY.iter().enumerate() {
+            let wanted = expected(1, n, frame, *size);
+            wait_for(&format!("frame {frame} on {name}"), || {
+                session.grim_all().filter(|all| all.part(*at, *size) == wanted)
+            });
+        }
+    }
+    println!("{}", show.quit());
+}
+
+#[test]
+fn every_output_of_an_x_server_shows_its_layer() {
+    let Some(session) = Session::xorg(&XORG) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(&XORG), 1);
+    let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
+    show.event("started");
+    for frame in 0..FRAMES {
+        show.tell(&format!("hold {frame}"));
+        for (n, (name, size, at)) in XORG.iter().enumerate() {
+            let wanted = expected(1, n, frame, *size);
+            wait_for(&format!("frame {frame} on {name}"), || {
+                session.import().filter(|all| all.part(*at, *size) == wanted)
+            });
+        }
+    }
+    println!("{}", show.quit());
+}
+
+#[test]
+fn outputs_that_are_missing_or_go_away_are_named() {
+    let Some(session) = Session::sway(&SWAY) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(&SWAY), 1);
+    let list =
+        |session: &Session| common::succeed(session.command(env!("CARGO_BIN_EXE_lumistack")).args(["show", "--list"]));
+    let text = list(&session);
+    assert_eq!(text.lines().count(), 3, "{text}");
+    assert!(text.starts_with("HEADLESS-1: 320 × 240 pixels at 0,0"), "{text}");
+    let mut show = Show::start(&session, folder.path(), &[]);
+    show.event("started");
+    wait_for("a picture", || frame_of(&session.grim("HEADLESS-2")?, 1, &[1]));
+    assert!(session.command("swaymsg").args(["output", "HEADLESS-2", "disable"]).status().unwrap().success());
+    let status = wait_for("the end", || show.child.try_wait().unwrap());
+    let text = show.errors();
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert!(text.contains("error: output HEADLESS-2: it is gone") && !text.contains("panicked"), "{text}");
+    // and now it is not even there at the start
+    let start = |display: &Display| {
+        std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
+        common::fail(session.command(env!("CARGO_BIN_EXE_lumistack")).arg("show").arg(folder.path()))
+    };
+    let mut display = display(&SWAY);
+    let text = start(&display);
+    assert!(
+        text.contains(
+            "layers[1].panel.output: expected one of the outputs HEADLESS-1, HEADLESS-3, found \"HEADLESS-2\""
+        ),
+        "{text}"
+    );
+    display.layers[1].panel.as_mut().unwrap().output = None;
+    let text = start(&display);
+    assert!(
+        text.contains("outputs: expected 3, one for each of layer 0, layer 1, layer 2; found HEADLESS-1, HEADLESS-3"),
+        "{text}"
+    );
+}
+
+#[test]
+fn without_a_session_it_says_so() {
+    let mut command = common::lumistack();
+    for key in ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"] {
+        command.env_remove(key);
+    }
+    let text = common::fail(command.args(["show", "--list"]));
+    assert!(text.contains("expected an X11 or Wayland session"), "{text}");
+}

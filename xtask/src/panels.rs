@@ -1,0 +1,57 @@
+//! The windows of `lumistack show`: behind a feature, so that nothing else waits for winit and wgpu, and tested here on real compositors without hardware.
+
+use crate::tools::{Outcome, cargo, command, output_of, run};
+
+/// Packages of Debian: compositors with outputs that do not exist, programs that look at them, and a graphics driver in software.
+const NEEDED: [(&str, &str); 6] = [
+    ("sway", "sway"),
+    ("grim", "grim"),
+    ("Xorg", "xserver-xorg-core"),
+    ("xrandr", "x11-xserver-utils"),
+    ("import", "imagemagick"),
+    ("setpriv", "util-linux"),
+];
+/// Libraries, which are no programs, and by which file one knows that they are there.
+const LIBRARIES: [(&str, &str); 4] = [
+    ("/usr/lib/xorg/modules/drivers/dummy_drv.so", "xserver-xorg-video-dummy"),
+    ("/usr/share/vulkan/icd.d", "mesa-vulkan-drivers"),
+    ("/usr/share/doc/libvulkan1", "libvulkan1"),
+    ("/usr/share/doc/libxkbcommon-x11-0", "libxkbcommon-x11-0"),
+];
+
+/// Builds, lints and tests.
+pub fn check() -> Outcome {
+    fetch();
+    let features = ["--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
+    let packages = ["--package", "lumistack-plugin-panels", "--package", "lumistack-cli"];
+    cargo(
+        &[&["clippy", "--all-targets", "--quiet"], &packages[..], &features[..], &["--", "-D", "warnings"]].concat(),
+    )?;
+    // one session at a time: they share the processors, and some tests count refreshes
+    let mut library = command("cargo");
+    library.args(["test", "--package", "lumistack-plugin-panels", "--features", "window"]);
+    run(library.args(["--", "--nocapture", "--test-threads=1"]))?;
+    let mut program = command("cargo");
+    program.args(["test", "--package", "lumistack-cli", "--features", "panels", "--test", "show"]);
+    run(program.args(["--", "--nocapture", "--test-threads=1"]))
+}
+
+/// Fetches what is missing where that is possible; tests say what they skip.
+fn fetch() {
+    let has = |program: &str| {
+        std::env::var_os("PATH")
+            .is_some_and(|path| std::env::split_paths(&path).any(|folder| folder.join(program).is_file()))
+    };
+    let programs = NEEDED.iter().filter(|(program, _)| !has(program)).map(|(_, package)| *package);
+    let libraries =
+        LIBRARIES.iter().filter(|(file, _)| !std::path::Path::new(file).exists()).map(|(_, package)| *package);
+    let missing: Vec<&str> = programs.chain(libraries).collect();
+    if missing.is_empty() || output_of(command("apt-get").arg("--version")).is_none() {
+        return;
+    }
+    println!("\nfetching: the Debian packages {} (used only to test panels)", missing.join(", "));
+    let mut install = command("apt-get");
+    if let Err(error) = run(install.args(["install", "-y", "--no-install-recommends"]).args(missing)) {
+        println!("panels: not tested on every compositor: {error}");
+    }
+}
