@@ -121,7 +121,7 @@ fn rays_through_lenses_and_layer_see_the_target() {
             }
         }
     }
-    let psnr = -10.0 * (sum / count as f64).log10();
+    let psnr = -10.0 * (sum / count).log10();
     let reported = number(&report(&run), "psnr_view");
     println!("traced through the lenses {psnr:.2} dB, reported {reported:.2} dB");
     assert!((psnr - reported).abs() <= DECIBELS, "traced {psnr:.2} dB, reported {reported:.2} dB");

@@ -112,7 +112,7 @@ impl Lens {
                 return Some((key, "a number above 0", length.to_string()));
             }
         }
-        if !(self.rotation_deg.abs() <= 45.0) {
+        if self.rotation_deg.is_nan() || self.rotation_deg.abs() > 45.0 {
             return Some(("rotation_deg", "-45 to 45", self.rotation_deg.to_string()));
         }
         let finite = self.offset_mm.iter().all(|shift| shift.is_finite());
