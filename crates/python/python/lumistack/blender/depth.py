@@ -19,7 +19,7 @@ ENDS = (0.02, 0.98)
 #: Parallax is not scaled further than this.
 LEAST_SCALE = 0.01
 #: From this share of the scene outside on, it is worth a warning.
-WORTH_SAYING = 0.04
+WORTH_SAYING = 0.05
 
 
 @dataclass(frozen=True)

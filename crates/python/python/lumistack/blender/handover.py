@@ -170,8 +170,6 @@ def _add_light(held: Any, matrix: Any, file: Glb, warn: Warn) -> None:
             return
         if light.spread < math.radians(179.0):
             warn(name, f"the area light's spread of {math.degrees(light.spread):.0f}° is taken as 180°")
-        if not seen:
-            warn(name, "the area light is hidden from cameras, and will be seen")
         file.add_glow(name, y_up(matrix), positions, triangles, [value / (math.pi * across) for value in power])
     else:
         warn(name, f"a light of type {light.type.lower()} is left out")
