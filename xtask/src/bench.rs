@@ -36,6 +36,8 @@ cargo xtask bench [what]
                 converged renders, a table, and an error where they differ (some minutes); then FlightHelmet as a diffuse
                 scene with its textures against Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
       --quick        a quarter of the samples
+  design        predicted against solved quality of 40 random designs, and 100 small designs in a sweep that is killed again and
+                again, which must end with the same bytes (a minute or two)
   web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
                 and per frame, through WebGL2 and on the processor
   fuzz          random changes to glTF files, whole and packed, from the corpora of others; anything but a scene or
@@ -67,6 +69,7 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         }
         ["render", options @ ..] => bench_render::render(options)?,
         ["big", options @ ..] => bench_render::big(options)?,
+        ["design"] => example("lumistack-pipeline", "bench_design", &[]),
         ["web"] => web::bench(),
         ["fuzz"] => fuzz::run(10),
         ["fuzz", "--minutes", minutes] => fuzz::run(minutes.parse().ok()?),

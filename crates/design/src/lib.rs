@@ -11,6 +11,7 @@
 mod analysis;
 pub mod contrast;
 pub mod plot;
+pub mod predict;
 pub mod table;
 
 pub use analysis::{Analysis, AxisAnalysis, Brightness, Closed, Scene, Timing, Zone};
