@@ -123,21 +123,20 @@ impl Pattern {
         self.light(display, &mut stack)?;
         let plain = picture.codes(&stack, 0, None);
         let apart = only.is_some_and(|only| only != shows);
-        let Shows::Layer(layer) = shows else {
-            return Ok(match self {
-                Self::Ramp | Self::Identify | Self::Code(_) if only == Some(shows) => {
-                    self.drawn(display, &picture, output, only, eye_mm)
-                }
-                _ => plain,
-            });
-        };
+        let is_backlight = shows == Shows::Backlight;
         Ok(match self {
             Self::Clear | Self::Lenslet(_) | Self::View(_) => plain,
             _ if apart => plain,
-            _ => {
-                debug_assert!(layer < display.layers.len());
-                self.drawn(display, &picture, output, only, eye_mm)
+            // what is drawn on layers needs light behind it
+            Self::Crosshairs => {
+                if is_backlight {
+                    plain
+                } else {
+                    self.drawn(display, &picture, output, only, eye_mm)
+                }
             }
+            Self::Ramp | Self::Code(_) if is_backlight && only.is_none() => plain,
+            _ => self.drawn(display, &picture, output, only, eye_mm),
         })
     }
 
@@ -196,7 +195,7 @@ impl Pattern {
                     let step = (((u + 0.5) / cols as f64 * STEPS as f64) as usize).min(STEPS - 1);
                     let band = (((v + 0.5) / rows as f64 * 4.0) as usize).min(3);
                     let light = step as f32 / (STEPS - 1) as f32;
-                    let [low, high] = display.layers[layer].range();
+                    let [low, high] = picture.range();
                     let value = low + light * (high - low);
                     picture.encode([0, 1, 2].map(|c| if band == 0 || band == c + 1 { value } else { low }))
                 }

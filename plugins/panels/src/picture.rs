@@ -118,6 +118,15 @@ impl Picture {
         self.size
     }
 
+    /// [darkest, brightest] value that it can show.
+    pub(crate) fn range(&self) -> [f32; 2] {
+        match (&self.drive.layer, &self.drive.backlight) {
+            (Some(layer), _) => layer.range(),
+            (None, Some(backlight)) => backlight.range(),
+            (None, None) => [0.0, 1.0],
+        }
+    }
+
     /// The codes of one linear value.
     pub(crate) fn encode(&self, rgb: [f32; 3]) -> [u8; 3] {
         self.drive.codes(rgb)

@@ -66,7 +66,6 @@ pub fn present(
         result: None,
     };
     event_loop.run_app(&mut app).map_err(session)?;
-    app.windows.clear();
     app.result.unwrap_or_else(|| Ok(Report::default()))
 }
 
@@ -129,6 +128,8 @@ struct Stage {
     baton: Arc<Baton>,
     work: Sender<Work>,
     report: Receiver<Report>,
+    /// Closes when the producer has ended.
+    produced: Receiver<()>,
     mode: Mode,
     fields: i64,
     half_fov_deg: [f64; 2],
@@ -367,9 +368,13 @@ impl App<'_> {
             number: 0,
         };
         let tell = self.tell.clone();
+        let (producing, produced) = channel::<()>();
         std::thread::Builder::new()
             .name("panels: producer".into())
-            .spawn(move || producer.run(&*tell))
+            .spawn(move || {
+                producer.run(&*tell);
+                drop(producing);
+            })
             .map_err(thread)?;
         let (done, report) = channel();
         let tell = self.tell.clone();
@@ -379,7 +384,7 @@ impl App<'_> {
                 let _ = done.send(conductor.run(&*tell));
             })
             .map_err(thread)?;
-        self.stage = Some(Stage { baton, work, report, mode, fields, half_fov_deg, from_deg, duration });
+        self.stage = Some(Stage { baton, work, report, produced, mode, fields, half_fov_deg, from_deg, duration });
         self.shown_since = Some(Instant::now());
         (self.tell)(Event::Started(shown));
         Ok(())
@@ -462,9 +467,15 @@ impl App<'_> {
             None => Report::default(),
             Some(stage) => {
                 stage.baton.stop.store(true, Ordering::Relaxed);
-                stage.report.recv_timeout(FAREWELL).unwrap_or_default()
+                let report = stage.report.recv_timeout(FAREWELL).unwrap_or_default();
+                // whoever uses the graphics processor ends before the process does: drivers do not survive it otherwise
+                drop(stage.work);
+                drop(stage.baton);
+                let _ = stage.produced.recv_timeout(FAREWELL);
+                report
             }
         };
+        self.windows.clear();
         self.result = Some(reason.map(|()| report));
     }
 }
