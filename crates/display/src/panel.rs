@@ -12,9 +12,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Backlight, Display, LensletBacklight, Sampling};
 
-/// One physical panel.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// One physical panel. In a browser nothing looks at its numbers, and to read them would take a twentieth of the page: there all is default.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Panel {
     /// Name of the output that drives it, as `lumistack show --list` prints it; without it the outputs that nobody names, from left to right.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -56,9 +56,9 @@ pub enum Flip {
     Vertical,
 }
 
-/// A lens array as built, where it differs from what the patterns were made for.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// A lens array as built, where it differs from what the patterns were made for. In a browser all is default, as in [`Panel`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Lens {
     /// Distance of lens axes, millimetres; default: the backlight's `pitch_mm`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -72,6 +72,23 @@ pub struct Lens {
     /// [x, y] shift of the array beside the backlight's `offset_mm`, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
+}
+
+#[cfg(target_arch = "wasm32")]
+mod unread {
+    use serde::de::{Deserialize, Deserializer, IgnoredAny};
+
+    impl<'de> Deserialize<'de> for super::Panel {
+        fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+            IgnoredAny::deserialize(deserializer).map(|_| Self::default())
+        }
+    }
+
+    impl<'de> Deserialize<'de> for super::Lens {
+        fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+            IgnoredAny::deserialize(deserializer).map(|_| Self::default())
+        }
+    }
 }
 
 /// A determinant relative to the matrix' size below which it turns planes into lines.

@@ -59,7 +59,7 @@ class Refused(Exception):
 def work(bpy, request, folder, answer):
     modules = package(request["modules"])
     try:
-        bpy.ops.wm.open_mainfile(filepath=request["path"], load_ui=False)
+        bpy.ops.wm.open_mainfile(filepath=request["path"], load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise Refused(str(error).replace("Error: ", "", 1).strip().splitlines()[0]) from error
     scene = bpy.context.scene
