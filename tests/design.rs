@@ -144,3 +144,56 @@ fn analyze_tells_draws_and_refuses() {
     let text = fail(lumistack().args(["analyze", "fig7-uniforn"]));
     assert!(text.contains("did you mean `fig7-uniform`?"), "{text}");
 }
+/// The committed tables of the paper's figures have its trends; `lumistack sweep scenes/sweeps/figure-7.toml` and `figure-8.toml` make them.
+#[test]
+fn the_committed_tables_show_the_papers_trends() {
+    let table = |name: &str| -> Vec<(String, f64, f64, f64, f64)> {
+        let text = std::fs::read_to_string(root().join("docs/design").join(name)).unwrap();
+        let row = |line: &str| {
+            let cells: Vec<&str> = line.split(',').collect();
+            let number = |i: usize| cells[i].parse::<f64>().unwrap();
+            (cells[0].to_string(), number(1), number(2), number(3), number(13))
+        };
+        text.lines().skip(1).map(row).collect()
+    };
+    let figure_7 = table("figure-7.csv");
+    let at = |display: &str, layers: f64, frames: f64| {
+        let found = figure_7.iter().find(|row| row.0 == display && row.1 == layers && row.2 == frames);
+        found.unwrap_or_else(|| panic!("{display}, {layers} layers, {frames} frames")).4
+    };
+    // what 50 updates from random patterns leave to chance, dB
+    const CHANCE: f64 = 0.5;
+    let frames = [1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0];
+    for display in ["fig7-uniform", "fig7-directional"] {
+        for layers in 1..=8 {
+            let layers = f64::from(layers);
+            // a single layer before a uniform backlight shows one picture to all sides, whatever its frames
+            if display == "fig7-directional" || layers > 1.0 {
+                for pair in frames.windows(2).filter(|pair| at(display, layers, pair[0]) < 40.0) {
+                    assert!(
+                        at(display, layers, pair[1]) > at(display, layers, pair[0]) - CHANCE,
+                        "{display} {layers} {pair:?}"
+                    );
+                }
+                assert!(at(display, layers, 12.0) > at(display, layers, 1.0) + 4.0, "{display} {layers}");
+            }
+            // the paper's teapot stays below 30 dB up to eight static layers
+            let most = if layers <= 4.0 { 30.0 } else { 40.0 };
+            assert!(at(display, layers, 1.0) < most, "a static stack of {layers} layers");
+        }
+        for frames in [2.0, 3.0] {
+            assert!(at(display, 8.0, frames) > at(display, 2.0, frames) + 3.0, "{display}, {frames} frames");
+        }
+    }
+    let figure_8 = table("figure-8.csv");
+    for display in ["fig7-uniform", "fig7-directional"] {
+        for frames in [4.0, 8.0, 12.0] {
+            let psnr = |brightness: f64| {
+                let is =
+                    |row: &&(String, f64, f64, f64, f64)| row.0 == display && row.2 == frames && row.3 == brightness;
+                figure_8.iter().find(is).unwrap().4
+            };
+            assert!(psnr(0.2) > psnr(0.5) && psnr(0.5) > psnr(1.0), "{display}, {frames} frames: light costs quality");
+        }
+    }
+}
