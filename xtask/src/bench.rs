@@ -33,8 +33,8 @@ cargo xtask bench [what]
       --no-peers     our own figures alone
   big [scene.gltf]      a scene of 1,100 copies, 100 million triangles with FlightHelmet, in the memory of one
   agreement     the path tracer against Mitsuba 3 on scenes that both express exactly: a test per pixel over
-                converged renders, a table, and an error where they differ (some minutes); then FlightHelmet as a diffuse
-                scene with its textures against Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
+                converged renders, a table, and an error where they differ (some minutes); then FlightHelmet and OpenChessSet as diffuse
+                scenes with their textures against Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
       --quick        a quarter of the samples
   design        predicted against solved quality of 40 random designs, and 100 small designs in a sweep that is killed again and
                 again, which must end with the same bytes (a minute or two)
