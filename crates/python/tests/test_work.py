@@ -19,6 +19,12 @@ import lumistack
 #: What an interrupt may take, seconds, on a machine that does other things too; on a free one it is below 0.2.
 PATIENCE = 1.0
 
+
+def interruptible() -> None:
+    """What starts this suite in the background may ignore interrupts, and children would inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 HEAD = """
 import sys, time, numpy, lumistack
 display = lumistack.Display("paper-three-layer", resolution=(420, 262))
@@ -48,7 +54,7 @@ except KeyboardInterrupt:
 def test_ctrl_c_interrupts(call: str, scene: Path, tmp_path: Path) -> None:
     program = HEAD.replace("{call}", call)
     words = [sys.executable, "-c", program, str(scene), str(tmp_path / "run")]
-    child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, preexec_fn=interruptible)
     assert child.stdout is not None and child.stdout.readline().strip() == "started"
     time.sleep(0.5)
     asked = time.time()
@@ -63,7 +69,7 @@ def test_ctrl_c_interrupts(call: str, scene: Path, tmp_path: Path) -> None:
 
 def test_ctrl_c_ends_the_command_with_130(scene: Path, tmp_path: Path) -> None:
     words = [sys.executable, "-m", "lumistack", "run", str(scene), "--samples", "60000", "-o", str(tmp_path / "run")]
-    child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, preexec_fn=interruptible)
     assert child.stderr is not None
     for line in child.stderr:
         if line.startswith("render"):
