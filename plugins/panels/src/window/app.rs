@@ -275,11 +275,11 @@ impl App<'_> {
 
     /// Starts the threads once every window is as large as its output.
     fn start_when_ready(&mut self, event_loop: &ActiveEventLoop) -> Result<(), WindowError> {
-        let sizes = self.windows.iter().map(|(window, name, expected)| {
+        let mut sizes = self.windows.iter().map(|(window, name, expected)| {
             let size = window.inner_size();
             (name, *expected, [size.width as usize, size.height as usize])
         });
-        let wrong = sizes.filter(|(_, expected, found)| expected.is_some_and(|size| size != *found)).next();
+        let wrong = sizes.find(|(_, expected, found)| expected.is_some_and(|size| size != *found));
         if let Some((output, Some(expected), found)) = wrong {
             if self.begun.elapsed() < PATIENCE {
                 return Ok(());
