@@ -1,10 +1,16 @@
 //! Rays of a view: from the display's geometry to rays in render space.
 //!
-//! Light of slope s through (x, y, 0) travels along (s_x, s_y, 1) in display space. Its path is traced backwards, along
-//! (−s_x, −s_y, −1): from before the scene's bounds in oblique views, so that what stands in front of the display plane is seen
-//! too, and from the eye in perspective ones. All of this is in f64; only the final ray is f32.
+//! Light of slope s through (x, y, 0) travels along (s_x, s_y, 1) in display space. Its path is traced backwards,
+//!
+//! ```text
+//! (x, y, 0) − τ (s_x, s_y, 1),   τ from τ₀ in millimetres
+//! ```
+//!
+//! from τ₀ in front of the scene's bounds in oblique views, so that what stands in front of the display plane is seen too, and from
+//! no nearer than the eye in perspective ones. Start and direction are linear in the offsets of a sample from the centre of its pixel and of
+//! its slopes, so a pixel's central ray is made in f64, and its samples in f32 from that.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
 use lumistack_scene::Window;
 
@@ -31,25 +37,38 @@ pub(crate) struct PrimaryRays<'a> {
     millimetre: f64,
     /// Half the size of the scene's bounds with a margin.
     half_size: DVec3,
+    /// τ at the start of all rays, and the largest |τ| inside the bounds from there on.
+    start: f64,
+    deepest: f64,
 }
 
-/// A ray with its footprint; `in_bounds` tells whether it can meet the scene at all.
-pub(crate) struct PrimaryRay {
-    pub(crate) ray: Ray,
+/// The rays of one pixel.
+#[derive(Clone, Copy)]
+pub(crate) struct PixelRays {
+    /// Start and direction of the central ray.
+    origin: Vec3,
+    direction: Vec3,
+    /// A pixel to the right and one up on the plane z = 0.
+    pixel: [Vec3; 2],
+    /// Unit vectors to the right and up, and the way they are followed to the start, τ₀ in render space.
+    axes: [Vec3; 2],
+    start: f32,
+    /// Change of slope across the pixel, and full width of the range of slopes.
+    turn: [f32; 2],
+    slope_width: [f32; 2],
+    round: bool,
     pub(crate) cone: Cone,
+    /// False where no ray of the pixel can meet the scene.
     pub(crate) in_bounds: bool,
 }
 
 /// The square −0.5..0.5 to the disc of diameter 1, equal areas to equal areas and neighbours to neighbours (Shirley, Chiu 1997).
-fn in_disc([x, y]: [f64; 2]) -> [f64; 2] {
+fn in_disc([x, y]: [f32; 2]) -> [f32; 2] {
+    use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
     if x == 0.0 && y == 0.0 {
         return [0.0; 2];
     }
-    let (radius, angle) = if x.abs() > y.abs() {
-        (x, std::f64::consts::FRAC_PI_4 * y / x)
-    } else {
-        (y, std::f64::consts::FRAC_PI_2 - std::f64::consts::FRAC_PI_4 * x / y)
-    };
+    let (radius, angle) = if x.abs() > y.abs() { (x, FRAC_PI_4 * y / x) } else { (y, FRAC_PI_2 - FRAC_PI_4 * x / y) };
     [radius * angle.cos(), radius * angle.sin()]
 }
 
@@ -63,95 +82,120 @@ impl<'a> PrimaryRays<'a> {
         round: bool,
     ) -> Self {
         let map = &window.scene_from_display;
-        Self {
-            geometry,
-            view,
-            slope_width,
-            round,
-            origin: space.point(map.point(DVec3::ZERO)),
-            axes: [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| space.scale * map.vector(axis)),
-            millimetre: map.scale * space.scale,
-            half_size: space.half_size.as_dvec3() + BOUNDS_MARGIN * f64::from(space.radius),
-        }
+        let origin = space.point(map.point(DVec3::ZERO));
+        let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| space.scale * map.vector(axis));
+        let millimetre = map.scale * space.scale;
+        let half_size = space.half_size.as_dvec3() + BOUNDS_MARGIN * f64::from(space.radius);
+        // τ of the nearest and of the farthest corner of the bounds, which lie around the origin of render space
+        let toward = axes[2] / (millimetre * millimetre);
+        let (centre, reach) = (origin.dot(toward), half_size.dot(toward.abs()));
+        let start = match geometry.grid.projection {
+            Projection::Oblique => centre - reach,
+            Projection::Perspective { distance_mm } => (centre - reach).max(-distance_mm),
+        };
+        let deepest = start.abs().max((centre + reach).abs());
+        Self { geometry, view, slope_width, round, origin, axes, millimetre, half_size, start, deepest }
     }
 
-    /// The ray at an offset from the centre of pixel (row, col), in pixels, and from the centre of the slopes, in widths; offsets
-    /// are in −0.5..0.5, x to the right and y up.
-    pub(crate) fn ray(&self, row: usize, col: usize, pixel_offset: [f64; 2], slope_offset: [f64; 2]) -> PrimaryRay {
+    /// The rays of pixel (row, col).
+    pub(crate) fn pixel(&self, row: usize, col: usize) -> PixelRays {
         let pitch = self.geometry.pitch_mm;
         let grid = &self.geometry.grid;
-        let point =
-            [self.geometry.x_mm(col) + pixel_offset[0] * pitch, self.geometry.y_mm(row) + pixel_offset[1] * pitch];
-        let slope_at = grid.slope_at(self.view, point);
-        let slope_offset = if self.round { in_disc(slope_offset) } else { slope_offset };
-        let slope = [0, 1].map(|axis| slope_at[axis] + slope_offset[axis] * self.slope_width[axis]);
+        let point = [self.geometry.x_mm(col), self.geometry.y_mm(row)];
+        let slope = grid.slope_at(self.view, point);
+        let beside = grid.slope_at(self.view, point.map(|p| p + pitch));
+        let turn = [0, 1].map(|axis| beside[axis] - slope[axis]);
         let [x, y, z] = self.axes;
         let on_plane = self.origin + point[0] * x + point[1] * y;
         let along = -(slope[0] * x + slope[1] * y + z);
-        let length = along.length();
-        let direction = along * length.recip();
-        // distance from the start of the ray to the plane z = 0, and the growth of a pixel's width behind it
         let (start, spread) = match grid.projection {
-            Projection::Oblique => (f64::NEG_INFINITY, 0.0),
+            Projection::Oblique => (1.0, 0.0),
             Projection::Perspective { distance_mm } => {
-                let to_eye = distance_mm * length;
-                (-to_eye, pitch * self.millimetre / to_eye)
+                (1.0 + self.start / distance_mm, pitch * self.millimetre / (distance_mm * along.length()))
             }
         };
-        let entry = self.enter_bounds(on_plane, direction);
-        let t = entry.unwrap_or(0.0).max(start);
-        let t = if t.is_finite() { t } else { 0.0 };
-        let width = match grid.projection {
-            Projection::Oblique => pitch * self.millimetre,
-            Projection::Perspective { .. } => spread * (t - start),
-        };
-        PrimaryRay {
-            ray: Ray {
-                origin: (on_plane + t * direction).as_vec3(),
-                direction: direction.as_vec3(),
-                t_max: f32::INFINITY,
+        // how far the pixel's rays are from the central one inside the bounds, along both axes together
+        let spreading: f64 =
+            [0, 1].map(|axis| pitch + self.deepest * (turn[axis].abs() + self.slope_width[axis])).into_iter().sum();
+        let half_size = self.half_size + 0.5 * spreading * self.millimetre;
+        let axes = [x, y].map(|axis| (axis / self.millimetre).as_vec3());
+        PixelRays {
+            origin: (on_plane + self.start * along).as_vec3(),
+            direction: (along / self.millimetre).as_vec3(),
+            pixel: axes.map(|axis| (pitch * self.millimetre) as f32 * axis),
+            axes,
+            start: (self.start * self.millimetre) as f32,
+            turn: turn.map(|t| t as f32),
+            slope_width: self.slope_width.map(|w| w as f32),
+            round: self.round,
+            cone: Cone {
+                width: (FOOTPRINT_SHARE * pitch * self.millimetre * start) as f32,
+                spread: (FOOTPRINT_SHARE * spread) as f32,
             },
-            cone: Cone { width: (FOOTPRINT_SHARE * width) as f32, spread: (FOOTPRINT_SHARE * spread) as f32 },
-            in_bounds: entry.is_some(),
+            in_bounds: passes_through(on_plane, along, half_size),
+        }
+    }
+}
+
+impl PixelRays {
+    /// The ray at an offset from the centre of the pixel, in pixels, and from the centre of the slopes, in widths; offsets are in
+    /// −0.5..0.5, x to the right and y up.
+    #[inline]
+    pub(crate) fn ray(&self, in_pixel: [f32; 2], in_bin: [f32; 2]) -> Ray {
+        let in_bin = if self.round { in_disc(in_bin) } else { in_bin };
+        let turn = |axis: usize| in_pixel[axis] * self.turn[axis] + in_bin[axis] * self.slope_width[axis];
+        let turned = turn(0) * self.axes[0] + turn(1) * self.axes[1];
+        Ray {
+            origin: self.origin + (in_pixel[0] * self.pixel[0] + in_pixel[1] * self.pixel[1] - self.start * turned),
+            direction: (self.direction - turned).normalize(),
+            t_max: f32::INFINITY,
         }
     }
 
-    /// Where the line enters the scene's bounds, measured from the display plane; `None` where it passes by.
-    #[inline]
-    fn enter_bounds(&self, origin: DVec3, direction: DVec3) -> Option<f64> {
-        let half = self.half_size;
-        // no 0 · ∞: along an axis that the line runs across, it is inside all the way or never
-        let across = direction.cmpeq(DVec3::ZERO);
-        if (across & origin.abs().cmpgt(half)).any() {
-            return None;
-        }
-        let inverse = direction.recip();
-        let (a, b) = ((-half - origin) * inverse, (half - origin) * inverse);
-        let near = DVec3::select(across, DVec3::NEG_INFINITY, a.min(b)).max_element();
-        let far = DVec3::select(across, DVec3::INFINITY, a.max(b)).min_element();
-        (near <= far).then_some(near)
+    /// The ray through the pixel's centre.
+    pub(crate) fn central(&self) -> Ray {
+        self.ray([0.0; 2], [0.0; 2])
     }
+}
+
+/// Whether a line meets the box −`half`..`half`.
+fn passes_through(origin: DVec3, direction: DVec3, half: DVec3) -> bool {
+    // no 0 · ∞: along an axis that the line runs across, it is inside all the way or never
+    let across = direction.cmpeq(DVec3::ZERO);
+    if (across & origin.abs().cmpgt(half)).any() {
+        return false;
+    }
+    let inverse = direction.recip();
+    let (a, b) = ((-half - origin) * inverse, (half - origin) * inverse);
+    let near = DVec3::select(across, DVec3::NEG_INFINITY, a.min(b)).max_element();
+    let far = DVec3::select(across, DVec3::INFINITY, a.max(b)).min_element();
+    near <= far
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::DQuat;
+    use lumistack_core::seed::Stream;
+    use lumistack_display::ViewGrid;
+    use lumistack_scene::Similarity;
+
     use super::*;
 
     /// Along each axis the disc has ⟨x²⟩ = r²/4; every ring holds its share of the area.
     #[test]
     fn the_disc_is_filled_evenly() {
-        let n = 400;
+        let n = 400i16;
         let (mut square_sum, mut within) = ([0.0; 2], [0u32; 4]);
         for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
-            let at = |i: i32| (f64::from(i) + 0.5) / f64::from(n) - 0.5;
-            let [x, y] = in_disc([at(i), at(j)]);
+            let at = |i: i16| (f32::from(i) + 0.5) / f32::from(n) - 0.5;
+            let [x, y] = in_disc([at(i), at(j)]).map(f64::from);
             let radius = x.hypot(y);
-            assert!(radius <= 0.5 + 1e-12);
+            assert!(radius <= 0.5 + 1e-7);
             square_sum[0] += x * x;
             square_sum[1] += y * y;
             (0..4).filter(|ring| radius <= 0.125 * f64::from(ring + 1)).for_each(|ring| within[ring as usize] += 1);
         }
-        let count = f64::from(n * n);
+        let count = f64::from(n).powi(2);
         for axis in 0..2 {
             assert!((square_sum[axis] / count - 0.0625).abs() < 1e-4);
         }
@@ -160,5 +204,79 @@ mod tests {
             assert!((f64::from(count_within) / count - share).abs() < 4e-3, "ring {ring}");
         }
         assert_eq!(in_disc([0.0, 0.0]), [0.0, 0.0]);
+    }
+
+    /// Rays of random windows far from the scene, near it and inside it: each is the line through its point of the display plane with its
+    /// slope, starts before the bounds or at the eye, and its pixel says so where it meets them.
+    #[test]
+    fn rays_are_lines_of_the_display() {
+        let mut stream = Stream::new(4);
+        let mut next = move || f64::from(stream.next_f32()) - 0.5;
+        let (mut inside, mut outside) = (0, 0);
+        for round in 0..600 {
+            let half_size = Vec3::new(next() as f32, next() as f32, next() as f32).abs() * 2.0 + 1e-3;
+            let space = RenderSpace {
+                centre: DVec3::new(next(), next(), next()) * 30.0,
+                scale: 0.1 + next().abs(),
+                radius: half_size.length(),
+                half_size,
+            };
+            let far = [0.0, 1.0, 20.0][round % 3];
+            let scale = 1e-3 / space.scale * (1.0 + 8.0 * next().abs());
+            let map = Similarity {
+                rotation: DQuat::from_euler(glam::EulerRot::XYZ, 7.0 * next(), 7.0 * next(), 7.0 * next()),
+                scale,
+                translation: space.centre + far / space.scale * DVec3::new(next(), next(), next()),
+            };
+            let distance_mm = 300.0 + 900.0 * next().abs();
+            let projection = [Projection::Oblique, Projection::Perspective { distance_mm }][round % 2];
+            let grid = ViewGrid { projection, slope_x: vec![next(), next()], slope_y: vec![0.3 * next()] };
+            let geometry = FieldGeometry { rows: 20, cols: 30, pitch_mm: 7.0 + next(), grid };
+            let window = Window { scene_from_display: map, size_mm: geometry.size_mm() };
+            let (view, slope_width) = ([0, 1], [[0.0; 2], [0.2, 0.1]][round / 2 % 2]);
+            let rays = PrimaryRays::new(&window, &geometry, view, space, slope_width, false);
+            for _ in 0..40 {
+                let (row, col) = ((20.0 * (next() + 0.5)) as usize, (30.0 * (next() + 0.5)) as usize);
+                let (in_pixel, in_bin) = ([next(), next()], [next(), next()]);
+                let pixel = rays.pixel(row, col);
+                let ray = pixel.ray(in_pixel.map(|o| o as f32), in_bin.map(|o| o as f32));
+                let pitch = geometry.pitch_mm;
+                let point = [geometry.x_mm(col) + in_pixel[0] * pitch, geometry.y_mm(row) + in_pixel[1] * pitch];
+                let slope = geometry.grid.slope_at(view, point);
+                let [sx, sy] = [0, 1].map(|axis| slope[axis] + in_bin[axis] * slope_width[axis]);
+                let on_plane = space.point(map.point(DVec3::new(point[0], point[1], 0.0)));
+                let direction = -map.vector(DVec3::new(sx, sy, 1.0)).normalize();
+                let (origin, along) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+                assert!((along - direction).length() < 1e-6, "{along} {direction}");
+                let aside = (origin - on_plane).cross(direction).length();
+                let size = origin.length() + on_plane.length();
+                assert!(aside < 1e-6 * size, "{aside} of {size}");
+                // where it starts, seen along the display's axis
+                let z = map.inverse_point(space.centre + origin / space.scale).z;
+                let rounded = 1e-6 * size / (space.scale * map.scale);
+                if let Projection::Perspective { distance_mm } = projection {
+                    assert!(z < distance_mm + rounded, "{z} is behind the eye at {distance_mm}");
+                    let width = pitch * (distance_mm - z) / distance_mm * scale * space.scale * FOOTPRINT_SHARE;
+                    assert!((f64::from(pixel.cone.width) - width).abs() < 1e-5 * width + rounded, "{width}");
+                }
+                let half = space.half_size.as_dvec3();
+                if passes_through(on_plane, direction, half) {
+                    assert!(pixel.in_bounds);
+                    inside += 1;
+                } else {
+                    outside += usize::from(!pixel.in_bounds);
+                }
+                for corner in 0..8 {
+                    let sign = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
+                    let at = space.centre + half * DVec3::new(sign(0), sign(1), sign(2)) / space.scale;
+                    let eye = match projection {
+                        Projection::Oblique => f64::INFINITY,
+                        Projection::Perspective { distance_mm } => distance_mm,
+                    };
+                    assert!(map.inverse_point(at).z.min(eye) < z + rounded, "a corner is before the start");
+                }
+            }
+        }
+        assert!(inside > 3000 && outside > 3000, "{inside} {outside}");
     }
 }

@@ -11,11 +11,11 @@ use lumistack_scene::{Image, Mesh, Pixels, Scene, Window};
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::bvh::{self, Bvh, Stack};
+use crate::bvh::{self, BEAM, Bvh, Stack};
 use crate::clamp::Clamped;
 use crate::geometry::{self, Geometry, Sharing};
 use crate::light::Lights;
-use crate::primary::{PrimaryRay, PrimaryRays};
+use crate::primary::PrimaryRays;
 use crate::sampler::SampleBank;
 use crate::settings::{AngularFilter, Settings, SettingsError};
 use crate::shading::Materials;
@@ -251,8 +251,8 @@ impl Renderer {
         let rays = self.primary_rays(window, geometry, view, AngularFilter::Point)?;
         let quiet = Task { progress: &lumistack_core::NoProgress, ..task };
         let mask = self.by_tiles(geometry, quiet, ["row", "col", "hit"], |row, col, stack| {
-            let PrimaryRay { ray, in_bounds, .. } = rays.ray(row, col, [0.0; 2], [0.0; 2]);
-            [f32::from(u8::from(in_bounds && self.tracer().meets_surface(ray, stack)))]
+            let rays = rays.pixel(row, col);
+            [f32::from(u8::from(rays.in_bounds && self.tracer().meets_surface(rays.central(), stack)))]
         })?;
         let [rows, cols, _] = mask.shape();
         let mut flat = Tensor::zeros(["row", "col"], [rows, cols]);
@@ -321,21 +321,32 @@ impl Renderer {
         stack: &mut Stack,
     ) -> (Vec3, u32) {
         let tracer = self.tracer();
+        let rays = rays.pixel(row, col);
         let mut sum = [0.0f64; 3];
         let mut not_finite = 0;
-        for index in 0..settings.samples {
-            let mut sampler = bank.sampler(pixel_seed, index);
-            let centred = |pair: [f32; 2]| pair.map(|u| f64::from(u) - 0.5);
-            let (in_pixel, in_bin) = (centred(sampler.pair()), centred(sampler.pair()));
-            let PrimaryRay { ray, cone, in_bounds } = rays.ray(row, col, in_pixel, in_bin);
-            let mut radiance = tracer.radiance(ray, cone, in_bounds, settings, &mut sampler, stack);
-            if let Some(limit) = settings.clamp {
-                radiance = clamped.dim(radiance, limit);
+        let mut beam = [rays.central(); BEAM];
+        let mut hits = [None; BEAM];
+        for first in (0..settings.samples).step_by(BEAM) {
+            let count = (settings.samples - first).min(BEAM as u32) as usize;
+            let sampler = |index: usize| bank.sampler(pixel_seed, first + index as u32);
+            for (index, ray) in beam[..count].iter_mut().enumerate() {
+                let mut sampler = sampler(index);
+                *ray = rays.ray(centred(sampler.pair()), centred(sampler.pair()));
             }
-            if radiance.is_finite() {
-                (0..3).for_each(|c| sum[c] += f64::from(radiance[c]));
-            } else {
-                not_finite += 1;
+            if rays.in_bounds {
+                tracer.first_hits(&beam[..count], &mut hits, sampler, stack);
+            }
+            for index in 0..count {
+                let mut radiance =
+                    tracer.radiance(&beam[index], rays.cone, hits[index].as_ref(), settings, &sampler(index), stack);
+                if let Some(limit) = settings.clamp {
+                    radiance = clamped.dim(radiance, limit);
+                }
+                if radiance.is_finite() {
+                    (0..3).for_each(|c| sum[c] += f64::from(radiance[c]));
+                } else {
+                    not_finite += 1;
+                }
             }
         }
         let count = f64::from((settings.samples - not_finite).max(1));
@@ -374,6 +385,11 @@ impl Renderer {
         }
         Ok(image)
     }
+}
+
+/// Numbers in 0..1 as offsets from a centre.
+fn centred(pair: [f32; 2]) -> [f32; 2] {
+    pair.map(|u| u - 0.5)
 }
 
 fn scene_bytes(scene: &Scene) -> usize {

@@ -17,7 +17,7 @@ use glam::Vec3;
 use lumistack_scene::Material;
 
 use crate::bsdf::{Bsdf, Scatter};
-use crate::bvh::{ALPHA, Bvh, Hit, Ray, Stack, TINT};
+use crate::bvh::{ALPHA, BEAM, Bvh, Hit, Ray, Stack, TINT};
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::light::{Lights, Receiver};
 use crate::matt::{Matt, is_matt};
@@ -90,17 +90,28 @@ struct Vertex<'a> {
 }
 
 impl Tracer<'_> {
-    /// Radiance that arrives along a ray. `in_bounds` = false says that the ray cannot meet a surface.
+    /// What the rays of a pixel, with their samplers, meet first.
+    pub(crate) fn first_hits<'a>(
+        &self,
+        rays: &[Ray],
+        hits: &mut [Option<Hit>; BEAM],
+        sampler: impl Fn(usize) -> Sampler<'a>,
+        stack: &mut Stack,
+    ) {
+        self.bvh.nearest_of_beam(rays, hits, stack, |index, hit| self.is_there(hit, 0, &sampler(index)));
+    }
+
+    /// Radiance that arrives along a ray that first meets `hit`.
     pub(crate) fn radiance(
         &self,
-        ray: Ray,
+        ray: &Ray,
         cone: Cone,
-        in_bounds: bool,
+        hit: Option<&Hit>,
         settings: &Settings,
-        sampler: &mut Sampler<'_>,
+        sampler: &Sampler<'_>,
         stack: &mut Stack,
     ) -> Vec3 {
-        let (mut ray, mut cone, mut in_bounds) = (ray, cone, in_bounds);
+        let (mut ray, mut cone, mut next_hit) = (*ray, cone, hit.copied());
         let mut radiance = Vec3::ZERO;
         let mut throughput = Vec3::ONE;
         // the last vertex that scattered other than straight through: its place and density, for the heuristic
@@ -111,14 +122,11 @@ impl Tracer<'_> {
         let mut wave_nm: Option<f32> = None;
         for bounce in 0..=settings.max_bounces {
             let pairs = PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce);
-            let hit =
-                if in_bounds { self.bvh.nearest(&ray, stack, |hit| self.is_there(hit, bounce, sampler)) } else { None };
-            let Some(hit) = hit else {
+            let Some(hit) = next_hit else {
                 let (environment, light_pdf) = self.lights.infinite(ray.direction);
                 radiance += throughput * environment * heuristic(scattered_pdf, light_pdf);
                 break;
             };
-            in_bounds = true;
             let vertex = self.vertex(&ray, cone, &hit);
             if let Some(material) = inside {
                 throughput *= self.absorption(material, hit.t);
@@ -177,6 +185,7 @@ impl Tracer<'_> {
                 scattered_at = vertex.receiver(&surface);
                 scattered_pdf = scatter.pdf;
             }
+            next_hit = self.bvh.nearest(&ray, stack, |hit| self.is_there(hit, bounce + 1, sampler));
         }
         radiance
     }

@@ -9,8 +9,9 @@
 //!                              └───▶ instances ─▶ nodes ─▶ blocks     one tree per mesh that is placed often, in a space of its own
 //! ```
 //!
-//! Nodes and blocks of all trees lie in the same two arrays. [`build`] makes them, [`traverse`] walks them.
+//! Nodes and blocks of all trees lie in the same two arrays. [`build`] makes them, [`traverse`] walks them for a ray and [`beam`] for rays that lie close together.
 
+mod beam;
 mod build;
 mod lanes;
 mod pages;
@@ -23,6 +24,7 @@ use std::ops::Range;
 
 use glam::{Mat3, Vec3};
 
+pub(crate) use beam::BEAM;
 pub(crate) use pages::in_large_pages;
 pub(crate) use traverse::Stack;
 

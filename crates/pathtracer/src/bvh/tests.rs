@@ -332,3 +332,42 @@ fn an_instance_alone_is_a_scene() {
     assert!(empty.nearest(&ray, &mut empty.stack(), |_| true).is_none());
     assert_eq!(empty.transmittance(&ray, &mut empty.stack(), |_| Vec3::ZERO), Vec3::ONE);
 }
+
+/// Beams of every width, along axes and across them, that see some triangles only sometimes: the distances of single rays, bit for bit. Of
+/// coincident triangles either will do.
+#[test]
+fn a_beam_meets_what_its_rays_meet_alone() {
+    let mut triangles = hostile_soup(13);
+    triangles.extend(soup(3000, 0.1, 14));
+    let flags: Vec<u32> = (0..triangles.len()).map(|i| [0, CULL_BACK, ALPHA][i % 3]).collect();
+    let bvh = build(&triangles, &flags);
+    let mut stack = bvh.stack();
+    let mut stream = Stream::new(15);
+    let mut found = 0;
+    for i in 0..3000 {
+        let count = 1 + i % BEAM;
+        let axis = Ray { t_max: f32::INFINITY, ..random_ray(&mut stream, i) };
+        let width = [0.0, 1e-4, 1e-2, 0.3, 3.0][i % 5];
+        let rays: Vec<Ray> = (0..count)
+            .map(|_| Ray {
+                origin: axis.origin + random_point(&mut stream, width),
+                direction: axis.direction + random_point(&mut stream, width),
+                ..axis
+            })
+            .collect();
+        let accept = |ray: usize, hit: &Hit| !(hit.triangle as usize + ray).is_multiple_of(3);
+        let (mut hits, mut slow) = ([None; BEAM], [None; BEAM]);
+        bvh.nearest_of_beam(&rays, &mut hits, &mut stack, accept);
+        // SAFETY: every machine has the portable set
+        unsafe { bvh.beam_in::<Portable>(&rays, &mut slow, &mut stack, accept) };
+        for (index, ray) in rays.iter().enumerate() {
+            let alone = bvh.nearest(ray, &mut stack, |hit| accept(index, hit));
+            let t = |hit: Option<Hit>| hit.map(|hit| hit.t.to_bits());
+            assert_eq!(t(hits[index]), t(alone), "{index} of {rays:?}");
+            assert_eq!(t(slow[index]), t(alone), "{index} of {rays:?}");
+            found += usize::from(alone.is_some());
+        }
+        assert!(hits[count..].iter().all(Option::is_none));
+    }
+    assert!(found > 5000, "{found}");
+}

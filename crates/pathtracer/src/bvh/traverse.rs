@@ -28,13 +28,13 @@ use super::lanes::{InstructionSet, Lanes, Portable, WIDTH};
 use super::{Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, INSTANCE, LEAF, NO_INSTANCE, Node, Ray};
 
 /// Direction components below this are replaced by it in the slab test, so that 0 · ∞ cannot occur.
-const SMALLEST_SLOPE: f32 = 1e-18;
+pub(super) const SMALLEST_SLOPE: f32 = 1e-18;
 /// Rounding of b/d − o/d as a share of (|o| + |b|)/|d|: half an epsilon each for 1/d, o/d and the result, and as much again for boxes
 /// of cut triangles, whose corners are rounded.
-const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
+pub(super) const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 
 /// Reusable memory for postponed children: the distance's bits above, the child below, so that numbers sort as distances do.
-pub(crate) struct Stack(Vec<u64>);
+pub(crate) struct Stack(pub(super) Vec<u64>);
 
 /// Above the last entry of an instance; read as a distance it is −∞, so that it is never dropped.
 const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY as u64;
@@ -59,7 +59,7 @@ struct Slabs<V> {
 
 /// A ray prepared for the triangle test. Numbers, not vectors: a block reads them as it needs them, and rays that meet no block pay little.
 #[derive(Clone, Copy)]
-struct Shear {
+pub(super) struct Shear {
     /// The last is the axis along which the ray is longest.
     axes: [usize; 3],
     /// Origin along these axes.
@@ -68,8 +68,8 @@ struct Shear {
 }
 
 /// Result of the triangle test, one lane per triangle.
-struct Test<V> {
-    t: V,
+pub(super) struct Test<V> {
+    pub(super) t: V,
     u: V,
     v: V,
     determinant: V,
@@ -273,12 +273,7 @@ impl Bvh {
                     let block = self.blocks.get_unchecked((current & !LEAF) as usize);
                     let (mut hits, test) = shear.meets::<V>(block, t_max);
                     if hits != 0 {
-                        let test = Test {
-                            t: test.t.store(),
-                            u: test.u.store(),
-                            v: test.v.store(),
-                            determinant: test.determinant.store(),
-                        };
+                        let test = test.store();
                         while hits != 0 {
                             let lane = hits.trailing_zeros() as usize;
                             hits &= hits - 1;
@@ -356,12 +351,7 @@ impl Bvh {
                     let block = self.blocks.get_unchecked((current & !LEAF) as usize);
                     let (mut hits, test) = shear.meets::<V>(block, ray.t_max);
                     if hits != 0 {
-                        let test = Test {
-                            t: test.t.store(),
-                            u: test.u.store(),
-                            v: test.v.store(),
-                            determinant: test.determinant.store(),
-                        };
+                        let test = test.store();
                         while hits != 0 {
                             let lane = hits.trailing_zeros() as usize;
                             hits &= hits - 1;
@@ -415,7 +405,7 @@ impl super::Placed {
 
 impl Hit {
     #[inline(always)]
-    fn is_visible(&self) -> bool {
+    pub(super) fn is_visible(&self) -> bool {
         self.front || self.flags & CULL_BACK == 0
     }
 }
@@ -485,7 +475,7 @@ impl<V: Lanes> Slabs<V> {
 /// # Safety
 /// `row` is the start of a row.
 #[inline(always)]
-unsafe fn eight(rows: &[f32], row: usize) -> &[f32; WIDTH] {
+pub(super) unsafe fn eight(rows: &[f32], row: usize) -> &[f32; WIDTH] {
     debug_assert!(row + WIDTH <= rows.len());
     // SAFETY: the row lies within the array
     unsafe { &*rows.as_ptr().add(row).cast() }
@@ -494,7 +484,7 @@ unsafe fn eight(rows: &[f32], row: usize) -> &[f32; WIDTH] {
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl Shear {
     #[inline(always)]
-    fn new(ray: &Ray) -> Self {
+    pub(super) fn new(ray: &Ray) -> Self {
         let (d, o) = (ray.direction.to_array(), ray.origin.to_array());
         let magnitude = d.map(f32::abs);
         // looked up: which axis is the longest is another coin toss
@@ -527,7 +517,7 @@ impl Shear {
 
     /// Tests eight triangles; a bit per triangle that is met at 0 < t < `t_max`.
     #[inline(always)]
-    unsafe fn meets<V: Lanes>(&self, block: &Block, t_max: f32) -> (u32, Test<V>) {
+    pub(super) unsafe fn meets<V: Lanes>(&self, block: &Block, t_max: f32) -> (u32, Test<V>) {
         unsafe {
             let (ax, ay, az) = self.vertex::<V>(block, 0);
             let (bx, by, bz) = self.vertex::<V>(block, 1);
@@ -551,9 +541,20 @@ impl Shear {
     }
 }
 
+#[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
+impl<V: Lanes> Test<V> {
+    /// The results as numbers.
+    #[inline(always)]
+    pub(super) unsafe fn store(self) -> Test<[f32; WIDTH]> {
+        unsafe {
+            Test { t: self.t.store(), u: self.u.store(), v: self.v.store(), determinant: self.determinant.store() }
+        }
+    }
+}
+
 impl Test<[f32; WIDTH]> {
     #[inline(always)]
-    fn hit(&self, lane: usize, reference: u32, instance: u32) -> Hit {
+    pub(super) fn hit(&self, lane: usize, reference: u32, instance: u32) -> Hit {
         let scale = 1.0 / self.determinant[lane];
         let (u, v) = (self.u[lane] * scale, self.v[lane] * scale);
         Hit {

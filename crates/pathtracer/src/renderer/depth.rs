@@ -12,7 +12,6 @@ use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
 use super::{RenderError, Renderer};
-use crate::primary::PrimaryRay;
 use crate::settings::AngularFilter;
 
 impl Renderer {
@@ -31,8 +30,9 @@ impl Renderer {
         let rays = self.primary_rays(window, geometry, view, AngularFilter::Point)?;
         let (quiet, space) = (Task { progress: &NoProgress, ..task }, self.geometry.space);
         let depth = self.by_tiles(geometry, quiet, ["row", "col", "z_mm"], |row, col, stack| {
-            let PrimaryRay { ray, in_bounds, .. } = rays.ray(row, col, [0.0; 2], [0.0; 2]);
-            let t = if in_bounds { self.tracer().first_surface(ray, stack) } else { None };
+            let rays = rays.pixel(row, col);
+            let ray = rays.central();
+            let t = if rays.in_bounds { self.tracer().first_surface(ray, stack) } else { None };
             [t.map_or(f32::NAN, |t| {
                 let met: DVec3 = ray.origin.as_dvec3() + f64::from(t) * ray.direction.as_dvec3();
                 let in_scene = space.centre + met / space.scale;

@@ -8,8 +8,7 @@ use lumistack_core::{NoProgress, Task, Tensor, seed};
 use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
-use super::{RenderError, Renderer};
-use crate::primary::PrimaryRay;
+use super::{RenderError, Renderer, centred};
 use crate::sampler::SampleBank;
 use crate::settings::AngularFilter;
 
@@ -87,15 +86,13 @@ impl Renderer {
         let values = self.by_tiles(geometry, quiet, ["row", "col", "feature"], |row, col, stack| {
             let pixel_seed = seed::derive(view_seed, &[row as u64, col as u64]);
             let mut sum = [0.0f32; FEATURES];
-            for index in 0..samples {
+            let rays = rays.pixel(row, col);
+            let samples_in_bounds = if rays.in_bounds { samples } else { 0 };
+            for index in 0..samples_in_bounds {
                 let mut sampler = bank.sampler(pixel_seed, index);
-                let centred = |pair: [f32; 2]| pair.map(|u| f64::from(u) - 0.5);
-                let (in_pixel, in_bin) = (centred(sampler.pair()), centred(sampler.pair()));
-                let PrimaryRay { ray, cone, in_bounds } = rays.ray(row, col, in_pixel, in_bin);
-                if !in_bounds {
-                    continue;
-                }
-                let Some((point, normal, appearance)) = self.tracer().first_seen(&ray, cone, &sampler, stack) else {
+                let ray = rays.ray(centred(sampler.pair()), centred(sampler.pair()));
+                let Some((point, normal, appearance)) = self.tracer().first_seen(&ray, rays.cone, &sampler, stack)
+                else {
                     continue;
                 };
                 let reflectance = appearance.base.lerp(Vec3::ONE, DIELECTRIC_SHARE * (1.0 - appearance.metallic));
