@@ -28,7 +28,7 @@ const PSNR_TOLERANCE: f64 = 1e-3;
 /// Change of emission by a change of a value, from which on the value counts as determined.
 const DETERMINED: f64 = 0.1;
 /// Largest change of emission by any difference between f32 and f64.
-const SEEN_TOLERANCE: f64 = 2e-5;
+const SEEN_TOLERANCE: f64 = 1e-5;
 const SEEDS: [u64; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 
 /// Every kernel that this machine can run: instruction sets, with and without the fast path.

@@ -18,7 +18,7 @@ use super::{Bvh, CULL_BACK, EMPTY, Hit, LEAF, NO_INSTANCE, Node, Ray, Stack};
 pub(crate) const BEAM: usize = 16;
 /// Fewer rays are traced alone.
 const FEWEST: usize = 3;
-/// Blocks after which the rays go on alone.
+/// Blocks after which the rays go on alone; 10 made no difference.
 const MOST_BLOCKS: usize = 6;
 
 /// A bound of t for eight boxes: plane · inverse + shift, `row` being the planes in [`Node::bounds`].
@@ -110,7 +110,23 @@ impl Bvh {
             let mut depth = 0;
             let mut blocks = 0;
             let mut current = self.root;
-            'walk: loop {
+            // the nearest of the postponed that is not behind all hits
+            macro_rules! pop {
+                () => {
+                    loop {
+                        if depth == 0 {
+                            return;
+                        }
+                        depth -= 1;
+                        let next = *postponed.add(depth);
+                        if f32::from_bits((next >> 32) as u32) < t_max {
+                            current = next as u32;
+                            break;
+                        }
+                    }
+                };
+            }
+            loop {
                 while current & LEAF == 0 {
                     let node = self.nodes.get_unchecked(current as usize);
                     let (t_near, mut entered) = beam.enters(node, t_max);
@@ -128,18 +144,7 @@ impl Bvh {
                         *postponed.add(slot) = entry;
                         depth += 1;
                     }
-                    // the nearest that is not behind all hits
-                    loop {
-                        if depth == 0 {
-                            break 'walk;
-                        }
-                        depth -= 1;
-                        let entry = *postponed.add(depth);
-                        if f32::from_bits((entry >> 32) as u32) < t_max {
-                            current = entry as u32;
-                            break;
-                        }
-                    }
+                    pop!();
                 }
                 let block = self.blocks.get_unchecked((current & !LEAF) as usize);
                 t_max = 0.0;
@@ -162,17 +167,7 @@ impl Bvh {
                     t_max = t_max.max(nearest[index]);
                 }
                 blocks += 1;
-                loop {
-                    if depth == 0 {
-                        break 'walk;
-                    }
-                    depth -= 1;
-                    let entry = *postponed.add(depth);
-                    if f32::from_bits((entry >> 32) as u32) < t_max {
-                        current = entry as u32;
-                        break;
-                    }
-                }
+                pop!();
                 if blocks == MOST_BLOCKS {
                     for (index, ray) in rays.iter().enumerate() {
                         let ray = Ray { t_max: nearest[index], ..*ray };
