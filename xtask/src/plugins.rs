@@ -1,6 +1,6 @@
 //! Plugins as libraries, the samples for plugin authors, and the pages about parameters.
 
-use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX, EXE_SUFFIX};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,11 +18,13 @@ const SAMPLE: &str = "examples/rust-plugin";
 
 /// Builds and checks everything about plugins; `write` renews the committed pages.
 pub fn run(write: bool) -> Outcome {
-    pages(write)?;
+    // the same selection of packages as for all tests, so that nothing is built twice; a plugin's library is an example of its crate
+    cargo(&["build", "--quiet", "--workspace", "--bins", "--examples"])?;
     let metadata = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
         .and_then(|text| serde_json::from_str::<Value>(&text).ok())
         .ok_or("cargo metadata failed")?;
     let target = PathBuf::from(metadata["target_directory"].as_str().ok_or("cargo metadata names no target folder")?);
+    pages(&target.join("debug").join(format!("lumistack{EXE_SUFFIX}")), write)?;
     let folder = target.join("plugins");
     // of plugins that are gone
     let _ = fs::remove_dir_all(&folder);
@@ -33,12 +35,10 @@ pub fn run(write: bool) -> Outcome {
         let is_plugin = package["metadata"]["lumistack"]["plugin"] != false;
         if manifest.starts_with(root().join("plugins")) && is_plugin {
             let name = package["name"].as_str().unwrap_or_default();
-            cargo(&["rustc", "--quiet", "--package", name, "--lib", "--crate-type", "cdylib"])?;
-            take(&target.join("debug"), name, &folder)?;
+            take(&target.join("debug/examples"), name, &folder)?;
         }
     }
     sample(&target, &folder)?;
-    // the same selection of packages as for all tests, so that nothing is built twice
     let mut tests = command("cargo");
     tests.args(["test", "--quiet", "--workspace", "--test", "loaded", "--", "--nocapture"]);
     run_program(tests.env("LUMISTACK_TEST_PLUGINS", &folder))
@@ -67,9 +67,9 @@ fn take(built: &Path, package: &str, folder: &Path) -> Outcome {
 }
 
 /// Compares the committed dump and pages with what the program says, or writes them.
-fn pages(write: bool) -> Outcome {
-    let mut program = command("cargo");
-    program.args(["run", "--quiet", "--package", "lumistack-cli", "--", "--json", "plugins"]);
+fn pages(lumistack: &Path, write: bool) -> Outcome {
+    let mut program = command(lumistack);
+    program.args(["--json", "plugins"]);
     // only what is compiled in
     program.env_remove("LUMISTACK_PLUGIN_PATH").env("XDG_DATA_HOME", root().join("target/no-such-folder"));
     let told = output_of(&mut program).ok_or("`lumistack --json plugins` failed")?;
