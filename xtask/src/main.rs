@@ -7,6 +7,7 @@ mod ci;
 mod fuzz;
 mod gallery;
 mod layers;
+mod machines;
 mod panels;
 mod plugins;
 mod python;
@@ -21,6 +22,7 @@ cargo xtask <task>
   ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
                 --full adds the slow ones
   layers        the layer and forbidden-edge check alone
+  machines      the vector kernels of ARM under emulation and of WebAssembly in Node.js, against their oracles
   panels        build the windows of `lumistack show`, lint them, and test them on compositors without hardware
   plugins [--write]
                 build every plugin as a library and compare it with its compiled-in self, build the samples, and compare
@@ -46,6 +48,7 @@ fn main() -> ExitCode {
         ["ci"] => ci::run_ci(false),
         ["ci", "--full"] => ci::run_ci(true),
         ["layers"] => layers::check(),
+        ["machines"] => machines::check(),
         ["panels"] => panels::check(),
         ["plugins"] => plugins::run(false),
         ["plugins", "--write"] => plugins::run(true),

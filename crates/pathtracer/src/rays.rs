@@ -1,8 +1,11 @@
-//! The tree alone, for measurements: single rays against triangles, without a scene.
+//! The tree alone, for measurements: rays against triangles, without a scene.
 
 use glam::Vec3;
 
-use crate::bvh::{Bvh, Input, Ray, Stack};
+use crate::bvh::{BEAM, Bvh, Input, Ray, Stack};
+
+/// The most rays of a beam.
+pub const BEAM_RAYS: usize = BEAM;
 
 /// A tree over triangles.
 pub struct Tree(Bvh);
@@ -27,6 +30,20 @@ impl Tree {
     pub fn nearest(&self, origin: Vec3, direction: Vec3, t_max: f32, scratch: &mut Scratch) -> Option<(f32, u32)> {
         let hit = self.0.nearest(&Ray { origin, direction, t_max }, &mut scratch.0, |_| true)?;
         Some((hit.t, hit.triangle))
+    }
+
+    /// How many of up to [`BEAM_RAYS`] rays without an end, origins and directions, meet a triangle; those that lie close together share work.
+    #[inline]
+    pub fn met_by_beam(&self, rays: impl ExactSizeIterator<Item = (Vec3, Vec3)>, scratch: &mut Scratch) -> usize {
+        let count = rays.len();
+        assert!(count <= BEAM, "{count} rays in a beam of {BEAM}");
+        let mut beam = [Ray { origin: Vec3::ZERO, direction: Vec3::Z, t_max: f32::INFINITY }; BEAM];
+        for (ray, (origin, direction)) in beam.iter_mut().zip(rays) {
+            (ray.origin, ray.direction) = (origin, direction);
+        }
+        let mut hits = [None; BEAM];
+        self.0.nearest_of_beam(&beam[..count], &mut hits, &mut scratch.0, |_, _| true);
+        hits.iter().flatten().count()
     }
 
     /// Whether no triangle is met.

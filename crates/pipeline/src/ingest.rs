@@ -24,7 +24,7 @@ const COVERAGE: f64 = 0.26;
 const CLOSEST: f64 = 0.58;
 /// Largest share of what is seen that may leave an automatic window at the bottom.
 const FOOT: f64 = 0.5;
-/// Width of what its lower edge may cut through, over the widest of what is seen.
+/// Width of what its lower edge may cut through, over the widest of what is seen above it.
 const SLENDER: f64 = 0.3;
 /// Columns of the straight view by which coverage is measured.
 const PROBE_COLS: usize = 168;
@@ -334,7 +334,7 @@ fn close_up(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Window, PipelineError> {
-    let mut key = KeyBuilder::new("window", 2);
+    let mut key = KeyBuilder::new("window", 3);
     ingested.add_to(&mut key);
     let key = key.add("window", format!("{window:?} {recentre}").as_bytes()).finish();
     let (centre, scale): ([f64; 3], f64) = remembered(cache_dir, &format!("window-{}.json", &key[..16]), || {
@@ -412,7 +412,8 @@ fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
 fn cuts_through_a_neck(per_row: &[f64], bottom: usize) -> bool {
     let Some(&cut) = per_row.get(bottom) else { return true };
     let foot: f64 = per_row[bottom..].iter().sum();
-    let widest = per_row.iter().copied().fold(0.0, f64::max);
+    // of what stays: a piece of chess is widest at its foot, and that is no stand
+    let widest = per_row[..bottom].iter().copied().fold(0.0, f64::max);
     cut <= SLENDER * widest && foot <= FOOT * per_row.iter().sum::<f64>()
 }
 
@@ -559,6 +560,14 @@ mod tests {
         let (factor, [row, col]) = best_crop(&mask, true);
         assert!(factor >= 0.96, "{factor}");
         assert!((row - 50.0).abs() <= 2.0 && (col - 80.0).abs() <= 1.0);
+        // nor does a piece of chess lose its foot: a head, a stem that is slender beside the foot, and the foot
+        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
+        for row in 2..98 {
+            let half = if row < 30 { 14 } else if row < 70 { 6 } else { 24 };
+            (80 - half..80 + half).for_each(|col| *mask.at_mut([row, col]) = 1.0);
+        }
+        let (factor, _) = best_crop(&mask, true);
+        assert!(factor >= 0.96, "{factor}");
         // a wide row of small things is not cut at its ends
         let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
         (10..150).for_each(|col| (60..68).for_each(|row| *mask.at_mut([row, col]) = 1.0));

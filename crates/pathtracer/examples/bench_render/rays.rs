@@ -1,4 +1,5 @@
-//! Rays per second of the tree alone, beside Embree over the same rays on the same threads.
+//! Rays per second of the tree alone, beside Embree over the same rays on the same threads. Beams are of neighbouring pixels here, as Embree's packets
+//! are; the samples of one pixel lie closer together.
 
 use std::path::Path;
 use std::time::Instant;
@@ -6,7 +7,7 @@ use std::time::Instant;
 use glam::{DVec3, Vec3};
 use lumistack_core::seed::Stream;
 use lumistack_display::Projection;
-use lumistack_pathtracer::rays::Tree;
+use lumistack_pathtracer::rays::{BEAM_RAYS, Tree};
 use rayon::prelude::*;
 
 use crate::case::{Case, Outcome};
@@ -50,7 +51,7 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     );
     let mut ours = vec![Vec::new(); batches.len()];
     let mut single = vec![Vec::new(); batches.len()];
-    let mut packets = Vec::new();
+    let (mut beams, mut packets) = (Vec::new(), Vec::new());
     let mut differing = 0usize;
     for _ in 0..rounds {
         for (index, (_, shadow, rays)) in batches.iter().enumerate() {
@@ -66,6 +67,17 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
                 chunk.iter().map(hits).filter(|&hit| hit).count()
             });
             ours[index].push(rays.len() as f64 / seconds * 1e-6);
+            if index == 0 {
+                let (seconds, hits) = timed(rays, |chunk| {
+                    let mut scratch = tree.scratch();
+                    let beam = |rays: &[(Vec3, Vec3, f32)]| {
+                        tree.met_by_beam(rays.iter().map(|&(o, d, _)| (o, d)), &mut scratch)
+                    };
+                    chunk.chunks(BEAM_RAYS).map(beam).sum()
+                });
+                beams.push(rays.len() as f64 / seconds * 1e-6);
+                differing = differing.max(hits.abs_diff(own_hits));
+            }
             #[cfg(unix)]
             if let Some(peer) = &peer {
                 let (seconds, hits) = timed(rays, |chunk| {
@@ -91,6 +103,7 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
         println!("{name:<27}{}", values.iter_mut().map(fastest).collect::<String>());
     };
     row("Lumistack, single rays", &mut ours);
+    row(&format!("Lumistack, beams of {BEAM_RAYS}"), &mut [beams]);
     if !packets.is_empty() {
         row("Embree, single rays", &mut single);
         row("Embree, 8 coherent rays", &mut [packets]);

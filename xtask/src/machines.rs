@@ -1,0 +1,74 @@
+//! The vector kernels of machines other than this one: NEON under emulation and simd128 in Node.js, against the same oracles as here.
+
+use crate::tools::{Outcome, command, output_of, root, run};
+
+/// What a kernel's tests need besides the Rust target: a program and its Debian package.
+struct Machine {
+    target: &'static str,
+    programs: &'static [(&'static str, &'static str)],
+    linker: Option<&'static str>,
+    runner: String,
+    flags: &'static str,
+}
+
+/// What has kernels, and which tests run them: the package, options, and words of test names.
+const TESTS: [(&str, &[&str], &str); 2] =
+    [("lumistack-factorizer", &["--no-default-features"], "updates"), ("lumistack-pathtracer", &[], "bvh")];
+
+/// Runs the tests on every machine that can be had.
+pub fn check() -> Outcome {
+    let wasi = format!("node --no-warnings {}", root().join("xtask/wasi.mjs").display());
+    let machines = [
+        Machine {
+            target: "aarch64-unknown-linux-gnu",
+            programs: &[("qemu-aarch64", "qemu-user"), ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu")],
+            linker: Some("aarch64-linux-gnu-gcc"),
+            runner: "qemu-aarch64 -L /usr/aarch64-linux-gnu".into(),
+            flags: "",
+        },
+        Machine {
+            target: "wasm32-wasip1",
+            programs: &[("node", "nodejs")],
+            linker: None,
+            runner: wasi,
+            flags: "-Ctarget-feature=+simd128",
+        },
+    ];
+    machines.iter().try_for_each(|machine| {
+        if let Err(missing) = machine.fetch() {
+            println!("machines: {} skipped: {missing}", machine.target);
+            return Ok(());
+        }
+        TESTS.iter().try_for_each(|(package, options, names)| machine.test(package, options, names))
+    })
+}
+
+impl Machine {
+    fn fetch(&self) -> Outcome {
+        let has = |program: &str| output_of(command(program).arg("--version")).is_some();
+        let missing: Vec<&str> =
+            self.programs.iter().filter(|(program, _)| !has(program)).map(|(_, package)| *package).collect();
+        if !missing.is_empty() {
+            println!(
+                "\nfetching: the Debian packages {} (used only to run the tests of {})",
+                missing.join(", "),
+                self.target
+            );
+            run(command("apt-get").args(["install", "-y", "--no-install-recommends"]).args(missing))?;
+        }
+        run(command("rustup").args(["target", "add", self.target]))
+    }
+
+    fn test(&self, package: &str, options: &[&str], names: &str) -> Outcome {
+        let variable = |what: &str| format!("CARGO_TARGET_{}_{what}", self.target.to_uppercase().replace('-', "_"));
+        let mut cargo = command("cargo");
+        cargo.args(["test", "--target", self.target, "--package", package, "--lib"]).args(options);
+        // neither has threads to give
+        cargo.args(["--", "--test-threads=1", "--nocapture", names]);
+        cargo.env(variable("RUNNER"), &self.runner).env("RUSTFLAGS", self.flags);
+        if let Some(linker) = self.linker {
+            cargo.env(variable("LINKER"), linker);
+        }
+        run(&mut cargo)
+    }
+}
