@@ -52,6 +52,9 @@ class _Steps(bpy.types.Operator):
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.progress_begin(0.0, 1.0)
         context.window_manager.modal_handler_add(self)
+        # no window for every view: it would lie over the panel
+        self._display_type = context.preferences.view.render_display_type
+        context.preferences.view.render_display_type = "NONE"
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -119,6 +122,7 @@ class _Steps(bpy.types.Operator):
 
     def _close(self, context):
         self._walk.close()
+        context.preferences.view.render_display_type = self._display_type
         for handlers, handler in ((bpy.app.handlers.render_complete, self._complete), (bpy.app.handlers.render_cancel, self._cancelled)):
             if handler in handlers:
                 handlers.remove(handler)
