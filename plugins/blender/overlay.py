@@ -4,6 +4,8 @@ frame that moves and scales it in its plane."""
 
 from __future__ import annotations
 
+import time
+
 import bpy
 from lumistack.blender import cameras, depth, outline
 
@@ -12,8 +14,11 @@ from . import jobs
 #: Linear RGBA.
 WINDOW, DEPTH, CONE = (1.0, 0.75, 0.1, 1.0), (0.2, 0.75, 1.0, 0.7), (0.6, 1.0, 0.4, 0.5)
 WIDTH_PX = 1.5
+#: Seconds after which a handle that does not move is taken to rest.
+REST_S = 0.4
 
 _handle = None
+_moved_at = 0.0
 _pictures: dict[str, object] = {}
 _textures: dict[str, object] = {}
 _outlines: dict[str, tuple[object, object]] = {}
@@ -113,8 +118,8 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
 
         rows, columns, _ = picture.shape
         values = numpy.ones((rows, columns, 4), numpy.float32)
-        # overlays are drawn in the screen's code values
-        values[..., :3] = to_srgb(picture[::-1])
+        # linear: what is drawn here is encoded for the screen afterwards
+        values[..., :3] = numpy.clip(picture[::-1], 0.0, 1.0)
         texture = gpu.types.GPUTexture((columns, rows), format="RGBA16F", data=gpu.types.Buffer("FLOAT", values.size, values.ravel()))
         _textures[scene.name] = texture
     corners = [window.point(line[0]) for line in outline.frame(window.size_mm)]
@@ -124,12 +129,22 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
     batch_for_shader(shader, "TRI_FAN", places).draw(shader)
 
 
-def to_srgb(linear):
-    """Linear light to sRGB code values 0..1."""
-    import numpy
+def _moved() -> None:
+    """A handle has moved something. Blender makes no step of undo of it; one is made when it rests."""
+    global _moved_at
+    _moved_at = time.monotonic()
+    if not bpy.app.timers.is_registered(_push_undo):
+        bpy.app.timers.register(_push_undo, first_interval=REST_S)
 
-    light = numpy.clip(linear, 0.0, 1.0)
-    return numpy.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+def _push_undo() -> float | None:
+    if time.monotonic() - _moved_at < REST_S:
+        return REST_S
+    windows = bpy.context.window_manager.windows
+    if len(windows):
+        with bpy.context.temp_override(window=windows[0]):
+            bpy.ops.ed.undo_push(message="Move Display Window")
+    return None
 
 
 class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
@@ -167,6 +182,7 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
         placed = placement(scene)
         if placed is not None:
             scene.lumistack.moved_back_mm = outline.turned(-offset / placed[1].scale, 0.0, -1e5, 1e5)
+            _moved()
 
     def _get_cage(self):
         settings = bpy.context.scene.lumistack
@@ -175,6 +191,7 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
     def _set_cage(self, matrix):
         settings = bpy.context.scene.lumistack
         settings.window_size, settings.window_shift = outline.of_cage(matrix, self._width)
+        _moved()
 
     def refresh(self, context):
         placed = placement(context.scene)
@@ -221,6 +238,8 @@ def unregister() -> None:
     if _handle is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
         _handle = None
+    if bpy.app.timers.is_registered(_push_undo):
+        bpy.app.timers.unregister(_push_undo)
     bpy.utils.unregister_class(LUMISTACK_GGT_window)
     for kept in (_pictures, _textures, _outlines, missing):
         kept.clear()

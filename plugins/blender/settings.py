@@ -150,12 +150,30 @@ def _settings_class():
             **draw,
         ),
         "distance": FloatProperty(name="Distance", description="From the camera to the window", subtype="DISTANCE", default=10.0, min=1e-4, max=1e6, **draw),
-        "window_size": FloatProperty(name="Size", description="Width of the window, over that of the camera's picture in its plane", default=1.0, min=0.01, max=100.0, soft_min=0.1, soft_max=4.0, **draw),
-        "window_shift": FloatVectorProperty(name="Shift", description="Where the window stands in its plane, to the right and up of the middle of the camera's picture, in widths of that picture", subtype="XYZ", size=2, default=(0.0, 0.0), min=-100.0, max=100.0, soft_min=-2.0, soft_max=2.0, **draw),
-        "window_width": FloatProperty(name="Width", description="Width of the window; its height follows the display", subtype="DISTANCE", unit="LENGTH", get=_width, set=_set_width),
-        "window_height": FloatProperty(name="Height", description="Height of the window; its width follows the display", subtype="DISTANCE", unit="LENGTH", get=_height, set=_set_height),
-        "moved_back_mm": FloatProperty(name="Move Back (mm)", description="Moves the window along its normal, in millimetres of the display; what is seen straight on stays", default=0.0, min=-1e5, max=1e5, **draw),
-        "depth_scale": FloatProperty(name="Depth Scale", description="Factor on parallax: below 1 the scene looks flatter and is sharper", default=1.0, min=0.01, max=10.0, **draw),
+        "window_size": FloatProperty(
+            name="Size",
+            description="Width of the window, over that of the camera's picture in its plane",
+            default=1.0, min=0.01, max=100.0, soft_min=0.1, soft_max=4.0, **draw,
+        ),  # fmt: skip
+        "window_shift": FloatVectorProperty(
+            name="Shift",
+            description="Where the window stands in its plane, to the right and up of the middle of the camera's picture, in widths of that picture",
+            subtype="XYZ", size=2, default=(0.0, 0.0), min=-100.0, max=100.0, soft_min=-2.0, soft_max=2.0, **draw,
+        ),  # fmt: skip
+        "window_width": FloatProperty(
+            name="Width", description="Width of the window; its height follows the display", subtype="DISTANCE", unit="LENGTH", get=_width, set=_set_width
+        ),
+        "window_height": FloatProperty(
+            name="Height", description="Height of the window; its width follows the display", subtype="DISTANCE", unit="LENGTH", get=_height, set=_set_height
+        ),
+        "moved_back_mm": FloatProperty(
+            name="Move Back (mm)",
+            description="Moves the window along its normal, in millimetres of the display; what is seen straight on stays",
+            default=0.0, min=-1e5, max=1e5, **draw,
+        ),  # fmt: skip
+        "depth_scale": FloatProperty(
+            name="Depth Scale", description="Factor on parallax: below 1 the scene looks flatter and is sharper", default=1.0, min=0.01, max=10.0, **draw
+        ),
         "renderer": EnumProperty(
             name="Renderer",
             items=[

@@ -197,7 +197,7 @@ def light_fields_of(scene, folder, grid, samples):
 
 
 def case_exporters(folder, zip_path):
-    """The same scene through Blender's glTF and USD exporters: what glows and the world, so that units of lamps do not count; and what is said of both."""
+    """The same scene through Blender's glTF and USD exporters, and what is said of both."""
     import bpy
     import numpy
     import scenes
@@ -211,29 +211,39 @@ def case_exporters(folder, zip_path):
         return "skipped: this Blender has no USD"
     if not usd.is_readable(bpy) and not os.environ.get("LUMISTACK_PYTHON"):
         return "skipped: this Blender's Python has no OpenUSD, and LUMISTACK_PYTHON names none"
-    out = configure(scene, folder, grid="PERSPECTIVE", distance_mm=500.0, renderer="LUMISTACK", handover="BOTH", samples=64, exposure_ev=-1.0)
-    job = run(scene, factorize=False)
-    print("note:", *job.said)
-    assert len(job.said) == 1 and "Lumistack's views of the USD file against Lumistack's views of the glTF file" in job.said[0], job.said
-    assert (out / "scene.glb").is_file() and (out / "scene.usdc").is_file()
-    fields = {}
-    for kind in ("GLTF", "USD"):
-        configure(scene, folder, grid="PERSPECTIVE", distance_mm=500.0, renderer="LUMISTACK", handover=kind, samples=64, exposure_ev=-1.0)
-        scene.lumistack.folder = str(out / kind)
-        run(scene, factorize=False)
-        fields[kind] = field_of(out / kind)
-    means = [fields[kind].radiance.astype(numpy.float64).mean(axis=(2, 3)) for kind in ("GLTF", "USD")]
-    off = means[1] / means[0] - 1.0
-    print(f"note: means {means[0].mean():.4f} and {means[1].mean():.4f}, apart by {100 * abs(off).max():.2f} % at most")
-    assert jobs.renderers_of(scene.lumistack) == ["USD"]
-    assert abs(off).max() < MEAN, off
-    return ""
+    bpy.data.objects.remove(bpy.data.objects["sun"])
+    for look in bpy.data.materials:
+        # UsdPreviewSurface has no surface without a shine
+        look.node_tree.nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0.5
 
+    def both(name, **values):
+        fields = []
+        for kind in ("GLTF", "USD"):
+            out = configure(scene, folder, grid="PERSPECTIVE", distance_mm=500.0, renderer="LUMISTACK", handover=kind, samples=64, exposure_ev=-1.0, **values)
+            scene.lumistack.folder = str(out / name / kind)
+            run(scene, factorize=False)
+            fields.append(lumistack.LightField.open(Path(scene.lumistack.folder) / "target"))
+        means = [field.radiance.astype(numpy.float64).mean(axis=(2, 3)) for field in fields]
+        print(f"note: {name}: glTF {means[0].mean():.4f}, USD {means[1].mean():.4f}, apart by {100 * abs(means[1] / means[0] - 1.0).max():.2f} % at most")
+        return means[1] / means[0]
 
-def field_of(folder):
     import lumistack
 
-    return lumistack.LightField.open(folder / "target")
+    off = both("lamps and world") - 1.0
+    assert abs(off).max() < MEAN, off
+    assert jobs.renderers_of(scene.lumistack) == ["USD"]
+    # Blender writes suns in units of its own
+    for name in ("area", "point"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    scenes.background(0.0)
+    scenes.lamp("SUN", 2.0, rotation=(0.5, 0.3, 0.0))
+    ratio = both("sun")
+    assert ratio.std() < 0.02 * ratio.mean()
+    out = configure(scene, folder, renderer="LUMISTACK", handover="BOTH", samples=4, use_views=True, views=(1, 1))
+    job = run(scene, factorize=False)
+    assert len(job.said) == 1 and "Lumistack's views of the USD file against Lumistack's views of the glTF file" in job.said[0], job.said
+    assert (out / "scene.glb").is_file() and (out / "scene.usdc").is_file()
+    return f"a sun in USD is {ratio.mean():.3f} times as bright"
 
 
 def case_eevee(folder, zip_path):

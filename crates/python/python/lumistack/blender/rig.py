@@ -49,7 +49,8 @@ def check_engine(bpy: Any, scene: Any) -> None:
         program = bpy.app.binary_path
         words = [program, "-b", "--factory-startup", "--python-expr", _DRAW] if program else [sys.executable, "-c", _DRAW]
         try:
-            drew = b"LUMISTACK DREW" in subprocess.run(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=LONGEST_S).stdout
+            quiet = subprocess.DEVNULL
+            drew = b"LUMISTACK DREW" in subprocess.run(words, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, timeout=LONGEST_S).stdout
         except subprocess.TimeoutExpired:
             # it is slow, and draws
             drew = True
