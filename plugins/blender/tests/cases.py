@@ -462,16 +462,27 @@ def case_handover(folder, zip_path):
     import lumistack as package
 
     home = str(Path(package.__file__).parent.parent)
+    # counts how often Blender is started
+    starts, counting = folder / "starts", folder / "python-that-counts"
+    starts.touch()
+    counting.write_text(f'#!/bin/sh\necho >> "{starts}"\nexec "{sys.executable}" "$@"\n', encoding="utf-8")
+    counting.chmod(0o755)
+
+    def started():
+        count = len(starts.read_text().splitlines())
+        starts.write_text("")
+        return count
 
     def lumistack(*words, code=0):
         program = os.environ.get("LUMISTACK_PROGRAM")
         done = subprocess.run(
-            [*([program] if program else [sys.executable, "-m", "lumistack"]), *map(str, words)], capture_output=True, text=True, env={**os.environ, "LUMISTACK_BLENDER": sys.executable, "PYTHONPATH": home}
+            [*([program] if program else [sys.executable, "-m", "lumistack"]), *map(str, words)], capture_output=True, text=True, env={**os.environ, "LUMISTACK_BLENDER": str(counting), "PYTHONPATH": home}
         )
         assert done.returncode == code, (words, done.stdout, done.stderr)
         return done.stdout + done.stderr
 
     said = lumistack("info", path)
+    assert started() == 1
     print("note:", " | ".join(said.split("\n"))[:600])
     assert "is missing" not in said, said
     assert "camera" in said and "rot" in said and "environment: yes" in said and "engine: CYCLES" in said, said
@@ -479,7 +490,15 @@ def case_handover(folder, zip_path):
     shapes = 48 * 22 * 2 + 96 + 12 + 78 + 48 * 12 * 2
     print("note:", [line for line in said.split("\n") if "triangles" in line], shapes)
     said = lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
-    assert (folder / "aus" / "lightfield.json").is_file()
+    assert (folder / "aus" / "lightfield.json").is_file() and started() == 1
+    # nothing has changed, so Blender is not asked again; a library that has, is seen
+    lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
+    assert started() == 0
+    os.utime(place / "bücherei.blend")
+    lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
+    assert started() == 0, "what counts is the content"
+    lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "--time", "1", "-o", folder / "aus")
+    assert started() == 1
     # the same view by Cycles, window and all
     common = ["--display", settings_file(folder), "--resolution", "48x30"]
     said = lumistack("render", path, *common, "--engine", "blender", "-o", folder / "cycles")
