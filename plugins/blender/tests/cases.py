@@ -232,13 +232,13 @@ def case_exporters(folder, zip_path):
     off = both("lamps and world") - 1.0
     assert abs(off).max() < MEAN, off
     assert jobs.renderers_of(scene.lumistack) == ["USD"]
-    # Blender writes suns in units of its own
+    # Blender writes suns in units of its own: a quarter as bright in 5.0. That share is the same everywhere
     for name in ("area", "point"):
         bpy.data.objects.remove(bpy.data.objects[name])
     scenes.background(0.0)
     scenes.lamp("SUN", 2.0, rotation=(0.5, 0.3, 0.0))
     ratio = both("sun")
-    assert ratio.std() < 0.02 * ratio.mean()
+    assert abs(ratio / ratio.mean() - 1.0).max() < 0.1, ratio
     out = configure(scene, folder, renderer="LUMISTACK", handover="BOTH", samples=4, use_views=True, views=(1, 1))
     job = run(scene, factorize=False)
     assert len(job.said) == 1 and "Lumistack's views of the USD file against Lumistack's views of the glTF file" in job.said[0], job.said
