@@ -18,7 +18,7 @@ from pathlib import Path
 import bpy
 import lumistack
 import numpy
-from lumistack.blender import cameras, depth, handover, rig
+from lumistack.blender import cameras, depth, handover, rig, usd
 from lumistack.blender.views import Views, key_of
 from lumistack.blender.work import Work
 
@@ -26,6 +26,8 @@ from . import digest, pictures, settings as settings_of
 
 #: Full updates of every time after the first, which starts from the patterns of the one before.
 NEXT_ITERATIONS = 5
+#: Whose views these are.
+NAMES = {"BLENDER": "Blender's views", "GLTF": "Lumistack's views of the glTF file", "USD": "Lumistack's views of the USD file"}
 #: Share of clipped values that is worth a warning.
 CLIPPED = 0.01
 
@@ -94,6 +96,13 @@ class Job:
             self.warnings.append(line)
 
     def steps(self) -> Iterator[Step]:
+        busy.add(self.scene.name)
+        try:
+            yield from self._steps()
+        finally:
+            busy.discard(self.scene.name)
+
+    def _steps(self) -> Iterator[Step]:
         scene, settings = self.scene, self.scene.lumistack
         folder = output_folder(scene)
         rig.remove_leftovers(bpy)
@@ -117,15 +126,16 @@ class Job:
         window = window_of(scene, display)
         self._check_depth(display, window)
         folder.mkdir(parents=True, exist_ok=True)
-        fields = {}
+        renderers = renderers_of(settings)
+        fields = []
         rendering = 0.6 * part
-        if settings.renderer in ("BLENDER", "BOTH"):
-            fields["Blender"] = yield from self._views(display, window, folder, start, rendering)
-        if settings.renderer in ("LUMISTACK", "BOTH"):
-            fields["Lumistack"] = yield from self._trace(display, window, folder, start, rendering)
-        if len(fields) == 2:
-            self.said.append(compared(fields["Blender"], fields["Lumistack"]))
-        light_field = next(iter(fields.values()))
+        for number, renderer in enumerate(renderers):
+            share = rendering / len(renderers)
+            render = self._views if renderer == "BLENDER" else self._trace
+            fields.append((yield from render(renderer, display, window, folder, start + number * share, share)))
+        light_field = fields[0]
+        for renderer, field in list(zip(renderers, fields))[1:]:
+            self.said.append(compared(NAMES[renderer], field, NAMES[renderers[0]], light_field))
         if not self.factorize:
             light_field.save(folder / "target")
             return None
@@ -162,7 +172,7 @@ class Job:
         if sentence:
             self.warn("depth", f"{sentence}. Fit Depth brings the scene into that range")
 
-    def _views(self, display, window, folder: Path, start: float, part: float):
+    def _views(self, _renderer, display, window, folder: Path, start: float, part: float):
         """Views by Blender's engine."""
         scene, settings = self.scene, self.scene.lumistack
         slope_x, slope_y = display.slopes
@@ -185,6 +195,10 @@ class Job:
         self.kept += total - len(missing)
         depths = rig.depth_range(bpy, scene, window)
         if missing:
+            try:
+                rig.check_engine(bpy, scene)
+            except rig.NoOpenGL as error:
+                raise JobError(str(error)) from error
             with rig.Rig(bpy, scene, (columns, rows)) as held:
                 for view in missing:
                     slope = (scale * slope_x[view[1]], scale * slope_y[view[0]])
@@ -211,12 +225,18 @@ class Job:
             self.warn("look", "more than 1 % of the light is brighter than white and cut: lower the exposure, or take the look of the scene")
         return numpy.clip(picture, 0.0, 1.0)
 
-    def _trace(self, display, window, folder: Path, start: float, part: float):
+    def _trace(self, renderer: str, display, window, folder: Path, start: float, part: float):
         """Views by our own path tracer, of the exported scene."""
         scene, settings = self.scene, self.scene.lumistack
         yield Tick("Exporting the scene", start)
-        path = folder / "scene.glb"
-        handover.export_scene(bpy, path, self.warn)
+        if renderer == "USD":
+            path = folder / "scene.usdc"
+            usd.export_scene(bpy, path)
+            # where it is not, another Python is looked for
+            usd.is_readable(bpy)
+        else:
+            path = folder / "scene.glb"
+            handover.export_scene(bpy, path, self.warn)
         samples = settings_of.quality(settings)[2]
         linear = settings.look == "LINEAR" or settings.renderer == "BOTH"
         light = {"automatic": False, "automatic_exposure": not linear}
@@ -237,6 +257,8 @@ class Job:
 
 #: What was made of every scene in this session, by its name.
 shown: dict[str, Shown] = {}
+#: Scenes that jobs are working at: their camera is one of ours now and then.
+busy: set[str] = set()
 _running: list[Work] = []
 
 
@@ -264,7 +286,7 @@ def window_of(scene, display: lumistack.Display) -> cameras.Window:
         window = rig.window_of(bpy, scene, size_mm, distance)
     except ValueError as error:
         raise JobError(str(error)) from error
-    return window.moved_back(settings.moved_back_mm, display.distance_mm)
+    return window.resized(settings.window_size, settings.window_shift).moved_back(settings.moved_back_mm, display.distance_mm)
 
 
 def depth_sentence(scene, display: lumistack.Display, window: cameras.Window) -> str | None:
@@ -325,12 +347,20 @@ def write_stamp(stamp: Path, key: str) -> None:
     os.replace(beside, stamp)
 
 
-def compared(ours, theirs) -> str:
+def renderers_of(settings) -> list[str]:
+    """Who renders, the one that counts first."""
+    found = ["BLENDER"] if settings.renderer in ("BLENDER", "BOTH") else []
+    if settings.renderer in ("LUMISTACK", "BOTH"):
+        found += ["GLTF", "USD"] if settings.handover == "BOTH" else [settings.handover]
+    return found
+
+
+def compared(our_name: str, ours, their_name: str, theirs) -> str:
     """How far two light fields are apart."""
     error = float(numpy.mean((ours.radiance.astype(numpy.float64) - theirs.radiance) ** 2))
     means = [float(each.radiance.mean()) for each in (ours, theirs)]
     psnr = float("inf") if error == 0.0 else -10.0 * numpy.log10(error)
-    return f"Lumistack's views against Blender's: {psnr:.1f} dB, mean {means[1]:.4f} against {means[0]:.4f}"
+    return f"{our_name} against {their_name}: {psnr:.1f} dB, mean {means[0]:.4f} against {means[1]:.4f}"
 
 
 def track(work: Work) -> None:

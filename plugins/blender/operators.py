@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import subprocess
 import sys
@@ -16,6 +17,8 @@ from . import jobs, overlay, pictures
 
 #: Seconds between two looks at what runs.
 TICK = 0.1
+#: Width of the window that shows a small picture.
+WINDOW_PX = 720
 _previews: list[subprocess.Popen] = []
 
 
@@ -52,6 +55,9 @@ class _Steps(bpy.types.Operator):
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.progress_begin(0.0, 1.0)
         context.window_manager.modal_handler_add(self)
+        # no window for every view: it would lie over the panel
+        self._display_type = context.preferences.view.render_display_type
+        context.preferences.view.render_display_type = "NONE"
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -119,6 +125,7 @@ class _Steps(bpy.types.Operator):
 
     def _close(self, context):
         self._walk.close()
+        context.preferences.view.render_display_type = self._display_type
         for handlers, handler in ((bpy.app.handlers.render_complete, self._complete), (bpy.app.handlers.render_cancel, self._cancelled)):
             if handler in handlers:
                 handlers.remove(handler)
@@ -169,16 +176,49 @@ def show_view(scene, slope) -> None:
 
 
 def show_editor(context) -> None:
-    """Shows the simulated view in an image editor: one that is open, else a new window's."""
+    """Shows the simulated view in an image editor: one that is open, else a window's like that of a render."""
     image = bpy.data.images.get(pictures.SHOWN)
     if image is None:
         return
-    areas = [area for window in context.window_manager.windows for area in window.screen.areas if area.type == "IMAGE_EDITOR"]
+    areas = _areas(context, "IMAGE_EDITOR")
     if not areas:
-        bpy.ops.wm.window_new()
-        areas = [context.window_manager.windows[-1].screen.areas[0]]
-        areas[0].type = "IMAGE_EDITOR"
-    areas[0].spaces.active.image = image
+        _open_editor(context, image.size)
+        areas = _areas(context, "IMAGE_EDITOR")
+    if areas:
+        areas[0].spaces.active.image = image
+
+
+def _areas(context, kind: str) -> list:
+    return [area for window in context.window_manager.windows for area in window.screen.areas if area.type == kind]
+
+
+def _open_editor(context, size) -> None:
+    """A window of its own, as large as a picture that is easily seen."""
+    render, view = context.scene.render, context.preferences.view
+    larger = max(WINDOW_PX / size[0], 1.0)
+    changes = [(render, "resolution_x", round(larger * size[0])), (render, "resolution_y", round(larger * size[1])), (render, "resolution_percentage", 100)]
+    changes.append((view, "render_display_type", "WINDOW"))
+    old = [(held, name, getattr(held, name)) for held, name, _ in changes]
+    try:
+        for held, name, value in changes:
+            setattr(held, name, value)
+        bpy.ops.render.view_show("INVOKE_DEFAULT")
+    finally:
+        for held, name, value in old:
+            setattr(held, name, value)
+    # the window gets its size when it is drawn first
+    for delay_s in (0.2, 1.0):
+        bpy.app.timers.register(functools.partial(_fit_editor), first_interval=delay_s)
+
+
+def _fit_editor() -> None:
+    """Enlarges the picture to its window, once that has a size."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "IMAGE_EDITOR" and area.spaces.active.image == bpy.data.images.get(pictures.SHOWN):
+                region = next(region for region in area.regions if region.type == "WINDOW")
+                with bpy.context.temp_override(window=window, area=area, region=region):
+                    bpy.ops.image.view_all(fit_view=True)
 
 
 class LUMISTACK_OT_look(bpy.types.Operator):
@@ -198,7 +238,10 @@ class LUMISTACK_OT_look(bpy.types.Operator):
     def invoke(self, context, event):
         self._fov = jobs.shown[context.scene.name].stack.display.to_dict()["field"]["fov_deg"]
         show_view(context.scene, (0.0, 0.0))
-        show_editor(context)
+        # only the mouse over this window is heard of
+        kinds = {area.type for area in context.window.screen.areas}
+        if "IMAGE_EDITOR" not in kinds and not ("VIEW_3D" in kinds and context.scene.lumistack.show_picture):
+            show_editor(context)
         context.window_manager.modal_handler_add(self)
         if context.workspace:
             context.workspace.status_text_set("Lumistack: move the mouse to look around. Esc ends it")
@@ -213,9 +256,8 @@ class LUMISTACK_OT_look(bpy.types.Operator):
         if event.type == "MOUSEMOVE":
             window = context.window
             show_view(context.scene, outline.slope_of_mouse((event.mouse_x, event.mouse_y), (window.width, window.height), self._fov))
-            for area in window.screen.areas:
-                if area.type in ("IMAGE_EDITOR", "VIEW_3D"):
-                    area.tag_redraw()
+            for area in _areas(context, "IMAGE_EDITOR") + _areas(context, "VIEW_3D"):
+                area.tag_redraw()
         return {"PASS_THROUGH"}
 
 

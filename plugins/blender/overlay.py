@@ -1,21 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the 3D view shows: the window with its depth of field and viewing cone, the simulated view on it, and an arrow that moves it."""
+"""What the 3D view shows: the window with its depth of field and viewing cone, the simulated view on it, an arrow that moves it back and forth, and a
+frame that moves and scales it in its plane."""
 
 from __future__ import annotations
 
+import time
+
 import bpy
-from lumistack.blender import cameras, outline
+from lumistack.blender import cameras, depth, outline
 
 from . import jobs
 
 #: Linear RGBA.
 WINDOW, DEPTH, CONE = (1.0, 0.75, 0.1, 1.0), (0.2, 0.75, 1.0, 0.7), (0.6, 1.0, 0.4, 0.5)
 WIDTH_PX = 1.5
+#: Seconds after which a handle that does not move is taken to rest.
+REST_S = 0.4
 
 _handle = None
+_moved_at = 0.0
 _pictures: dict[str, object] = {}
 _textures: dict[str, object] = {}
 _outlines: dict[str, tuple[object, object]] = {}
+#: Why scenes have no window, by their names.
+missing: dict[str, str] = {}
 
 
 def forget() -> None:
@@ -37,9 +45,10 @@ def lines_of(scene) -> list[tuple[tuple[float, ...], list[tuple[float, float, fl
         return []
     display, window = placed
     fov = display.to_dict()["field"]["fov_deg"]
+    sharp = depth.in_scene(display.depth_of_field_mm(), settings.depth_scale, display.distance_mm)
     kinds = [
         (settings.show_window, WINDOW, outline.frame(window.size_mm)),
-        (settings.show_depth, DEPTH, outline.depth_box(window.size_mm, display.depth_of_field_mm(), display.distance_mm)),
+        (settings.show_depth, DEPTH, outline.depth_box(window.size_mm, sharp, display.distance_mm)),
         (settings.show_cone, CONE, outline.cone(window.size_mm, fov)),
     ]
     return [(colour, [window.point(end) for line in lines for end in line]) for is_shown, colour, lines in kinds if is_shown and lines]
@@ -47,18 +56,31 @@ def lines_of(scene) -> list[tuple[tuple[float, ...], list[tuple[float, float, fl
 
 def placement(scene) -> tuple[object, cameras.Window] | None:
     """Display and window, found again when the camera or a setting has changed."""
-    camera = scene.camera
-    key = (camera.matrix_world.copy(), camera.data.lens, camera.data.ortho_scale, camera.data.dof.focus_distance) if camera and camera.type == "CAMERA" else None
     kept = _outlines.get(scene.name)
+    if scene.name in jobs.busy:
+        return kept and kept[1]
+    key = _key(scene)
     if kept is not None and kept[0] == key:
         return kept[1]
     try:
         display = jobs.display_of(scene.lumistack)
         found = (display, jobs.window_of(scene, display))
-    except jobs.JobError:
+    except jobs.JobError as error:
         found = None
+        missing[scene.name] = str(error)
     _outlines[scene.name] = (key, found)
     return found
+
+
+def _key(scene) -> object:
+    """What of the camera decides where the window stands."""
+    camera = scene.camera
+    if camera is None or camera.type != "CAMERA":
+        return None
+    dof = camera.data.dof
+    focus = dof.focus_object and dof.focus_object.matrix_world.copy()
+    frame = tuple(corner.copy().freeze() for corner in camera.data.view_frame(scene=scene))
+    return (camera.matrix_world.copy(), camera.data.type, frame, dof.use_dof, dof.focus_distance, focus, scene.frame_current)
 
 
 def _draw() -> None:
@@ -66,7 +88,8 @@ def _draw() -> None:
     from gpu_extras.batch import batch_for_shader
 
     scene = bpy.context.scene
-    if scene is None or not hasattr(scene, "lumistack"):
+    view = bpy.context.space_data
+    if scene is None or not hasattr(scene, "lumistack") or not view.overlay.show_overlays:
         return
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("LESS_EQUAL")
@@ -95,8 +118,8 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
 
         rows, columns, _ = picture.shape
         values = numpy.ones((rows, columns, 4), numpy.float32)
-        # overlays are drawn in the screen's code values
-        values[..., :3] = to_srgb(picture[::-1])
+        # linear: what is drawn here is encoded for the screen afterwards
+        values[..., :3] = numpy.clip(picture[::-1], 0.0, 1.0)
         texture = gpu.types.GPUTexture((columns, rows), format="RGBA16F", data=gpu.types.Buffer("FLOAT", values.size, values.ravel()))
         _textures[scene.name] = texture
     corners = [window.point(line[0]) for line in outline.frame(window.size_mm)]
@@ -106,12 +129,22 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
     batch_for_shader(shader, "TRI_FAN", places).draw(shader)
 
 
-def to_srgb(linear):
-    """Linear light to sRGB code values 0..1."""
-    import numpy
+def _moved() -> None:
+    """A handle has moved something. Blender makes no step of undo of it; one is made when it rests."""
+    global _moved_at
+    _moved_at = time.monotonic()
+    if not bpy.app.timers.is_registered(_push_undo):
+        bpy.app.timers.register(_push_undo, first_interval=REST_S)
 
-    light = numpy.clip(linear, 0.0, 1.0)
-    return numpy.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+def _push_undo() -> float | None:
+    if time.monotonic() - _moved_at < REST_S:
+        return REST_S
+    windows = bpy.context.window_manager.windows
+    if len(windows):
+        with bpy.context.temp_override(window=windows[0]):
+            bpy.ops.ed.undo_push(message="Move Display Window")
+    return None
 
 
 class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
@@ -130,7 +163,13 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
         arrow.color, arrow.alpha = WINDOW[:3], 0.8
         arrow.color_highlight, arrow.alpha_highlight = (1.0, 1.0, 1.0), 1.0
         arrow.target_set_handler("offset", get=self._get, set=self._set)
-        self._arrow = arrow
+        cage = self.gizmos.new("GIZMO_GT_cage_2d")
+        # its sides are linked: the display's own are
+        cage.transform = {"TRANSLATE", "SCALE", "SCALE_UNIFORM"}
+        cage.color, cage.alpha = WINDOW[:3], 0.3
+        cage.color_highlight, cage.alpha_highlight = (1.0, 1.0, 1.0), 1.0
+        cage.target_set_handler("matrix", get=self._get_cage, set=self._set_cage)
+        self._arrow, self._cage = arrow, cage
         self.refresh(context)
 
     def _get(self):
@@ -143,11 +182,23 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
         placed = placement(scene)
         if placed is not None:
             scene.lumistack.moved_back_mm = outline.turned(-offset / placed[1].scale, 0.0, -1e5, 1e5)
+            _moved()
+
+    def _get_cage(self):
+        settings = bpy.context.scene.lumistack
+        return outline.cage(settings.window_size, settings.window_shift, self._width)
+
+    def _set_cage(self, matrix):
+        settings = bpy.context.scene.lumistack
+        settings.window_size, settings.window_shift = outline.of_cage(matrix, self._width)
+        _moved()
 
     def refresh(self, context):
         placed = placement(context.scene)
         if placed is not None:
-            self._arrow.matrix_basis = arrow_matrix(placed[1], context.scene.lumistack.moved_back_mm)
+            settings = context.scene.lumistack
+            self._arrow.matrix_basis = arrow_matrix(placed[1], settings.moved_back_mm)
+            self._cage.matrix_basis, self._cage.dimensions, self._width = cage_of(*placed, settings)
 
     def draw_prepare(self, context):
         self.refresh(context)
@@ -155,9 +206,23 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
 
 def arrow_matrix(window: cameras.Window, moved_back_mm: float):
     """The arrow's own place: where the window stands when it is not moved, along its normal."""
+    return _matrix(window, window.point((0.0, 0.0, moved_back_mm)))
+
+
+def cage_of(display, window: cameras.Window, settings):
+    """Where the frame stands that moves and scales the window: the middle of the camera's picture in the window's plane; how large that picture is; and the
+    width that shifts are counted in."""
+    grown = 1.0 if display.distance_mm is None else (display.distance_mm + settings.moved_back_mm) / display.distance_mm
+    width, height = (window.scale * part / settings.window_size for part in window.size_mm)
+    unit = width / grown
+    across, upwards = (part * unit / window.scale for part in settings.window_shift)
+    return _matrix(window, window.point((-across, -upwards, 0.0))), (width, height), unit
+
+
+def _matrix(window: cameras.Window, origin):
+    """A place with the axes of a window."""
     from mathutils import Matrix
 
-    origin = window.point((0.0, 0.0, moved_back_mm))
     return Matrix([[window.right[row], window.up[row], window.back[row], origin[row]] for row in range(3)] + [[0.0, 0.0, 0.0, 1.0]])
 
 
@@ -173,6 +238,8 @@ def unregister() -> None:
     if _handle is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
         _handle = None
+    if bpy.app.timers.is_registered(_push_undo):
+        bpy.app.timers.unregister(_push_undo)
     bpy.utils.unregister_class(LUMISTACK_GGT_window)
-    for kept in (_pictures, _textures, _outlines):
+    for kept in (_pictures, _textures, _outlines, missing):
         kept.clear()

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import jobs, settings as settings_of
+from . import jobs, overlay, settings as settings_of
 
 
 class _Panel:
@@ -17,15 +17,19 @@ class _Panel:
     def poll(cls, context):
         return context.scene is not None
 
+    def begin(self, context):
+        """The layout, names on its left as elsewhere in Blender, and the scene's settings."""
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        return self.layout, context.scene.lumistack
+
 
 class LUMISTACK_PT_main(_Panel, bpy.types.Panel):
     bl_label = "Tensor Display"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.lumistack
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = self.begin(context)
         row = layout.row()
         row.scale_y = 1.5
         row.operator("lumistack.make", icon="RENDER_STILL")
@@ -41,6 +45,8 @@ class LUMISTACK_PT_main(_Panel, bpy.types.Panel):
             for name in ("percentage", "iterations", "samples"):
                 column.prop(settings, name)
         layout.prop(settings, "renderer")
+        if settings.renderer != "BLENDER":
+            layout.prop(settings, "handover")
         layout.prop(settings, "look")
         if settings.look == "LINEAR":
             layout.prop(settings, "exposure_ev")
@@ -53,12 +59,17 @@ class LUMISTACK_PT_window(_Panel, bpy.types.Panel):
     bl_parent_id = "LUMISTACK_PT_main"
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.lumistack
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = self.begin(context)
         layout.prop(settings, "window_from")
         if settings.window_from == "DISTANCE":
             layout.prop(settings, "distance")
+        if overlay.placement(context.scene) is None:
+            layout.label(text=overlay.missing[context.scene.name][:120], icon="ERROR")
+        else:
+            column = layout.column(align=True)
+            for name in ("window_width", "window_height"):
+                column.prop(settings, name)
+        layout.prop(settings, "window_shift")
         layout.prop(settings, "moved_back_mm")
         layout.prop(settings, "depth_scale")
         row = layout.row(align=True)
@@ -75,14 +86,12 @@ class LUMISTACK_PT_views(_Panel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.lumistack
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = self.begin(context)
         layout.prop(settings, "grid")
         if settings.grid == "PERSPECTIVE":
             layout.prop(settings, "distance_mm")
-        for use, name in (("use_views", "views"), ("use_brightness", "brightness")):
-            row = layout.row(heading=settings.bl_rna.properties[name].name)
+        for use, name, heading in (("use_views", "views", "Number"), ("use_brightness", "brightness", "Brightness")):
+            row = layout.row(heading=heading)
             row.prop(settings, use, text="")
             held = row.row(align=True)
             held.enabled = getattr(settings, use)
@@ -105,9 +114,7 @@ class LUMISTACK_PT_output(_Panel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.lumistack
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = self.begin(context)
         layout.prop(settings, "output")
         for each in settings_of.fields(settings.output):
             layout.prop(context.scene.lumistack_outputs, each.identifier)

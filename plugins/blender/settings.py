@@ -7,7 +7,7 @@ import functools
 
 import bpy
 import lumistack
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, IntVectorProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty, StringProperty
 from lumistack.blender import forms
 
 #: Share of the display's pixels in percent, iterations, and paths per pixel of our own path tracer.
@@ -41,6 +41,39 @@ def _redraw(_self, context):
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
                 area.tag_redraw()
+
+
+def _placed(settings):
+    from . import overlay
+
+    return overlay.placement(settings.id_data)
+
+
+def _size(settings, axis: int) -> float:
+    placed = _placed(settings)
+    return 0.0 if placed is None else placed[1].scale * placed[1].size_mm[axis]
+
+
+def _set_size(settings, axis: int, value: float) -> None:
+    size = _size(settings, axis)
+    if size > 0.0 and value > 0.0:
+        settings.window_size *= value / size
+
+
+def _width(settings) -> float:
+    return _size(settings, 0)
+
+
+def _set_width(settings, value: float) -> None:
+    _set_size(settings, 0, value)
+
+
+def _height(settings) -> float:
+    return _size(settings, 1)
+
+
+def _set_height(settings, value: float) -> None:
+    _set_size(settings, 1, value)
 
 
 def _property(each: forms.Field):
@@ -79,19 +112,19 @@ def _settings_class():
         "preset": EnumProperty(name="Preset", description="Display of the scene", items=presets, default=default, **draw),
         "file": StringProperty(name="File", description="Display file (.toml)", subtype="FILE_PATH", **draw),
         "grid": EnumProperty(
-            name="Views",
+            name="Projection",
             description="How the rays of a view lie",
             items=[
-                ("DISPLAY", "As the display", "What the display's description says"),
+                ("DISPLAY", "As the Display", "What the display's description says"),
                 ("OBLIQUE", "Parallel", "Every view a parallel projection, as from far away"),
                 ("PERSPECTIVE", "Eyes", "Every view from an eye at a distance before the display"),
             ],
             **draw,
         ),
-        "distance_mm": FloatProperty(name="Eye distance", description="Millimetres from the display to the viewer", default=600.0, min=1.0, max=1e6, **draw),
-        "use_views": BoolProperty(name="Own number of views", **draw),
+        "distance_mm": FloatProperty(name="Eye Distance (mm)", description="Millimetres from the display to the viewer", default=600.0, min=1.0, max=1e6, **draw),
+        "use_views": BoolProperty(name="Own Number of Views", **draw),
         "views": IntVectorProperty(name="Views", description="Horizontal and vertical", size=2, default=(5, 5), min=1, max=64, **draw),
-        "use_brightness": BoolProperty(name="Own brightness", **draw),
+        "use_brightness": BoolProperty(name="Own Brightness", **draw),
         "brightness": FloatProperty(name="Brightness", description="Share of the target's light that the display emits", default=0.2, min=0.001, max=1.0, **draw),
         "quality": EnumProperty(
             name="Quality",
@@ -117,8 +150,30 @@ def _settings_class():
             **draw,
         ),
         "distance": FloatProperty(name="Distance", description="From the camera to the window", subtype="DISTANCE", default=10.0, min=1e-4, max=1e6, **draw),
-        "moved_back_mm": FloatProperty(name="Move back", description="Moves the window along its normal, millimetres of the display; what is seen straight on stays", default=0.0, min=-1e5, max=1e5, **draw),
-        "depth_scale": FloatProperty(name="Depth", description="Factor on parallax: below 1 the scene looks flatter and is sharper", default=1.0, min=0.01, max=10.0, **draw),
+        "window_size": FloatProperty(
+            name="Size",
+            description="Width of the window, over that of the camera's picture in its plane",
+            default=1.0, min=0.01, max=100.0, soft_min=0.1, soft_max=4.0, **draw,
+        ),  # fmt: skip
+        "window_shift": FloatVectorProperty(
+            name="Shift",
+            description="Where the window stands in its plane, to the right and up of the middle of the camera's picture, in widths of that picture",
+            subtype="XYZ", size=2, default=(0.0, 0.0), min=-100.0, max=100.0, soft_min=-2.0, soft_max=2.0, **draw,
+        ),  # fmt: skip
+        "window_width": FloatProperty(
+            name="Width", description="Width of the window; its height follows the display", subtype="DISTANCE", unit="LENGTH", get=_width, set=_set_width
+        ),
+        "window_height": FloatProperty(
+            name="Height", description="Height of the window; its width follows the display", subtype="DISTANCE", unit="LENGTH", get=_height, set=_set_height
+        ),
+        "moved_back_mm": FloatProperty(
+            name="Move Back (mm)",
+            description="Moves the window along its normal, in millimetres of the display; what is seen straight on stays",
+            default=0.0, min=-1e5, max=1e5, **draw,
+        ),  # fmt: skip
+        "depth_scale": FloatProperty(
+            name="Depth Scale", description="Factor on parallax: below 1 the scene looks flatter and is sharper", default=1.0, min=0.01, max=10.0, **draw
+        ),
         "renderer": EnumProperty(
             name="Renderer",
             items=[
@@ -127,24 +182,33 @@ def _settings_class():
                 ("BOTH", "Both", "Blender's views, and how far Lumistack's are from them"),
             ],
         ),
+        "handover": EnumProperty(
+            name="Hand-over",
+            description="How Lumistack's path tracer gets the scene",
+            items=[
+                ("GLTF", "glTF", "Blender's glTF exporter, with all that Cycles sees of the scene's light"),
+                ("USD", "USD", "Blender's USD exporter as it is, subdivision surfaces and all"),
+                ("BOTH", "Both", "Renders both, and says how far they are apart; the glTF one counts"),
+            ],
+        ),
         "look": EnumProperty(
             name="Look",
             items=[
-                ("SCENE", "As Blender shows it", "The view transform, exposure and look of Color Management, one for all views"),
+                ("SCENE", "As Blender Shows It", "The view transform, exposure and look of Color Management, one for all views"),
                 ("LINEAR", "Linear", "Radiance times the exposure below; what is brighter than white is cut"),
             ],
         ),
         "exposure_ev": FloatProperty(name="Exposure", description="Stops", default=0.0, min=-20.0, max=20.0),
         "times": EnumProperty(
             name="Time",
-            items=[("CURRENT", "Current frame", "A still"), ("RANGE", "Frame range", "The scene's frames, each starting from the patterns of the one before")],
+            items=[("CURRENT", "Current Frame", "A still"), ("RANGE", "Frame Range", "The scene's frames, each starting from the patterns of the one before")],
         ),
         "folder": StringProperty(name="Folder", description="Where views, patterns and outputs go", subtype="DIR_PATH", default="//lumistack"),
         "output": EnumProperty(name="Output", description="What is written besides the patterns", items=_outputs(), default="NONE"),
         "show_window": BoolProperty(name="Window", description="Draw the display's window in the 3D view", default=True, **draw),
-        "show_depth": BoolProperty(name="Depth of field", description="Draw the depths that the display shows sharply", default=True, **draw),
-        "show_cone": BoolProperty(name="Viewing cone", description="Draw from where the display is seen", default=False, **draw),
-        "show_picture": BoolProperty(name="Simulated view", description="Show what the display shows on the window in the 3D view", default=True, **draw),
+        "show_depth": BoolProperty(name="Depth of Field", description="Draw the depths that the display shows sharply", default=True, **draw),
+        "show_cone": BoolProperty(name="Viewing Cone", description="Draw from where the display is seen", default=False, **draw),
+        "show_picture": BoolProperty(name="Simulated View", description="Show what the display shows on the window in the 3D view", default=True, **draw),
     }
     return type("LumistackSettings", (bpy.types.PropertyGroup,), {"__annotations__": annotations, "__doc__": __doc__})
 

@@ -13,12 +13,18 @@ const PYTHON: &str = "3.11";
 /// What builds the wheel.
 const TOOLS: [&str; 3] = ["--only-binary=:all:", "maturin==1.16.*", "numpy"];
 
-/// Builds the extension as users get it, in `target/blender`.
-pub fn build() -> Outcome {
+/// Builds the extension as users get it, in `target/blender`: a zip for every platform that there is a wheel for. Wheels of other platforms are given; the one of this
+/// machine's is built where it is not.
+pub fn build(wheels: &[&str]) -> Outcome {
     let python = environment(BLENDER)?;
-    let zip = extension(&python, "release")?;
-    println!("{}", zip.display());
-    Ok(())
+    let mut wheels: Vec<PathBuf> = wheels.iter().map(PathBuf::from).collect();
+    let mut there = platforms_of(&wheels)?;
+    let own = machine()?;
+    if !there.contains(&own) {
+        wheels.push(wheel(&python, "release")?);
+        there = platforms_of(&wheels)?;
+    }
+    extension(&python, &wheels, &there).map(|_| ())
 }
 
 /// Builds the extension from the artefacts of the workspace's tests and runs its cases; `full` in all versions of Blender. Skips with a message where bpy cannot be had.
@@ -30,12 +36,13 @@ pub fn check(full: bool) -> Outcome {
             return Ok(());
         }
     };
-    let zip = extension(&python, "dev")?;
-    cases(&python, &zip, BLENDER, "all")?;
+    let wheels = [wheel(&python, "dev")?];
+    let zip = extension(&python, &wheels, &platforms_of(&wheels)?)?;
+    cases(&python, &zip, BLENDER, if full { "full" } else { "all" })?;
     if full {
         for version in OLDER {
             match environment(version) {
-                Ok(python) => cases(&python, &zip, version, "all")?,
+                Ok(python) => cases(&python, &zip, version, "full")?,
                 Err(error) => println!("blender: {version} skipped: {error}"),
             }
         }
@@ -46,10 +53,11 @@ pub fn check(full: bool) -> Outcome {
 /// Some cases alone, in one version of Blender, with the zip that is there.
 pub fn some(names: &str, version: &str) -> Outcome {
     let python = environment(version)?;
-    let folder = folder();
-    let entries = std::fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?.flatten();
-    let zip = entries.map(|entry| entry.path()).find(|path| path.extension().is_some_and(|kind| kind == "zip"));
-    cases(&python, &zip.ok_or("no zip in target/blender: `cargo xtask blender` makes it")?, version, names)
+    let zip = zip_of(machine()?);
+    if !zip.is_file() {
+        return Err(format!("{}: not there: `cargo xtask blender` makes it", zip.display()));
+    }
+    cases(&python, &zip, version, names)
 }
 
 fn folder() -> PathBuf {
@@ -85,12 +93,16 @@ fn python_of_blender() -> Option<String> {
         .find(|python| output_of(command(python).args(["-c", test])).is_some_and(|said| said.trim() == PYTHON))
 }
 
-/// The zip, with the wheel for this machine in it.
-fn extension(python: &Path, profile: &str) -> Outcome<PathBuf> {
+/// The wheel of this machine.
+fn wheel(python: &Path, profile: &str) -> Outcome<PathBuf> {
     if output_of(command(python).args(["-c", "import maturin"])).is_none() {
         install(python, &TOOLS)?;
     }
-    let wheel = python::build(python, profile)?;
+    python::build(python, profile)
+}
+
+/// The zips, each with the wheel of its platform in it; the one of this machine.
+fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<PathBuf> {
     let (folder, source) = (folder(), tools::root().join("target/blender/lumistack"));
     let _ = std::fs::remove_dir_all(&folder);
     let io = |place: &Path, error: std::io::Error| format!("{}: {error}", place.display());
@@ -101,12 +113,17 @@ fn extension(python: &Path, profile: &str) -> Outcome<PathBuf> {
             std::fs::copy(entry.path(), source.join(entry.file_name())).map_err(|error| io(&entry.path(), error))?;
         }
     }
-    let name = wheel.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    std::fs::copy(&wheel, source.join("wheels").join(&name)).map_err(|error| io(&wheel, error))?;
-    let platform = platform_of(&name).ok_or_else(|| format!("{name}: no platform that Blender knows"))?;
+    for wheel in wheels {
+        std::fs::copy(wheel, source.join("wheels").join(name_of(wheel))).map_err(|error| io(wheel, error))?;
+    }
     let manifest = source.join("blender_manifest.toml");
     let text = std::fs::read_to_string(&manifest).map_err(|error| io(&manifest, error))?;
-    let lines = format!("platforms = [\"{platform}\"]\nwheels = [\"./wheels/{name}\"]\n\n[permissions]");
+    let version = env!("CARGO_PKG_VERSION");
+    if !text.contains(&format!("version = \"{version}\"")) {
+        return Err(format!("plugins/blender/blender_manifest.toml: expected version {version}, the workspace's"));
+    }
+    let names: Vec<String> = wheels.iter().map(|wheel| format!("./wheels/{}", name_of(wheel))).collect();
+    let lines = format!("platforms = {platforms:?}\nwheels = {names:?}\n\n[permissions]");
     std::fs::write(&manifest, text.replacen("[permissions]", &lines, 1)).map_err(|error| io(&manifest, error))?;
     let tool = "import glob, sysconfig; print(glob.glob(sysconfig.get_path('purelib') + '/bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py')[0])";
     let tool = output_of(command(python).args(["-c", tool])).ok_or("this bpy has no tool for extensions")?;
@@ -115,37 +132,113 @@ fn extension(python: &Path, profile: &str) -> Outcome<PathBuf> {
         blender.arg(tool.trim());
         blender
     };
-    run(tool().args(["build", "--valid-tags=", "--source-dir"]).arg(&source).arg("--output-dir").arg(&folder))?;
-    let version = env!("CARGO_PKG_VERSION");
-    let zip = folder.join(format!("lumistack-{version}.zip"));
-    if !text.contains(&format!("version = \"{version}\"")) {
-        return Err(format!("plugins/blender/blender_manifest.toml: expected version {version}, the workspace's"));
+    let split = ["build", "--valid-tags=", "--split-platforms", "--source-dir"];
+    run(tool().args(split).arg(&source).arg("--output-dir").arg(&folder))?;
+    for platform in platforms {
+        let zip = zip_of(platform);
+        run(tool().args(["validate", "--valid-tags="]).arg(&zip))?;
+        let bytes = std::fs::metadata(&zip).map_err(|error| io(&zip, error))?.len();
+        println!("extension: {:.1} MB, {}", bytes as f64 / 1e6, zip.display());
     }
-    run(tool().args(["validate", "--valid-tags="]).arg(&zip))?;
-    let bytes = std::fs::metadata(&zip).map_err(|error| io(&zip, error))?.len();
-    println!("extension: {:.1} MB, {}", bytes as f64 / 1e6, zip.display());
-    Ok(zip)
+    Ok(zip_of(machine()?))
 }
 
-/// A wheel's platform by Blender's names.
-fn platform_of(wheel: &str) -> Option<&'static str> {
-    let known = [
-        ("manylinux", "x86_64", "linux-x64"),
-        ("linux", "x86_64", "linux-x64"),
-        ("linux", "aarch64", "linux-arm64"),
-        ("macosx", "arm64", "macos-arm64"),
-        ("macosx", "x86_64", "macos-x64"),
-        ("win", "amd64", "windows-x64"),
-        ("win", "arm64", "windows-arm64"),
-    ];
-    known
+/// The zip of a platform.
+fn zip_of(platform: &str) -> PathBuf {
+    folder().join(format!("lumistack-{}-{}.zip", env!("CARGO_PKG_VERSION"), platform.replace('-', "_")))
+}
+
+fn name_of(wheel: &Path) -> String {
+    wheel.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// This machine's platform by Blender's name.
+fn machine() -> Outcome<&'static str> {
+    let (system, machine) = (std::env::consts::OS, std::env::consts::ARCH);
+    PLATFORMS
         .into_iter()
-        .find(|(system, machine, _)| wheel.contains(system) && wheel.contains(machine))
-        .map(|found| found.2)
+        .find(|platform| (platform.system, platform.machine) == (system, machine))
+        .map(|platform| platform.name)
+        .ok_or_else(|| format!("{system} on {machine}: no platform of Blender's"))
+}
+
+/// A platform that Blender runs on: its name there, those of Rust, and how a wheel's tag begins and ends.
+struct Platform {
+    name: &'static str,
+    system: &'static str,
+    machine: &'static str,
+    tag: [&'static str; 2],
+}
+
+const PLATFORMS: [Platform; 6] = [
+    Platform { name: "linux-x64", system: "linux", machine: "x86_64", tag: ["linux", "_x86_64"] },
+    Platform { name: "linux-arm64", system: "linux", machine: "aarch64", tag: ["linux", "_aarch64"] },
+    Platform { name: "macos-x64", system: "macos", machine: "x86_64", tag: ["macosx", "_x86_64"] },
+    Platform { name: "macos-arm64", system: "macos", machine: "aarch64", tag: ["macosx", "_arm64"] },
+    Platform { name: "windows-x64", system: "windows", machine: "x86_64", tag: ["win", "_amd64"] },
+    Platform { name: "windows-arm64", system: "windows", machine: "aarch64", tag: ["win", "_arm64"] },
+];
+
+/// Platforms of wheels of this version, each of which must have one alone.
+fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
+    let mut found = Vec::new();
+    for wheel in wheels {
+        let name = name_of(wheel);
+        let expected = format!("lumistack-{}-cp311-abi3-", env!("CARGO_PKG_VERSION"));
+        let tag = name.strip_prefix(&expected).and_then(|rest| rest.strip_suffix(".whl"));
+        let tag = tag.ok_or_else(|| format!("{}: expected a wheel {expected}PLATFORM.whl", wheel.display()))?;
+        // manylinux_2_28_x86_64, macosx_11_0_universal2
+        let fits = |platform: &&Platform| {
+            let [system, machine] = platform.tag;
+            let is_mac_of_both = system == "macosx" && tag.ends_with("_universal2");
+            tag.strip_prefix("many").unwrap_or(tag).starts_with(system) && (tag.ends_with(machine) || is_mac_of_both)
+        };
+        let before = found.len();
+        for platform in PLATFORMS.iter().filter(fits) {
+            if found.contains(&platform.name) {
+                return Err(format!("{}: a second wheel for {}", wheel.display(), platform.name));
+            }
+            found.push(platform.name);
+        }
+        if found.len() == before {
+            return Err(format!("{}: {tag} is no platform of Blender's", wheel.display()));
+        }
+    }
+    Ok(found)
 }
 
 fn cases(python: &Path, zip: &Path, version: &str, names: &str) -> Outcome {
     println!("\nBlender {version}");
     let place = folder().join(format!("cases-{version}"));
     run(command(python).arg("plugins/blender/tests/cases.py").arg(names).arg(zip).arg(&place))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(tags: &[&str]) -> Outcome<Vec<&'static str>> {
+        let name = |tag: &&str| format!("dist/lumistack-{}-cp311-abi3-{tag}.whl", env!("CARGO_PKG_VERSION")).into();
+        platforms_of(&tags.iter().map(name).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn wheels_go_to_the_platforms_of_their_tags() {
+        let tags = ["manylinux_2_28_x86_64", "linux_aarch64", "macosx_11_0_arm64", "win_amd64"];
+        assert_eq!(of(&tags).unwrap(), ["linux-x64", "linux-arm64", "macos-arm64", "windows-x64"]);
+        assert_eq!(of(&["manylinux2014_x86_64"]).unwrap(), ["linux-x64"]);
+        assert_eq!(
+            of(&["macosx_10_12_universal2", "win_arm64"]).unwrap(),
+            ["macos-x64", "macos-arm64", "windows-arm64"]
+        );
+        for (tags, expected) in [
+            (vec!["win32"], "win32 is no platform"),
+            (vec!["manylinux_2_28_x86_64", "linux_x86_64"], "a second wheel for linux-x64"),
+            (vec!["macosx_11_0_arm64", "macosx_11_0_universal2"], "a second wheel for macos-arm64"),
+        ] {
+            let error = of(&tags).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+        assert!(platforms_of(&["lumistack-9.9.9-cp311-abi3-win_amd64.whl".into()]).unwrap_err().contains("expected"));
+    }
 }

@@ -30,9 +30,10 @@ cargo xtask <task>
   python [--release]
                 build the Python package as a wheel, install it into target/python, test it there, check its types, and print
                 what importing and calling it costs; --release builds and measures the wheel as users get it
-  blender [--check [--full] | --case NAME[,NAME] [VERSION]]
-                build the Blender extension, which Blender's own tool validates; --check also runs its cases in Blender as the
-                module bpy, --full in every version, --case some of them with the extension that is there
+  blender [--wheel PATH... | --check [--full] | --case NAME[,NAME] [VERSION]]
+                build the Blender extension, which Blender's own tool validates, for this machine and for the platforms of the
+                wheels that are given; --check also runs its cases in Blender as the module bpy, --full in every version,
+                --case some of them with the extension that is there
   web [--check | module | fixtures | test]
                 build the simulator's module and page into web/dist, optimize and measure them; --check fails where web/dist
                 is not that of the sources, and tests the page in a browser; the others are single steps of it
@@ -54,7 +55,8 @@ fn main() -> ExitCode {
         ["plugins", "--write"] => plugins::run(true),
         ["python"] => python::check(),
         ["python", "--release"] => python::release(),
-        ["blender"] => blender::build(),
+        ["blender"] => blender::build(&[]),
+        ["blender", "--wheel", wheels @ ..] if !wheels.is_empty() => blender::build(wheels),
         ["blender", "--check"] => blender::check(false),
         ["blender", "--check", "--full"] => blender::check(true),
         ["blender", "--case", names] => blender::some(names, "5.0.1"),

@@ -6,7 +6,7 @@ use lumistack_core::Task;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
     ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field,
-    is_blend, is_usd, load_scene, outlook, plugin_list, plugin_text, presets, scene_contents,
+    is_blend, is_usd, load_scene, outlook, plugin_list, plugin_text, presets,
 };
 use lumistack_usd::VariantSet;
 use serde_json::{Value, json};
@@ -62,8 +62,10 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
 fn scene(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     // without the studio light: what the file itself has
     let light = LightJob { automatic: false, ..LightJob::default() };
-    let contents = scene_contents(path, &ImporterJob::default(), registry, task)?;
-    let scene = load_scene(path, &PoseJob::default(), &ImporterJob::default(), registry, &light, task)?.scene;
+    let importer = ImporterJob::default();
+    let ingested = load_scene(path, &PoseJob::default(), &importer, registry, &light, None, task)?;
+    let contents = ingested.contents(path, &importer, registry, task)?;
+    let scene = &ingested.scene;
     let bounds = scene.bounds();
     let texels: usize = scene.images.iter().map(|image| image.width * image.height).sum();
     let mut value = json!({ "scene": {

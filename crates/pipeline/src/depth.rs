@@ -47,7 +47,7 @@ pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<
         return Err(PipelineError::value("job", "scene", "a scene", "none"));
     };
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
-    let ingested = load_scene(scene, &job.pose, &job.importer, registry, &job.light, task)?;
+    let ingested = load_scene(scene, &job.pose, &job.importer, registry, &job.light, None, task)?;
     let placement = fit::place(&ingested, &job.window, display, &geometry, None, task)?;
     let renderer = ingested.renderer(task)?;
     let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));

@@ -10,7 +10,9 @@ use lumistack_gltf::{AssetResolver, LoadOptions};
 use lumistack_pathtracer::Renderer;
 use lumistack_plugin_host::{Origin, PluginError, PluginKind, Registry};
 use lumistack_scene::{Camera, Scene, Similarity, Window};
+use lumistack_usd::{BlendContents, HandedOver};
 
+use crate::blender;
 use crate::cache::{KeyBuilder, remembered};
 use crate::error::{PipelineError, host_error, read};
 use crate::file_params;
@@ -37,6 +39,8 @@ pub struct Ingested {
     pub files: Vec<(PathBuf, String)>,
     /// What was taken of them.
     pub pose: PoseJob,
+    /// What it offers to choose from, where that came with it.
+    known: Option<SceneContents>,
     renderer: OnceLock<Renderer>,
 }
 
@@ -51,6 +55,20 @@ impl Ingested {
         }
         let renderer = Renderer::new(self.scene.clone(), task).map_err(render_error)?;
         Ok(self.renderer.get_or_init(|| renderer))
+    }
+
+    /// What the scene offers to choose from, without another look at the file where it has been told already.
+    ///
+    /// # Errors
+    /// As [`scene_contents`].
+    pub fn contents(
+        &self,
+        path: &Path,
+        importer: &ImporterJob,
+        registry: &Registry,
+        task: Task<'_>,
+    ) -> Result<SceneContents, PipelineError> {
+        self.known.clone().map_or_else(|| scene_contents(path, importer, registry, task), Ok)
     }
 
     /// Adds everything the scene was made from.
@@ -122,7 +140,7 @@ fn gltf_bytes(
 }
 
 /// Loads a scene in its pose, replaces its environment where the job says so, and lights it where it has no light. What is not glTF goes
-/// through an importer.
+/// through an importer. What another program made of the file is kept in `cache_dir`, and taken from there.
 ///
 /// # Errors
 /// When a file cannot be read, no importer takes it, or the scene cannot be rendered.
@@ -132,14 +150,20 @@ pub fn load_scene(
     importer: &ImporterJob,
     registry: &Registry,
     light_job: &LightJob,
+    cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Ingested, PipelineError> {
+    let mut known = None;
     let (scene, files) = match reader_of(path, importer, registry)? {
         Reader::Usd => load_usd(path, pose, task)?,
-        Reader::Blend => load_blend(path, pose, task)?,
+        Reader::Blend => {
+            let (read, contents) = load_blend(path, pose, cache_dir, task)?;
+            known = Some(SceneContents::Blend(contents));
+            read
+        }
         reader => load_gltf(path, pose, &reader, importer, registry, task)?,
     };
-    lit(scene, files, pose, light_job, task)
+    Ok(Ingested { known, ..lit(scene, files, pose, light_job, task)? })
 }
 
 /// Lights a scene that the caller has made of these files, and of what lies in memory (`content`), as [`load_scene`] does.
@@ -206,7 +230,7 @@ fn lit(
             Ok(())
         })?;
     }
-    Ok(Ingested { scene: Arc::new(scene), files, pose: pose.clone(), renderer: OnceLock::new() })
+    Ok(Ingested { scene: Arc::new(scene), files, pose: pose.clone(), known: None, renderer: OnceLock::new() })
 }
 
 /// What was loaded, and every file that was read, with a hash of its content.
@@ -254,20 +278,25 @@ fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, Pipelin
     Ok((loaded.scene, hashed(&loaded.files)?))
 }
 
-fn load_blend(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, PipelineError> {
+fn load_blend(
+    path: &Path,
+    pose: &PoseJob,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<(Read, BlendContents), PipelineError> {
     let PoseJob { time_s, animation, variant, variants } = pose.clone();
     let given = [("animation", animation), ("variant", variant), ("variants", variants.into_iter().next())];
     if let Some((key, found)) = given.into_iter().find_map(|(key, given)| Some((key, given?))) {
         let expected = "none: of a .blend file the scene is taken as Blender shows it, at `pose.time_s`";
         return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
     }
-    let handed = lumistack_usd::hand_over(path, time_s, task)?;
+    let HandedOver { glb, account } = blender::hand_over(path, time_s, cache_dir, task)?;
     let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
     let options = LoadOptions::default();
-    let scene = lumistack_gltf::load_with(&path.display().to_string(), &handed.glb, &resolver, &options, task)?;
-    let mut files = hashed(&[&[path.to_owned()], &handed.files[..]].concat())?;
-    files.push(("blender".into(), handed.blender));
-    Ok((scene, files))
+    let scene = lumistack_gltf::load_with(&path.display().to_string(), &glb, &resolver, &options, task)?;
+    let mut files = hashed(&[&[path.to_owned()], &account.files[..]].concat())?;
+    files.push(("blender".into(), account.blender));
+    Ok(((scene, files), account.contents))
 }
 
 /// Files with hashes of their content.
@@ -516,7 +545,7 @@ impl AssetResolver for Files<'_> {
     }
 }
 
-fn hash(bytes: &[u8]) -> String {
+pub(crate) fn hash(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
 }
 

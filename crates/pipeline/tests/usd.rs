@@ -29,7 +29,7 @@ fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/still-life").join(file);
     let registry = Registry::built_in().unwrap();
     let (pose, importer, light) = (PoseJob::default(), ImporterJob::default(), LightJob::default());
-    let scene = load_scene(&path, &pose, &importer, &registry, &light, task).unwrap().scene;
+    let scene = load_scene(&path, &pose, &importer, &registry, &light, None, task).unwrap().scene;
     let pitch_mm = 5.0;
     let geometry =
         FieldGeometry { rows: ROWS, cols: COLS, pitch_mm, grid: ViewGrid::single(Projection::Oblique, [0.0, 0.0]) };

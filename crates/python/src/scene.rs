@@ -3,9 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use lumistack_pipeline::{
-    ImporterJob, Ingested, LightJob, PoseJob, SceneContents, is_usd, load_scene, scene_contents, take_scene,
-};
+use lumistack_pipeline::{ImporterJob, Ingested, LightJob, PoseJob, SceneContents, is_usd, load_scene, take_scene};
 use pyo3::prelude::*;
 
 use crate::functions::registry;
@@ -61,8 +59,9 @@ impl Scene {
         }
         let registry = registry(py)?;
         let (ingested, contents) = long(py, callback, |task| {
-            let ingested = load_scene(&path, &pose, &importer, registry, &light, task)?;
-            Ok((ingested, scene_contents(&path, &importer, registry, task)?))
+            let ingested = load_scene(&path, &pose, &importer, registry, &light, None, task)?;
+            let contents = ingested.contents(&path, &importer, registry, task)?;
+            Ok((ingested, contents))
         })?;
         Ok(Self::new_of(path, light, ingested, contents))
     }

@@ -81,6 +81,22 @@ def test_the_window_is_the_camera_frustum_at_its_focus() -> None:
         assert getattr(again, name) == pytest.approx(getattr(window, name))
 
 
+def test_a_window_is_scaled_and_moved_in_its_plane() -> None:
+    chance = random.Random(4)
+    for _ in range(50):
+        window = random_window(chance)
+        size, shift = chance.uniform(0.2, 3.0), (chance.uniform(-1, 1), chance.uniform(-1, 1))
+        moved = window.resized(size, shift)
+        width = window.size_mm[0]
+        # one corner, worked out in the window as it was
+        x, y = 0.5 * size * width + shift[0] * width, 0.5 * size * window.size_mm[1] + shift[1] * width
+        assert moved.point((width / 2, window.size_mm[1] / 2, 0.0)) == pytest.approx(window.point((x, y, 0.0)))
+        cage = numpy.array(outline.cage(size, shift, 7.0)).reshape(4, 4).T
+        assert cage @ [0.5, 0.5, 0.0, 1.0] == pytest.approx([0.5 * size + 7.0 * shift[0], 0.5 * size + 7.0 * shift[1], 0.0, 1.0])
+        found, place = outline.of_cage(outline.cage(size, shift, 7.0), 7.0)
+        assert found == pytest.approx(size) and place == pytest.approx(shift)
+
+
 def test_kept_views_are_not_rendered_again(tmp_path: Path) -> None:
     folder = tmp_path / "Ansichten ü"
     views = Views(folder, 3, 3, key_of({"size": [64, 40]}))
@@ -159,6 +175,16 @@ def test_fitted_depths_lie_in_the_range(distance_mm: float | None) -> None:
     assert depth.outside(shown, (-20.0, 20.0)) <= 0.05
     # and no more than needed: something reaches an end
     assert max(map(abs, shown)) > 19.0
+    # the box that is drawn holds what is sharp once it is fitted
+    low, high = depth.in_scene((-20.0, 20.0), fit.depth_scale, distance_mm) or (0.0, 0.0)
+    unmoved = depth.Fit(0.0, fit.depth_scale)
+    assert depth.shown_at(high, unmoved, distance_mm) == pytest.approx(20.0)
+    if math.isfinite(low):
+        assert depth.shown_at(low, unmoved, distance_mm) == pytest.approx(-20.0)
+    else:
+        assert depth.shown_at(-1e9, unmoved, distance_mm) > -20.0
+    assert depth.in_scene((-math.inf, 20.0), 0.5, distance_mm) == (-math.inf, pytest.approx(40.0 if distance_mm is None else 38.4615, rel=1e-4))
+    assert depth.in_scene(None, 0.5, distance_mm) is None
     assert depth.best_fit([], (-1.0, 1.0), distance_mm, True) == depth.Fit(0.0, 1.0)
     assert depth.sentence([], (-1.0, 1.0)) is None and "no depth" in (depth.sentence([1.0], None) or "")
 
@@ -232,6 +258,8 @@ def test_words_become_settings() -> None:
     assert asked.settings["file"] == "mine.toml" and asked.settings["display_from"] == "FILE"
     assert asked.settings["views"] == (3, 2) and asked.settings["use_views"] and asked.settings["quality"] == "CUSTOM"
     assert asked.settings["window_from"] == "DISTANCE" and asked.scene_settings == {"frame_start": 2, "frame_end": 5}
+    asked = command_line.parse(["--window-size", "0.5", "--handover", "both", "--renderer", "lumistack"])
+    assert asked.settings == {"window_size": 0.5, "handover": "BOTH", "renderer": "LUMISTACK"}
     assert command_line.parse([]).settings == {} and command_line.parse([]).what == "make"
     for words in (["bake"], ["--views", "3"], ["--frames", "5..2"], ["--unknown"]):
         with pytest.raises(command_line.Usage) as caught:

@@ -25,6 +25,7 @@ def main():
         import bpy
 
         answer["blender"] = bpy.app.version_string
+        answer["program"] = bpy.app.binary_path or bpy.__file__
         if bpy.app.version < OLDEST:
             raise Unfit("Blender %s, and 4.2 is the oldest that does" % bpy.app.version_string)
         work(bpy, request, folder, answer)
@@ -70,7 +71,8 @@ def work(bpy, request, folder, answer):
         "frames_per_second": rate,
         "engine": scene.render.engine,
     }
-    answer["files"] = modules["handover"].files_of(bpy)
+    answer["files"], answer["missing"] = modules["handover"].files_of(bpy)
+    answer["untracked"] = modules["handover"].untracked(bpy)
     if request["contents_only"]:
         return
     modules["rig"].remove_leftovers(bpy)
@@ -97,6 +99,10 @@ def work(bpy, request, folder, answer):
 def render(bpy, scene, modules, asked, folder):
     """The views that are asked for: one picture each, renamed when it is whole."""
     cameras, rig = modules["cameras"], modules["rig"]
+    try:
+        rig.check_engine(bpy, scene)
+    except rig.NoOpenGL as error:
+        raise Refused(str(error)) from error
     window = cameras.window_of_job(asked["window"], tuple(asked["size_mm"]))
     depths = rig.depth_range(bpy, scene, window)
 

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::UsdError;
 use crate::child::{last_lines, read_end, wait};
-use crate::python::{Candidate, Surroundings};
+use crate::python::{Candidate, Surroundings, on_path};
 
 /// Extension of Blender's files.
 pub const EXTENSION: &str = "blend";
@@ -34,7 +34,7 @@ const MODULES: [(&str, &str); 4] = [
 const BOOT: &str = include_str!("../python/blend.py");
 
 /// What a `.blend` file offers to choose from.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BlendContents {
     /// Its scenes; the open one is taken.
     pub scenes: Vec<String>,
@@ -58,23 +58,60 @@ impl BlendContents {
 pub struct HandedOver {
     /// A binary glTF file that needs no other.
     pub glb: Vec<u8>,
-    /// Files besides the `.blend` that it was made from: libraries, pictures.
-    pub files: Vec<PathBuf>,
-    /// Blender's version.
-    pub blender: String,
+    /// What Blender says of it.
+    pub account: BlendAccount,
 }
 
-/// Has Blender export a file's scene at a time: seconds after its first frame, or the frame that the file was saved at.
+/// What Blender says of a scene that it handed over.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct BlendAccount {
+    /// Blender's version.
+    pub blender: String,
+    /// Its program, or the file of its module.
+    pub program: PathBuf,
+    /// Files besides the `.blend` that the scene was made from: libraries, pictures.
+    pub files: Vec<PathBuf>,
+    /// Files that are named and were not there.
+    pub missing: Vec<PathBuf>,
+    /// What was read besides, of which nothing tells whether it has changed.
+    pub untracked: Option<String>,
+    /// What could not be handed over: place and message.
+    pub warnings: Vec<(String, String)>,
+    /// What the file offers to choose from.
+    pub contents: BlendContents,
+}
+
+/// Has Blender export a file's scene at a time: seconds after its first frame, or the frame that the file was saved at. Its warnings are in the account.
 ///
 /// # Errors
 /// When no Blender is found, the file is refused, Blender breaks down, or the task is cancelled.
 pub fn hand_over(path: &Path, time_s: Option<f64>, task: Task<'_>) -> Result<HandedOver, UsdError> {
     let folder = temporary()?;
-    let answer = ask(&Request::new(path, time_s, false)?, folder.path(), task.cancel)?;
-    answer.warnings.iter().for_each(|(place, message)| task.warn(place, message));
+    let account = ask(&Request::new(path, time_s, false)?, folder.path(), task.cancel)?;
     let glb = folder.path().join("scene.glb");
     let glb = std::fs::read(&glb).map_err(|source| UsdError::Io { place: glb.display().to_string(), source })?;
-    Ok(HandedOver { glb, files: answer.files, blender: answer.blender })
+    Ok(HandedOver { glb, account })
+}
+
+/// What decides which Blender answers and what runs in it. As long as this is the same, and the [`BlendAccount::program`] that answered, files are handed
+/// over in the same way.
+pub fn blend_surroundings() -> String {
+    let found: Vec<String> = candidates()
+        .iter()
+        .map(|each| {
+            let place = on_path(&each.program);
+            format!("{} {:?} {place:?} {:?}", each.given, each.program, place.as_deref().and_then(file_stamp))
+        })
+        .collect();
+    format!("{MODULES:?} {BOOT} {found:?}")
+}
+
+/// Length of a file and when it was changed, nanoseconds; `None` where there is none.
+pub fn file_stamp(path: &Path) -> Option<[u64; 2]> {
+    let known = std::fs::metadata(path).ok()?;
+    let changed = known.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
+    Some([known.len(), changed.as_nanos() as u64])
 }
 
 /// Lists what a file offers to choose from.
@@ -169,13 +206,10 @@ impl<'a> Request<'a> {
     }
 }
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
+#[derive(Debug, Deserialize)]
 struct Answer {
-    blender: String,
-    files: Vec<PathBuf>,
-    warnings: Vec<(String, String)>,
-    contents: BlendContents,
+    #[serde(flatten)]
+    account: BlendAccount,
     error: Option<Failure>,
 }
 
@@ -217,7 +251,7 @@ fn candidates() -> Vec<Candidate> {
     found
 }
 
-fn ask(request: &Request<'_>, folder: &Path, cancel: &Cancel) -> Result<Answer, UsdError> {
+fn ask(request: &Request<'_>, folder: &Path, cancel: &Cancel) -> Result<BlendAccount, UsdError> {
     ask_one_of(&candidates(), request, folder, &mut || (), cancel)
 }
 
@@ -227,7 +261,7 @@ fn ask_one_of(
     folder: &Path,
     meanwhile: &mut dyn FnMut(),
     cancel: &Cancel,
-) -> Result<Answer, UsdError> {
+) -> Result<BlendAccount, UsdError> {
     let mut tried = Vec::new();
     for candidate in candidates {
         let program = candidate.program.display().to_string();
@@ -249,7 +283,7 @@ fn ask_program(
     folder: &Path,
     meanwhile: &mut dyn FnMut(),
     cancel: &Cancel,
-) -> Result<Answer, Failed> {
+) -> Result<BlendAccount, Failed> {
     let io = |place: &Path, source| Failed::Final(UsdError::Io { place: place.display().to_string(), source });
     let (boot, asked, answered) = (folder.join("blend.py"), folder.join("request.json"), folder.join("answer.json"));
     std::fs::write(&boot, BOOT).map_err(|error| io(&boot, error))?;
@@ -280,7 +314,7 @@ fn ask_program(
     let answer: Answer =
         serde_json::from_slice(&text).map_err(|error| failed(format!("an answer that is none: {error}")))?;
     match &answer.error {
-        None => Ok(answer),
+        None => Ok(answer.account),
         Some(Failure { kind, message }) => Err(match kind.as_str() {
             "bpy" => Failed::Unfit(message.clone()),
             "scene" => Failed::Final(UsdError::Refused { file: request.path.clone(), message: message.clone() }),
@@ -308,7 +342,7 @@ mod tests {
         Candidate { program, from: "PATH", given: false }
     }
 
-    fn asked(folder: &Path, candidates: &[Candidate]) -> Result<Answer, UsdError> {
+    fn asked(folder: &Path, candidates: &[Candidate]) -> Result<BlendAccount, UsdError> {
         let file = folder.join("szene.blend");
         std::fs::write(&file, "BLENDER").unwrap();
         let request = Request::new(&file, Some(0.5), false).unwrap();
@@ -365,9 +399,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let script = r#"grep -q '"time_s":0.5' "$last/request.json" && grep -q 'def export_scene' "$last/request.json" && test -s "$last/blend.py" &&
             echo '{"blender": "9.9", "files": ["/a.png"], "warnings": [["x", "y"]], "contents": {"scenes": ["S"], "frames": [1, 25], "frames_per_second": 24.0, "engine": "CYCLES"}}' > "$last/answer.json""#;
-        let answer = asked(folder.path(), &[fake(folder.path(), "blender", script)]).unwrap();
-        assert_eq!(answer.blender, "9.9");
-        assert_eq!(answer.warnings, [("x".to_owned(), "y".to_owned())]);
-        assert!((answer.contents.duration_s() - 1.0).abs() < 1e-12);
+        let account = asked(folder.path(), &[fake(folder.path(), "blender", script)]).unwrap();
+        assert_eq!(account.blender, "9.9");
+        assert_eq!(account.warnings, [("x".to_owned(), "y".to_owned())]);
+        assert!((account.contents.duration_s() - 1.0).abs() < 1e-12);
     }
 }

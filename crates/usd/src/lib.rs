@@ -36,8 +36,8 @@ use lumistack_core::Task;
 use lumistack_scene::Scene;
 
 pub use blend::{
-    BlendContents, BlendViews, BlendWindow, EXTENSION as BLEND_EXTENSION, HandedOver, blend_contents, hand_over,
-    render_views,
+    BlendAccount, BlendContents, BlendViews, BlendWindow, EXTENSION as BLEND_EXTENSION, HandedOver, blend_contents,
+    blend_surroundings, file_stamp, hand_over, render_views,
 };
 pub use child::MODULES;
 pub use error::UsdError;

@@ -53,6 +53,15 @@ impl Surroundings {
     }
 }
 
+/// The file that a name stands for: itself, or the first of that name in the folders of `PATH`.
+pub(crate) fn on_path(program: &Path) -> Option<PathBuf> {
+    let file = if cfg!(windows) { program.with_extension("exe") } else { program.to_owned() };
+    if file.components().count() > 1 {
+        return file.is_file().then_some(file);
+    }
+    std::env::split_paths(&var_os("PATH")?).map(|folder| folder.join(&file)).find(|place| place.is_file())
+}
+
 /// The interpreter of a virtual environment.
 pub(crate) fn interpreter(environment: &Path) -> PathBuf {
     if cfg!(windows) { environment.join("Scripts/python.exe") } else { environment.join("bin/python") }

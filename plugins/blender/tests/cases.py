@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What must hold in a real Blender, each case in a process of its own.
 
-    python cases.py CASE ZIP FOLDER     the case in the Blender of this Python's module bpy
-    python cases.py all ZIP FOLDER      every case, one after the other
+    python cases.py all ZIP FOLDER              the cases, one after the other
+    python cases.py full ZIP FOLDER             and those that take long
+    python cases.py CASE,CASE ZIP FOLDER        some
+    python cases.py inside CASE ZIP FOLDER      one, in this process: the Blender of this Python's module bpy
 
-`cargo xtask blender --check` does the latter.
+`cargo xtask blender --check` does the first, with `--full` the second in all versions.
 """
 
 import os
@@ -145,16 +147,21 @@ def case_silhouettes(folder, zip_path):
         ours, theirs = light_fields(scene, folder, grid)
         assert ours.shape == theirs.shape == (3, 3, 60, 96, 3)
         assert (ours.distance_mm is None) == (grid == "OBLIQUE")
-        a, b = hit_masks(ours), hit_masks(theirs)
-        share = a.mean()
-        assert 0.1 < share < 0.4, share
-        # content moves from view to view by more than the tolerance
-        assert (a[0] & ~grown(a)[8]).sum() > 50
-        beyond = [int((a[view] & ~grown(b)[view]).sum() + (b[view] & ~grown(a)[view]).sum()) for view in range(9)]
-        apart = int((a != b).sum())
-        print(f"{grid}: {apart} of {a.size} pixels on the outlines differ, {sum(beyond)} by more than one pixel; views {beyond}")
+        beyond = outlines(grid, ours, theirs)
         assert sum(beyond) == 0, beyond
     return ""
+
+
+def outlines(grid, ours, theirs):
+    """Pixels of every view by which outlines differ by more than one."""
+    a, b = hit_masks(ours), hit_masks(theirs)
+    share = a.mean()
+    assert 0.1 < share < 0.4, share
+    # content moves from view to view by more than the tolerance
+    assert (a[0] & ~grown(a)[8]).sum() > 50
+    beyond = [int((a[view] & ~grown(b)[view]).sum() + (b[view] & ~grown(a)[view]).sum()) for view in range(9)]
+    print(f"{grid}: {int((a != b).sum())} of {a.size} pixels on the outlines differ, {sum(beyond)} by more than one pixel; views {beyond}")
+    return beyond
 
 
 def case_radiance(folder, zip_path):
@@ -187,6 +194,85 @@ def light_fields_of(scene, folder, grid, samples):
         run(scene, factorize=False)
         fields.append(lumistack.LightField.open(Path(scene.lumistack.folder) / "target"))
     return fields
+
+
+def case_exporters(folder, zip_path):
+    """The same scene through Blender's glTF and USD exporters, and what is said of both."""
+    import bpy
+    import numpy
+    import scenes
+
+    install(zip_path)
+    from bl_ext.user_default.lumistack import jobs
+    from lumistack.blender import usd
+
+    scene = scenes.diffuse()
+    if not bpy.app.build_options.usd:
+        return "skipped: this Blender has no USD"
+    if not usd.is_readable(bpy) and not os.environ.get("LUMISTACK_PYTHON"):
+        return "skipped: this Blender's Python has no OpenUSD, and LUMISTACK_PYTHON names none"
+    bpy.data.objects.remove(bpy.data.objects["sun"])
+    for look in bpy.data.materials:
+        # UsdPreviewSurface has no surface without a shine
+        look.node_tree.nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0.5
+
+    def both(name, **values):
+        fields = []
+        for kind in ("GLTF", "USD"):
+            out = configure(scene, folder, grid="PERSPECTIVE", distance_mm=500.0, renderer="LUMISTACK", handover=kind, samples=64, exposure_ev=-1.0, **values)
+            scene.lumistack.folder = str(out / name / kind)
+            run(scene, factorize=False)
+            fields.append(lumistack.LightField.open(Path(scene.lumistack.folder) / "target"))
+        means = [field.radiance.astype(numpy.float64).mean(axis=(2, 3)) for field in fields]
+        print(f"note: {name}: glTF {means[0].mean():.4f}, USD {means[1].mean():.4f}, apart by {100 * abs(means[1] / means[0] - 1.0).max():.2f} % at most")
+        return means[1] / means[0]
+
+    import lumistack
+
+    off = both("lamps and world") - 1.0
+    assert abs(off).max() < MEAN, off
+    assert jobs.renderers_of(scene.lumistack) == ["USD"]
+    # Blender writes suns in units of its own: a quarter as bright in 5.0. That share is the same everywhere
+    for name in ("area", "point"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    scenes.background(0.0)
+    scenes.lamp("SUN", 2.0, rotation=(0.5, 0.3, 0.0))
+    ratio = both("sun")
+    assert abs(ratio / ratio.mean() - 1.0).max() < 0.1, ratio
+    out = configure(scene, folder, renderer="LUMISTACK", handover="BOTH", samples=4, use_views=True, views=(1, 1))
+    job = run(scene, factorize=False)
+    assert len(job.said) == 1 and "Lumistack's views of the USD file against Lumistack's views of the glTF file" in job.said[0], job.said
+    assert (out / "scene.glb").is_file() and (out / "scene.usdc").is_file()
+    return f"a sun in USD is {ratio.mean():.3f} times as bright"
+
+
+def case_eevee(folder, zip_path):
+    """Views by EEVEE, both grids: every view's outline is that of our path tracer, to one pixel. Needs OpenGL."""
+    import scenes
+
+    install(zip_path)
+    from bl_ext.user_default.lumistack import jobs
+
+    scene = scenes.silhouettes()
+    scene.render.engine = eevee(scene)
+    # outlines are compared to a pixel: a few samples do
+    scene.eevee.taa_render_samples = 8
+    scene.render.filter_size = 0.0
+    for grid in ("OBLIQUE", "PERSPECTIVE"):
+        try:
+            ours, theirs = light_fields(scene, folder, grid)
+        except jobs.JobError as error:
+            assert "OpenGL" in str(error), error
+            print("note:", error)
+            return "skipped: no OpenGL here"
+        beyond = outlines(grid, ours, theirs)
+        assert sum(beyond) == 0, beyond
+    return ""
+
+
+def eevee(scene):
+    names = [each.identifier for each in scene.render.bl_rna.properties["engine"].enum_items]
+    return next(name for name in ("BLENDER_EEVEE_NEXT", "BLENDER_EEVEE") if name in names)
 
 
 def case_make(folder, zip_path):
@@ -231,6 +317,24 @@ def case_make(folder, zip_path):
     start = (out / "layers/stack.json").stat().st_mtime_ns
     job = run(scene)
     assert (job.rendered, job.kept) == (0, 9) and (out / "layers/stack.json").stat().st_mtime_ns == start
+    # every output there is, with the values that its panel shows at first
+    from bl_ext.user_default.lumistack import settings
+
+    count = 0
+    for plugin in settings.plugins():
+        scene.lumistack.output = plugin["id"]
+        try:
+            run(scene)
+        except lumistack.PluginError as error:
+            assert "expected a display" in str(error), error
+            print(f"note: {plugin['id']} is not for this display: {error}")
+            continue
+        written = [each for each in (out / "outputs/tensor-display" / plugin["id"]).rglob("*") if each.is_file()]
+        assert written, plugin["id"]
+        print(f"note: {plugin['id']}: {len(written)} files")
+        count += 1
+    assert count >= 3
+    scene.lumistack.output = "images"
     # until something that is seen changes
     bpy.data.materials["clay"].node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.1, 0.9, 0.1, 1.0)
     job = run(scene, factorize=False)
@@ -358,16 +462,27 @@ def case_handover(folder, zip_path):
     import lumistack as package
 
     home = str(Path(package.__file__).parent.parent)
+    # counts how often Blender is started
+    starts, counting = folder / "starts", folder / "python-that-counts"
+    starts.touch()
+    counting.write_text(f'#!/bin/sh\necho >> "{starts}"\nexec "{sys.executable}" "$@"\n', encoding="utf-8")
+    counting.chmod(0o755)
+
+    def started():
+        count = len(starts.read_text().splitlines())
+        starts.write_text("")
+        return count
 
     def lumistack(*words, code=0):
         program = os.environ.get("LUMISTACK_PROGRAM")
         done = subprocess.run(
-            [*([program] if program else [sys.executable, "-m", "lumistack"]), *map(str, words)], capture_output=True, text=True, env={**os.environ, "LUMISTACK_BLENDER": sys.executable, "PYTHONPATH": home}
+            [*([program] if program else [sys.executable, "-m", "lumistack"]), *map(str, words)], capture_output=True, text=True, env={**os.environ, "LUMISTACK_BLENDER": str(counting), "PYTHONPATH": home}
         )
         assert done.returncode == code, (words, done.stdout, done.stderr)
         return done.stdout + done.stderr
 
     said = lumistack("info", path)
+    assert started() == 1
     print("note:", " | ".join(said.split("\n"))[:600])
     assert "is missing" not in said, said
     assert "camera" in said and "rot" in said and "environment: yes" in said and "engine: CYCLES" in said, said
@@ -375,7 +490,15 @@ def case_handover(folder, zip_path):
     shapes = 48 * 22 * 2 + 96 + 12 + 78 + 48 * 12 * 2
     print("note:", [line for line in said.split("\n") if "triangles" in line], shapes)
     said = lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
-    assert (folder / "aus" / "lightfield.json").is_file()
+    assert (folder / "aus" / "lightfield.json").is_file() and started() == 1
+    # nothing has changed, so Blender is not asked again; a library that has, is seen
+    lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
+    assert started() == 0
+    os.utime(place / "bücherei.blend")
+    lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
+    assert started() == 0, "what counts is the content"
+    lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "--time", "1", "-o", folder / "aus")
+    assert started() == 1
     # the same view by Cycles, window and all
     common = ["--display", settings_file(folder), "--resolution", "48x30"]
     said = lumistack("render", path, *common, "--engine", "blender", "-o", folder / "cycles")
@@ -409,7 +532,7 @@ def case_resume(folder, zip_path):
     scene.cycles.samples = 1
     path = folder / "szene ü.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    words = [sys.executable, str(HERE / "cases.py"), "command", str(zip_path), str(folder / "inner")]
+    words = [sys.executable, str(HERE / "cases.py"), "inside", "command", str(zip_path), str(folder / "inner")]
     (folder / "inner").mkdir()
     settings_file(folder / "inner")
     environment = {**os.environ, "CASE_BLEND": str(path), "BLENDER_USER_RESOURCES": str(folder / "inner" / "user")}
@@ -528,10 +651,10 @@ def case_overlay(folder, zip_path):
     import numpy
     import scenes
     from bpy_extras.object_utils import world_to_camera_view
-    from mathutils import Vector
+    from mathutils import Matrix, Vector
 
     install(zip_path)
-    from bl_ext.user_default.lumistack import jobs, operators, overlay
+    from bl_ext.user_default.lumistack import operators, overlay
 
     scene = scenes.diffuse()
     scene.cycles.samples = 8
@@ -551,7 +674,19 @@ def case_overlay(folder, zip_path):
     normal = Vector(window.back)
     assert (Vector(moved.centre) - Vector(window.centre) + 30.0 * window.scale * normal).length < 1e-5
     assert (overlay.arrow_matrix(moved, 30.0).translation - origin).length < 1e-5
-    scene.lumistack.moved_back_mm = 0.0
+    # the frame that a hand moves and scales is the window's edge; and what it says is taken over
+    held = scene.lumistack
+    for grid in ("OBLIQUE", "PERSPECTIVE"):
+        held.grid, held.window_size, held.window_shift = grid, 1.3, (0.2, -0.1)
+        display, changed = overlay.placement(scene)
+        basis, (width, height), unit = overlay.cage_of(display, changed, held)
+        offset = Matrix(numpy.array(overlay.outline.cage(held.window_size, held.window_shift, unit)).reshape(4, 4).T.tolist())
+        for (line, _), (x, y) in zip(overlay.outline.frame(changed.size_mm), ((-1, 1), (1, 1), (1, -1), (-1, -1))):
+            assert (Vector(changed.point(line)) - basis @ offset @ Vector((x * width / 2, y * height / 2, 0.0))).length < 1e-5
+        before = held.window_width
+        held.window_height = 2.0 * held.window_height
+        assert abs(held.window_size - 2.6) < 1e-5 and abs(held.window_width - 2.0 * before) < 1e-5
+    held.grid, held.window_size, held.window_shift, held.moved_back_mm = "DISPLAY", 1.0, (0.0, 0.0), 0.0
     overlay.forget()
     run(scene)
     operators.show_view(scene, (0.0, 0.0))
@@ -597,6 +732,8 @@ def case_overlay(folder, zip_path):
 
 
 CASES = ["lifecycle", "silhouettes", "radiance", "make", "animation", "faults", "handover", "resume", "headless", "digest", "overlay"]
+#: Those that take long, or need what not every machine has.
+MORE = ["exporters", "eevee"]
 
 
 def run_all(zip_path, folder, names):
@@ -608,7 +745,7 @@ def run_all(zip_path, folder, names):
         environment = {**os.environ, "BLENDER_USER_RESOURCES": str(place / "user"), "PYTHONPATH": str(HERE), "PYTHONUTF8": "1"}
         start = time.monotonic()
         try:
-            done = subprocess.run([sys.executable, __file__, name, str(zip_path), str(place)], env=environment, capture_output=True, text=True, timeout=LONGEST)
+            done = subprocess.run([sys.executable, __file__, "inside", name, str(zip_path), str(place)], env=environment, capture_output=True, text=True, timeout=LONGEST)
             code, said = done.returncode, done.stdout + done.stderr
         except subprocess.TimeoutExpired as error:
             code, said = -1, f"{error.stdout or b''}\nhangs"
@@ -620,9 +757,9 @@ def run_all(zip_path, folder, names):
 
 
 def main():
-    name, zip_path, folder = sys.argv[1], Path(sys.argv[2]).resolve(), Path(sys.argv[3]).resolve()
-    if name == "all" or "," in name:
-        failed = run_all(zip_path, folder, CASES if name == "all" else name.split(","))
+    name, zip_path, folder = sys.argv[-3], Path(sys.argv[-2]).resolve(), Path(sys.argv[-1]).resolve()
+    if sys.argv[1] != "inside":
+        failed = run_all(zip_path, folder, {"all": CASES, "full": CASES + MORE}.get(name) or name.split(","))
         sys.exit(1 if failed else 0)
     try:
         said = globals()[f"case_{name}"](folder, zip_path)

@@ -66,7 +66,7 @@ fn light_field() -> Result<LightField, PipelineError> {
     let registry = plugins(&[])?;
     quietly(|task| {
         let scene = job.scene.clone().unwrap_or_default();
-        let ingested = load_scene(&scene, &job.pose, &job.importer, &registry, &job.light, task)?;
+        let ingested = load_scene(&scene, &job.pose, &job.importer, &registry, &job.light, None, task)?;
         Ok(render_field(&job, &display, &ingested, &target_folder().join("views"), task)?.field)
     })
 }

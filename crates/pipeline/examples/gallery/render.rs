@@ -103,8 +103,9 @@ fn find(folder: &Path, files: &mut Vec<PathBuf>) -> Outcome {
 fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task: Task<'_>) -> Outcome<Value> {
     let [cols, rows] = options.size;
     let start = Instant::now();
-    let ingested = load_scene(file, &PoseJob::default(), &ImporterJob::default(), registry, &LightJob::default(), task)
-        .map_err(text)?;
+    let ingested =
+        load_scene(file, &PoseJob::default(), &ImporterJob::default(), registry, &LightJob::default(), None, task)
+            .map_err(text)?;
     let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
     let geometry = FieldGeometry { rows, cols, pitch_mm: WIDTH_MM / cols as f64, grid };
     let window = place_window(&ingested, &WindowJob::default(), &geometry, None, task).map_err(text)?;

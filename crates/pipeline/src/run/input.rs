@@ -53,8 +53,8 @@ pub fn render_only(
     check_folder(target_dir)?;
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
-    let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, task)?;
     let cache = target_dir.join("cache");
+    let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, Some(&cache), task)?;
     let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
@@ -78,18 +78,19 @@ impl Run<'_> {
 
     fn render_scene(&mut self, path: &Path, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
         let (job, registry) = (&self.job.clone(), self.registry);
+        let cache = self.dir.join("cache");
         let loaded;
         let ingested = match moment.ingested {
             Some(ingested) => ingested,
             None => {
                 loaded = self.timed("ingest", |_| {
-                    Ok((ingest::load_scene(path, &job.pose, &job.importer, registry, &job.light, task)?, false))
+                    let (pose, importer, light) = (&job.pose, &job.importer, &job.light);
+                    Ok((ingest::load_scene(path, pose, importer, registry, light, Some(&cache), task)?, false))
                 })?;
                 &loaded
             }
         };
         let geometry = self.display.geometry().map_err(|source| display_error(source, "field"))?;
-        let cache = self.dir.join("cache");
         let placement = fit::place(ingested, &job.window, &self.display, &geometry, Some(&cache), task)?;
         let rendered = self.timed("render", |run| {
             let views = run.dir.join("cache/views");

@@ -55,7 +55,8 @@ impl<'a> Times<'a> {
                 let display = job.resolve_display()?;
                 let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
                 let pose = pose_at(job, sequence, 0.0);
-                let ingested = ingest::load_scene(scene, &pose, &job.importer, registry, &job.light, task)?;
+                let ingested =
+                    ingest::load_scene(scene, &pose, &job.importer, registry, &job.light, Some(cache_dir), task)?;
                 let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(cache_dir), task)?;
                 Source::Scene { ingested: Box::new(ingested), placement, count: sequence.times.unwrap_or(1) }
             }

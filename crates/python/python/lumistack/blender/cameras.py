@@ -63,6 +63,12 @@ class Window:
         centre = self.point((0.0, 0.0, -by_mm))
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
 
+    def resized(self, factor: float, shift: Sequence[float] = (0.0, 0.0)) -> Window:
+        """Larger by a factor, and moved in its plane by so many of its widths to the right and up."""
+        width = self.size_mm[0]
+        centre = self.point((shift[0] * width, shift[1] * width, 0.0))
+        return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
+
     def as_job(self) -> dict[str, object]:
         """As [window] of a job, in the coordinates of an exported glTF file: Blender's (x, y, z) is its (x, z, -y)."""
         forward = _times(self.back, -1.0)

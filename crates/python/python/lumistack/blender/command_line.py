@@ -78,6 +78,8 @@ def parse(words: list[str]) -> Asked:
     parser.add_argument("--look", choices=["scene", "linear"], help="as Blender shows the scene, or linear")
     parser.add_argument("--exposure", type=float, metavar="EV", help="stops, for the linear look")
     parser.add_argument("--window-distance", type=float, metavar="D", help="from the camera to the window, scene units")
+    parser.add_argument("--window-size", type=float, metavar="F", help="width of the window, over that of the camera's picture in its plane")
+    parser.add_argument("--handover", choices=["gltf", "usd", "both"], help="how Lumistack's path tracer gets the scene")
     parser.add_argument("--fit-depth", choices=["move", "compress"], help="bring the scene into the display's depth of field")
     parser.add_argument("--frames", type=_frames, metavar="A..B", help="a range of frames")
     parser.add_argument("--plugin", metavar="ID", help="output plugin")
@@ -96,6 +98,8 @@ def parse(words: list[str]) -> Asked:
         ("look", found.look and found.look.upper()),
         ("exposure_ev", found.exposure),
         ("distance", found.window_distance),
+        ("window_size", found.window_size),
+        ("handover", found.handover and found.handover.upper()),
         ("output", found.plugin),
     ):
         if value is not None:

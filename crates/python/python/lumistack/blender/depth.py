@@ -63,6 +63,19 @@ def shown_at(depth_mm: float, fit: Fit, distance_mm: float | None) -> float:
     return distance_mm * parallax / (1.0 + parallax)
 
 
+def in_scene(range_mm: Sequence[float] | None, depth_scale: float, distance_mm: float | None) -> tuple[float, float] | None:
+    """Where content must lie, before parallax is scaled, to appear within a range."""
+    if range_mm is None:
+        return None
+    if distance_mm is None:
+        low, high = (depth / depth_scale for depth in range_mm)
+        return low, high
+    # all that lies behind the window has a parallax above -1
+    parallax = (-1.0 if depth == -math.inf else _parallax(depth, distance_mm) / depth_scale for depth in range_mm)
+    low, high = (-math.inf if part <= -1.0 else distance_mm * part / (1.0 + part) for part in parallax)
+    return low, high
+
+
 def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm: float | None, compress: bool) -> Fit:
     """The movement that brings most of the depths into the range, and with `compress` the scale that brings in the rest."""
     ordered = sorted(depth for depth in depths_mm if math.isfinite(depth))

@@ -37,7 +37,8 @@ def fields_of(plugin: Mapping[str, Any]) -> list[Field]:
 
 def _field(plugin: str, param: Mapping[str, Any]) -> Field:
     name, kind = param["name"], param["kind"]
-    unit = f" ({param['unit']})" if param.get("unit") else ""
+    # a number of no unit has the unit 1
+    unit = f" ({param['unit']})" if param.get("unit") not in (None, "", "1") else ""
     default, least, most = param.get("default"), param.get("min"), param.get("max")
     if kind == "int":
         default, least, most = (max(min(int(value or 0), MOST_INT), -MOST_INT - 1) for value in (default, least, most))

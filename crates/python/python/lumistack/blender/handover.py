@@ -54,18 +54,36 @@ def export_scene(bpy: Any, path: str | Path, warn: Warn) -> None:
     file.write(path)
 
 
-def files_of(bpy: Any) -> list[str]:
-    """The files on disk that the scene was made from: libraries, pictures, caches of geometry."""
-    found = []
-    for kind in ("libraries", "images", "cache_files", "volumes"):
-        for data in getattr(bpy.data, kind, ()):
-            name = getattr(data, "filepath", "")
-            if name and not getattr(data, "packed_file", None):
-                library = getattr(data, "library", None)
-                path = Path(bpy.path.abspath(name, library=library))
-                if path.is_file():
-                    found.append(str(path))
-    return sorted(set(found))
+def files_of(bpy: Any) -> tuple[list[str], list[str]]:
+    """The files that the scene was made from, and those that were looked for in vain: libraries, pictures, fonts, caches of geometry."""
+    named = [(data, data.library) for kind in ("images", "cache_files", "volumes", "fonts") for data in getattr(bpy.data, kind, ())]
+    named += [(library, None) for library in bpy.data.libraries]
+    named += [(modifier, held.library) for held in bpy.data.objects for modifier in held.modifiers if modifier.type == "MESH_CACHE"]
+    found, missing = set(), set()
+    for data, library in named:
+        name = data.filepath
+        # Blender's own font is no file
+        if name and not name.startswith("<") and not getattr(data, "packed_file", None):
+            path = Path(bpy.path.abspath(name, library=library))
+            (found if path.is_file() else missing).add(str(path))
+    return sorted(found), sorted(missing)
+
+
+def untracked(bpy: Any) -> str | None:
+    """What the scene reads that `files_of` does not list, so that nothing tells whether it is still the same; None of most scenes."""
+    for image in bpy.data.images:
+        if image.users and image.source in ("SEQUENCE", "TILED"):
+            return f"{image.name}: a picture of many files"
+    for data in (*bpy.data.cache_files, *bpy.data.volumes):
+        if getattr(data, "is_sequence", False):
+            return f"{data.name}: a sequence of files"
+    for held in bpy.data.objects:
+        for modifier in held.modifiers:
+            caches = [getattr(modifier, "point_cache", None), getattr(getattr(modifier, "particle_system", None), "point_cache", None)]
+            on_disk = any(cache is not None and (cache.use_disk_cache or cache.use_external) for cache in caches)
+            if modifier.type == "FLUID" or on_disk or getattr(modifier, "is_cached", False) or len(getattr(modifier, "bakes", ())):
+                return f"{held.name}: the modifier {modifier.name}, whose cache may be on disk"
+    return None
 
 
 def _as_rendered(bpy: Any) -> list[tuple[Any, str, Any]]:

@@ -56,6 +56,17 @@ def slope_of_mouse(mouse_px: Sequence[float], size_px: Sequence[float], fov_deg:
     return (x, y)
 
 
+def cage(size: float, shift: Sequence[float], width: float) -> list[float]:
+    """The matrix of a frame that a hand moves and scales, column by column, in the plane of the camera's picture of so many units of width."""
+    x, y = (part * width for part in shift)
+    return [size, 0.0, 0.0, 0.0, 0.0, size, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, 0.0, 1.0]
+
+
+def of_cage(matrix: Sequence[float], width: float) -> tuple[float, tuple[float, float]]:
+    """The opposite: size and shift."""
+    return abs(matrix[0]), (matrix[12] / width, matrix[13] / width)
+
+
 def is_in_front(eye_mm: Sequence[float], size_mm: Sequence[float]) -> bool:
     """Whether an eye sees the window from its front, not from within a hundredth of its width."""
     return eye_mm[2] > 0.01 * size_mm[0]

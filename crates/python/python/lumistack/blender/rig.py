@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,49 @@ from .cameras import SENSOR_MM, ViewCamera, Window, window_of_camera
 TEMPORARY = "Lumistack view"
 
 
+#: Seconds after which drawing a picture of 4 × 4 pixels is given up.
+LONGEST_S = 120.0
+
+
 class NoWindow(ValueError):
     """The scene gives no window: the message says what is missing."""
+
+
+class NoOpenGL(RuntimeError):
+    """The engine draws with OpenGL, and there is none."""
+
+
+#: What a child does to find out: the cheapest picture that OpenGL draws.
+_DRAW = """
+import bpy, os
+render = bpy.context.scene.render
+render.engine = "BLENDER_WORKBENCH"
+render.resolution_x = render.resolution_y = 4
+bpy.ops.render.render()
+os.write(1, b"LUMISTACK DREW")
+os._exit(0)
+"""
+_can_draw: list[bool] = []
+
+
+def check_engine(bpy: Any, scene: Any) -> None:
+    """Without a window Blender breaks down where its engine finds no OpenGL; a child finds out first. Raises `NoOpenGL`."""
+    engine = scene.render.engine
+    if not bpy.app.background or not engine.startswith(("BLENDER_EEVEE", "BLENDER_WORKBENCH")):
+        return
+    if not _can_draw:
+        program = bpy.app.binary_path
+        words = [program, "-b", "--factory-startup", "--python-expr", _DRAW] if program else [sys.executable, "-c", _DRAW]
+        try:
+            quiet = subprocess.DEVNULL
+            drew = b"LUMISTACK DREW" in subprocess.run(words, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, timeout=LONGEST_S).stdout
+        except subprocess.TimeoutExpired:
+            # it is slow, and draws
+            drew = True
+        _can_draw.append(drew)
+    if not _can_draw[0]:
+        name = "Workbench" if "WORKBENCH" in engine else "EEVEE"
+        raise NoOpenGL(f"{name} needs OpenGL, and without a window Blender finds none here: take Cycles, or give it a display (such as `xvfb-run`)")
 
 
 class Rig:
@@ -45,6 +88,8 @@ class Rig:
         self._holder = bpy.data.objects.new(TEMPORARY, None)
         for held in (self._holder, self._camera):
             scene.collection.objects.link(held)
+            # nobody is to see it in the 3D view
+            held.hide_viewport = True
         self._camera.parent = self._holder
         data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
         data.dof.use_dof = False
