@@ -21,7 +21,9 @@ cargo xtask <task>
   ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
                 --full adds the slow ones
   layers        the layer and forbidden-edge check alone
-  panels        build the windows of `lumistack show`, lint them, and test them on compositors without hardware
+  panels [--full]
+                build the windows of `lumistack show`, lint them, and test them on compositors without hardware;
+                --full starts and ends them 50 times
   plugins [--write]
                 build every plugin as a library and compare it with its compiled-in self, build the samples, and compare
                 docs/plugins.json and the pages made from it with what the program says; --write writes them anew
@@ -46,7 +48,8 @@ fn main() -> ExitCode {
         ["ci"] => ci::run_ci(false),
         ["ci", "--full"] => ci::run_ci(true),
         ["layers"] => layers::check(),
-        ["panels"] => panels::check(),
+        ["panels"] => panels::check(false),
+        ["panels", "--full"] => panels::check(true),
         ["plugins"] => plugins::run(false),
         ["plugins", "--write"] => plugins::run(true),
         ["python"] => python::check(),
