@@ -68,6 +68,7 @@ pub fn present(
         begun: Instant::now(),
         shown_since: None,
         beat: (0, Instant::now(), false),
+        pointer: None,
         modifiers: ModifiersState::empty(),
         selected: 0,
         unsaved: false,
@@ -95,6 +96,8 @@ struct App<'a> {
     shown_since: Option<Instant>,
     /// The last sign of the conductor, when, and whether it was said that no other followed.
     beat: (u64, Instant, bool),
+    /// Where the pointer was last.
+    pointer: Option<PhysicalPosition<f64>>,
     modifiers: ModifiersState,
     selected: usize,
     /// Shifts that no file has.
@@ -147,6 +150,10 @@ impl ApplicationHandler<Command> for App<'_> {
                 }
             }
             WindowEvent::CursorMoved { position, .. } => {
+                // a window is also told where a pointer rests that nobody moves
+                if self.pointer.replace(position).is_none_or(|before| before == position) {
+                    return;
+                }
                 let size =
                     self.windows.iter().find(|(window, ..)| window.id() == id).map(|(window, ..)| window.inner_size());
                 if let (Some(stage), Some(size)) = (&self.stage, size)
