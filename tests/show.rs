@@ -3,19 +3,21 @@
 #![cfg(feature = "panels")]
 
 mod common;
+#[path = "common/poke.rs"]
+mod poke;
 #[path = "common/session.rs"]
 mod session;
+#[path = "common/show.rs"]
+mod show;
 
-use std::io::{BufRead, BufReader, Write};
+use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
-use std::process::{Child, ChildStdin, ChildStdout, Stdio};
-use std::sync::mpsc::{Receiver, channel};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use lumistack_core::seed::Stream;
 use lumistack_display::{Display, Flip, LayerStack, Panel, Transfer};
-use serde_json::Value;
-use session::{Picture, SWAY, Screen, Session, XORG, wait_for};
+use session::{NESTED, ON_X, Picture, SWAY, Screen, Session, XORG, wait_for};
+use show::Show;
 
 const FRAMES: usize = 4;
 
@@ -81,75 +83,6 @@ fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Pict
         rgb.extend_from_slice(&codes[3 * (r * mask[0] + c)..][..3]);
     }
     Picture { size: [cols, rows], rgb }
-}
-
-/// `lumistack show` in a session.
-struct Show {
-    child: Child,
-    stdin: Option<ChildStdin>,
-    events: Receiver<Value>,
-}
-
-impl Show {
-    fn start(session: &Session, run: &Path, options: &[&str]) -> Self {
-        let mut command = session.command(env!("CARGO_BIN_EXE_lumistack"));
-        command.args(["--json", "show"]).arg(run).args(["--control"]).args(options);
-        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = command.spawn().unwrap();
-        let (send, events) = channel();
-        let lines = BufReader::new(child.stdout.take().unwrap() as ChildStdout).lines();
-        std::thread::spawn(move || {
-            for line in lines.map_while(Result::ok) {
-                let _ = send.send(serde_json::from_str(&line).unwrap_or(Value::String(line)));
-            }
-        });
-        let stdin = child.stdin.take();
-        Self { child, stdin, events }
-    }
-
-    fn tell(&mut self, line: &str) {
-        writeln!(self.stdin.as_mut().unwrap(), "{line}").unwrap();
-    }
-
-    /// Waits for an event.
-    fn event(&mut self, name: &str) -> Value {
-        let end = Instant::now() + Duration::from_secs(30);
-        while Instant::now() < end {
-            match self.events.recv_timeout(Duration::from_millis(100)) {
-                Ok(event) if event["event"] == name => return event,
-                Ok(_) => {}
-                Err(_) => {
-                    if let Ok(Some(status)) = self.child.try_wait() {
-                        panic!("ended with {status} before `{name}`: {}", self.errors());
-                    }
-                }
-            }
-        }
-        panic!("no event `{name}`");
-    }
-
-    fn errors(&mut self) -> String {
-        let mut text = String::new();
-        if let Some(mut stderr) = self.child.stderr.take() {
-            let _ = std::io::Read::read_to_string(&mut stderr, &mut text);
-        }
-        text
-    }
-
-    /// Ends it, and gives its report.
-    fn quit(mut self) -> Value {
-        self.tell("quit");
-        let report = self.event("report");
-        assert!(self.child.wait().unwrap().success());
-        report
-    }
-}
-
-impl Drop for Show {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 /// Which frame of which stack a picture is, exactly.
@@ -351,6 +284,184 @@ fn outputs_that_are_missing_are_named() {
     let text = start(&display);
     let expected = "outputs: expected 3, one for each of layer 0, layer 1, layer 2; found HEADLESS-1, HEADLESS-2";
     assert!(text.contains(expected), "{text}");
+}
+
+/// What happens when an output goes or changes: the message, exit code 1, the display file as it was, what was shown so far.
+fn must_end(mut show: Show, folder: &Path, file: &str, expected: &str) {
+    let report = show.event("report");
+    assert!(report["refreshes"].as_u64().unwrap() > 0, "{report}");
+    let (status, errors) = show.ended();
+    assert_eq!(status.code(), Some(1), "{status}: {errors}");
+    assert!(errors.contains(expected), "{errors}");
+    println!("{}", errors.trim());
+    assert_eq!(std::fs::read_to_string(folder.join("display.toml")).unwrap(), file);
+}
+
+#[test]
+fn an_output_that_is_unplugged_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let display = display(&NESTED);
+    write_run(folder.path(), &display, 1);
+    for (options, gone, shows) in [(&[][..], "WL-2", 1), (&["--hold", "1"], "WL-1", 0), (&["--span"], "WL-3", 2)] {
+        let Some(session) = Session::nested(&NESTED) else { return };
+        let mut show = Show::start(&session, folder.path(), options);
+        show.event("swapped");
+        std::thread::sleep(Duration::from_millis(300));
+        session.unplug(gone);
+        let expected =
+            format!("output {gone}: it is gone (unplugged, switched off?), and layer {shows} has nowhere to be shown");
+        must_end(show, folder.path(), &display.to_toml(), &expected);
+    }
+}
+
+#[test]
+fn an_output_that_changes_is_named() {
+    let Some(session) = Session::sway(&SWAY) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let display = display(&SWAY);
+    write_run(folder.path(), &display, 1);
+    let mut show = Show::start(&session, folder.path(), &[]);
+    show.event("swapped");
+    assert!(session.command("swaymsg").arg("output HEADLESS-2 resolution 300x200").status().unwrap().success());
+    let expected =
+        "output HEADLESS-2, which shows layer 1: expected 400 × 300 pixels at 320,0 as at the start, found 300 × 200";
+    must_end(show, folder.path(), &display.to_toml(), expected);
+}
+
+#[test]
+fn an_output_of_an_x_server_that_is_switched_off_or_moved_is_named() {
+    let Some(session) = Session::xorg(&XORG) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let display = display(&XORG);
+    write_run(folder.path(), &display, 1);
+    let randr = |words: &[&str]| assert!(session.command("xrandr").args(words).status().unwrap().success());
+    let place = ["--output", "DUMMY1", "--mode", "400x300p", "--pos"];
+    for options in [&[][..], &["--span"]] {
+        let mut show = Show::start(&session, folder.path(), options);
+        show.event("swapped");
+        randr(&["--output", "DUMMY1", "--off"]);
+        let expected = "output DUMMY1: it is gone (unplugged, switched off?), and layer 1 has nowhere to be shown";
+        must_end(show, folder.path(), &display.to_toml(), expected);
+        randr(&[&place[..], &["320x0"]].concat());
+    }
+    let mut show = Show::start(&session, folder.path(), &[]);
+    show.event("swapped");
+    randr(&[&place[..], &["320x400"]].concat());
+    let expected = "output DUMMY1, which shows layer 1: expected 400 × 300 pixels at 320,0 as at the start, found 400 × 300 at 320,400";
+    must_end(show, folder.path(), &display.to_toml(), expected);
+}
+
+#[test]
+fn outputs_are_kept_awake() {
+    fn awake(node: &serde_json::Value) -> usize {
+        let below = ["nodes", "floating_nodes"].iter().filter_map(|key| node[key].as_array()).flatten();
+        usize::from(node["inhibit_idle"] == true) + below.map(awake).sum::<usize>()
+    }
+    let Some(session) = Session::sway(&SWAY) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(&SWAY), 1);
+    let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
+    show.event("swapped");
+    wait_for("three windows that sway keeps awake", || {
+        let tree = session.command("swaymsg").args(["-t", "get_tree", "-r"]).output().ok()?;
+        (awake(&serde_json::from_slice(&tree.stdout).ok()?) == 3).then_some(())
+    });
+    show.quit();
+}
+
+#[test]
+fn a_session_that_ends_ends_the_presentation() {
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(&SWAY), 1);
+    for options in [&[][..], &["--hold", "1"]] {
+        let Some(mut session) = Session::sway(&SWAY) else { return };
+        let mut show = Show::start(&session, folder.path(), options);
+        show.event("swapped");
+        session.end();
+        let (status, errors) = show.ended();
+        println!("{status}: {}", errors.trim());
+        assert_eq!(status.code(), Some(1), "{status}: {errors}");
+        assert!(errors.contains("the connection to the X server or the compositor was lost"), "{errors}");
+    }
+}
+
+/// sway on Xorg passes on when the X server showed a picture.
+#[test]
+fn where_the_platform_tells_late_frames_and_skew_come_from_it() {
+    let Some(session) = Session::sway_on_x(&ON_X) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(&ON_X), 1);
+    let mut show = Show::start(&session, folder.path(), &["--duration-s", "4"]);
+    show.event("started");
+    let report = show.event("report");
+    println!("{report}");
+    for (name, ..) in ON_X {
+        let shown = &report["presented"][name];
+        assert!(shown["shown"].as_u64().unwrap() > 20, "{report}");
+        assert_eq!(shown["out_of_order"], 0, "{report}");
+    }
+    // outputs of one server on a busy machine: more than nothing, less than a second
+    let skew = report["skew_mean_s"].as_f64().unwrap();
+    assert!((0.0..1.0).contains(&skew), "{report}");
+}
+
+/// Presentations that end at any moment, in every way, do so quickly and without a crash: some before they have begun. `LUMISTACK_PANELS_TURNS` is how many.
+fn starts_and_stops(session: &Session, name: &str, key: &mut dyn FnMut(u8)) {
+    let turns = std::env::var("LUMISTACK_PANELS_TURNS").ok().and_then(|turns| turns.parse().ok()).unwrap_or(4);
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(if name == "sway" { &ON_X } else { &XORG }), 1);
+    let mut random = Stream::new(7);
+    let mut ended = std::collections::BTreeMap::<String, usize>::new();
+    for turn in 0..turns {
+        let options = [&[][..], &["--hold", "1"], &["--span"], &["--rehearse"]][turn % 4];
+        let mut show = Show::start(session, folder.path(), options);
+        std::thread::sleep(Duration::from_secs_f32(1.5 * random.next_f32()));
+        let way = ["quit", "interrupt", "terminate", "escape", "close"][(random.next_u64() % 5) as usize];
+        let signal = |name: &str, show: &Show| {
+            assert!(session.command("kill").args([name, &show.child.id().to_string()]).status().unwrap().success());
+        };
+        match way {
+            "quit" => show.tell("quit"),
+            "interrupt" => signal("-INT", &show),
+            "terminate" => signal("-TERM", &show),
+            "close" if name == "sway" => {
+                wait_for("the end by closing windows", || {
+                    session.command("swaymsg").arg("[title=\"^lumistack\"] kill").output().unwrap();
+                    show.child.try_wait().unwrap()
+                });
+            }
+            // a window may not be there yet, or not have the keys
+            _ => {
+                wait_for("the end by a key", || {
+                    key(poke::ESCAPE);
+                    show.child.try_wait().unwrap()
+                });
+            }
+        }
+        let (status, errors) = show.ended();
+        // nobody catches a termination, and an interruption before the program is ready ends it itself
+        let fine = match way {
+            "interrupt" => matches!((status.code(), status.signal()), (Some(0 | 130), _) | (_, Some(2))),
+            "terminate" => status.signal() == Some(15),
+            _ => status.success(),
+        };
+        assert!(fine, "turn {turn}, {options:?}, {way}: {status}: {errors}");
+        *ended.entry(format!("{way}: {status}")).or_default() += 1;
+    }
+    println!("{name}: {turns} presentations ended: {ended:?}");
+}
+
+#[test]
+fn presentations_end_at_any_moment_without_a_crash() {
+    let Some(session) = Session::xorg(&XORG) else { return };
+    let mut poke = poke::Poke::new(session.x_display());
+    poke.point([100, 100]);
+    starts_and_stops(&session, "Xorg", &mut |code| poke.key(code));
+    drop(session);
+    let Some(session) = Session::sway_on_x(&ON_X) else { return };
+    let mut poke = poke::Poke::new(session.outer().x_display());
+    poke.point([100, 100]);
+    starts_and_stops(&session, "sway", &mut |code| poke.key(code));
 }
 
 #[test]

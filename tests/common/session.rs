@@ -1,4 +1,5 @@
-//! Windowing sessions without hardware: sway with headless outputs, and Xorg's dummy driver. Each is a child of the test and ends with it.
+//! Windowing sessions without hardware: sway with headless outputs, Xorg's dummy driver, and sway whose outputs are windows of one of these. Each is a child
+//! of the test and ends with it.
 
 #![allow(dead_code, reason = "every test file uses a part of this")]
 
@@ -17,6 +18,14 @@ pub const SWAY: [Screen; 3] =
 pub const XORG: [Screen; 3] =
     [("DUMMY0", [320, 240], [0, 0]), ("DUMMY1", [400, 300], [320, 0]), ("DUMMY2", [640, 360], [720, 0])];
 
+/// The same on a sway in sway, where outputs can be unplugged: each is a window that can be closed.
+pub const NESTED: [Screen; 3] =
+    [("WL-1", [320, 240], [0, 0]), ("WL-2", [400, 300], [320, 0]), ("WL-3", [640, 360], [720, 0])];
+
+/// The same on a sway on Xorg, which tells when pictures were shown, and has keys and a pointer.
+pub const ON_X: [Screen; 3] =
+    [("X11-1", [320, 240], [0, 0]), ("X11-2", [400, 300], [320, 0]), ("X11-3", [640, 360], [720, 0])];
+
 /// How long anything may take.
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -25,10 +34,22 @@ pub struct Session {
     server: Child,
     folder: tempfile::TempDir,
     env: Vec<(&'static str, String)>,
+    /// The session in which this one's outputs are windows.
+    outer: Option<Box<Session>>,
 }
 
 impl Drop for Session {
     fn drop(&mut self) {
+        self.end();
+    }
+}
+
+impl Session {
+    /// Ends the server.
+    pub fn end(&mut self) {
+        if !matches!(self.server.try_wait(), Ok(None)) {
+            return;
+        }
         let _ = Command::new("kill").arg(self.server.id().to_string()).status();
         let end = Instant::now() + Duration::from_secs(3);
         while Instant::now() < end && matches!(self.server.try_wait(), Ok(None)) {
@@ -67,6 +88,40 @@ fn is_root() -> bool {
 impl Session {
     /// sway with headless outputs; none where it is not installed.
     pub fn sway(outputs: &[Screen]) -> Option<Self> {
+        let backend = [("WLR_BACKENDS", "headless".into()), ("WLR_HEADLESS_OUTPUTS", outputs.len().to_string())];
+        Self::start_sway(outputs, &backend, None)
+    }
+
+    /// sway with outputs that can be unplugged, see [`NESTED`].
+    pub fn nested(outputs: &[Screen]) -> Option<Self> {
+        let outer = Self::sway(&[("HEADLESS-1", [1600, 900], [0, 0])])?;
+        // a tiled window would give its output another size
+        assert!(outer.command("swaymsg").arg("for_window [app_id=\".*\"] floating enable").status().unwrap().success());
+        // relative to the outer one's folder it would not be found
+        let display = format!("{}/{}", outer.env("XDG_RUNTIME_DIR"), outer.env("WAYLAND_DISPLAY"));
+        let backend = [
+            ("WLR_BACKENDS", "wayland".into()),
+            ("WLR_WL_OUTPUTS", outputs.len().to_string()),
+            ("WAYLAND_DISPLAY", display),
+        ];
+        Self::start_sway(outputs, &backend, Some(outer))
+    }
+
+    /// sway on an X server, see [`ON_X`].
+    pub fn sway_on_x(outputs: &[Screen]) -> Option<Self> {
+        if !has("sway") {
+            return None;
+        }
+        let outer = Self::xorg(&[("DUMMY0", [1600, 900], [0, 0])])?;
+        let backend = [
+            ("WLR_BACKENDS", "x11".into()),
+            ("WLR_X11_OUTPUTS", outputs.len().to_string()),
+            ("DISPLAY", outer.env("DISPLAY")),
+        ];
+        Self::start_sway(outputs, &backend, Some(outer))
+    }
+
+    fn start_sway(outputs: &[Screen], backend: &[(&str, String)], outer: Option<Self>) -> Option<Self> {
         if !has("sway") || !has("grim") {
             return None;
         }
@@ -88,10 +143,10 @@ impl Session {
         };
         Command::new("chmod").arg("700").arg(&runtime).status().unwrap();
         server.arg("-c").arg(runtime.join("config"));
-        server.envs([("WLR_BACKENDS", "headless"), ("WLR_LIBINPUT_NO_DEVICES", "1"), ("WLR_RENDERER", "pixman")]);
-        server.env("WLR_HEADLESS_OUTPUTS", outputs.len().to_string()).env("XDG_RUNTIME_DIR", &runtime);
-        server.env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").stdout(Stdio::null()).stderr(Stdio::null());
-        let server = server.spawn().unwrap();
+        server.env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY");
+        server.envs([("WLR_LIBINPUT_NO_DEVICES", "1"), ("WLR_RENDERER", "pixman")]);
+        server.envs(backend.iter().map(|(key, value)| (key, value))).env("XDG_RUNTIME_DIR", &runtime);
+        let server = server.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
         let named = |prefix: &str, end: &str| -> Option<PathBuf> {
             let entries = std::fs::read_dir(&runtime).ok()?.flatten();
             entries.map(|entry| entry.path()).find(|path| {
@@ -99,7 +154,7 @@ impl Session {
                 name.starts_with(prefix) && name.ends_with(end) && !name.ends_with(".lock")
             })
         };
-        let mut session = Self { server, folder: tempfile::tempdir().unwrap(), env: Vec::new() };
+        let mut session = Self { server, folder, env: Vec::new(), outer: outer.map(Box::new) };
         let control = wait_for("sway's control socket", || named("sway-ipc.", ".sock"));
         let display = wait_for("sway's display", || named("wayland-", ""));
         session.env = vec![
@@ -108,13 +163,32 @@ impl Session {
             ("SWAYSOCK", control.display().to_string()),
             ("XDG_SESSION_TYPE", "wayland".into()),
         ];
-        session.folder = folder;
         wait_for("sway's outputs", || {
             let listed = session.command("swaymsg").args(["-t", "get_outputs", "-r"]).output().ok()?;
             let text = String::from_utf8_lossy(&listed.stdout).into_owned();
             outputs.iter().all(|(name, ..)| text.contains(name)).then_some(())
         });
         Some(session)
+    }
+
+    /// Takes an output of a nested sway away for good.
+    pub fn unplug(&self, output: &str) {
+        let window = format!("[title=\"{output}$\"] kill");
+        assert!(self.outer().command("swaymsg").arg(window).status().unwrap().success());
+    }
+
+    /// The session around this one.
+    pub fn outer(&self) -> &Self {
+        self.outer.as_ref().expect("a nested session")
+    }
+
+    /// The number of an X server's display.
+    pub fn x_display(&self) -> u32 {
+        self.env("DISPLAY").trim_start_matches(':').parse().unwrap()
+    }
+
+    fn env(&self, key: &str) -> String {
+        self.env.iter().find(|(name, _)| *name == key).expect("part of every session").1.clone()
     }
 
     /// Xorg with the dummy driver; none where it is not installed or may not run.
@@ -148,7 +222,7 @@ Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 
             ("XDG_RUNTIME_DIR", folder.path().display().to_string()),
             ("XDG_SESSION_TYPE", "x11".into()),
         ];
-        let session = Self { server, folder, env };
+        let session = Self { server, folder, env, outer: None };
         for (name, [cols, rows], [x, y]) in outputs {
             let mode = format!("{cols}x{rows}p");
             let (total_x, total_y) = (cols + 80, rows + 20);

@@ -38,7 +38,7 @@ pub fn run_steps(full: bool) -> Outcome {
     tools::poppler();
     step("tests", || run(command("cargo").args(["test", "--workspace"]).env("LUMISTACK_PYTHON", &python)))?;
     step("plugins", || plugins::run(false))?;
-    step("panels", panels::check)?;
+    step("panels", || panels::check(full))?;
     step("python", python::check)?;
     step("blender", || blender::check(full))?;
     step("web", web::check)?;

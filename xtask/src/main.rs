@@ -23,7 +23,9 @@ cargo xtask <task>
                 --full adds the slow ones
   layers        the layer and forbidden-edge check alone
   machines      the vector kernels of ARM under emulation and of WebAssembly in Node.js, against their oracles
-  panels        build the windows of `lumistack show`, lint them, and test them on compositors without hardware
+  panels [--full]
+                build the windows of `lumistack show`, lint them, and test them on compositors without hardware;
+                --full starts and ends them 50 times
   plugins [--write]
                 build every plugin as a library and compare it with its compiled-in self, build the samples, and compare
                 docs/plugins.json and the pages made from it with what the program says; --write writes them anew
@@ -50,7 +52,8 @@ fn main() -> ExitCode {
         ["ci", "--full"] => ci::run_ci(true),
         ["layers"] => layers::check(),
         ["machines"] => machines::check(),
-        ["panels"] => panels::check(),
+        ["panels"] => panels::check(false),
+        ["panels", "--full"] => panels::check(true),
         ["plugins"] => plugins::run(false),
         ["plugins", "--write"] => plugins::run(true),
         ["python"] => python::check(),

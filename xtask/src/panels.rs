@@ -19,9 +19,17 @@ const LIBRARIES: [(&str, &str); 4] = [
     ("/usr/share/doc/libxkbcommon-x11-0", "libxkbcommon-x11-0"),
 ];
 
-/// Builds, lints and tests.
-pub fn check() -> Outcome {
+/// How often `full` starts and ends presentations, and how often it stalls a solver.
+const FULL_TURNS: [&str; 2] = ["50", "5"];
+
+/// Builds, lints and tests; `full` repeats what may fail now and then (some minutes more).
+pub fn check(full: bool) -> Outcome {
     fetch();
+    let turns = |command: &mut std::process::Command, count: &str| {
+        if full {
+            command.env("LUMISTACK_PANELS_TURNS", count);
+        }
+    };
     let features = ["--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
     let packages = ["--package", "lumistack-plugin-panels", "--package", "lumistack-cli"];
     cargo(
@@ -30,9 +38,21 @@ pub fn check() -> Outcome {
     // one session at a time: they share the processors, and some tests count refreshes
     let mut library = command("cargo");
     library.args(["test", "--package", "lumistack-plugin-panels", "--features", "window"]);
+    turns(&mut library, FULL_TURNS[1]);
     run(library.args(["--", "--nocapture", "--test-threads=1"]))?;
     let mut program = command("cargo");
-    program.args(["test", "--package", "lumistack-cli", "--features", "panels", "--test", "show"]);
+    program.args([
+        "test",
+        "--package",
+        "lumistack-cli",
+        "--features",
+        "panels",
+        "--test",
+        "show",
+        "--test",
+        "calibrate",
+    ]);
+    turns(&mut program, FULL_TURNS[0]);
     run(program.args(["--", "--nocapture", "--test-threads=1"]))
 }
 

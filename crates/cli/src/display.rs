@@ -18,7 +18,7 @@ use crate::console::say;
 pub(crate) enum DisplayCommand {
     /// Writes a display file for your own panels; asks for what the options do not say
     #[command(
-        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --outputs DP-1,DP-2,DP-3 --no-questions\n\nWithout --gaps-mm a display has one layer. With --lens-pitch-mm the rearmost panel stands behind a lens array."
+        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --outputs DP-1,DP-2,DP-3 --no-questions\n\nA display of one layer has --gaps-mm 0. With --lens-pitch-mm another panel stands behind a lens array, and one layer is the default."
     )]
     New(Box<New>),
     /// Where the panels are, from photographs of `lumistack show --pattern crosshairs --only N`, one per layer
@@ -35,7 +35,7 @@ pub(crate) struct New {
     /// Name for people
     #[arg(long)]
     pub(crate) name: Option<String>,
-    /// Distances from panel to panel, rear to front, millimetres: one less than there are layers
+    /// Distances from layer to layer, rear to front, millimetres: one less than there are layers; 0 for a single layer
     #[arg(long, value_name = "MM,...", value_delimiter = ',')]
     pub(crate) gaps_mm: Option<Vec<f64>>,
     /// Columns and rows of every panel [default: those of the outputs]
@@ -118,7 +118,11 @@ pub(crate) fn display_command(command: &DisplayCommand, json: bool) -> Result<()
             let asks = new.questions || (!new.no_questions && std::io::stdin().is_terminal());
             let mut stdin = std::io::stdin().lock();
             let mut questions = Questions { input: if asks { Some(&mut stdin) } else { None } };
-            new_display(new, &system_outputs(), &mut questions, json)
+            let outputs = system_outputs();
+            if asks && outputs.is_empty() {
+                eprintln!("{NO_OUTPUTS}");
+            }
+            new_display(new, &outputs, &mut questions, json)
         }
         DisplayCommand::Calibrate(args) => calibrate_display(args, json),
     }
@@ -126,6 +130,13 @@ pub(crate) fn display_command(command: &DisplayCommand, json: bool) -> Result<()
 
 /// What is known of an output: name, [columns, rows], refresh rate.
 type Known = (String, [usize; 2], Option<f64>);
+
+#[cfg(feature = "panels")]
+const NO_OUTPUTS: &str = "found no outputs: there is no X11 or Wayland session here, or no monitor is on";
+
+#[cfg(not(feature = "panels"))]
+const NO_OUTPUTS: &str =
+    "this build does not read the outputs (cargo build --release -p lumistack-cli --features panels does)";
 
 #[cfg(feature = "panels")]
 fn system_outputs() -> Vec<Known> {
@@ -222,6 +233,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         (lens_pitch_mm > 0.0).then(|| ("0".into(), Vec::new())),
         |text| if text == "0" { Some(Vec::new()) } else { list(text, positive) },
     )?;
+    let gaps_mm = if gaps_mm == [0.0] { Vec::new() } else { gaps_mm };
     if let Some(bad) = gaps_mm.iter().find(|gap| !(gap.is_finite() && **gap > 0.0)) {
         return Err(PipelineError::value("--gaps-mm", "MM", "distances above 0", bad.to_string()));
     }
@@ -376,7 +388,13 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     }
     match json {
         true => say!("{}", json!({"event": "done", "display": args.file})),
-        false => say!("{}", args.file.display()),
+        false => {
+            say!("{}", args.file.display());
+            let file = args.file.display();
+            eprintln!("next: lumistack show {file} --pattern identify           which panel is which");
+            eprintln!("      lumistack run SCENE --display {file} -o runs/mine   patterns for it");
+            eprintln!("      lumistack show runs/mine");
+        }
     }
     Ok(())
 }
@@ -479,6 +497,8 @@ mod tests {
         let words = ["--gaps-mm", "40", "--panel-resolution", "8x6", "--no-questions"];
         let error = made(folder.path(), &words, &[], None).unwrap_err().to_string();
         assert!(error.contains("--panel-pitch-mm or --diagonal-inch"), "{error}");
+        let words = ["--gaps-mm", "0", "--panel-resolution", "8x6", "--panel-pitch-mm", "0.3", "--no-questions"];
+        assert_eq!(made(folder.path(), &words, &[], None).unwrap().layers.len(), 1);
         let words = ["--gaps-mm", "40", "--outputs", "A", "--no-questions"];
         let error = made(folder.path(), &words, &outputs(), None).unwrap_err().to_string();
         assert!(error.contains("expected 2 names, found 1"), "{error}");

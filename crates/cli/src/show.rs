@@ -23,6 +23,9 @@ pub(crate) struct Show {
     /// Angles from which the rehearsal begins, degrees to the right and up
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, requires = "rehearse")]
     pub(crate) from: Option<Numbers<2>>,
+    /// Fill the panels, whatever their size: for a run that was made for other panels; distances then no longer hold
+    #[arg(long, conflicts_with_all = ["rehearse", "pattern"])]
+    pub(crate) fit: bool,
     /// Show a picture (PNG, JPEG, WebP) on one layer with all its pixels, the others clear
     #[arg(long, value_name = "FILE", conflicts_with = "pattern")]
     pub(crate) full_resolution_2d: Option<PathBuf>,
@@ -128,7 +131,7 @@ mod with_windows {
             std::thread::spawn(move || control(&send));
         }
         let log = args.log.is_some();
-        let settings = Settings { display, content, mode, hold: args.hold, duration, log };
+        let settings = Settings { display, content, mode, fit: args.fit, hold: args.hold, duration, log };
         let cancel: Cancel = task.cancel.clone();
         let tell = move |event: Event| told(&event, json, file.as_deref());
         let report = window::present(settings, commands, &|| cancel.is_cancelled(), Arc::new(tell));
@@ -168,6 +171,10 @@ mod with_windows {
             let measured = presets::load_file(path)?;
             subject.display = calibrated(&subject.display, &measured, path)?;
             subject.file = Some(path.clone());
+        }
+        if args.fit {
+            // its panels are of another size, and so are its shifts
+            subject.file = None;
         }
         Ok(subject)
     }
@@ -387,7 +394,7 @@ mod with_windows {
                 "save",
                 "file",
                 "a display file to save to (--calibration FILE)",
-                "a preset of the program",
+                "a preset of the program, or --fit",
             )
         })?;
         let text =
@@ -414,6 +421,9 @@ mod with_windows {
                 })
             );
             return;
+        }
+        if report.refreshes == 0 {
+            return say!("nothing was shown");
         }
         say!(
             "{} refreshes in {:.1} s, {rate:.1} Hz; expected {:.1} Hz ({})",

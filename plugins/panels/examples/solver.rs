@@ -1,7 +1,8 @@
 //! A solver beside running panels: a thread that hands over new stacks whenever it has one, and for a while has none. The panels go on meanwhile.
 //!
 //! `cargo run -p lumistack-plugin-panels --features window --example solver -- 8` shows three layers on the first three outputs for eight seconds. The thread gives
-//! a stack every 0.3 s, holds still from the third to the fifth second, and goes on. Printed are the submissions as lines of refresh, place, pictures, seconds.
+//! a stack every 0.3 s, holds still from the third to the fifth second (not with `steady` as the second word), and goes on. Printed are the submissions as lines
+//! of refresh, place, pictures, seconds.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,6 +23,7 @@ fn stack(display: &Display, number: usize) -> LayerStack {
 
 fn main() {
     let seconds: u64 = std::env::args().nth(1).and_then(|word| word.parse().ok()).unwrap_or(8);
+    let steady = std::env::args().nth(2).is_some_and(|word| word == "steady");
     let display = Display::uniform([320, 240], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], 3);
     let (send, receive) = commands();
     let solver = {
@@ -30,7 +32,7 @@ fn main() {
             let begun = Instant::now();
             for number in 1.. {
                 std::thread::sleep(Duration::from_millis(300));
-                let stalls = (3.0..3.3).contains(&begun.elapsed().as_secs_f64());
+                let stalls = !steady && (3.0..3.3).contains(&begun.elapsed().as_secs_f64());
                 if stalls {
                     // anything may hold a solver up
                     std::thread::sleep(Duration::from_secs(2));
@@ -46,6 +48,7 @@ fn main() {
         content: Content::Stack(stack(&display, 0)),
         display,
         mode: Mode::Outputs,
+        fit: false,
         hold: None,
         duration: Some(Duration::from_secs(seconds)),
         log: true,

@@ -119,6 +119,22 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
     Ok(chosen.collect())
 }
 
+/// What became of an output that shows something.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Change {
+    /// It is there no more.
+    Gone,
+    /// It has another size or, where that matters, place.
+    Other(Output),
+}
+
+/// Whether an output is still what it was, by its name; `placed` where it also matters where it lies among the others.
+pub fn change(was: &Output, now: &[Output], placed: bool) -> Option<Change> {
+    let Some(is) = now.iter().find(|output| output.name == was.name) else { return Some(Change::Gone) };
+    let same = is.size == was.size && (!placed || is.position == was.position);
+    (!same).then(|| Change::Other(is.clone()))
+}
+
 /// [left, top, columns, rows] of the rectangle around outputs.
 ///
 /// # Panics
@@ -189,6 +205,19 @@ mod tests {
         let twice = display(&[Some("A"), Some("A")]);
         let error = names(&twice, &[output("A", 0), output("B", 1)]).unwrap_err().to_string();
         assert!(error.starts_with("layers[1].panel.output: expected an output that nothing else"), "{error}");
+    }
+
+    #[test]
+    fn outputs_that_change_are_noticed() {
+        let (a, b) = (output("A", 0), output("B", 100));
+        let smaller = Output { size: [50, 25], ..a.clone() };
+        let moved = Output { position: [0, 50], refresh_hz: None, ..a.clone() };
+        assert_eq!(change(&a, &[b.clone(), a.clone()], true), None);
+        assert_eq!(change(&a, std::slice::from_ref(&b), false), Some(Change::Gone));
+        assert_eq!(change(&a, &[], false), Some(Change::Gone));
+        assert_eq!(change(&a, &[smaller.clone(), b.clone()], false), Some(Change::Other(smaller)));
+        assert_eq!(change(&a, &[moved.clone(), b.clone()], false), None);
+        assert_eq!(change(&a, &[moved.clone(), b], true), Some(Change::Other(moved)));
     }
 
     #[test]

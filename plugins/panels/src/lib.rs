@@ -15,6 +15,7 @@
 pub mod assign;
 pub mod calibrate;
 mod feed;
+pub mod fit;
 mod flat;
 mod keep;
 mod pattern;

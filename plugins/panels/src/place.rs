@@ -73,6 +73,11 @@ impl Place {
         if self.panel.rotate_deg.is_multiple_of(180) { [cols, rows] } else { [rows, cols] }
     }
 
+    /// `[left, top, columns, rows]` of the upright picture that is used, where that is not all of it.
+    pub(crate) fn crop(&self) -> Option<[usize; 4]> {
+        self.panel.crop
+    }
+
     /// The pixel (column, row) of the upright picture that stands at the output's pixel (column, row); fractions are places between centres.
     pub fn upright(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [cols, rows] = self.upright_size().map(|count| count as f64 - 1.0);

@@ -5,6 +5,10 @@ use lumistack_plugin::display::Transfer;
 use super::*;
 use crate::{Pattern, Place, Shows};
 
+#[path = "../../../../tests/common/camera.rs"]
+mod rendered;
+use rendered::Camera;
+
 const OUTPUT: [usize; 2] = [840, 525];
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
 /// What is wanted of the homographies: panel pixels.
@@ -20,71 +24,32 @@ fn display() -> Display {
     display
 }
 
-/// A camera in space: turned a little, with a lens that bends lines.
-struct Lens {
-    turn: [f64; 3],
-    focal_px: f64,
-    bend: [f64; 2],
-    size: [u32; 2],
+/// A photograph of a layer whose panel is not where it should be: what is at `q` of the panel is at `moved(q)` of the layer.
+fn photograph(
+    camera: &Camera,
+    display: &Display,
+    layer: usize,
+    moved: &Homography,
+    noise: f64,
+    seed: u64,
+) -> GrayImage {
+    let only = Some(Shows::Layer(layer));
+    let codes = Pattern::Crosshairs.codes(display, Shows::Layer(layer), OUTPUT, only, EYE).unwrap();
+    let back = moved.inverse();
+    let pitch = Place::new(display, Shows::Layer(layer), OUTPUT).pitch_mm;
+    let light = |mm: [f64; 2]| {
+        let q = back.apply(mm);
+        let col = (q[0] / pitch + (OUTPUT[0] as f64 - 1.0) / 2.0).round();
+        let row = ((OUTPUT[1] as f64 - 1.0) / 2.0 - q[1] / pitch).round();
+        let inside = col >= 0.0 && row >= 0.0 && col < OUTPUT[0] as f64 && row < OUTPUT[1] as f64;
+        if inside { f64::from(codes[4 * (row as usize * OUTPUT[0] + col as usize)]) } else { 0.0 }
+    };
+    let mut random = Stream::new(seed);
+    camera.photograph(display.layers[layer].d_mm, light, noise, || random.next_f32())
 }
 
-impl Lens {
-    /// The direction in which the display's space is seen at a place of the photograph; only rays and planes, no homography.
-    fn ray(&self, px: [f64; 2]) -> [f64; 3] {
-        let centre = self.size.map(|count| (f64::from(count) - 1.0) / 2.0);
-        let unit = 0.5 * f64::from(self.size[0]).hypot(f64::from(self.size[1]));
-        let bent = [0, 1].map(|axis| (px[axis] - centre[axis]) / unit);
-        // Newton's steps on the radius
-        let wanted = bent[0].hypot(bent[1]);
-        let mut r = wanted;
-        for _ in 0..5 {
-            let (value, slope) = (
-                r * (1.0 + self.bend[0] * r * r + self.bend[1] * r.powi(4)),
-                1.0 + 3.0 * self.bend[0] * r * r + 5.0 * self.bend[1] * r.powi(4),
-            );
-            r -= (value - wanted) / slope;
-        }
-        let factor = if wanted > 0.0 { r / wanted } else { 1.0 };
-        let [x, y] = bent.map(|value| value * factor * unit / self.focal_px);
-        // looks along −z; rows go down
-        let mut v = [x, -y, -1.0];
-        for (axis, angle) in self.turn.iter().enumerate() {
-            let (sin, cos) = angle.sin_cos();
-            let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
-            (v[a], v[b]) = (cos * v[a] - sin * v[b], sin * v[a] + cos * v[b]);
-        }
-        v
-    }
-
-    /// A photograph of a layer whose panel is not where it should be: what is at `q` of the panel is at `moved(q)` of the layer.
-    fn photograph(&self, display: &Display, layer: usize, moved: &Homography, noise: f64, seed: u64) -> GrayImage {
-        let only = Some(Shows::Layer(layer));
-        let codes = Pattern::Crosshairs.codes(display, Shows::Layer(layer), OUTPUT, only, EYE).unwrap();
-        let (d_mm, back) = (display.layers[layer].d_mm, moved.inverse());
-        let pitch = Place::new(display, Shows::Layer(layer), OUTPUT).pitch_mm;
-        let light = |px: [f64; 2]| {
-            let ray = self.ray(px);
-            let t = (d_mm - EYE[2]) / ray[2];
-            let q = back.apply([EYE[0] + t * ray[0], EYE[1] + t * ray[1]]);
-            let col = (q[0] / pitch + (OUTPUT[0] as f64 - 1.0) / 2.0).round();
-            let row = ((OUTPUT[1] as f64 - 1.0) / 2.0 - q[1] / pitch).round();
-            let inside = col >= 0.0 && row >= 0.0 && col < OUTPUT[0] as f64 && row < OUTPUT[1] as f64;
-            if inside { f64::from(codes[4 * (row as usize * OUTPUT[0] + col as usize)]) } else { 0.0 }
-        };
-        let mut random = Stream::new(seed);
-        GrayImage::from_fn(self.size[0], self.size[1], |x, y| {
-            const SAMPLES: u32 = 3;
-            let offset = |i: u32| (f64::from(i) + 0.5) / f64::from(SAMPLES) - 0.5;
-            let points = (0..SAMPLES * SAMPLES)
-                .map(|i| light([f64::from(x) + offset(i % SAMPLES), f64::from(y) + offset(i / SAMPLES)]));
-            let mean = points.sum::<f64>() / f64::from(SAMPLES * SAMPLES);
-            // twelve uniform numbers make a normal one
-            let normal = (0..12).map(|_| f64::from(random.next_f32())).sum::<f64>() - 6.0;
-            // the edge of the picture is darker, as lenses have it
-            let r = (f64::from(x) / f64::from(self.size[0]) - 0.5).hypot(f64::from(y) / f64::from(self.size[1]) - 0.5);
-            Luma([(20.0 + 0.8 * mean * (1.0 - 0.4 * r * r) + noise * normal).clamp(0.0, 255.0).round() as u8])
-        })
-    }
+fn camera(turn: [f64; 3], bend: [f64; 2]) -> Camera {
+    Camera { eye_mm: EYE, turn, focal_px: 3700.0, bend, size: [1200, 800] }
 }
 
 fn turned(degrees: f64, shift: [f64; 2], tilt: [f64; 2]) -> Homography {
@@ -95,18 +60,20 @@ fn turned(degrees: f64, shift: [f64; 2], tilt: [f64; 2]) -> Homography {
 #[test]
 fn photographs_with_a_bent_lens_and_noise_say_where_panels_are() {
     let display = display();
-    let lens = Lens { turn: [0.012, -0.009, 0.015], focal_px: 3700.0, bend: [-0.11, 0.02], size: [1200, 800] };
+    let camera = camera([0.012, -0.009, 0.015], [-0.11, 0.02]);
     let truths = [(0, turned(0.6, [2.3, -1.1], [3e-6, -2e-6])), (2, turned(-0.35, [-0.8, 1.7], [-2e-6, 4e-6]))];
-    let reference = lens.photograph(&display, 1, &Homography::IDENTITY, 4.0, 1);
-    let photographs: Vec<GrayImage> =
-        truths.iter().map(|(layer, moved)| lens.photograph(&display, *layer, moved, 4.0, 2 + *layer as u64)).collect();
+    let reference = photograph(&camera, &display, 1, &Homography::IDENTITY, 4.0, 1);
+    let photographs: Vec<GrayImage> = truths
+        .iter()
+        .map(|(layer, moved)| photograph(&camera, &display, *layer, moved, 4.0, 2 + *layer as u64))
+        .collect();
     if let Ok(folder) = std::env::var("LUMISTACK_TEST_PICTURES") {
         reference.save(format!("{folder}/photograph_1.png")).unwrap();
         photographs[0].save(format!("{folder}/photograph_0.png")).unwrap();
     }
     let others: Vec<_> = truths.iter().zip(&photographs).map(|((layer, _), photo)| (*layer, photo)).collect();
-    let (camera, found) = calibrate(&display, EYE, (1, &reference), &others).unwrap();
-    println!("camera: {:?}", camera.distortion);
+    let (lens, found) = calibrate(&display, EYE, (1, &reference), &others).unwrap();
+    println!("lens: {:?}", lens.distortion);
     let counts = pattern::crosses(&display);
     for ((_, truth), found) in truths.iter().zip(&found) {
         assert_eq!(found.crosses, (2 * counts[0] + 1) * (2 * counts[1] + 1));
@@ -132,9 +99,9 @@ fn a_calibrated_panel_is_found_where_it_is_and_stays() {
     let mut display = display();
     let truth = turned(0.5, [1.5, 0.7], [0.0, 0.0]);
     display.layers[0].panel.get_or_insert_default().homography = Some(truth.0);
-    let lens = Lens { turn: [0.0; 3], focal_px: 3700.0, bend: [0.0; 2], size: [1200, 800] };
-    let reference = lens.photograph(&display, 1, &Homography::IDENTITY, 2.0, 1);
-    let photograph = lens.photograph(&display, 0, &truth, 2.0, 2);
+    let camera = camera([0.0; 3], [0.0; 2]);
+    let reference = photograph(&camera, &display, 1, &Homography::IDENTITY, 2.0, 1);
+    let photograph = photograph(&camera, &display, 0, &truth, 2.0, 2);
     let (_, found) = calibrate(&display, EYE, (1, &reference), &[(0, &photograph)]).unwrap();
     assert!(found[0].moved_mm < ERROR_PX * 0.55, "{:?}", found[0]);
     for corner in [[-231.0, 144.0], [231.0, -144.0], [0.0, 0.0]] {

@@ -1,8 +1,8 @@
 //! The main thread: windows on outputs, keys, and outputs that go away.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use lumistack_plugin::display::ColourSequence;
@@ -11,22 +11,27 @@ use winit::dpi::{PhysicalPosition, PhysicalSize};
 use winit::event::{ElementState, KeyEvent, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::keyboard::{Key, ModifiersState, NamedKey};
-use winit::monitor::MonitorHandle;
 use winit::window::{Fullscreen, Window, WindowId};
 
 use super::conductor::{Baton, Conductor};
 use super::gpu::{self, Part};
+use super::outputs::{self, Watch, is_x11, outputs_of};
 use super::producer::{Producer, Work};
 use super::{Command, Content, Event, Mode, Report, Settings, WindowError};
-use crate::assign::{Output, assign, bounds};
+use crate::assign::{Change, Output, assign, bounds, change};
+use crate::fit::{fitted, misfits};
 use crate::{Feed, Picture, Shows};
 
 /// How often outputs are looked at, and whether it is time to end.
 const LOOK: Duration = Duration::from_millis(50);
 /// How long windows may take to become as large as their outputs.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How long the conductor may take to end: a hidden surface can hold it for ever.
-const FAREWELL: Duration = Duration::from_secs(3);
+/// How long the conductor may take to end before the connection is closed: a surface that nobody sees can hold it for ever.
+const FAREWELL: Duration = Duration::from_secs(2);
+/// How long after a failure of graphics another reason may still be found for it.
+const GRACE: Duration = Duration::from_millis(500);
+/// After how long without a refresh somebody is told.
+const STILL: Duration = Duration::from_secs(2);
 /// Title of the surface across all outputs, by which a compositor can be told about it.
 const SPAN_TITLE: &str = "lumistack panels: span";
 /// Degrees of the rehearsal's window from its middle to its edge, in units of half the field of view.
@@ -59,53 +64,23 @@ pub fn present(
         stage: None,
         stage_parts: Vec::new(),
         windows: Vec::new(),
+        watch: None,
         begun: Instant::now(),
         shown_since: None,
+        beat: (0, Instant::now(), false),
+        pointer: None,
         modifiers: ModifiersState::empty(),
         selected: 0,
+        unsaved: false,
         result: None,
     };
-    event_loop.run_app(&mut app).map_err(session)?;
-    app.result.unwrap_or_else(|| Ok(Report::default()))
+    let ran = event_loop.run_app(&mut app).map_err(session);
+    // why it ended comes before what the end itself met
+    app.result.unwrap_or_else(|| ran.map(|()| Report::default()))
 }
 
-/// The outputs of this session, from left to right.
-///
-/// # Errors
-/// Without a windowing system.
-pub fn outputs() -> Result<Vec<Output>, WindowError> {
-    struct Lister(Vec<Output>);
-    impl ApplicationHandler for Lister {
-        fn resumed(&mut self, event_loop: &ActiveEventLoop) {
-            self.0 = outputs_of(event_loop).into_iter().map(|(output, _)| output).collect();
-            event_loop.exit();
-        }
-        fn window_event(&mut self, _: &ActiveEventLoop, _: WindowId, _: WindowEvent) {}
-    }
-    let mut lister = Lister(Vec::new());
-    EventLoop::new().map_err(session)?.run_app(&mut lister).map_err(session)?;
-    Ok(lister.0)
-}
-
-fn session(error: winit::error::EventLoopError) -> WindowError {
+pub(super) fn session(error: winit::error::EventLoopError) -> WindowError {
     WindowError::Session(error.to_string())
-}
-
-fn outputs_of(event_loop: &ActiveEventLoop) -> Vec<(Output, MonitorHandle)> {
-    let monitors = event_loop.available_monitors().enumerate().map(|(i, monitor)| {
-        let (position, size) = (monitor.position(), monitor.size());
-        let refresh = monitor.refresh_rate_millihertz().filter(|rate| *rate > 0);
-        let output = Output {
-            name: monitor.name().unwrap_or_else(|| format!("output {i}")),
-            position: [position.x, position.y],
-            size: [size.width as usize, size.height as usize],
-            refresh_hz: refresh.map(|rate| f64::from(rate) / 1000.0),
-        };
-        (output, monitor)
-    });
-    let mut outputs: Vec<_> = monitors.filter(|(output, _)| output.size[0] > 0 && output.size[1] > 0).collect();
-    outputs.sort_by(|(a, _), (b, _)| (a.position, &a.name).cmp(&(b.position, &b.name)));
-    outputs
 }
 
 struct App<'a> {
@@ -116,10 +91,17 @@ struct App<'a> {
     stage: Option<Stage>,
     stage_parts: Vec<Part>,
     windows: Vec<(Arc<Window>, String, Option<[usize; 2]>)>,
+    watch: Option<Watch>,
     begun: Instant,
     shown_since: Option<Instant>,
+    /// The last sign of the conductor, when, and whether it was said that no other followed.
+    beat: (u64, Instant, bool),
+    /// Where the pointer was last.
+    pointer: Option<PhysicalPosition<f64>>,
     modifiers: ModifiersState,
     selected: usize,
+    /// Shifts that no file has.
+    unsaved: bool,
     result: Option<Result<Report, WindowError>>,
 }
 
@@ -130,6 +112,7 @@ struct Stage {
     report: Receiver<Report>,
     /// Closes when the producer has ended.
     produced: Receiver<()>,
+    failure: Arc<OnceLock<(Instant, String)>>,
     mode: Mode,
     fields: i64,
     half_fov_deg: [f64; 2],
@@ -167,6 +150,10 @@ impl ApplicationHandler<Command> for App<'_> {
                 }
             }
             WindowEvent::CursorMoved { position, .. } => {
+                // a window is also told where a pointer rests that nobody moves
+                if self.pointer.replace(position).is_none_or(|before| before == position) {
+                    return;
+                }
                 let size =
                     self.windows.iter().find(|(window, ..)| window.id() == id).map(|(window, ..)| window.inner_size());
                 if let (Some(stage), Some(size)) = (&self.stage, size)
@@ -182,6 +169,11 @@ impl ApplicationHandler<Command> for App<'_> {
             }
             _ => {}
         }
+    }
+
+    fn exiting(&mut self, event_loop: &ActiveEventLoop) {
+        // nobody asked for it
+        self.end(event_loop, Err(WindowError::Lost));
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
@@ -202,15 +194,31 @@ impl ApplicationHandler<Command> for App<'_> {
         if over {
             return self.obey(event_loop, Command::Quit);
         }
+        // an output or a session that goes says so in the meantime
+        if let Some((_, found)) = stage.failure.get().filter(|(when, _)| when.elapsed() >= GRACE) {
+            let error = WindowError::Graphics { on: "the outputs".into(), found: found.trim().into() };
+            return self.end(event_loop, Err(error));
+        }
+        // a window manager gives no keys to a window that it does not know
+        let watch =
+            self.watch.get_or_insert_with(|| Watch::new(event_loop, &self.windows[0].0, stage.mode == Mode::Span));
         if stage.mode != Mode::Window {
-            let present = outputs_of(event_loop);
-            let gone =
-                self.stage_parts.iter().find(|part| !present.iter().any(|(output, _)| output.name == part.output.name));
-            if let Some(part) = gone {
-                let error = WindowError::Gone { name: part.output.name.clone(), shows: part.shows };
-                self.end(event_loop, Err(error));
+            let placed = stage.mode == Mode::Span || is_x11(event_loop);
+            let now = watch.outputs(event_loop);
+            let mut changes =
+                self.stage_parts.iter().filter_map(|part| Some((part, change(&part.output, &now, placed)?)));
+            if let Some((Part { shows, output, .. }, change)) = changes.next() {
+                let (name, shows) = (output.name.clone(), *shows);
+                let error = match change {
+                    Change::Gone => WindowError::Gone { name, shows },
+                    Change::Other(is) => {
+                        WindowError::Changed { name, shows, was: Box::new(output.clone()), is: Box::new(is) }
+                    }
+                };
+                return self.end(event_loop, Err(error));
             }
         }
+        self.feel_pulse();
     }
 }
 
@@ -286,13 +294,16 @@ impl App<'_> {
             }
             return Err(WindowError::Size { output: output.clone(), expected, found });
         }
-        let Settings { mut display, content, mode, hold, duration, log } =
+        let Settings { mut display, content, mode, fit, hold, duration, log } =
             self.settings.take().expect("not yet started");
         let windows = self.windows.iter().map(|(window, name, _)| (window.clone(), name.clone())).collect();
         let (gpu, screens) = gpu::open(event_loop, windows)?;
         if mode == Mode::Window {
             let size = self.windows[0].0.inner_size();
-            let refresh_hz = self.windows[0].0.current_monitor().and_then(|monitor| monitor.refresh_rate_millihertz());
+            // a window may not be on any output yet
+            let monitor =
+                self.windows[0].0.current_monitor().or_else(|| Some(outputs_of(event_loop).into_iter().next()?.1));
+            let refresh_hz = monitor.and_then(|monitor| monitor.refresh_rate_millihertz()).filter(|rate| *rate > 0);
             let output = Output {
                 name: "window".into(),
                 position: [0, 0],
@@ -300,6 +311,17 @@ impl App<'_> {
                 refresh_hz: refresh_hz.map(|rate| f64::from(rate) / 1000.0),
             };
             self.stage_parts = vec![Part { shows: Shows::Layer(0), output, screen: 0, origin: [0, 0], extent: None }];
+        }
+        if mode != Mode::Window {
+            let assigned: Vec<_> = self.stage_parts.iter().map(|part| (part.shows, part.output.clone())).collect();
+            if fit {
+                let (fits, pitch_mm) = fitted(&display, &assigned);
+                display = fits;
+                (self.tell)(Event::Warning(format!(
+                    "fit: a panel pixel stands for {pitch_mm:.4} mm; where it is of another size, so is everything, and distances between the panels have to follow"
+                )));
+            }
+            misfits(&display, &assigned).into_iter().for_each(|text| (self.tell)(Event::Warning(text)));
         }
         // the slowest output sets the pace
         let told = self.stage_parts.iter().filter_map(|part| part.output.refresh_hz).reduce(f64::min);
@@ -320,9 +342,12 @@ impl App<'_> {
             places: AtomicU64::new(1),
             report: AtomicBool::new(false),
             resized: AtomicBool::new(false),
+            beat: AtomicU64::new(0),
+            waits_for: AtomicUsize::new(0),
             feed: Feed::default(),
         });
         let gpu = Arc::new(gpu);
+        let failure = gpu.failure.clone();
         let (work, works) = channel();
         let (retire, retired) = channel();
         let forward = work.clone();
@@ -384,10 +409,32 @@ impl App<'_> {
                 let _ = done.send(conductor.run(&*tell));
             })
             .map_err(thread)?;
-        self.stage = Some(Stage { baton, work, report, produced, mode, fields, half_fov_deg, from_deg, duration });
+        if mode != Mode::Window {
+            outputs::stay_awake(self.windows.iter().map(|(window, ..)| &**window));
+        }
+        self.stage =
+            Some(Stage { baton, work, report, produced, failure, mode, fields, half_fov_deg, from_deg, duration });
         self.shown_since = Some(Instant::now());
         (self.tell)(Event::Started(shown));
         Ok(())
+    }
+
+    /// Says so where refreshes stop: every output waits for the one that takes no picture.
+    fn feel_pulse(&mut self) {
+        let Some(stage) = self.stage.as_ref().filter(|stage| stage.mode != Mode::Window) else { return };
+        let now = stage.baton.beat.load(Ordering::Relaxed);
+        let (last, since, told) = self.beat;
+        if now != last {
+            self.beat = (now, Instant::now(), false);
+        } else if now > 0 && !told && since.elapsed() >= STILL {
+            self.beat.2 = true;
+            let (_, name, _) = &self.windows[stage.baton.waits_for.load(Ordering::Relaxed)];
+            let what = if stage.mode == Mode::Span { "the surface across all outputs" } else { name };
+            (self.tell)(Event::Warning(format!(
+                "{what}: no picture was taken for {} s (asleep, or another workspace on it?); all panels wait for it",
+                STILL.as_secs()
+            )));
+        }
     }
 
     fn obey(&mut self, event_loop: &ActiveEventLoop, command: Command) {
@@ -405,8 +452,14 @@ impl App<'_> {
                 let next = (hold.load(Ordering::Relaxed).max(0) + by * stage.fields).rem_euclid(places);
                 hold.store(next, Ordering::Relaxed);
             }
-            Command::Nudge(shows, by) => drop(stage.work.send(Work::Nudge(shows, by))),
-            Command::Save => drop(stage.work.send(Work::Save)),
+            Command::Nudge(shows, by) => {
+                self.unsaved |= by != [0.0; 2];
+                let _ = stage.work.send(Work::Nudge(shows, by));
+            }
+            Command::Save => {
+                self.unsaved = false;
+                let _ = stage.work.send(Work::Save);
+            }
             Command::Look(from) => {
                 stage.from_deg = from.map(|angle| angle.clamp(-80.0, 80.0));
                 let _ = stage.work.send(Work::Look(stage.from_deg));
@@ -467,7 +520,12 @@ impl App<'_> {
             None => Report::default(),
             Some(stage) => {
                 stage.baton.stop.store(true, Ordering::Relaxed);
-                let report = stage.report.recv_timeout(FAREWELL).unwrap_or_default();
+                let report = stage.report.recv_timeout(FAREWELL).or_else(|waits| {
+                    self.windows.iter().take(1).for_each(|(window, ..)| outputs::hang_up(window));
+                    // what it then still has to say
+                    stage.report.recv_timeout(FAREWELL).map_err(|_| waits)
+                });
+                let report = report.unwrap_or_default();
                 // whoever uses the graphics processor ends before the process does: drivers do not survive it otherwise
                 drop(stage.work);
                 drop(stage.baton);
@@ -476,24 +534,19 @@ impl App<'_> {
             }
         };
         self.windows.clear();
+        if self.unsaved {
+            (self.tell)(Event::Warning("the panels' shifts were not saved (key s, or `save`)".into()));
+        }
+        if reason.is_err() && report.refreshes > 0 {
+            // an error has no place for it
+            (self.tell)(Event::Report(Box::new(report.clone())));
+        }
         self.result = Some(reason.map(|()| report));
     }
 }
 
 fn thread(error: std::io::Error) -> WindowError {
     WindowError::Session(format!("no thread: {error}"))
-}
-
-#[cfg(all(unix, not(target_os = "macos")))]
-fn is_x11(event_loop: &ActiveEventLoop) -> bool {
-    use winit::platform::x11::ActiveEventLoopExtX11;
-    event_loop.is_x11()
-}
-
-/// Elsewhere windows may be placed anywhere, too.
-#[cfg(not(all(unix, not(target_os = "macos"))))]
-fn is_x11(_: &ActiveEventLoop) -> bool {
-    true
 }
 
 /// A window of a place and size of our own, whatever a window manager thinks.

@@ -1,7 +1,7 @@
 //! The thread that keeps time: one picture per surface and refresh.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
@@ -20,6 +20,10 @@ pub(super) struct Baton {
     pub(super) report: AtomicBool,
     /// A window has another size.
     pub(super) resized: AtomicBool,
+    /// Refreshes and swaps so far; 0 until there are pictures.
+    pub(super) beat: AtomicU64,
+    /// Screen that is waited for.
+    pub(super) waits_for: AtomicUsize,
     pub(super) feed: Feed<Deck>,
 }
 
@@ -64,6 +68,7 @@ impl Conductor {
                 && let Some(new) = self.baton.feed.take()
             {
                 report.swaps += 1;
+                self.baton.beat.store(report.swaps + report.refreshes, Ordering::Relaxed);
                 tell(Event::Swapped { times: report.swaps, refresh: report.refreshes });
                 place = if hold >= 0 { hold as usize % new.pictures.len() } else { 0 };
                 if let Some(old) = deck.replace(new) {
@@ -88,6 +93,7 @@ impl Conductor {
                 report.log.push((report.refreshes, place, showing.number, now_s));
             }
             report.refreshes += 1;
+            self.baton.beat.store(report.swaps + report.refreshes, Ordering::Relaxed);
             report.seconds = now_s;
             place = (place + 1) % showing.pictures.len();
             self.listen(&mut report);
@@ -107,6 +113,7 @@ impl Conductor {
             if resized {
                 screen.fit(&self.gpu.device);
             }
+            self.baton.waits_for.store(number, Ordering::Relaxed);
             match screen.surface.get_current_texture() {
                 wgpu::CurrentSurfaceTexture::Success(texture) | wgpu::CurrentSurfaceTexture::Suboptimal(texture) => {
                     textures.push((number, texture));
@@ -133,7 +140,8 @@ impl Conductor {
                 feedback.ask(number, index);
             }
             #[cfg(not(all(unix, not(target_os = "macos"))))]
-            let _ = (number, index);
+            let _ = index;
+            self.baton.waits_for.store(number, Ordering::Relaxed);
             self.gpu.queue.present(texture);
         }
         true

@@ -3,15 +3,14 @@
 //! Every presentation is asked about before it is committed; the answer comes some refreshes later, with the time of the refresh, or says that the picture was
 //! never shown. Answers arrive in a queue of our own. The main thread reads the connection whenever something comes, so nothing here ever blocks.
 
-use wayland_backend::client::{Backend, ObjectId};
 use wayland_client::protocol::wl_registry::{self, WlRegistry};
 use wayland_client::protocol::wl_surface::WlSurface;
 use wayland_client::{Connection, Dispatch, EventQueue, Proxy, QueueHandle};
 use wayland_protocols::wp::presentation_time::client::wp_presentation::{self, WpPresentation};
 use wayland_protocols::wp::presentation_time::client::wp_presentation_feedback::{self, WpPresentationFeedback};
-use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle, RawDisplayHandle, RawWindowHandle};
 
 use super::gpu::Screen;
+use super::wayland::{connection_of, surface_of};
 use crate::{Skew, Tally};
 
 /// Asks and listens.
@@ -38,20 +37,9 @@ struct Asked {
 impl Feedback {
     /// None where the session is not Wayland or does not tell.
     pub(super) fn new(screens: &[Screen], interval_s: f64) -> Option<Self> {
-        let display = match screens.first()?.window.display_handle().ok()?.as_raw() {
-            RawDisplayHandle::Wayland(handle) => handle.display,
-            _ => return None,
-        };
-        // SAFETY: the windows' own connection, which outlives them, and so this
-        let backend = unsafe { Backend::from_foreign_display(display.as_ptr().cast()) };
-        let connection = Connection::from_backend(backend);
-        let mut surfaces = Vec::new();
-        for screen in screens {
-            let RawWindowHandle::Wayland(handle) = screen.window.window_handle().ok()?.as_raw() else { return None };
-            // SAFETY: the pointer of a living window's surface
-            let id = unsafe { ObjectId::from_ptr(WlSurface::interface(), handle.surface.as_ptr().cast()) }.ok()?;
-            surfaces.push(WlSurface::from_id(&connection, id).ok()?);
-        }
+        let connection = connection_of(&screens.first()?.window)?;
+        let surfaces = screens.iter().map(|screen| surface_of(&connection, &screen.window));
+        let surfaces = surfaces.collect::<Option<Vec<_>>>()?;
         let mut queue = connection.new_event_queue();
         connection.display().get_registry(&queue.handle(), ());
         let tallies = vec![Tally::new(interval_s); screens.len()];

@@ -1,6 +1,7 @@
 //! The graphics processor: code values as textures, drawn texel by texel so that what arrives is what was sent.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
+use std::time::Instant;
 
 use winit::event_loop::ActiveEventLoop;
 use winit::window::Window;
@@ -13,6 +14,8 @@ use crate::assign::Output;
 pub(super) struct Gpu {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
+    /// The first thing that went wrong, when nobody was there to hear it.
+    pub(super) failure: Arc<OnceLock<(Instant, String)>>,
     pipeline: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
 }
@@ -123,6 +126,11 @@ impl Screen {
 
 impl Gpu {
     fn new(device: wgpu::Device, queue: wgpu::Queue, format: wgpu::TextureFormat) -> Self {
+        let failure = Arc::new(OnceLock::new());
+        let heard = failure.clone();
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            let _ = heard.set((Instant::now(), error.to_string()));
+        }));
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("picture"),
             entries: &[
@@ -178,7 +186,7 @@ impl Gpu {
             multiview_mask: None,
             cache: None,
         });
-        Self { device, queue, pipeline, layout }
+        Self { device, queue, failure, pipeline, layout }
     }
 
     /// Loads the code values `[row][col][red, green, blue, 255]` of an output, and hands them to the graphics processor at once.

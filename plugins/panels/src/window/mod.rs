@@ -16,7 +16,10 @@ mod conductor;
 #[cfg(all(unix, not(target_os = "macos")))]
 mod feedback;
 mod gpu;
+mod outputs;
 mod producer;
+#[cfg(all(unix, not(target_os = "macos")))]
+mod wayland;
 
 use std::sync::mpsc::{Receiver, Sender};
 use std::time::Duration;
@@ -27,7 +30,8 @@ use thiserror::Error;
 use crate::assign::{AssignError, Output};
 use crate::{Pattern, PatternError, Shows, Skew, Tally};
 
-pub use app::{outputs, present};
+pub use app::present;
+pub use outputs::outputs;
 
 /// What is shown, and how.
 #[derive(Debug)]
@@ -38,6 +42,8 @@ pub struct Settings {
     pub content: Content,
     /// Where.
     pub mode: Mode,
+    /// Whether masks are enlarged, or made smaller, to fill the panels ([`crate::fit`]).
+    pub fit: bool,
     /// A frame that stays until told otherwise.
     pub hold: Option<usize>,
     /// How long to show it; without it until somebody ends it.
@@ -194,13 +200,31 @@ pub enum WindowError {
     /// The platform cannot do it.
     #[error("span: {0}")]
     Span(String),
+    /// The session ended.
+    #[error("windows: the connection to the X server or the compositor was lost")]
+    Lost,
     /// An output went away.
-    #[error("output {name}: it is gone (unplugged, switched off?); {shows} has nowhere to be shown")]
+    #[error("output {name}: it is gone (unplugged, switched off?), and {shows} has nowhere to be shown")]
     Gone {
         /// Its name.
         name: String,
         /// What it showed.
         shows: Shows,
+    },
+    /// An output became another one.
+    #[error(
+        "output {name}, which shows {shows}: expected {} × {} pixels at {},{} as at the start, found {} × {} at {},{}",
+        was.size[0], was.size[1], was.position[0], was.position[1], is.size[0], is.size[1], is.position[0], is.position[1]
+    )]
+    Changed {
+        /// Its name.
+        name: String,
+        /// What it showed.
+        shows: Shows,
+        /// What it was.
+        was: Box<Output>,
+        /// What it is.
+        is: Box<Output>,
     },
 }
 

@@ -1,0 +1,78 @@
+//! What a Wayland connection is asked beside what winit asks: not to go dark, and to end.
+
+use std::net::Shutdown;
+use std::os::unix::net::UnixStream;
+
+use wayland_backend::client::{Backend, ObjectId};
+use wayland_client::protocol::wl_registry::{self, WlRegistry};
+use wayland_client::protocol::wl_surface::WlSurface;
+use wayland_client::{Connection, Dispatch, Proxy, QueueHandle, delegate_noop};
+use wayland_protocols::wp::idle_inhibit::zv1::client::zwp_idle_inhibit_manager_v1::ZwpIdleInhibitManagerV1;
+use wayland_protocols::wp::idle_inhibit::zv1::client::zwp_idle_inhibitor_v1::ZwpIdleInhibitorV1;
+use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle, RawDisplayHandle, RawWindowHandle};
+use winit::window::Window;
+
+/// The connection of a window; none where the session is not Wayland.
+pub(super) fn connection_of(window: &Window) -> Option<Connection> {
+    let RawDisplayHandle::Wayland(handle) = window.display_handle().ok()?.as_raw() else { return None };
+    // SAFETY: the windows' own connection, which outlives them, and so what is made of it here
+    let backend = unsafe { Backend::from_foreign_display(handle.display.as_ptr().cast()) };
+    Some(Connection::from_backend(backend))
+}
+
+/// The surface of a window of this connection.
+pub(super) fn surface_of(connection: &Connection, window: &Window) -> Option<WlSurface> {
+    let RawWindowHandle::Wayland(handle) = window.window_handle().ok()?.as_raw() else { return None };
+    // SAFETY: the pointer of a living window's surface
+    let id = unsafe { ObjectId::from_ptr(WlSurface::interface(), handle.surface.as_ptr().cast()) }.ok()?;
+    WlSurface::from_id(connection, id).ok()
+}
+
+/// Closes a window's connection for good, so that whoever waits for the compositor waits no more: it answers nothing about a surface that nobody sees.
+pub(super) fn hang_up(window: &Window) {
+    if let Some(connection) = connection_of(window)
+        && let Ok(socket) = connection.backend().poll_fd().try_clone_to_owned()
+    {
+        let _ = UnixStream::from(socket).shutdown(Shutdown::Both);
+    }
+}
+
+/// Asks for outputs that stay awake while they show these windows. Where nobody listens they follow the session's settings.
+pub(super) fn stay_awake<'a>(windows: impl IntoIterator<Item = &'a Window>) {
+    let mut windows = windows.into_iter().peekable();
+    let Some(connection) = windows.peek().and_then(|window| connection_of(window)) else { return };
+    let mut queue = connection.new_event_queue();
+    connection.display().get_registry(&queue.handle(), ());
+    let mut globals = Globals(None);
+    if queue.roundtrip(&mut globals).is_err() {
+        return;
+    }
+    let Some(manager) = globals.0 else { return };
+    for surface in windows.filter_map(|window| surface_of(&connection, window)) {
+        // it lasts as long as the surface
+        manager.create_inhibitor(&surface, &queue.handle(), ());
+    }
+    let _ = connection.flush();
+}
+
+struct Globals(Option<ZwpIdleInhibitManagerV1>);
+
+impl Dispatch<WlRegistry, ()> for Globals {
+    fn event(
+        globals: &mut Self,
+        registry: &WlRegistry,
+        event: wl_registry::Event,
+        _: &(),
+        _: &Connection,
+        queue: &QueueHandle<Self>,
+    ) {
+        if let wl_registry::Event::Global { name, interface, .. } = event
+            && interface == ZwpIdleInhibitManagerV1::interface().name
+        {
+            globals.0 = Some(registry.bind(name, 1, queue, ()));
+        }
+    }
+}
+
+delegate_noop!(Globals: ZwpIdleInhibitManagerV1);
+delegate_noop!(Globals: ZwpIdleInhibitorV1);
