@@ -119,8 +119,9 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
 fn a_prefilter_takes_away_what_it_should() {
     let grid = lumistack_display::ViewGrid::uniform(Projection::Oblique, [45, 2], [20.0, 2.0]).unwrap();
     let step = grid.bin_width()[0];
+    // with a pixel at x = 0 and whole pixels per half period the extremes are seen
     for (z_mm, frequency, n) in [(40.0, 0.8, 5), (-60.0, 0.4, 5), (25.0, 0.5, 9), (0.0, 0.8, 9)] {
-        let geometry = lumistack_display::FieldGeometry { rows: 1, cols: 100, pitch_mm: 0.125, grid: grid.clone() };
+        let geometry = lumistack_display::FieldGeometry { rows: 1, cols: 101, pitch_mm: 0.125, grid: grid.clone() };
         let mut field = LightField::black(geometry.clone()).unwrap();
         for view in geometry.grid.iter() {
             for (i, value) in field.view_mut(view).iter_mut().enumerate() {
