@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use lumistack_core::Task;
-use lumistack_design::contrast::{self, Contrast, ContrastError, FactorizeError, Gratings};
+use lumistack_design::contrast::{self, Achieved, Contrast, ContrastError, FactorizeError, Gratings};
 use lumistack_design::{Analysis, Scene, plot};
 use lumistack_display::{Display, Variation};
 use lumistack_pipeline::{PipelineError, Registry, RunFolder, outlook_on, presets};
@@ -38,7 +38,7 @@ pub(crate) struct Analyze {
     /// Depth up to which the bound is worked out, millimetres [default: what display and scene need]
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
-    /// Solve every display for gratings at many depths and frequencies, and tell the contrast that is achieved of the bound (some seconds each)
+    /// Solve every display for gratings at many depths and frequencies, and tell the contrast that is achieved of the bound, from the target views, between them, and with more views (up to a minute each)
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG
@@ -131,7 +131,9 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
         for (number, analysis) in all.iter().enumerate() {
             say!("{}", analysis.text());
             if let Some((_, found)) = measured.get(number) {
-                say!("  Achieved        half contrast, × the pixels' own: {}", achieved(found));
+                for line in achieved(found) {
+                    say!("{line}");
+                }
             }
         }
         files.iter().for_each(|file| say!("{}", file.display()));
@@ -197,14 +199,29 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
     displays.iter().zip(all).map(measure).collect()
 }
 
-fn achieved(found: &[Contrast]) -> String {
+/// The frequency of half contrast at some depths, a line for each meaning.
+fn achieved(found: &[Contrast]) -> [String; 3] {
     let at = |[z, frequency]: &[f64; 2]| format!("{frequency:.2} at {z:.0} mm").replace('-', "−");
-    contrast::achieved_cutoff(found).iter().step_by(4).map(at).collect::<Vec<_>>().join(", ")
+    let line = |head: &str, of: &str, achieved| {
+        let cutoffs = contrast::achieved_cutoff(found, achieved);
+        let cutoffs: Vec<String> = cutoffs.iter().step_by(4).map(at).collect();
+        format!("  {head:15} {of}: {}", cutoffs.join(", "))
+    };
+    [
+        line(
+            "Achieved",
+            "half contrast, × the pixels' own, solved for as many views as it takes",
+            Achieved::WithMoreViews,
+        ),
+        line("", "solved for its own views, seen from everywhere in the zone", Achieved::InBetween),
+        line("", "seen from these views alone", Achieved::AtTheViews),
+    ]
 }
 
 fn write_contrasts(measured: &[Measured], folder: &Path) -> Result<Vec<PathBuf>, PipelineError> {
-    let mut plots = vec![("achieved".to_string(), contrast::achieved_plot(measured))];
+    let mut plots = vec![("achieved".to_string(), contrast::all_achieved_plot(measured))];
     for (number, (name, found)) in measured.iter().enumerate() {
+        plots.push((format!("achieved-{}", number + 1), contrast::achieved_plot(name, found)));
         plots.push((format!("contrast-{}", number + 1), contrast::contrast_plot(name, found)));
     }
     let mut files = Vec::new();

@@ -323,6 +323,9 @@ pub(crate) struct GeometryArgs {
     /// Reverse the order of views from top to bottom
     #[arg(long)]
     pub(crate) mirror_y: bool,
+    /// Average every view over the slopes that the display cannot tell apart, of all views that are there, before `--views` are chosen
+    #[arg(long)]
+    pub(crate) prefilter: bool,
 }
 
 #[derive(Debug, ClapArgs)]

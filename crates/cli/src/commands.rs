@@ -295,5 +295,6 @@ pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
         resolution: args.resolution.map(|resolution| resolution.0),
         focus_px: args.focus_px,
         mirror: [args.mirror_x, args.mirror_y],
+        prefilter: args.prefilter,
     }
 }

@@ -1,10 +1,11 @@
-//! `lumistack compare`: two runs, or a run and a photograph.
+//! `lumistack compare`: two runs, all displays of one, or a run and a photograph.
 
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
 use lumistack_pipeline::{
-    Likeness, PipelineError, RunFolder, Viewpoint, compare_photo, compare_runs, refocused, simulate_to_file,
+    Likeness, PhotoComparison, PipelineError, Pose, RunFolder, Viewpoint, compare_displays, compare_photo,
+    compare_runs, refocused, simulate_to_file,
 };
 use serde_json::json;
 
@@ -14,9 +15,11 @@ use crate::console::say;
 pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack compare runs/three-layer runs/directional -o compared         both at the first one's views, against its target and each other
-  lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier              two displays of one run
+  lumistack compare runs/figure-9 -o compared                             all displays of a run with several, in one picture
+  lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier              two of them
   lumistack compare runs/a photo.png --eye 0,0,2000 --corners 210,160,1830,150,1850,1170,190,1180 -o compared
                                                                           a photograph of the panels, brought to the simulation's exposure
+  lumistack compare runs/a photo.jpg --focal-35mm 28 --corners ...        the same, from where its corners say that it was taken
   lumistack compare runs/a runs/b --focus -60,0,60 --eye 0,0,600 --pupil-mm 4 -o compared
                                                                           what an eye sees that focuses behind, on and before the display";
 
@@ -25,14 +28,18 @@ Examples:
 pub(crate) struct Compare {
     /// A run folder
     run: PathBuf,
-    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...)
-    other: PathBuf,
+    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...); without it all displays of a run whose job has several are compared
+    other: Option<PathBuf>,
     /// Where the photograph was taken from: angles right and up, degrees, of a distant camera
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with = "eye")]
     view: Option<Numbers<2>>,
     /// Where the photograph was taken from, or the eye is: right, up and in front of the display's centre, millimetres
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     eye: Option<Numbers<3>>,
+    /// Focal length of the photograph's lens in millimetres, as for a picture of 36 mm × 24 mm (EXIF: FocalLengthIn35mmFilm): the corners then tell where it was
+    /// taken from. The photograph must not be cropped
+    #[arg(long = "focal-35mm", value_name = "MM", requires = "corners", conflicts_with_all = ["eye", "view"])]
+    focal_35mm: Option<f64>,
     /// Corners of the display in the photograph, pixels right and down: left top, right top, right bottom, left bottom [default: the photograph's]
     #[arg(long, value_name = "X,Y,X,Y,X,Y,X,Y", allow_hyphen_values = true)]
     corners: Option<Numbers<8>>,
@@ -52,23 +59,25 @@ const EYE_MM: [f64; 3] = [0.0, 0.0, 600.0];
 
 pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let out = args.output.as_deref();
-    if !args.other.is_dir() {
-        let viewpoint = match (args.eye, args.view) {
-            (Some(eye), _) => Viewpoint::Eye(eye.0),
-            (None, view) => Viewpoint::Angle(view.map_or([0.0, 0.0], |view| view.0)),
+    let Some(other) = &args.other else {
+        return displays(args, json, task);
+    };
+    if !other.is_dir() {
+        let pose = match (args.focal_35mm, args.eye, args.view) {
+            (Some(focal), ..) => Pose::FocalMm(focal),
+            (_, Some(eye), _) => Pose::Known(Viewpoint::Eye(eye.0)),
+            (.., view) => Pose::Known(Viewpoint::Angle(view.map_or([0.0, 0.0], |view| view.0))),
         };
         let corners = args.corners.map(|Numbers([a, b, c, d, e, f, g, h])| [[a, b], [c, d], [e, f], [g, h]]);
-        let found = compare_photo(&args.run, &args.other, viewpoint, corners, out)?;
+        let found = compare_photo(&args.run, other, pose, corners, out)?;
         if json {
             say!("{}", json!({ "event": "done", "photograph": found }));
         } else {
-            say!("Photograph against simulation: {}", told(&found.likeness));
-            say!("Exposure of the photograph: × {:.4} ({:+.2} stops) to match", found.gain, found.gain.log2());
-            found.pictures.iter().for_each(|path| say!("{}", path.display()));
+            tell_of_photo(&found);
         }
         return Ok(());
     }
-    let found = compare_runs(&args.run, &args.other, out, task)?;
+    let found = compare_runs(&args.run, other, out, task)?;
     let focused = match out {
         Some(out) => focus(args, out)?,
         None => Vec::new(),
@@ -88,11 +97,40 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
     Ok(())
 }
 
+/// All displays of one run.
+fn displays(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+    let found = compare_displays(&args.run, args.output.as_deref(), task)?;
+    if json {
+        say!("{}", json!({ "event": "done", "run": found }));
+        return Ok(());
+    }
+    let widest = found.displays.iter().map(|one| one.id.chars().count()).max().unwrap_or(0);
+    for one in &found.displays {
+        say!("{:widest$}  {}  ({})", one.id, told(&one.likeness), one.display);
+    }
+    found.pictures.iter().for_each(|path| say!("{}", path.display()));
+    Ok(())
+}
+
+fn tell_of_photo(found: &PhotoComparison) {
+    say!("Photograph against simulation: {}", told(&found.likeness));
+    say!("Exposure of the photograph: × {:.4} ({:+.2} stops) to match", found.gain, found.gain.log2());
+    if let Some([x, y, z]) = found.eye_mm {
+        let text = format!("Taken from: {x:.0} mm right, {y:.0} mm up, {z:.0} mm in front of the display's centre");
+        say!("{}", text.replace('-', "−"));
+    }
+    if found.clipped > 0.0 {
+        say!("Clipped: {:.1} % of the display, which does not count", 100.0 * found.clipped);
+    }
+    found.pictures.iter().for_each(|path| say!("{}", path.display()));
+}
+
 /// A picture of each run for each depth of focus.
 fn focus(args: &Compare, out: &Path) -> Result<Vec<PathBuf>, PipelineError> {
     let eye = args.eye.map_or(EYE_MM, |eye| eye.0);
     let mut files = Vec::new();
-    for (name, folder) in [("first", &args.run), ("second", &args.other)] {
+    let runs = std::iter::once(("first", &args.run)).chain(args.other.as_ref().map(|other| ("second", other)));
+    for (name, folder) in runs {
         let run = RunFolder::open(folder)?;
         for &z in &args.focus {
             let path = out.join(format!("{name}-focus-{z}mm.png"));

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use lumistack_core::Task;
-use lumistack_design::table::Row;
+use lumistack_design::table::{Plots, Row};
 use lumistack_pipeline::{PipelineError, Registry, SearchJob, sweep};
 
 use crate::args::{Angles, DisplayArgs, FactorizeArgs, RenderArgs, Size};
@@ -12,8 +12,8 @@ use crate::commands::{change_display, change_factorize, change_render, job_or_sc
 use crate::console::say;
 
 pub(crate) const EXAMPLES: &str = "\
-Every combination of the axes is a design; an axis that is not given stays as the display has it. A sweep that was stopped or killed goes on from
-the designs that are finished.
+Every combination of the axes is a design; an axis that is not given stays as the display has it. The results are DIR/sweep.csv, DIR/sweep.json and
+DIR/plots/. A sweep that was stopped or killed goes on from the designs that are finished when the same command is given again.
 
 Examples:
   lumistack sweep scenes/sweeps/figure-7.toml
@@ -29,6 +29,9 @@ pub(crate) struct Sweep {
     /// Folder for the results [default: sweeps/NAME]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
+    /// Plots of the table [default: few, one of every axis]
+    #[arg(long, value_enum)]
+    plots: Option<PlotsArg>,
     #[command(flatten)]
     axes: Axes,
     #[command(flatten)]
@@ -43,6 +46,14 @@ pub(crate) struct Sweep {
     render: RenderArgs,
     #[command(flatten)]
     factorize: FactorizeArgs,
+}
+
+/// How many plots.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum PlotsArg {
+    None,
+    Few,
+    All,
 }
 
 /// Lists like 1..5 or 1,2,4..8; numbers with a step like 0.1..1:0.1.
@@ -169,6 +180,11 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     if !lenslets.is_empty() {
         table.lenslets = lenslets.iter().map(|size| size.0).collect();
     }
+    table.plots = args.plots.map_or(table.plots, |plots| match plots {
+        PlotsArg::None => Plots::None,
+        PlotsArg::Few => Plots::Few,
+        PlotsArg::All => Plots::All,
+    });
     change_search(&mut table.search, &args.search);
     let folder = args.output.clone().unwrap_or_else(|| Path::new("sweeps").join(&job.name));
     let summary = sweep(&job, &folder, registry, task)?;
@@ -185,7 +201,13 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     if let Some(display) = &summary.display {
         say!("{}", display.display());
     }
+    if let (Some(best), true) = (&summary.best, summary.proposed.is_empty()) {
+        say!("Best: {}", told(best));
+    }
     summary.plots.iter().for_each(|plot| say!("{}", plot.display()));
+    if summary.more_plots > 0 {
+        say!("{} more plots with --plots all", summary.more_plots);
+    }
     say!("{} designs, {} of them from before", summary.designs, summary.kept);
     say!("{}", summary.csv.display());
     Ok(())

@@ -4,6 +4,7 @@
 //! Display ──▶ analysis: bound on depth of field, spectral support, zone, brightness, rate ──▶ text, JSON, plots
 //! Display ──▶ contrast: gratings at many depths through the solved stack ──▶ what is achieved of the bound
 //! results of a sweep ──▶ table: CSV, maps and curves like the paper's Figures 7 and 8
+//! pictures ──▶ sheet: side by side, with words
 //! ```
 //!
 //! Plots are SVG, and PNG made of the same SVG.
@@ -12,6 +13,7 @@ mod analysis;
 pub mod contrast;
 pub mod plot;
 pub mod predict;
+pub mod sheet;
 pub mod table;
 
 pub use analysis::{Analysis, AxisAnalysis, Brightness, Closed, Scene, Timing, Zone};

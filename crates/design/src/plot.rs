@@ -14,7 +14,7 @@ use thiserror::Error;
 pub struct PlotError(String);
 
 impl PlotError {
-    fn new(error: impl std::fmt::Display) -> Self {
+    pub(crate) fn new(error: impl std::fmt::Display) -> Self {
         Self(error.to_string())
     }
 }
@@ -94,7 +94,7 @@ const LEGEND: u32 = 214;
 const FINE: u32 = 4;
 /// Its family is that of the SVG's text on machines that have it.
 const FONT: &[u8] = include_bytes!("../fonts/DejaVuSans-subset.ttf");
-const FAMILY: &str = "DejaVu Sans, sans-serif";
+pub(crate) const FAMILY: &str = "DejaVu Sans, sans-serif";
 
 type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
@@ -245,6 +245,19 @@ pub const CAP_DB: f64 = 60.0;
 /// # Errors
 /// If it is no SVG, or too large.
 pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, PlotError> {
+    raster(svg, scale)?.encode_png().map_err(PlotError::new)
+}
+
+/// Codes `[row][col][rgb]` of an SVG of [width, height] units that leaves nothing open, a pixel per unit.
+pub(crate) fn codes(svg: &str, size: [usize; 2]) -> Result<Vec<u8>, PlotError> {
+    let picture = raster(svg, 1.0)?;
+    if [picture.width() as usize, picture.height() as usize] != size {
+        return Err(PlotError::new("a picture of another size"));
+    }
+    Ok(picture.pixels().iter().flat_map(|p| [p.red(), p.green(), p.blue()]).collect())
+}
+
+fn raster(svg: &str, scale: f32) -> Result<tiny_skia::Pixmap, PlotError> {
     static FONTS: OnceLock<Arc<usvg::fontdb::Database>> = OnceLock::new();
     let fontdb = FONTS.get_or_init(|| {
         let mut fonts = usvg::fontdb::Database::new();
@@ -258,7 +271,7 @@ pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, PlotError> {
     let [width, height] = [size.width(), size.height()].map(|side| (side * scale).ceil() as u32);
     let mut picture = tiny_skia::Pixmap::new(width, height).ok_or_else(|| PlotError::new("too large a picture"))?;
     resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut picture.as_mut());
-    picture.encode_png().map_err(PlotError::new)
+    Ok(picture)
 }
 
 struct Entry<'a> {

@@ -203,34 +203,103 @@ pub type Plot = (String, String);
 
 /// More than so many of one kind tell nobody anything.
 const MOST_PLOTS: usize = 12;
+/// More than so many nobody asked for.
+const FEW_PLOTS: usize = 6;
 /// What counts as good in the paper's figures.
 const GOOD_DB: f64 = 40.0;
 
-/// Plots of everything that varies: a map of PSNR for every two of N, M and β (Figures 7 and 8), and curves along every single axis.
+/// How many plots of a table.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Plots {
+    /// None.
+    None,
+    /// The maps of one pair of N, M and β, and a plot for every other axis.
+    #[default]
+    Few,
+    /// Maps of every pair, curves along every axis, for all values of the others.
+    All,
+}
+
+/// What a plot shows: a map over two axes, or curves along one for the values of another.
+enum View {
+    Map(Axis, Axis),
+    Curves(Axis, Option<Axis>),
+}
+
+/// A plot that could be drawn: its name, what it shows, the rows that it shows, the axes on which these agree.
+struct Sketch {
+    stem: String,
+    view: View,
+    part: Vec<Row>,
+    others: Vec<Axis>,
+}
+
+/// Plots of what varies: maps of PSNR over two of N, M and β (Figures 7 and 8), and curves along single axes; and how many more there could be.
 ///
 /// # Errors
 /// If drawing fails.
-pub fn plots(rows: &[Row]) -> Result<Vec<Plot>, PlotError> {
+pub fn plots(rows: &[Row], which: Plots) -> Result<(Vec<Plot>, usize), PlotError> {
+    let all = sketches(rows);
+    let count = all.len();
+    let chosen = match which {
+        Plots::None => Vec::new(),
+        Plots::Few => few(all),
+        Plots::All => all,
+    };
+    let draw = |Sketch { stem, view, part, others }: Sketch| -> Result<Plot, PlotError> {
+        let drawn = match view {
+            View::Map(x, y) => map_of(rows, &part, x, y, &others),
+            View::Curves(x, by) => curves_of(rows, &part, x, by, &others),
+        };
+        Ok((stem, drawn?))
+    };
+    let plots = chosen.into_iter().map(draw).collect::<Result<Vec<Plot>, PlotError>>()?;
+    let more = count - plots.len();
+    Ok((plots, more))
+}
+
+fn sketches(rows: &[Row]) -> Vec<Sketch> {
     let varying: Vec<Axis> = Axis::ALL.into_iter().filter(|axis| values(rows, *axis).len() > 1).collect();
-    let mut plots = Vec::new();
+    let mut found = Vec::new();
     let pairs = [(Axis::Frames, Axis::Layers), (Axis::Frames, Axis::Brightness), (Axis::Layers, Axis::Brightness)];
     for (x, y) in pairs.into_iter().filter(|(x, y)| varying.contains(x) && varying.contains(y)) {
         let others: Vec<Axis> = varying.iter().copied().filter(|axis| ![x, y].contains(axis)).collect();
         for (number, part) in groups(rows, &others).into_iter().take(MOST_PLOTS).enumerate() {
-            plots.push((
-                format!("psnr-{}-{}-{:02}", x.stem(), y.stem(), number + 1),
-                map_of(rows, &part, x, y, &others)?,
-            ));
+            let stem = format!("psnr-{}-{}-{:02}", x.stem(), y.stem(), number + 1);
+            found.push(Sketch { stem, view: View::Map(x, y), part, others: others.clone() });
         }
     }
     for &x in varying.iter().filter(|axis| **axis != Axis::Display) {
         let by = varying.iter().copied().find(|axis| *axis != x && *axis != Axis::Display);
         let others: Vec<Axis> = varying.iter().copied().filter(|axis| *axis != x && Some(*axis) != by).collect();
         for (number, part) in groups(rows, &others).into_iter().take(MOST_PLOTS).enumerate() {
-            plots.push((format!("psnr-{}-{:02}", x.stem(), number + 1), curves_of(rows, &part, x, by, &others)?));
+            let stem = format!("psnr-{}-{:02}", x.stem(), number + 1);
+            found.push(Sketch { stem, view: View::Curves(x, by), part, others: others.clone() });
         }
     }
-    Ok(plots)
+    found
+}
+
+/// The first maps, those of one pair, and the first curves along every axis that is not in them.
+fn few(all: Vec<Sketch>) -> Vec<Sketch> {
+    let mut shown: Vec<Axis> = Vec::new();
+    let mut pair = None;
+    let mut chosen = Vec::new();
+    for sketch in all {
+        let wanted = match sketch.view {
+            View::Map(x, y) => *pair.get_or_insert((x, y)) == (x, y) && chosen.len() < FEW_PLOTS - 2,
+            View::Curves(x, _) => !shown.contains(&x) && chosen.len() < FEW_PLOTS,
+        };
+        if wanted {
+            match sketch.view {
+                View::Map(x, y) => shown.extend([x, y]),
+                View::Curves(x, _) => shown.push(x),
+            }
+            chosen.push(sketch);
+        }
+    }
+    chosen
 }
 
 /// The values of an axis in rising order, or of displays in the order in which they come.
@@ -356,13 +425,44 @@ mod tests {
 
     #[test]
     fn what_varies_is_plotted() {
-        let found = plots(&rows()).unwrap();
-        let stems: Vec<&str> = found.iter().map(|(stem, _)| stem.as_str()).collect();
+        let stems =
+            |which: Plots| -> Vec<String> { plots(&rows(), which).unwrap().0.into_iter().map(|plot| plot.0).collect() };
+        let all = stems(Plots::All);
         for stem in ["psnr-frames-layers-01", "psnr-frames-layers-02", "psnr-layers-01", "psnr-frames-01"] {
-            assert!(stems.contains(&stem), "{stem} is not among {stems:?}");
+            assert!(all.iter().any(|other| other == stem), "{stem} is not among {all:?}");
         }
         // a single layer has no distance to vary
-        assert!(!stems.iter().any(|stem| stem.contains("brightness") || stem.contains("gap")), "{stems:?}");
-        assert!(plots(&rows()[..1]).unwrap().is_empty(), "one design is no trend");
+        assert!(!all.iter().any(|stem| stem.contains("brightness") || stem.contains("gap")), "{all:?}");
+        // what the maps show needs no curves
+        assert_eq!(stems(Plots::Few), ["psnr-frames-layers-01", "psnr-frames-layers-02"]);
+        assert_eq!(plots(&rows(), Plots::None).unwrap(), (Vec::new(), all.len()));
+        assert!(plots(&rows()[..1], Plots::All).unwrap().0.is_empty(), "one design is no trend");
+    }
+
+    #[test]
+    fn nobody_gets_dozens_of_plots_unasked() {
+        let base = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 12.0], 2);
+        let mut rows = Vec::new();
+        for (layers, frames, tenths) in (2..6).flat_map(|n| (1..4).flat_map(move |m| (1..11).map(move |b| (n, m, b)))) {
+            for gap_mm in [5.0, 10.0, 20.0] {
+                let brightness = Some(f64::from(tenths) / 10.0);
+                let variation = Variation {
+                    layers: Some(layers),
+                    frames: Some(frames),
+                    brightness,
+                    gap_mm: Some(gap_mm),
+                    ..Variation::default()
+                };
+                let design = Design::of("a", &variation.applied_to(&base).unwrap());
+                rows.push(Row { design, psnr_view_db: 30.0, psnr_raw_db: 40.0, psnr_between_db: None });
+            }
+        }
+        let (few, more) = plots(&rows, Plots::Few).unwrap();
+        let stems: Vec<&str> = few.iter().map(|plot| plot.0.as_str()).collect();
+        assert!(few.len() <= FEW_PLOTS && more > 24, "{stems:?} and {more}");
+        assert!(
+            stems.contains(&"psnr-brightness-01") && stems.contains(&"psnr-gap-01"),
+            "every axis is seen: {stems:?}"
+        );
     }
 }

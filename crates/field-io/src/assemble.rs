@@ -7,11 +7,12 @@
 use std::path::Path;
 
 use lumistack_core::{Task, Tensor};
-use lumistack_display::LightField;
+use lumistack_display::{FieldGeometry, LightField};
 
 use crate::disparity::{self, Motion};
 use crate::geometry::{self, GeometryDefaults, GeometryFlags, Pixels, pick};
 use crate::npy::zeros;
+use crate::prefilter::{self, Footprint, Shares};
 use crate::resample::{Rect, area};
 use crate::source::Source;
 use crate::{FieldError, detect};
@@ -36,15 +37,30 @@ pub fn open(
     defaults: &GeometryDefaults,
     task: Task<'_>,
 ) -> Result<LightField, FieldError> {
+    open_for(path, flags, defaults, None, task)
+}
+
+/// As [`open`], for a display: with [`GeometryFlags::prefilter`] every view that is kept is averaged with those around it over the display's footprint.
+///
+/// # Errors
+/// As [`open`], and when a prefilter is asked for without a footprint.
+pub fn open_for(
+    path: &Path,
+    flags: &GeometryFlags,
+    defaults: &GeometryDefaults,
+    footprint: Option<Footprint<'_>>,
+    task: Task<'_>,
+) -> Result<LightField, FieldError> {
     let mut source = detect::detect(path, flags, task)?;
     source.mirror(flags.mirror);
-    assemble(&mut source, flags, defaults, task)
+    assemble(&mut source, flags, defaults, footprint, task)
 }
 
 pub(crate) fn assemble(
     source: &mut Source,
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,
+    footprint: Option<Footprint<'_>>,
     task: Task<'_>,
 ) -> Result<LightField, FieldError> {
     let path = source.path.clone();
@@ -60,18 +76,30 @@ pub(crate) fn assemble(
     let pixels = Pixels { size: window.out_size, window_cols: window.size[0], focus_px };
     let geometry = geometry::resolve(&path, flags, defaults, &source.hints, &picks, &pixels, task)?;
 
+    let averaged = averaged(source, flags, footprint, &picks, &window, &geometry, task)?;
     let shape = LightField::shape_of(&geometry);
     let count = Tensor::element_count(shape)
         .ok_or_else(|| FieldError::malformed(&path, "size", "an array that fits in memory", format!("{shape:?}")))?;
     let mut data = zeros(&path, count)?;
     let mut range = Range::default();
+    let mut one = Vec::new();
     task.progress.begin("read views", (shape[0] * shape[1]) as u64, "views");
     for (index, part) in data.chunks_exact_mut(count / (shape[0] * shape[1])).enumerate() {
         task.cancel.check()?;
-        let view = [picks[0][index / shape[1]], picks[1][index % shape[1]]];
-        let mut values = source.reader.load(view)?;
-        check_values(source, view, &mut values, &mut range)?;
-        area(&values, source.size, window.rect(view), window.out_size, part);
+        let [of_row, of_col] = [&averaged[0][index / shape[1]], &averaged[1][index % shape[1]]];
+        let views: Vec<([usize; 2], f32)> =
+            of_row.iter().flat_map(|y| of_col.iter().map(move |x| ([y.0, x.0], y.1 * x.1))).collect();
+        for (view, share) in &views {
+            let mut values = source.reader.load(*view)?;
+            check_values(source, *view, &mut values, &mut range)?;
+            if views.len() == 1 {
+                area(&values, source.size, window.rect(*view), window.out_size, part);
+                continue;
+            }
+            one.resize(part.len(), 0.0);
+            area(&values, source.size, window.rect(*view), window.out_size, &mut one);
+            part.iter_mut().zip(&one).for_each(|(sum, value)| *sum += share * value);
+        }
         task.progress.advance(1, "");
     }
     task.progress.end();
@@ -79,6 +107,43 @@ pub(crate) fn assemble(
     let radiance = Tensor::from_vec(LightField::AXES, shape, data)
         .map_err(|error| FieldError::malformed(&path, "size", shape_text(shape), error.to_string()))?;
     LightField::new(geometry, radiance).map_err(FieldError::geometry(&path))
+}
+
+/// Which views are averaged for each that is kept: [view rows, view columns].
+fn averaged(
+    source: &Source,
+    flags: &GeometryFlags,
+    footprint: Option<Footprint<'_>>,
+    picks: &[Vec<usize>; 2],
+    window: &Window,
+    geometry: &FieldGeometry,
+    task: Task<'_>,
+) -> Result<[Shares; 2], FieldError> {
+    let alone = [0, 1].map(|axis| prefilter::alone(&picks[axis]));
+    if !flags.prefilter {
+        return Ok(alone);
+    }
+    let Some(footprint) = footprint else {
+        return Err(FieldError::malformed(&source.path, "--prefilter", "a display whose prefilter it is", "none"));
+    };
+    let (width, positions) = (footprint(geometry), positions(source));
+    let along = |axis: usize, slopes: &[f64]| {
+        let mut shares = prefilter::shares(slopes, &picks[1 - axis], &positions[axis], width[axis]);
+        for list in &mut shares {
+            // views whose part of the plane is cut off by their own edge cannot help
+            let room = source.size[axis] as f64 - window.size[axis] + 1e-6;
+            list.retain(|(view, _)| (-1e-6..=room).contains(&(window.corner[axis] + window.shift[axis][*view])));
+            let sum: f32 = list.iter().map(|(_, share)| share).sum();
+            list.iter_mut().for_each(|(_, share)| *share /= sum);
+        }
+        shares
+    };
+    let shares = [along(1, &geometry.grid.slope_y), along(0, &geometry.grid.slope_x)];
+    if shares == alone {
+        let message = "its views stand too far apart for the display's prefilter, which changes nothing";
+        task.warn(geometry::place(&source.path), message);
+    }
+    Ok(shares)
 }
 
 fn shape_text(shape: [usize; 5]) -> String {

@@ -161,7 +161,7 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
     let info = std::mem::take(&mut source.info);
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    Ok((assemble(&mut source, &GeometryFlags::default(), &GeometryDefaults::default(), task)?, info))
+    Ok((assemble(&mut source, &GeometryFlags::default(), &GeometryDefaults::default(), None, task)?, info))
 }
 
 /// Opens a light field's folder without reading its pictures.

@@ -44,6 +44,9 @@ pub struct GeometryFlags {
     /// Reverse the order of views along [x, y].
     #[serde(skip_serializing_if = "is_unset")]
     pub mirror: [bool; 2],
+    /// Average every view that is kept over the slopes that the display cannot tell apart; see [`open_for`](crate::open_for).
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub prefilter: bool,
 }
 
 fn is_unset(mirror: &[bool; 2]) -> bool {

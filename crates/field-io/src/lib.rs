@@ -24,15 +24,17 @@ mod hci;
 pub mod npy;
 pub mod npz;
 pub mod picture;
+mod prefilter;
 mod quilt;
 mod resample;
 mod source;
 mod stack;
 
-pub use assemble::open;
+pub use assemble::{open, open_for};
 pub use describe::{Description, describe};
 pub use error::FieldError;
 pub use folder::{read_field_folder, round_to_half, view_file_name, write_field, write_index, write_view};
 pub use geometry::{GeometryDefaults, GeometryFlags};
+pub use prefilter::Footprint;
 pub use source::Kind;
 pub use stack::{BacklightEntry, LayerEntry, StackIndex, read_stack, read_stack_index, write_stack};

@@ -5,7 +5,7 @@ mod common;
 use std::fs;
 use std::process::Command;
 
-use common::{defaults, open, random_field};
+use common::{defaults, open, open_for, random_field};
 use lumistack_core::Tensor;
 use lumistack_display::{
     Backlight, Display, Layer, LayerStack, LensletBacklight, LightField, Projection, ProjectionKind,
@@ -111,6 +111,62 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
     let file = folder.path().join("view_00_00.exr");
     let error = write_field(&file, &field, &Map::new()).unwrap_err().to_string();
     assert!(error.contains("view_00_00.exr: output folder: expected a folder or nothing, found a file"), "{error}");
+}
+
+/// A plane at z with a grating of frequency ω, seen by 45 views of which 9 are kept: each keeps sin(πωznΔs)/(n sin(πωzΔs)) of the contrast for a footprint of n views, nearly
+/// sinc(ω z δs), where views that are merely chosen keep all of it.
+#[test]
+fn a_prefilter_takes_away_what_it_should() {
+    let grid = lumistack_display::ViewGrid::uniform(Projection::Oblique, [45, 2], [20.0, 2.0]).unwrap();
+    let step = grid.bin_width()[0];
+    // with a pixel at x = 0 and whole pixels per half period the extremes are seen
+    for (z_mm, frequency, n) in [(40.0, 0.8, 5), (-60.0, 0.4, 5), (25.0, 0.5, 9), (0.0, 0.8, 9)] {
+        let geometry = lumistack_display::FieldGeometry { rows: 1, cols: 101, pitch_mm: 0.125, grid: grid.clone() };
+        let mut field = LightField::black(geometry.clone()).unwrap();
+        for view in geometry.grid.iter() {
+            for (i, value) in field.view_mut(view).iter_mut().enumerate() {
+                let x = geometry.x_mm(i / 3) + z_mm * geometry.grid.slope_x[view[1]];
+                *value = (0.5 + 0.5 * (std::f64::consts::TAU * frequency * x).cos()) as f32;
+            }
+        }
+        let folder = tempfile::tempdir().unwrap();
+        write_field(folder.path(), &field, &Map::new()).unwrap();
+        let flags = GeometryFlags { views: Some([9, 2]), prefilter: true, ..GeometryFlags::default() };
+        let (filtered, warnings) = open_for(folder.path(), &flags, [n as f64 * step, 0.0]);
+        let filtered = filtered.unwrap();
+        assert_eq!((filtered.geometry().grid.slope_x.len(), warnings.len()), (9, 0), "{warnings:?}");
+        let contrast = |values: &[f32]| {
+            let (low, high) = values.iter().fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
+            f64::from(high - low)
+        };
+        let phase = std::f64::consts::PI * frequency * f64::abs(z_mm) * step;
+        let expected = if z_mm == 0.0 { 1.0 } else { (f64::from(n) * phase).sin() / (f64::from(n) * phase.sin()) };
+        let found = contrast(filtered.view([0, 4]));
+        assert!((found - expected.abs()).abs() < 0.01, "{z_mm} mm, {frequency}, {n} views: {found}, not {expected}");
+        let (chosen, _) = open(folder.path(), &GeometryFlags { prefilter: false, ..flags }, &defaults());
+        assert!((contrast(chosen.unwrap().view([0, 4])) - 1.0).abs() < 0.01);
+    }
+}
+
+#[test]
+fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
+    let field = random_field([5, 3], [8, 6], Projection::Oblique, 2);
+    let folder = tempfile::tempdir().unwrap();
+    write_field(folder.path(), &field, &Map::new()).unwrap();
+    let [bin_x, bin_y] = field.geometry().grid.bin_width();
+    let flags = GeometryFlags { views: Some([1, 3]), prefilter: true, ..GeometryFlags::default() };
+    // one view per row has no step; of three rows the middle one takes a quarter of each neighbour
+    let (filtered, _) = open_for(folder.path(), &flags, [3.0 * bin_x, 2.0 * bin_y]);
+    let filtered = filtered.unwrap();
+    for (i, found) in filtered.view([1, 0]).iter().enumerate() {
+        let of = |row: usize| field.view([row, 2])[i];
+        assert!((found - (0.25 * of(0) + 0.5 * of(1) + 0.25 * of(2))).abs() < 1e-6);
+    }
+    let (same, warnings) = open_for(folder.path(), &flags, [bin_x, bin_y]);
+    assert!(same.unwrap().view([1, 0]) == field.view([1, 2]), "views as far apart as the footprint stay");
+    assert!(warnings.iter().any(|text| text.contains("which changes nothing")), "{warnings:?}");
+    let error = open(folder.path(), &flags, &defaults()).0.unwrap_err().to_string();
+    assert!(error.contains("--prefilter: expected a display"), "{error}");
 }
 
 #[test]

@@ -1,24 +1,22 @@
 //! Two runs side by side, a run beside a photograph of its panels, and what an eye's pupil makes of a display.
 //!
-//! Two runs are simulated at the same rays, those of the first one's target, and compared with each other and with their targets. A photograph is brought
-//! onto the display by the homography of its four corners, and to the simulation's exposure by the one factor g that minimizes Σ (g p − s)² over
-//! photograph p and simulation s, in linear light:
-//!
-//! ```text
-//! g = Σ s p / Σ p²
-//! ```
+//! Two runs are simulated at the same rays, those of the first one's target, and compared with each other and with their targets.
 //!
 //! Through a pupil around the eye e at distance D, focused on depth z, a display is the mean of what is seen from points q of the pupil, each moved so that the
 //! plane at z stays where it is: by (q − e) z/(D − z) on z = 0.
+
+mod displays;
+mod photo;
 
 use std::path::{Path, PathBuf};
 
 use lumistack_core::metrics::{Flip, Mean, SquaredError, ssim};
 use lumistack_core::{Task, Tensor};
 use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator};
-use lumistack_field_io::picture::Picture;
 use serde::Serialize;
 
+pub use self::displays::{DisplayLikeness, DisplaysComparison, compare_displays};
+pub use self::photo::{PhotoComparison, Pose, compare_photo};
 use crate::error::{PipelineError, display_error, field_error};
 use crate::simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file};
 
@@ -44,17 +42,6 @@ pub struct RunComparison {
     pub second: Option<Likeness>,
     /// The second against the first.
     pub between: Likeness,
-    /// Pictures that were written.
-    pub pictures: Vec<PathBuf>,
-}
-
-/// A photograph beside the simulation.
-#[derive(Clone, Debug, Serialize)]
-pub struct PhotoComparison {
-    /// Photograph against simulation, at the simulation's exposure.
-    pub likeness: Likeness,
-    /// Factor that was put on the photograph's linear values.
-    pub gain: f64,
     /// Pictures that were written.
     pub pictures: Vec<PathBuf>,
 }
@@ -88,6 +75,12 @@ impl Sums {
         }
         self.ssim = self.ssim.merged(ssim(reference, &test, shape).mean_where(counted));
         self.flip = self.flip.merged(self.filter.compare(reference, &test, shape).mean_where(counted));
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.error = self.error.merged(other.error);
+        self.ssim = self.ssim.merged(other.ssim);
+        self.flip = self.flip.merged(other.flip);
     }
 
     fn likeness(&self) -> Likeness {
@@ -170,48 +163,6 @@ fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError> {
     Ok(None)
 }
 
-/// Compares a photograph with what the run shows from the viewpoint. `corners` are those of the light field's rectangle in the photograph, pixels from its top left
-/// corner, in the order left top, right top, right bottom, left bottom; without them it fills the photograph.
-///
-/// # Errors
-/// When run or photograph cannot be read, the viewpoint makes no sense, or the corners span nothing.
-pub fn compare_photo(
-    run: &Path,
-    photo: &Path,
-    viewpoint: Viewpoint,
-    corners: Option<[[f64; 2]; 4]>,
-    out: Option<&Path>,
-) -> Result<PhotoComparison, PipelineError> {
-    let run = RunFolder::open(run)?;
-    let simulated = run.picture(viewpoint, false)?;
-    let [rows, cols, _] = simulated.shape();
-    let picture = Picture::read(photo).map_err(field_error)?;
-    let size = picture.size();
-    let [width, height] = size.map(|side| side as f64);
-    let corners = corners.unwrap_or([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]);
-    let map = Homography::of_unit_square(corners).ok_or_else(|| {
-        PipelineError::value("--corners", "corners", "four corners of a convex figure", format!("{corners:?}"))
-    })?;
-    let mut taken = rectified(&picture.into_linear(), size, &map, [rows, cols]);
-    let (mut products, mut squares) = (0.0, 0.0);
-    for (p, s) in taken.iter().zip(simulated.data()) {
-        products += f64::from(*p) * f64::from(*s);
-        squares += f64::from(*p) * f64::from(*p);
-    }
-    let gain = if squares > 0.0 { products / squares } else { 1.0 };
-    taken.iter_mut().for_each(|value| *value *= gain as f32);
-    let mut sums = Sums::new();
-    sums.add(simulated.data(), &taken, [rows, cols], &vec![true; rows * cols]);
-    let mut pictures = Vec::new();
-    if let Some(out) = out {
-        let path = out.join("photograph.png");
-        let panes = vec![simulated.data().to_vec(), taken.clone(), difference(simulated.data(), &taken)];
-        save(&path, panes, [rows, cols])?;
-        pictures.push(path);
-    }
-    Ok(PhotoComparison { likeness: sums.likeness(), gain, pictures })
-}
-
 /// Samples of a pupil per axis; those outside its disc do not count.
 const PUPIL_SAMPLES: usize = 7;
 
@@ -272,67 +223,6 @@ fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
     }
 }
 
-/// From the unit square, x to the right and y down, to the plane of a picture.
-struct Homography([f64; 8]);
-
-impl Homography {
-    /// (0,0), (1,0), (1,1), (0,1) go to the corners; `None` where they span nothing. Source: Heckbert, "Fundamentals of Texture Mapping and Image Warping"
-    /// (1989), section 2.2.3.
-    fn of_unit_square([a, b, c, d]: [[f64; 2]; 4]) -> Option<Self> {
-        let (dx1, dx2, sx) = (b[0] - c[0], d[0] - c[0], a[0] - b[0] + c[0] - d[0]);
-        let (dy1, dy2, sy) = (b[1] - c[1], d[1] - c[1], a[1] - b[1] + c[1] - d[1]);
-        let area = dx1 * dy2 - dx2 * dy1;
-        let (g, h) = ((sx * dy2 - dx2 * sy) / area, (dx1 * sy - sx * dy1) / area);
-        let found = [
-            b[0] - a[0] + g * b[0],
-            d[0] - a[0] + h * d[0],
-            a[0],
-            b[1] - a[1] + g * b[1],
-            d[1] - a[1] + h * d[1],
-            a[1],
-            g,
-            h,
-        ];
-        // nothing of the square may lie on or beyond the horizon
-        let sound = area.abs() > 1e-9 && [1.0, 1.0 + g, 1.0 + h, 1.0 + g + h].iter().all(|w| *w > 1e-9);
-        (sound && found.iter().all(|value| value.is_finite())).then_some(Self(found))
-    }
-
-    fn at(&self, u: f64, v: f64) -> [f64; 2] {
-        let m = &self.0;
-        let w = m[6] * u + m[7] * v + 1.0;
-        [(m[0] * u + m[1] * v + m[2]) / w, (m[3] * u + m[4] * v + m[5]) / w]
-    }
-}
-
-/// Points per pixel and axis of the rectified picture.
-const POINTS: usize = 4;
-
-/// The part of a picture `[row][col][rgb]` of size [width, height] that a homography frames, at [rows, cols].
-fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, cols]: [usize; 2]) -> Vec<f32> {
-    let mut result = vec![0.0f32; 3 * rows * cols];
-    let share = 1.0 / (POINTS * POINTS) as f32;
-    for (i, pixel) in result.chunks_exact_mut(3).enumerate() {
-        let (row, col) = (i / cols, i % cols);
-        for (py, px) in (0..POINTS).flat_map(|y| (0..POINTS).map(move |x| (y, x))) {
-            let part = |i: usize, p: usize, count: usize| (i as f64 + (p as f64 + 0.5) / POINTS as f64) / count as f64;
-            let [x, y] = map.at(part(col, px, cols), part(row, py, rows));
-            let axis = |at: f64, count: usize| {
-                let at = (at - 0.5).clamp(0.0, (count - 1) as f64);
-                (at.floor() as usize, (at.floor() as usize + 1).min(count - 1), (at - at.floor()) as f32)
-            };
-            let ((left, right, tx), (top, bottom, ty)) = (axis(x, width), axis(y, height));
-            for (c, value) in pixel.iter_mut().enumerate() {
-                let mix = |row: usize| {
-                    (1.0 - tx) * rgb[3 * (row * width + left) + c] + tx * rgb[3 * (row * width + right) + c]
-                };
-                *value += share * ((1.0 - ty) * mix(top) + ty * mix(bottom));
-            }
-        }
-    }
-    result
-}
-
 /// ½ + the difference, so that equal is middle grey.
 fn difference(first: &[f32], second: &[f32]) -> Vec<f32> {
     // middle grey of the encoded picture
@@ -357,23 +247,6 @@ fn save(path: &Path, panes: Vec<Vec<f32>>, [rows, cols]: [usize; 2]) -> Result<(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_homography_takes_the_square_to_its_corners() {
-        let corners = [[10.0, 5.0], [90.0, 12.0], [80.0, 70.0], [4.0, 60.0]];
-        let map = Homography::of_unit_square(corners).unwrap();
-        for ([u, v], corner) in [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].into_iter().zip(corners) {
-            let found = map.at(u, v);
-            assert!((found[0] - corner[0]).hypot(found[1] - corner[1]) < 1e-9, "{found:?} {corner:?}");
-        }
-        // the diagonals cross where they do
-        let middle = map.at(0.5, 0.5);
-        let side = |a: [f64; 2], b: [f64; 2]| (b[0] - a[0]) * (middle[1] - a[1]) - (b[1] - a[1]) * (middle[0] - a[0]);
-        assert!(side(corners[0], corners[2]).abs() < 1e-6 && side(corners[1], corners[3]).abs() < 1e-6);
-        assert!(Homography::of_unit_square([[0.0, 0.0]; 4]).is_none());
-        // a corner inside the triangle of the others
-        assert!(Homography::of_unit_square([[0.0, 0.0], [10.0, 0.0], [3.0, 3.0], [0.0, 10.0]]).is_none());
-    }
 
     /// A dot on the front layer is sharp in focus and a disc of the pupil's size out of it.
     #[test]

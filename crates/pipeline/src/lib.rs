@@ -35,7 +35,10 @@ mod steps;
 mod sweep;
 
 pub use cache::{KeyBuilder, Stamps};
-pub use compare::{Likeness, PhotoComparison, RunComparison, compare_photo, compare_runs, refocused};
+pub use compare::{
+    DisplayLikeness, DisplaysComparison, Likeness, PhotoComparison, Pose, RunComparison, compare_displays,
+    compare_photo, compare_runs, refocused,
+};
 pub use depth::{Outlook, outlook, outlook_on};
 pub use error::PipelineError;
 pub use graph::NodeSummary;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_display::{Display, LayerStack, LightField, Weights};
+use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};
 use lumistack_factorizer::{Factorization, Iteration, Problem};
 use lumistack_field_io::{GeometryDefaults, GeometryFlags};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
@@ -68,7 +68,10 @@ pub fn open_field(
         width_mm: display.map(|display| display.field_pixels().size_mm()[0]),
         fov_deg: display.map(|display| display.field.fov_deg),
     };
-    lumistack_field_io::open(path, flags, &defaults, task).map_err(field_error)
+    let footprint =
+        display.map(|display| move |geometry: &FieldGeometry| display.adapted_to(geometry).angular_footprint());
+    let footprint = footprint.as_ref().map(|footprint| footprint as lumistack_field_io::Footprint<'_>);
+    lumistack_field_io::open_for(path, flags, &defaults, footprint, task).map_err(field_error)
 }
 
 /// Where weights come from, if not from the job.

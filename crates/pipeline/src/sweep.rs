@@ -12,6 +12,7 @@ mod designs;
 mod search;
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use lumistack_core::{NoProgress, Task, Warnings};
 use lumistack_design::plot;
@@ -47,6 +48,10 @@ pub struct SweepSummary {
     pub kept: usize,
     /// The plots, as SVG; beside each the same as PNG.
     pub plots: Vec<PathBuf>,
+    /// Plots that `plots = "all"` would add.
+    pub more_plots: usize,
+    /// The design of the highest PSNR at the target views, of several the first.
+    pub best: Option<Row>,
     /// Of a search, the proposed design and the next best, best first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub proposed: Vec<Row>,
@@ -118,9 +123,11 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
     write(&csv, table::csv(&rows).as_bytes())?;
     let all = json!({ "schema": "lumistack/sweep", "version": 1, "name": job.name, "rows": rows });
     write(&dir.join("sweep.json"), &serde_json::to_vec_pretty(&all).expect("rows serialize"))?;
-    let plots = write_plots(&dir.join("plots"), &table::plots(&rows).map_err(PipelineError::Plot)?)?;
+    let (plots, more_plots) = table::plots(&rows, sweep.plots).map_err(PipelineError::Plot)?;
+    let plots = write_plots(&dir.join("plots"), &plots)?;
+    let best = rows.iter().rev().max_by(|a, b| a.psnr_view_db.total_cmp(&b.psnr_view_db)).cloned();
     let proposed = proposed.into_iter().map(|(_, row)| row).collect();
-    Ok(SweepSummary { csv, designs: rows.len(), kept, plots, proposed, display })
+    Ok(SweepSummary { csv, designs: rows.len(), kept, plots, more_plots, best, proposed, display })
 }
 
 /// Writes plots as SVG and PNG; gives the SVGs.
@@ -181,17 +188,28 @@ impl Solver<'_> {
         std::fs::create_dir_all(&self.folder).map_err(PipelineError::write(&self.folder))?;
         let progress = self.task.progress;
         progress.begin("sweep", candidates.len() as u64, "designs");
+        let finished = AtomicUsize::new(0);
         let solved: Result<Vec<(Row, bool)>, PipelineError> = candidates
             .par_iter()
             .with_max_len(1)
             .map(|candidate| {
                 let solved = self.solve(candidate, iterations)?;
-                progress.advance(1, &format!("{:.1} dB", solved.0.psnr_view_db));
+                finished.fetch_add(1, Ordering::Relaxed);
+                let from_before = if solved.1 { ", from before" } else { "" };
+                progress.advance(1, &format!("{:.1} dB{from_before}", solved.0.psnr_view_db));
                 Ok(solved)
             })
             .collect();
         progress.end();
-        let solved = solved?;
+        let solved = solved.inspect_err(|error| {
+            if matches!(error, PipelineError::Cancelled) {
+                let (done, all) = (finished.load(Ordering::Relaxed), candidates.len());
+                let folder = self.folder.display();
+                let message =
+                    format!("stopped with {done} of {all} designs in {folder}; the same command goes on from them");
+                self.task.warn("sweep", message);
+            }
+        })?;
         let kept = solved.iter().filter(|(_, kept)| *kept).count();
         Ok((solved.into_iter().map(|(row, _)| row).collect(), kept))
     }

@@ -1,6 +1,7 @@
 //! What can go wrong between a host and a plugin.
 
 use lumistack_core::Cancelled;
+use lumistack_display::Display;
 use thiserror::Error;
 
 use crate::{Input, ParamError};
@@ -26,6 +27,11 @@ impl PluginError {
     /// The work failed for a reason that another error gives, after what was being done.
     pub fn failed(doing: &str, error: impl std::fmt::Display) -> Self {
         Self::Failed(format!("{doing}: {error}"))
+    }
+
+    /// A display that the plugin does not serve.
+    pub fn display(display: &Display, expected: impl std::fmt::Display, found: impl std::fmt::Display) -> Self {
+        Self::Refused(format!("display `{}`: expected {expected}, found {found}", display.name))
     }
 
     /// Writing through a library failed. What the host itself said (see [`OutputFile`](crate::OutputFile)) comes back as it was.

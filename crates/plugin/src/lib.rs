@@ -68,6 +68,7 @@ mod boundary;
 mod describe;
 pub mod encoding;
 mod error;
+pub mod expects;
 mod export;
 mod host;
 mod input;

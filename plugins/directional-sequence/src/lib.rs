@@ -12,9 +12,9 @@
 //! shows their mean.
 
 use lumistack_plugin::core::Tensor;
-use lumistack_plugin::display::{Backlight, BacklightTap, Formation, LayerStack, RayMap};
+use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, PluginError, Schema, Time, export_plugin};
+use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, PluginError, Schema, Time, expects, export_plugin};
 
 /// The plugin.
 pub struct DirectionalSequence;
@@ -40,22 +40,13 @@ impl NodePlugin for DirectionalSequence {
         _time: Time,
         field: &FieldInput<'_>,
     ) -> Result<LayerStack, PluginError> {
-        let refused = |expected: String, found: String| {
-            Err(PluginError::Refused(format!("display `{}`: expected {expected}, found {found}", display.name)))
-        };
-        let Backlight::Lenslets(lenslets) = &display.backlight else {
-            return refused("a directional backlight".into(), "a uniform one".into());
-        };
-        if display.formation != Formation::Attenuating {
-            return refused("layers that attenuate".into(), format!("{:?}", display.formation).to_lowercase());
-        }
+        let lenslets = expects::lenslets(display)?;
+        expects::attenuating(display)?;
         let [bins_x, bins_y] = lenslets.views;
         let (frames, directions) = (display.frames, bins_x * bins_y);
         if frames > directions {
-            return refused(
-                format!("no more frames than the backlight has directions, {directions}"),
-                frames.to_string(),
-            );
+            let expected = format!("no more frames than the backlight has directions, {directions}");
+            return Err(PluginError::display(display, expected, frames));
         }
         if frames < directions {
             host.warn(&format!("{frames} frames for {directions} directions: several share a frame and what it shows"));
@@ -64,7 +55,7 @@ impl NodePlugin for DirectionalSequence {
         let geometry = field.geometry();
         let map = RayMap::new(display, geometry);
         let Some(backlight) = &map.backlight else {
-            return refused("a directional backlight".into(), "none".into());
+            return Err(PluginError::display(display, "a directional backlight", "none"));
         };
         // the layer nearest to the display's plane shows the views, the others stay open
         let nearest = (0..display.layers.len())

@@ -1,10 +1,8 @@
 //! What the frames show together against what they should, ray by ray.
 
-use lumistack_plugin::core::seed::Stream;
-use lumistack_plugin::display::{Backlight, Display, LayerStack, LensletBacklight, LightField, RayMap, Simulator};
-use lumistack_plugin::serve::{Plugin, make_stack};
-use lumistack_plugin::testkit::{MemoryHost, conformance};
-use lumistack_plugin::{PluginError, Time};
+use lumistack_plugin::PluginError;
+use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};
+use lumistack_plugin::testkit::{conformance, made_by, random_field};
 use lumistack_plugin_directional_sequence::PLUGIN;
 
 /// Rounding of f32 values.
@@ -17,18 +15,6 @@ fn display(frames: usize) -> Display {
     display
 }
 
-fn random_field(display: &Display) -> LightField {
-    let mut field = LightField::black(display.geometry().unwrap()).unwrap();
-    let mut stream = Stream::new(7);
-    field.radiance_mut().data_mut().fill_with(|| stream.next_f32());
-    field
-}
-
-fn make(display: &Display, field: &LightField) -> Result<LayerStack, PluginError> {
-    let (plugin, host) = (Plugin::compiled_in(&PLUGIN).unwrap(), MemoryHost::new());
-    make_stack(&plugin, &host, "{}", display, Time::default(), field)
-}
-
 #[test]
 fn conforms() {
     conformance(&PLUGIN).unwrap();
@@ -39,8 +25,8 @@ fn conforms() {
 fn views_that_share_a_frame_share_its_picture() {
     for frames in [6, 3, 1] {
         let display = display(frames);
-        let field = random_field(&display);
-        let stack = make(&display, &field).unwrap();
+        let field = random_field(&display).unwrap();
+        let stack = made_by(&PLUGIN, "{}", &display, &field).unwrap();
         assert!((stack.brightness - 0.8 / frames as f64).abs() < 1e-12);
         let (map, simulator) = (RayMap::new(&display, field.geometry()), Simulator::new(&display, &stack));
         let together = 6 / frames;
@@ -60,8 +46,8 @@ fn views_that_share_a_frame_share_its_picture() {
 #[test]
 fn other_displays_are_refused() {
     let display = Display { frames: 7, ..display(6) };
-    let error = make(&display, &random_field(&display)).unwrap_err();
+    let error = made_by(&PLUGIN, "{}", &display, &random_field(&display).unwrap()).unwrap_err();
     assert!(matches!(&error, PluginError::Refused(text) if text.contains("directions, 6, found 7")), "{error:?}");
     let uniform = Display { backlight: Backlight::Uniform, ..display };
-    assert!(make(&uniform, &random_field(&uniform)).is_err());
+    assert!(made_by(&PLUGIN, "{}", &uniform, &random_field(&uniform).unwrap()).is_err());
 }

@@ -10,9 +10,9 @@
 //! the layers, and every lenslet is one pixel of the picture.
 
 use lumistack_plugin::core::Tensor;
-use lumistack_plugin::display::{BacklightTap, Formation, LayerStack, RayMap};
+use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, PluginError, Schema, Time, export_plugin};
+use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, PluginError, Schema, Time, expects, export_plugin};
 
 /// The plugin.
 pub struct IntegralImaging;
@@ -38,19 +38,12 @@ impl NodePlugin for IntegralImaging {
         _time: Time,
         field: &FieldInput<'_>,
     ) -> Result<LayerStack, PluginError> {
+        let lenslets = expects::lenslets(display)?;
+        expects::attenuating(display)?;
         let geometry = field.geometry();
         let map = RayMap::new(display, geometry);
-        let refused = |expected: &str, found: String| {
-            PluginError::Refused(format!("display `{}`: expected {expected}, found {found}", display.name))
-        };
         let (Some(backlight), Some(shape)) = (&map.backlight, LayerStack::emission_shape(display)) else {
-            return Err(refused("a directional backlight", "a uniform one".into()));
-        };
-        if display.formation != Formation::Attenuating {
-            return Err(refused("layers that attenuate", format!("{:?}", display.formation).to_lowercase()));
-        }
-        let lumistack_plugin::display::Backlight::Lenslets(lenslets) = &display.backlight else {
-            return Err(refused("a directional backlight", "a uniform one".into()));
+            return Err(PluginError::display(display, "a directional backlight", "none"));
         };
         let [dark, bright] = lenslets.range();
         let mut stack = LayerStack::filled(display, dark);

@@ -1,10 +1,8 @@
 //! What the lens array shows against what it should, ray by ray.
 
-use lumistack_plugin::core::seed::Stream;
-use lumistack_plugin::display::{Backlight, Display, LayerStack, LensletBacklight, LightField, RayMap, Simulator};
-use lumistack_plugin::serve::{Plugin, make_stack};
-use lumistack_plugin::testkit::{MemoryHost, conformance};
-use lumistack_plugin::{PluginError, Time};
+use lumistack_plugin::PluginError;
+use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};
+use lumistack_plugin::testkit::{conformance, made_by, random_field};
 use lumistack_plugin_integral_imaging::PLUGIN;
 
 /// Rounding of f32 values.
@@ -19,18 +17,6 @@ fn display(lenslets: usize) -> Display {
     display
 }
 
-fn random_field(display: &Display) -> LightField {
-    let mut field = LightField::black(display.geometry().unwrap()).unwrap();
-    let mut stream = Stream::new(7);
-    field.radiance_mut().data_mut().fill_with(|| stream.next_f32());
-    field
-}
-
-fn make(display: &Display, field: &LightField) -> Result<LayerStack, PluginError> {
-    let (plugin, host) = (Plugin::compiled_in(&PLUGIN).unwrap(), MemoryHost::new());
-    make_stack(&plugin, &host, "{}", display, Time::default(), field)
-}
-
 #[test]
 fn conforms() {
     conformance(&PLUGIN).unwrap();
@@ -39,8 +25,8 @@ fn conforms() {
 #[test]
 fn with_a_lenslet_per_pixel_all_rays_are_right() {
     let display = display(12);
-    let field = random_field(&display);
-    let stack = make(&display, &field).unwrap();
+    let field = random_field(&display).unwrap();
+    let stack = made_by(&PLUGIN, "{}", &display, &field).unwrap();
     assert_eq!(stack.brightness, 0.8);
     let (map, simulator) = (RayMap::new(&display, field.geometry()), Simulator::new(&display, &stack));
     for view in field.geometry().grid.iter() {
@@ -55,8 +41,8 @@ fn with_a_lenslet_per_pixel_all_rays_are_right() {
 #[test]
 fn a_coarse_array_shows_means() {
     let display = display(4);
-    let field = random_field(&display);
-    let stack = make(&display, &field).unwrap();
+    let field = random_field(&display).unwrap();
+    let stack = made_by(&PLUGIN, "{}", &display, &field).unwrap();
     let emission = stack.emission.as_ref().unwrap();
     let [_, bins_y, bins_x, rows, cols, _] = emission.shape();
     for (bin_y, bin_x) in (0..bins_y).flat_map(|y| (0..bins_x).map(move |x| (y, x))) {
@@ -74,7 +60,7 @@ fn a_coarse_array_shows_means() {
 #[test]
 fn other_displays_are_refused() {
     let display = Display::uniform([12, 12], 1.0, [3, 3], [20.0, 20.0], &[0.0], 2);
-    let error = make(&display, &random_field(&display)).unwrap_err();
+    let error = made_by(&PLUGIN, "{}", &display, &random_field(&display).unwrap()).unwrap_err();
     assert!(
         matches!(&error, PluginError::Refused(text) if text.contains("expected a directional backlight")),
         "{error:?}"

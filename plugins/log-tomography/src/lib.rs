@@ -10,9 +10,11 @@
 //! Every frame is the same, and channels are independent.
 
 use lumistack_plugin::core::Tensor;
-use lumistack_plugin::display::{Backlight, Formation, LayerMap, LayerStack, RayMap};
+use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, export_plugin};
+use lumistack_plugin::{
+    Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
+};
 
 /// The plugin.
 pub struct LogTomography;
@@ -50,15 +52,8 @@ impl NodePlugin for LogTomography {
         _time: Time,
         field: &FieldInput<'_>,
     ) -> Result<LayerStack, PluginError> {
-        let refused = |expected: &str, found: String| {
-            Err(PluginError::Refused(format!("display `{}`: expected {expected}, found {found}", display.name)))
-        };
-        if display.formation != Formation::Attenuating {
-            return refused("layers that attenuate", format!("{:?}", display.formation).to_lowercase());
-        }
-        if display.backlight != Backlight::Uniform {
-            return refused("a uniform backlight", "a directional one".into());
-        }
+        expects::attenuating(display)?;
+        expects::uniform_backlight(display)?;
         let geometry = field.geometry();
         let map = RayMap::new(display, geometry);
         let mut volume = Volume::new(display, &map)?;

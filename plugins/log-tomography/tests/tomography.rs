@@ -1,21 +1,15 @@
 //! Stacks that are known are found again, and the optimum is one.
 
+use lumistack_plugin::PluginError;
 use lumistack_plugin::core::seed::Stream;
 use lumistack_plugin::display::{
     Backlight, Display, LayerStack, LensletBacklight, LightField, RayMap, Simulator, Weights, score,
 };
-use lumistack_plugin::serve::{Plugin, make_stack};
-use lumistack_plugin::testkit::{MemoryHost, conformance};
-use lumistack_plugin::{PluginError, Time};
+use lumistack_plugin::testkit::{conformance, made_by};
 use lumistack_plugin_log_tomography::PLUGIN;
 
 fn display(frames: usize) -> Display {
     Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], frames)
-}
-
-fn make(display: &Display, field: &LightField, params: &str) -> Result<LayerStack, PluginError> {
-    let (plugin, host) = (Plugin::compiled_in(&PLUGIN).unwrap(), MemoryHost::new());
-    make_stack(&plugin, &host, params, display, Time::default(), field)
 }
 
 /// What a random static stack shows.
@@ -45,7 +39,7 @@ fn what_a_static_stack_shows_is_shown_again() {
     let display = display(2);
     let field = shown(&display);
     let psnr = |iterations: u32| {
-        let stack = make(&display, &field, &format!("{{\"iterations\": {iterations}}}")).unwrap();
+        let stack = made_by(&PLUGIN, &format!("{{\"iterations\": {iterations}}}"), &display, &field).unwrap();
         let layer = &stack.layers[1];
         assert_eq!(layer.block([0]), layer.block([1]), "every frame is the same");
         score(&display, &stack, &field, &Weights::Uniform).psnr_view()
@@ -61,7 +55,7 @@ fn the_optimum_is_one() {
     let mut field = shown(&display);
     let mut stream = Stream::new(9);
     field.radiance_mut().data_mut().fill_with(|| 0.2 + 0.8 * stream.next_f32());
-    let stack = make(&display, &field, r#"{"iterations": 1500}"#).unwrap();
+    let stack = made_by(&PLUGIN, r#"{"iterations": 1500}"#, &display, &field).unwrap();
     let simulator = |stack: &LayerStack| -> f64 {
         let (map, simulator) = (RayMap::new(&display, field.geometry()), Simulator::new(&display, stack));
         let mut sum = 0.0;
@@ -89,6 +83,6 @@ fn other_displays_are_refused() {
     let mut display = display(1);
     let field = shown(&display);
     display.backlight = Backlight::Lenslets(LensletBacklight::new(-20.0, [4, 4], 4.0, [3, 3], [20.0, 20.0]));
-    let error = make(&display, &field, "{}").unwrap_err();
+    let error = made_by(&PLUGIN, "{}", &display, &field).unwrap_err();
     assert!(matches!(&error, PluginError::Refused(text) if text.contains("expected a uniform backlight")), "{error:?}");
 }

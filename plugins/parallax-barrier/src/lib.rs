@@ -14,9 +14,11 @@
 //! β = 1/P times the target: with M = P frames everywhere, with fewer only on every so many pixels.
 
 use lumistack_plugin::core::Tensor;
-use lumistack_plugin::display::{Backlight, Formation, LayerMap, LayerStack, RayMap};
+use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, export_plugin};
+use lumistack_plugin::{
+    Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
+};
 
 /// The plugin.
 pub struct ParallaxBarrier;
@@ -55,7 +57,10 @@ impl NodePlugin for ParallaxBarrier {
         _time: Time,
         field: &FieldInput<'_>,
     ) -> Result<LayerStack, PluginError> {
-        served(display)?;
+        // a picture and a mask in front of it
+        expects::layers(display, 2)?;
+        expects::attenuating(display)?;
+        expects::uniform_backlight(display)?;
         let geometry = field.geometry();
         let [views_y, views_x] = geometry.grid.views();
         let or = |period: usize, views: usize| if period == 0 { views } else { period };
@@ -134,23 +139,6 @@ fn taps(rear: &LayerMap, front: &LayerMap, view: usize, ray: usize, along_y: boo
         (!tap.is_missed()).then_some(if tap.t < 0.5 { tap.first } else { tap.second } as usize)
     };
     Some([axis(rear)?, axis(front)?])
-}
-
-/// A barrier needs a picture and a mask in front of it.
-fn served(display: &Display) -> Result<(), PluginError> {
-    let refused = |expected: &str, found: String| {
-        Err(PluginError::Refused(format!("display `{}`: expected {expected}, found {found}", display.name)))
-    };
-    if display.layers.len() != 2 {
-        return refused("two layers", display.layers.len().to_string());
-    }
-    if display.formation != Formation::Attenuating {
-        return refused("layers that attenuate", format!("{:?}", display.formation).to_lowercase());
-    }
-    if display.backlight != Backlight::Uniform {
-        return refused("a uniform backlight", "a directional one".into());
-    }
-    Ok(())
 }
 
 export_plugin!("parallax_barrier", ParallaxBarrier as node);

@@ -1,10 +1,8 @@
 //! The patterns against what a barrier should show, ray by ray.
 
-use lumistack_plugin::core::seed::Stream;
-use lumistack_plugin::display::{Display, LayerStack, LightField, RayMap, Simulator};
-use lumistack_plugin::serve::{Plugin, make_stack};
-use lumistack_plugin::testkit::{MemoryHost, conformance};
-use lumistack_plugin::{PluginError, Time};
+use lumistack_plugin::PluginError;
+use lumistack_plugin::display::{Display, RayMap, Simulator};
+use lumistack_plugin::testkit::{conformance, made_by, random_field};
 use lumistack_plugin_parallax_barrier::PLUGIN;
 
 /// Rounding of sums of a few f32 values.
@@ -24,18 +22,6 @@ fn display(views: [usize; 2], frames: usize) -> Display {
     )
 }
 
-fn random_field(display: &Display) -> LightField {
-    let mut field = LightField::black(display.geometry().unwrap()).unwrap();
-    let mut stream = Stream::new(7);
-    field.radiance_mut().data_mut().fill_with(|| stream.next_f32());
-    field
-}
-
-fn make(display: &Display, field: &LightField, params: &str) -> Result<LayerStack, PluginError> {
-    let (plugin, host) = (Plugin::compiled_in(&PLUGIN).unwrap(), MemoryHost::new());
-    make_stack(&plugin, &host, params, display, Time::default(), field)
-}
-
 #[test]
 fn conforms() {
     conformance(&PLUGIN).unwrap();
@@ -44,8 +30,8 @@ fn conforms() {
 #[test]
 fn with_a_frame_for_every_place_all_rays_are_right() {
     let display = display([3, 1], 3);
-    let field = random_field(&display);
-    let stack = make(&display, &field, "{}").unwrap();
+    let field = random_field(&display).unwrap();
+    let stack = made_by(&PLUGIN, "{}", &display, &field).unwrap();
     assert_eq!(stack.brightness, 1.0 / 3.0);
     let map = RayMap::new(&display, field.geometry());
     let simulator = Simulator::new(&display, &stack);
@@ -68,8 +54,8 @@ fn with_a_frame_for_every_place_all_rays_are_right() {
 #[test]
 fn one_frame_is_a_static_barrier() {
     let display = display([3, 1], 1);
-    let field = random_field(&display);
-    let stack = make(&display, &field, "{}").unwrap();
+    let field = random_field(&display).unwrap();
+    let stack = made_by(&PLUGIN, "{}", &display, &field).unwrap();
     let [_, rows, cols, _] = stack.layers[1].shape();
     for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
         assert_eq!(stack.layers[1].get([0, row, col, 1]), f32::from(col % 3 == 0), "row {row}, column {col}");
@@ -95,10 +81,10 @@ fn one_frame_is_a_static_barrier() {
 #[test]
 fn views_that_share_a_pixel_are_averaged() {
     let display = display([3, 1], 1);
-    let mut field = random_field(&display);
+    let mut field = random_field(&display).unwrap();
     field.radiance_mut().data_mut().fill(0.25);
     // no barrier at all: everything is open, and a constant light field is constant
-    let stack = make(&display, &field, r#"{"period_x": 1}"#).unwrap();
+    let stack = made_by(&PLUGIN, r#"{"period_x": 1}"#, &display, &field).unwrap();
     assert_eq!(stack.brightness, 1.0);
     assert!(stack.layers[0].data().iter().all(|value| (value - 0.25).abs() < ROUNDING));
     assert!(stack.layers[1].data().iter().all(|value| *value == 1.0));
@@ -107,9 +93,9 @@ fn views_that_share_a_pixel_are_averaged() {
 #[test]
 fn other_displays_are_refused() {
     let mut display = display([3, 1], 1);
-    let field = random_field(&display);
+    let field = random_field(&display).unwrap();
     display.layers.push(display.layers[1].clone());
     display.layers[2].d_mm += 1.0;
-    let error = make(&display, &field, "{}").unwrap_err();
+    let error = made_by(&PLUGIN, "{}", &display, &field).unwrap_err();
     assert!(matches!(&error, PluginError::Refused(text) if text.contains("expected two layers, found 3")), "{error:?}");
 }

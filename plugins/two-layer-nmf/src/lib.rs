@@ -13,9 +13,11 @@
 
 use lumistack_factorizer::{FactorizeError, Multiplicative, Problem, Settings, Solver, StartKind};
 use lumistack_plugin::core::{Cancel, Collector, Task};
-use lumistack_plugin::display::{Backlight, Formation, LayerStack, LightField, Weights};
+use lumistack_plugin::display::{LayerStack, LightField, Weights};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, export_plugin};
+use lumistack_plugin::{
+    Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
+};
 
 /// The plugin.
 pub struct TwoLayerNmf;
@@ -47,18 +49,9 @@ impl NodePlugin for TwoLayerNmf {
         _time: Time,
         field: &FieldInput<'_>,
     ) -> Result<LayerStack, PluginError> {
-        let refused = |expected: &str, found: String| {
-            Err(PluginError::Refused(format!("display `{}`: expected {expected}, found {found}", display.name)))
-        };
-        if display.layers.len() != 2 {
-            return refused("two layers", display.layers.len().to_string());
-        }
-        if display.formation != Formation::Attenuating {
-            return refused("layers that attenuate", format!("{:?}", display.formation).to_lowercase());
-        }
-        if display.backlight != Backlight::Uniform {
-            return refused("a uniform backlight", "a directional one".into());
-        }
+        expects::layers(display, 2)?;
+        expects::attenuating(display)?;
+        expects::uniform_backlight(display)?;
         let target = whole(field)?;
         let problem = Problem { display, target: &target, weights: &Weights::Uniform };
         let settings = Settings {

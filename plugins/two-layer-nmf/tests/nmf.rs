@@ -1,10 +1,8 @@
 //! Against the rule written out for a matrix, and what frames are worth.
 
-use lumistack_plugin::core::seed::Stream;
-use lumistack_plugin::display::{Display, LayerStack, LightField, RayMap, Weights, score};
-use lumistack_plugin::serve::{Plugin, make_stack};
-use lumistack_plugin::testkit::{MemoryHost, conformance};
-use lumistack_plugin::{PluginError, Time};
+use lumistack_plugin::PluginError;
+use lumistack_plugin::display::{Display, LayerStack, RayMap, Weights, score};
+use lumistack_plugin::testkit::{conformance, made_by, random_field};
 use lumistack_plugin_two_layer_nmf::PLUGIN;
 
 /// Single precision over some updates.
@@ -13,18 +11,6 @@ const ROUNDING: f64 = 2e-3;
 fn display(frames: usize) -> Display {
     let display = Display::uniform([12, 3], 1.0, [3, 1], [20.0, 20.0], &[-6.0, 6.0], frames);
     Display { brightness: 0.4, ..display }
-}
-
-fn random_field(display: &Display) -> LightField {
-    let mut field = LightField::black(display.geometry().unwrap()).unwrap();
-    let mut stream = Stream::new(7);
-    field.radiance_mut().data_mut().fill_with(|| stream.next_f32());
-    field
-}
-
-fn make(display: &Display, field: &LightField, params: &str) -> Result<LayerStack, PluginError> {
-    let (plugin, host) = (Plugin::compiled_in(&PLUGIN).unwrap(), MemoryHost::new());
-    make_stack(&plugin, &host, params, display, Time::default(), field)
 }
 
 #[test]
@@ -36,9 +22,9 @@ fn conforms() {
 #[test]
 fn an_update_is_the_rule_of_the_matrix() {
     let display = display(2);
-    let field = random_field(&display);
-    let first = make(&display, &field, r#"{"iterations": 1}"#).unwrap();
-    let second = make(&display, &field, r#"{"iterations": 2}"#).unwrap();
+    let field = random_field(&display).unwrap();
+    let first = made_by(&PLUGIN, r#"{"iterations": 1}"#, &display, &field).unwrap();
+    let second = made_by(&PLUGIN, r#"{"iterations": 2}"#, &display, &field).unwrap();
     let map = RayMap::new(&display, field.geometry());
     let (channel, rows, cols) = (1, 3, 12);
     // rays as (rear pixel, front pixel, wanted)
@@ -84,8 +70,8 @@ fn an_update_is_the_rule_of_the_matrix() {
 fn frames_are_worth_something() {
     let psnr = |frames: usize| {
         let display = display(frames);
-        let field = random_field(&display);
-        let stack = make(&display, &field, r#"{"iterations": 200}"#).unwrap();
+        let field = random_field(&display).unwrap();
+        let stack = made_by(&PLUGIN, r#"{"iterations": 200}"#, &display, &field).unwrap();
         score(&display, &stack, &field, &Weights::Uniform).psnr_view()
     };
     let [one, three, six] = [1, 3, 6].map(psnr);
@@ -95,8 +81,8 @@ fn frames_are_worth_something() {
 #[test]
 fn other_displays_are_refused() {
     let mut display = display(1);
-    let field = random_field(&display);
+    let field = random_field(&display).unwrap();
     display.layers.pop();
-    let error = make(&display, &field, "{}").unwrap_err();
+    let error = made_by(&PLUGIN, "{}", &display, &field).unwrap_err();
     assert!(matches!(&error, PluginError::Refused(text) if text.contains("expected two layers, found 1")), "{error:?}");
 }

@@ -58,6 +58,11 @@ impl Picture {
         [self.cols, self.rows]
     }
 
+    /// Whether the file has codes from 0 to white, so that what was brighter is clipped; otherwise it has radiance.
+    pub fn is_encoded(&self) -> bool {
+        !matches!(self.samples, Samples::Linear(_))
+    }
+
     /// All pixels, `[row][col][rgb]`, linear.
     pub fn into_linear(self) -> Vec<f32> {
         match self.samples {

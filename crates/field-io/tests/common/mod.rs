@@ -33,6 +33,14 @@ pub fn open(
     (result, warnings.take().iter().map(ToString::to_string).collect())
 }
 
+/// Opens quietly for a display that cannot tell slopes apart over `width` [x, y]; the texts of warnings come along.
+pub fn open_for(path: &Path, flags: &GeometryFlags, width: [f64; 2]) -> (Result<LightField, FieldError>, Vec<String>) {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    let result = lumistack_field_io::open_for(path, flags, &defaults(), Some(&|_| width), task);
+    (result, warnings.take().iter().map(ToString::to_string).collect())
+}
+
 /// Defaults that a display of 20° × 20° and 400 mm supplies.
 pub fn defaults() -> GeometryDefaults {
     GeometryDefaults { width_mm: Some(400.0), fov_deg: Some([20.0, 20.0]) }

@@ -1,7 +1,9 @@
 //! `[sweep]`: designs to compare on one light field.
 
+use lumistack_design::table::Plots;
 use serde::{Deserialize, Serialize};
 
+use super::is_default;
 use crate::error::PipelineError;
 
 /// Axes along which designs differ; every combination is one. An axis without values stays as the display has it.
@@ -29,6 +31,9 @@ pub struct SweepJob {
     /// [columns, rows] of lenslets; displays without a directional backlight stay.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lenslets: Vec<[usize; 2]>,
+    /// How many plots of the table.
+    #[serde(skip_serializing_if = "is_default")]
+    pub plots: Plots,
     /// What a design must be like; then not all are solved to the end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub search: Option<SearchJob>,

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use lumistack_core::Task;
-use lumistack_display::LightField;
+use lumistack_display::{FieldGeometry, LightField};
 use lumistack_plugin_host::{Registry, Time};
 use lumistack_report::DepthBudget;
 use serde::{Deserialize, Serialize};
@@ -119,8 +119,11 @@ impl Run<'_> {
             width_mm: Some(self.display.field_pixels().size_mm()[0]),
             fov_deg: Some(self.display.field.fov_deg),
         };
+        let display = self.display.clone();
         let target = self.timed("read", |_| {
-            let mut field = lumistack_field_io::open(path, &job.geometry, &defaults, task).map_err(field_error)?;
+            let footprint = |geometry: &FieldGeometry| display.adapted_to(geometry).angular_footprint();
+            let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), task);
+            let mut field = read.map_err(field_error)?;
             lumistack_field_io::round_to_half(&mut field);
             Ok((field, false))
         })?;

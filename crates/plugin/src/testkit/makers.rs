@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::serve::{Plugin, import, make_field, make_stack, resolved};
 use crate::testkit::MemoryHost;
 use crate::testkit::conformance::{Broken, bad_parameters_are_refused, closed, defaults_and_ends, require, rule};
-use crate::{PluginError, Time};
+use crate::{Export, PluginError, Time};
 
 type Made<T> = Result<T, PluginError>;
 
@@ -22,12 +22,24 @@ fn displays() -> Vec<Display> {
     vec![of(&[-3.0, 3.0], 4), of(&[0.0], 2), of(&[-4.0, 0.0, 4.0], 3), directional]
 }
 
-fn random_field(display: &Display) -> Made<LightField> {
+/// A light field of random values as a display wants it, the same every time.
+///
+/// # Errors
+/// If the display has no sound light field.
+pub fn random_field(display: &Display) -> Made<LightField> {
     let geometry = display.geometry().map_err(|error| PluginError::Failed(error.to_string()))?;
     let mut field = LightField::black(geometry).map_err(|error| PluginError::Failed(error.to_string()))?;
     let mut stream = Stream::new(derive(5, &[]));
     field.radiance_mut().data_mut().fill_with(|| stream.next_f32());
     Ok(field)
+}
+
+/// What a node that is compiled in makes of a light field, with parameters as JSON.
+///
+/// # Errors
+/// What the node says.
+pub fn made_by(node: &'static Export, params: &str, display: &Display, field: &LightField) -> Made<LayerStack> {
+    make_stack(&Plugin::compiled_in(node)?, &MemoryHost::new(), params, display, Time::default(), field)
 }
 
 fn stack_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<LayerStack> {

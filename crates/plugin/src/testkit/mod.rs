@@ -6,6 +6,8 @@
 //!     lumistack_plugin::testkit::conformance(&crate::PLUGIN).unwrap();
 //! }
 //! ```
+//!
+//! Tests of what a node makes begin with [`random_field`] and [`made_by`].
 
 mod conformance;
 mod makers;
@@ -13,6 +15,6 @@ mod memory_host;
 mod samples;
 
 pub use conformance::{Broken, conformance, conformance_but_for, conformance_of, same_outputs};
-pub use makers::import_conformance;
+pub use makers::{import_conformance, made_by, random_field};
 pub use memory_host::MemoryHost;
 pub use samples::{Sample, samples};

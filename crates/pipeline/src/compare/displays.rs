@@ -1,0 +1,126 @@
+//! The displays of one run side by side: a job with `[[nodes]]` has made them from one light field.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::{Task, colour};
+use lumistack_design::sheet::{Cell, Sheet};
+use lumistack_display::{RayMap, Simulator};
+use serde::Serialize;
+
+use super::{Likeness, Sums, target_of};
+use crate::error::PipelineError;
+use crate::files::write;
+use crate::job::Job;
+use crate::simulate::RunFolder;
+
+/// Quality of the sheet's JPEG: what PNG would make four times as large.
+const JPEG_QUALITY: u8 = 92;
+
+/// What one of several displays shows of the target.
+#[derive(Clone, Debug, Serialize)]
+pub struct DisplayLikeness {
+    /// Id of its node.
+    pub id: String,
+    /// Layers, frames and light, in words.
+    pub display: String,
+    /// Against the target, over all views.
+    pub likeness: Likeness,
+    /// PSNR of every view `[view_y][view_x]`, dB; none where it is equal.
+    pub views_db: Vec<Vec<Option<f64>>>,
+}
+
+/// The displays of one run.
+#[derive(Clone, Debug, Serialize)]
+pub struct DisplaysComparison {
+    /// In the job's order.
+    pub displays: Vec<DisplayLikeness>,
+    /// Pictures that were written.
+    pub pictures: Vec<PathBuf>,
+}
+
+/// Compares all displays of a run whose job has `[[nodes]]` with the target; `displays.jpg` in `out` shows the left, middle and right view of each in columns.
+///
+/// # Errors
+/// When the run has no nodes or no target, or files cannot be read or written.
+pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Result<DisplaysComparison, PipelineError> {
+    let job = Job::load(&run.join("job.toml"))?;
+    if job.nodes.is_empty() {
+        let expected = "the run of a job with `[[nodes]]`, or another run or a photograph beside it";
+        return Err(PipelineError::value(run, "nodes", expected, "none"));
+    }
+    let target = target_of(run)?
+        .ok_or_else(|| PipelineError::value(run, "target", "a light field that the run kept", "none"))?;
+    let geometry = target.geometry();
+    let (shape, [views_y, views_x]) = ([geometry.rows, geometry.cols], geometry.grid.views());
+    let mut shown: Vec<[usize; 2]> = [0, views_x / 2, views_x - 1].map(|x| [views_y / 2, x]).into();
+    shown.dedup();
+    let codes = |linear: &mut dyn Iterator<Item = f32>| linear.map(colour::srgb_code).collect::<Vec<u8>>();
+    let mut sheet = Sheet {
+        size: [geometry.cols, geometry.rows],
+        columns: vec![vec!["Target".into(), format!("{views_x} × {views_y} views")]],
+        rows: shown
+            .iter()
+            .map(|&view| {
+                let degrees = geometry.grid.slope_x[view[1]].atan().to_degrees();
+                let name =
+                    if degrees.abs() < 0.05 { "ahead".into() } else { format!("{degrees:+.1}°").replace('-', "−") };
+                let cell = Cell { caption: String::new(), rgb: codes(&mut target.view(view).iter().copied()) };
+                (name, vec![cell])
+            })
+            .collect(),
+    };
+    let mut displays = Vec::new();
+    task.progress.begin("compare", (job.nodes.len() * views_y * views_x) as u64, "views");
+    for node in &job.nodes {
+        let made = RunFolder::open(&run.join("nodes").join(&node.id))?;
+        let (simulator, map) = (Simulator::new(&made.display, &made.stack), RayMap::new(&made.display, geometry));
+        let scale = 1.0 / made.stack.brightness as f32;
+        let mut sums = Sums::new();
+        let mut views_db = vec![Vec::new(); views_y];
+        for view in geometry.grid.iter() {
+            task.cancel.check()?;
+            let emitted = simulator.view(&map, geometry, view);
+            let seen: Vec<f32> = emitted.radiance.data().iter().map(|value| value * scale).collect();
+            let mut own = Sums::new();
+            own.add(target.view(view), &seen, shape, &emitted.valid);
+            let psnr = own.likeness().psnr_db;
+            sums.merge(&own);
+            views_db[view[0]].push(psnr);
+            if let Some(row) = shown.iter().position(|other| *other == view) {
+                let caption = psnr.map_or("exact".into(), |psnr| format!("{psnr:.1} dB"));
+                sheet.rows[row].1.push(Cell { caption, rgb: codes(&mut seen.iter().copied()) });
+            }
+            task.progress.advance(1, "");
+        }
+        let likeness = sums.likeness();
+        let plural = |count: usize, one: &str| format!("{count} {one}{}", if count == 1 { "" } else { "s" });
+        let lenses = if made.stack.emission.is_some() { ", directional" } else { "" };
+        let layers = format!("{}{lenses}", plural(made.display.layers.len(), "layer"));
+        let frames = format!("{}, β = {:.2}", plural(made.display.frames, "frame"), made.stack.brightness);
+        let psnr = likeness.psnr_db.map_or("exact".into(), |psnr| format!("{psnr:.1} dB over all views"));
+        displays.push(DisplayLikeness {
+            id: node.id.clone(),
+            display: format!("{layers}, {frames}"),
+            likeness,
+            views_db,
+        });
+        // a line each: a picture is not wide
+        sheet.columns.push(vec![node.id.clone(), layers, frames, psnr]);
+    }
+    task.progress.end();
+    let mut pictures = Vec::new();
+    if let Some(out) = out {
+        std::fs::create_dir_all(out).map_err(PipelineError::write(out))?;
+        let path = out.join("displays.jpg");
+        let ([width, height], rgb) = sheet.drawn().map_err(PipelineError::Plot)?;
+        let mut bytes = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
+            .encode(&rgb, width as u32, height as u32, image::ExtendedColorType::Rgb8)
+            .map_err(|error| {
+                PipelineError::value(&path, "picture", "a picture that JPEG can hold", error.to_string())
+            })?;
+        write(&path, &bytes)?;
+        pictures.push(path);
+    }
+    Ok(DisplaysComparison { displays, pictures })
+}

@@ -1,0 +1,257 @@
+//! A photograph of panels beside the simulation of its run, at its pose and exposure.
+//!
+//! It is brought onto the display by the homography of its four corners, and to the simulation's exposure by the one factor g that minimizes Σ (g p − s)² over
+//! photograph p and simulation s, in linear light and over the pixels that are not clipped:
+//!
+//! ```text
+//! g = Σ s p / Σ p²
+//! ```
+//!
+//! Where nobody says from where it was taken, the corners do, with the camera's focal length f in pixels: for a pinhole whose axis meets the middle of the picture the homography from
+//! the display's millimetres to the picture's pixels around its middle is
+//!
+//! ```text
+//! H ∝ diag(f, f, 1) [r_1 r_2 t],      eye = −Rᵀ t
+//! ```
+//!
+//! with r_1 and r_2 the display's x and y axis as the camera has them, which are made orthonormal. Source: Zhang, "A Flexible New Technique for Camera Calibration" (2000), section 3.1.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec2, DVec3};
+use lumistack_field_io::picture::Picture;
+use serde::Serialize;
+
+use super::{Likeness, Sums, difference, save};
+use crate::error::{PipelineError, field_error};
+use crate::simulate::{RunFolder, Viewpoint};
+
+/// From where a photograph was taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Pose {
+    /// As somebody measured it.
+    Known(Viewpoint),
+    /// As the corners say, through a lens of this focal length in millimetres for a picture of 36 mm × 24 mm (EXIF: FocalLengthIn35mmFilm).
+    FocalMm(f64),
+}
+
+/// A photograph beside the simulation.
+#[derive(Clone, Debug, Serialize)]
+pub struct PhotoComparison {
+    /// Photograph against simulation, at the simulation's exposure.
+    pub likeness: Likeness,
+    /// Factor that was put on the photograph's linear values.
+    pub gain: f64,
+    /// Share of the display's pixels where the photograph is clipped; they do not count.
+    pub clipped: f64,
+    /// Where the camera stood, as the corners say: right, up and in front of the display's centre, millimetres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub eye_mm: Option<[f64; 3]>,
+    /// Pictures that were written.
+    pub pictures: Vec<PathBuf>,
+}
+
+/// Compares a photograph with what the run shows from where it was taken. `corners` are those of the light field's rectangle in the photograph, pixels from its top left
+/// corner, in the order left top, right top, right bottom, left bottom; without them it fills the photograph.
+///
+/// # Errors
+/// When run or photograph cannot be read, its pose makes no sense, or the corners span nothing.
+pub fn compare_photo(
+    run: &Path,
+    photo: &Path,
+    pose: Pose,
+    corners: Option<[[f64; 2]; 4]>,
+    out: Option<&Path>,
+) -> Result<PhotoComparison, PipelineError> {
+    let run = RunFolder::open(run)?;
+    let picture = Picture::read(photo).map_err(field_error)?;
+    let size = picture.size();
+    let [width, height] = size.map(|side| side as f64);
+    let corners = corners.unwrap_or([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]);
+    let map = Homography::of_unit_square(corners).ok_or_else(|| {
+        PipelineError::value("--corners", "corners", "four corners of a convex figure", format!("{corners:?}"))
+    })?;
+    let (viewpoint, eye_mm) = match pose {
+        Pose::Known(viewpoint) => (viewpoint, None),
+        Pose::FocalMm(focal_mm) => {
+            let focal_px = focal_mm / DIAGONAL_35MM * width.hypot(height);
+            let eye = eye_of(&map, run.display.field_pixels().size_mm(), [width, height], focal_px);
+            let eye = eye.filter(|eye| focal_px > 0.0 && eye.iter().all(|v| v.is_finite()) && eye[2] > 0.0);
+            let eye = eye.ok_or_else(|| {
+                PipelineError::value("--focal-35mm", "MM", "a lens that can see the display so", focal_mm.to_string())
+            })?;
+            (Viewpoint::Eye(eye), Some(eye))
+        }
+    };
+    let simulated = run.picture(viewpoint, false)?;
+    let [rows, cols, _] = simulated.shape();
+    // what is brightest in a file of codes may have been brighter
+    let ends = picture.is_encoded();
+    let mut linear = picture.into_linear();
+    if ends {
+        linear.iter_mut().filter(|value| **value >= CLIPPED).for_each(|value| *value = f32::NAN);
+    }
+    let mut taken = rectified(&linear, size, &map, [rows, cols]);
+    let counts: Vec<bool> = taken.chunks_exact(3).map(|rgb| rgb.iter().all(|value| value.is_finite())).collect();
+    let clipped = counts.iter().filter(|counts| !**counts).count() as f64 / counts.len().max(1) as f64;
+    let (mut products, mut squares) = (0.0, 0.0);
+    for ((p, s), _) in taken.chunks_exact(3).zip(simulated.data().chunks_exact(3)).zip(&counts).filter(|(_, c)| **c) {
+        products += p.iter().zip(s).map(|(p, s)| f64::from(*p) * f64::from(*s)).sum::<f64>();
+        squares += p.iter().map(|p| f64::from(*p) * f64::from(*p)).sum::<f64>();
+    }
+    let gain = products / squares;
+    if !gain.is_finite() {
+        let found = format!("{:.0} % of it clipped, the rest black", 100.0 * clipped);
+        return Err(PipelineError::value(photo, "exposure", "a photograph that shows something", found));
+    }
+    for value in &mut taken {
+        *value = if value.is_finite() { *value * gain as f32 } else { 1.0 };
+    }
+    let mut sums = Sums::new();
+    sums.add(simulated.data(), &taken, [rows, cols], &counts);
+    let mut pictures = Vec::new();
+    if let Some(out) = out {
+        let path = out.join("photograph.png");
+        let panes = vec![simulated.data().to_vec(), taken.clone(), difference(simulated.data(), &taken)];
+        save(&path, panes, [rows, cols])?;
+        pictures.push(path);
+    }
+    Ok(PhotoComparison { likeness: sums.likeness(), gain, clipped, eye_mm, pictures })
+}
+
+/// Diagonal of a picture of 36 mm × 24 mm, to which EXIF relates focal lengths.
+const DIAGONAL_35MM: f64 = 43.266_615;
+/// Linear values from which on codes are taken for clipped: 254 of 255.
+const CLIPPED: f32 = 0.991;
+
+/// Where the camera stood, display millimetres. `map` is the homography from the unit square that the display of `size_mm` fills.
+fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_px: f64) -> Option<[f64; 3]> {
+    let m = &map.0;
+    let unit =
+        DMat3::from_cols(DVec3::new(m[0], m[3], m[6]), DVec3::new(m[1], m[4], m[7]), DVec3::new(m[2], m[5], 1.0));
+    // from millimetres, y up, to the unit square, y down
+    let from_mm = DMat3::from_cols(
+        DVec3::new(1.0 / size_mm[0], 0.0, 0.0),
+        DVec3::new(0.0, -1.0 / size_mm[1], 0.0),
+        DVec3::new(0.5, 0.5, 1.0),
+    );
+    // from pixels, y down, to right, up and forward of the camera
+    let to_camera = DMat3::from_diagonal(DVec3::new(1.0 / focal_px, -1.0 / focal_px, 1.0))
+        * DMat3::from_translation(-0.5 * DVec2::new(width, height));
+    let h = to_camera * unit * from_mm;
+    let scale = 0.5 * (h.x_axis.length() + h.y_axis.length());
+    let (a, b) = (h.x_axis.try_normalize()?, h.y_axis.try_normalize()?);
+    let (sum, difference) = ((a + b).try_normalize()?, (a - b).try_normalize()?);
+    let [r_1, r_2] = [sum + difference, sum - difference].map(|r| r * std::f64::consts::FRAC_1_SQRT_2);
+    // right, up, forward is left-handed, and the display's z comes towards the camera
+    let r_3 = -r_1.cross(r_2);
+    let t = h.z_axis / scale;
+    Some([-r_1.dot(t), -r_2.dot(t), -r_3.dot(t)])
+}
+
+/// From the unit square, x to the right and y down, to the plane of a picture.
+struct Homography([f64; 8]);
+
+impl Homography {
+    /// (0,0), (1,0), (1,1), (0,1) go to the corners; `None` where they span nothing. Source: Heckbert, "Fundamentals of Texture Mapping and Image Warping"
+    /// (1989), section 2.2.3.
+    fn of_unit_square([a, b, c, d]: [[f64; 2]; 4]) -> Option<Self> {
+        let (dx1, dx2, sx) = (b[0] - c[0], d[0] - c[0], a[0] - b[0] + c[0] - d[0]);
+        let (dy1, dy2, sy) = (b[1] - c[1], d[1] - c[1], a[1] - b[1] + c[1] - d[1]);
+        let area = dx1 * dy2 - dx2 * dy1;
+        let (g, h) = ((sx * dy2 - dx2 * sy) / area, (dx1 * sy - sx * dy1) / area);
+        let found = [
+            b[0] - a[0] + g * b[0],
+            d[0] - a[0] + h * d[0],
+            a[0],
+            b[1] - a[1] + g * b[1],
+            d[1] - a[1] + h * d[1],
+            a[1],
+            g,
+            h,
+        ];
+        // nothing of the square may lie on or beyond the horizon
+        let sound = area.abs() > 1e-9 && [1.0, 1.0 + g, 1.0 + h, 1.0 + g + h].iter().all(|w| *w > 1e-9);
+        (sound && found.iter().all(|value| value.is_finite())).then_some(Self(found))
+    }
+
+    fn at(&self, u: f64, v: f64) -> [f64; 2] {
+        let m = &self.0;
+        let w = m[6] * u + m[7] * v + 1.0;
+        [(m[0] * u + m[1] * v + m[2]) / w, (m[3] * u + m[4] * v + m[5]) / w]
+    }
+}
+
+/// Points per pixel and axis of the rectified picture.
+const POINTS: usize = 4;
+
+/// The part of a picture `[row][col][rgb]` of size [width, height] that a homography frames, at [rows, cols].
+fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, cols]: [usize; 2]) -> Vec<f32> {
+    let mut result = vec![0.0f32; 3 * rows * cols];
+    let share = 1.0 / (POINTS * POINTS) as f32;
+    for (i, pixel) in result.chunks_exact_mut(3).enumerate() {
+        let (row, col) = (i / cols, i % cols);
+        for (py, px) in (0..POINTS).flat_map(|y| (0..POINTS).map(move |x| (y, x))) {
+            let part = |i: usize, p: usize, count: usize| (i as f64 + (p as f64 + 0.5) / POINTS as f64) / count as f64;
+            let [x, y] = map.at(part(col, px, cols), part(row, py, rows));
+            let axis = |at: f64, count: usize| {
+                let at = (at - 0.5).clamp(0.0, (count - 1) as f64);
+                (at.floor() as usize, (at.floor() as usize + 1).min(count - 1), (at - at.floor()) as f32)
+            };
+            let ((left, right, tx), (top, bottom, ty)) = (axis(x, width), axis(y, height));
+            for (c, value) in pixel.iter_mut().enumerate() {
+                let mix = |row: usize| {
+                    (1.0 - tx) * rgb[3 * (row * width + left) + c] + tx * rgb[3 * (row * width + right) + c]
+                };
+                *value += share * ((1.0 - ty) * mix(top) + ty * mix(bottom));
+            }
+        }
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_homography_takes_the_square_to_its_corners() {
+        let corners = [[10.0, 5.0], [90.0, 12.0], [80.0, 70.0], [4.0, 60.0]];
+        let map = Homography::of_unit_square(corners).unwrap();
+        for ([u, v], corner) in [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].into_iter().zip(corners) {
+            let found = map.at(u, v);
+            assert!((found[0] - corner[0]).hypot(found[1] - corner[1]) < 1e-9, "{found:?} {corner:?}");
+        }
+        // the diagonals cross where they do
+        let middle = map.at(0.5, 0.5);
+        let side = |a: [f64; 2], b: [f64; 2]| (b[0] - a[0]) * (middle[1] - a[1]) - (b[1] - a[1]) * (middle[0] - a[0]);
+        assert!(side(corners[0], corners[2]).abs() < 1e-6 && side(corners[1], corners[3]).abs() < 1e-6);
+        assert!(Homography::of_unit_square([[0.0, 0.0]; 4]).is_none());
+        // a corner inside the triangle of the others
+        assert!(Homography::of_unit_square([[0.0, 0.0], [10.0, 0.0], [3.0, 3.0], [0.0, 10.0]]).is_none());
+    }
+
+    /// Corners as a pinhole sees them, from the camera's own axes; the eye is found again.
+    #[test]
+    fn corners_tell_where_the_camera_stood() {
+        let (size_mm, picture, focal_px) = ([300.0, 200.0], [1600.0, 1200.0], 1900.0);
+        for eye in [DVec3::new(120.0, -80.0, 700.0), DVec3::new(0.0, 0.0, 500.0), DVec3::new(-400.0, 90.0, 600.0)] {
+            // it looks at a point beside the centre, and its horizon leans
+            let forward = (DVec3::new(20.0, 10.0, 0.0) - eye).normalize();
+            let right = forward.cross(DVec3::new(0.1, 1.0, 0.0)).normalize();
+            let up = right.cross(forward);
+            let corner = |x: f64, y: f64| {
+                let seen = DVec3::new(0.5 * x * size_mm[0], 0.5 * y * size_mm[1], 0.0) - eye;
+                let depth = seen.dot(forward);
+                [
+                    0.5 * picture[0] + focal_px * seen.dot(right) / depth,
+                    0.5 * picture[1] - focal_px * seen.dot(up) / depth,
+                ]
+            };
+            let corners = [corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0), corner(-1.0, -1.0)];
+            let map = Homography::of_unit_square(corners).unwrap();
+            let found = DVec3::from_array(eye_of(&map, size_mm, picture, focal_px).unwrap());
+            assert!((found - eye).length() < 1e-6, "{found} instead of {eye}");
+        }
+    }
+}

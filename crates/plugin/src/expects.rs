@@ -1,0 +1,75 @@
+//! What nodes ask of a display: each either is so or refuses the display by name, with what was expected and what was found.
+
+use lumistack_display::{Backlight, Display, Formation, LensletBacklight};
+
+use crate::PluginError;
+
+/// So many layers.
+///
+/// # Errors
+/// On any other number.
+pub fn layers(display: &Display, count: usize) -> Result<(), PluginError> {
+    let found = display.layers.len();
+    let expected = match count {
+        1 => "one layer".into(),
+        2 => "two layers".into(),
+        _ => format!("{count} layers"),
+    };
+    if found == count { Ok(()) } else { Err(PluginError::display(display, expected, found)) }
+}
+
+/// Layers that attenuate.
+///
+/// # Errors
+/// If they do anything else.
+pub fn attenuating(display: &Display) -> Result<(), PluginError> {
+    match display.formation {
+        Formation::Attenuating => Ok(()),
+        other => Err(PluginError::display(display, "layers that attenuate", format!("{other:?}").to_lowercase())),
+    }
+}
+
+/// A uniform backlight.
+///
+/// # Errors
+/// If it is a directional one.
+pub fn uniform_backlight(display: &Display) -> Result<(), PluginError> {
+    match display.backlight {
+        Backlight::Uniform => Ok(()),
+        Backlight::Lenslets(_) => Err(PluginError::display(display, "a uniform backlight", "a directional one")),
+    }
+}
+
+/// The directional backlight.
+///
+/// # Errors
+/// If there is none.
+pub fn lenslets(display: &Display) -> Result<&LensletBacklight, PluginError> {
+    match &display.backlight {
+        Backlight::Lenslets(lenslets) => Ok(lenslets),
+        Backlight::Uniform => Err(PluginError::display(display, "a directional backlight", "a uniform one")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_refused_is_named() {
+        let mut display = Display::uniform([8, 6], 1.0, [3, 2], [20.0, 14.0], &[-3.0, 3.0], 4);
+        display.name = "bench".into();
+        assert_eq!((layers(&display, 2), attenuating(&display), uniform_backlight(&display)), (Ok(()), Ok(()), Ok(())));
+        let refused = |text: &str| PluginError::Refused(text.into());
+        assert_eq!(layers(&display, 3), Err(refused("display `bench`: expected 3 layers, found 2")));
+        let expected = "display `bench`: expected a directional backlight, found a uniform one";
+        assert_eq!(lenslets(&display).err(), Some(refused(expected)));
+        display.formation = Formation::Additive;
+        assert_eq!(
+            attenuating(&display),
+            Err(refused("display `bench`: expected layers that attenuate, found additive"))
+        );
+        display.backlight = Backlight::Lenslets(LensletBacklight::new(-6.0, [4, 3], 2.0, [3, 2], [20.0, 14.0]));
+        assert!(lenslets(&display).is_ok() && uniform_backlight(&display).is_err());
+    }
+}

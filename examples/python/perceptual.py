@@ -1,0 +1,74 @@
+"""How visible the errors of displays are: ColorVideoVDP over what they show and what they should show.
+
+    pip install cvvdp                                               # brings PyTorch, some gigabytes
+    python examples/python/perceptual.py runs/three-layer           # one display
+    python examples/python/perceptual.py runs/figure-9              # all displays of a run, nodes/*
+
+For every display: the mean over all views, each taken for a still picture, and a viewer who walks past it from left to right, seeing the views of the middle row as
+frames of a video. The unit is the JOD: 10 is no visible difference, one less is noticed by 75 of 100 people. See Mantiuk et al., ColorVideoVDP, SIGGRAPH 2024.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycvvdp
+import torch
+from numpy.typing import NDArray
+
+import lumistack
+
+
+def codes(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """sRGB code values of linear light."""
+    clipped = np.clip(linear.astype(np.float64), 0.0, 1.0)
+    encoded = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
+    return np.round(255.0 * encoded).astype(np.uint8)
+
+
+def metric(light_field: lumistack.LightField, white: float, distance_mm: float) -> Any:
+    """ColorVideoVDP for pixels of this size at this distance, in a dark room."""
+    _, _, rows, cols, _ = light_field.shape
+    pixel_deg = float(np.degrees(np.arctan(light_field.pitch_mm / distance_mm)))
+    geometry = pycvvdp.vvdp_display_geometry((cols, rows), ppd=1.0 / pixel_deg)
+    photometry = pycvvdp.vvdp_display_photo_eotf(white, contrast=1000, source_colorspace="sRGB")
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return pycvvdp.cvvdp(display_photometry=photometry, display_geometry=geometry, quiet=True, device=device)
+
+
+def displays(run: Path) -> list[tuple[str, Path]]:
+    """Folders of a run that hold patterns."""
+    nodes = sorted(folder for folder in (run / "nodes").glob("*") if (folder / "layers").is_dir())
+    return [(folder.name, folder) for folder in nodes] or [(run.name, run)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="ColorVideoVDP over what displays show and what they should show.")
+    parser.add_argument("run", type=Path, nargs="+", help="a run folder")
+    parser.add_argument("--white", type=float, default=200.0, help="luminance of white as it is seen, cd/m²")
+    parser.add_argument("--distance-mm", type=float, default=1000.0, help="the viewer's distance")
+    parser.add_argument("--fps", type=float, default=30.0, help="views a second that the walking viewer sees")
+    arguments = parser.parse_args()
+    for run in arguments.run:
+        target = lumistack.LightField.open(run)
+        vdp = metric(target, arguments.white, arguments.distance_mm)
+        wanted = codes(target.radiance)
+        for name, folder in displays(run):
+            stack = lumistack.LayerStack.open(folder)
+            shown = codes(stack.views(target).radiance)
+            stills = [
+                float(vdp.predict(shown[y, x], wanted[y, x], dim_order="HWC")[0])
+                for y in range(shown.shape[0])
+                for x in range(shown.shape[1])
+            ]
+            middle = shown.shape[0] // 2
+            walk, _ = vdp.predict(shown[middle], wanted[middle], dim_order="FHWC", frames_per_second=arguments.fps)
+            psnr = stack.psnr(target)
+            print(f"{name:24} {np.mean(stills):5.2f} JOD still, {float(walk):5.2f} JOD walking past; PSNR {psnr:.1f} dB")
+
+
+if __name__ == "__main__":
+    main()
