@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use crate::blender;
 use crate::layers::{self, PORTABLE};
-use crate::panels;
+use crate::panels::{self, WINDOWS};
 use crate::plugins;
 use crate::python;
 use crate::tools::{self, Outcome, cargo, command, output_of, run};
@@ -23,7 +23,7 @@ pub fn run_steps(full: bool) -> Outcome {
     step("format", || cargo(&["fmt", "--all", "--check"]))?;
     step("layers", layers::check)?;
     step("clippy", || {
-        let mut arguments = vec!["clippy", "--workspace", "--all-targets", "--quiet"];
+        let mut arguments = [&["clippy", "--workspace", "--all-targets", "--quiet"], &WINDOWS[..]].concat();
         if strict {
             arguments.extend(["--", "-D", "warnings"]);
         }
@@ -36,7 +36,10 @@ pub fn run_steps(full: bool) -> Outcome {
     step("wasm32", wasm)?;
     let python = tools::python()?;
     tools::poppler();
-    step("tests", || run(command("cargo").args(["test", "--workspace"]).env("LUMISTACK_PYTHON", &python)))?;
+    step("tests", || {
+        let mut tests = command("cargo");
+        run(tests.args(["test", "--workspace"]).args(WINDOWS).env("LUMISTACK_PYTHON", &python))
+    })?;
     step("plugins", || plugins::run(false))?;
     step("panels", || panels::check(full))?;
     step("python", python::check)?;

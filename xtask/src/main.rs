@@ -24,7 +24,7 @@ cargo xtask <task>
   layers        the layer and forbidden-edge check alone
   machines      the vector kernels of ARM under emulation and of WebAssembly in Node.js, against their oracles
   panels [--full]
-                build the windows of `lumistack show`, lint them, and test them on compositors without hardware;
+                build the windows of `lumistack show` and test them on compositors without hardware;
                 --full starts and ends them 50 times
   plugins [--write]
                 build every plugin as a library and compare it with its compiled-in self, build the samples, and compare

@@ -22,38 +22,25 @@ const LIBRARIES: [(&str, &str); 4] = [
 /// How often `full` starts and ends presentations, and how often it stalls a solver.
 const FULL_TURNS: [&str; 2] = ["50", "5"];
 
-/// Builds, lints and tests; `full` repeats what may fail now and then (some minutes more).
+/// What builds the windows. Everything that CI compiles has them, so that nothing is compiled twice.
+pub const WINDOWS: [&str; 2] = ["--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
+
+/// Builds and tests; `full` repeats what may fail now and then (some minutes more).
 pub fn check(full: bool) -> Outcome {
     fetch();
-    let turns = |command: &mut std::process::Command, count: &str| {
+    cargo(&[&["build", "--quiet", "--workspace", "--bins", "--examples"], &WINDOWS[..]].concat())?;
+    for (tests, turns) in [(&["show", "calibrate"][..], FULL_TURNS[0]), (&["solver"], FULL_TURNS[1])] {
+        let mut cargo = command("cargo");
+        cargo.args(["test", "--workspace"]).args(WINDOWS);
+        cargo.args(tests.iter().flat_map(|test| ["--test", test]));
+        // one session at a time: they share the processors, and some tests count refreshes
+        cargo.args(["--", "--nocapture", "--test-threads=1"]).env("LUMISTACK_SESSIONS", "1");
         if full {
-            command.env("LUMISTACK_PANELS_TURNS", count);
+            cargo.env("LUMISTACK_PANELS_TURNS", turns);
         }
-    };
-    let features = ["--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
-    let packages = ["--package", "lumistack-plugin-panels", "--package", "lumistack-cli"];
-    cargo(
-        &[&["clippy", "--all-targets", "--quiet"], &packages[..], &features[..], &["--", "-D", "warnings"]].concat(),
-    )?;
-    // one session at a time: they share the processors, and some tests count refreshes
-    let mut library = command("cargo");
-    library.args(["test", "--package", "lumistack-plugin-panels", "--features", "window"]);
-    turns(&mut library, FULL_TURNS[1]);
-    run(library.args(["--", "--nocapture", "--test-threads=1"]))?;
-    let mut program = command("cargo");
-    program.args([
-        "test",
-        "--package",
-        "lumistack-cli",
-        "--features",
-        "panels",
-        "--test",
-        "show",
-        "--test",
-        "calibrate",
-    ]);
-    turns(&mut program, FULL_TURNS[0]);
-    run(program.args(["--", "--nocapture", "--test-threads=1"]))
+        run(&mut cargo)?;
+    }
+    Ok(())
 }
 
 /// Fetches what is missing where that is possible; tests say what they skip.
