@@ -127,7 +127,7 @@ fn kept_or(
     let before = content_of(&place);
     let handed = ask()?;
     let HandedOver { glb, account } = &handed;
-    let all = [&[place.clone()], &account.files[..]].concat();
+    let all = [std::slice::from_ref(&place), &account.files[..]].concat();
     let files: Option<Vec<_>> = all.into_iter().map(|path| Some((path.clone(), content_of(&path)?))).collect();
     // a file that was saved meanwhile, or is gone, makes no kept result
     if let Some(files) = files.filter(|files| account.untracked.is_none() && Some(&files[0].1) == before.as_ref()) {

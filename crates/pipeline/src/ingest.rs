@@ -592,7 +592,13 @@ mod tests {
         // nor does a piece of chess lose its foot: a head, a stem that is slender beside the foot, and the foot
         let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
         for row in 2..98 {
-            let half = if row < 30 { 14 } else if row < 70 { 6 } else { 24 };
+            let half = if row < 30 {
+                14
+            } else if row < 70 {
+                6
+            } else {
+                24
+            };
             (80 - half..80 + half).for_each(|col| *mask.at_mut([row, col]) = 1.0);
         }
         let (factor, _) = best_crop(&mask, true);
