@@ -417,6 +417,8 @@ fn starts_and_stops(session: &Session, name: &str, key: &mut dyn FnMut(u8)) {
         let mut show = Show::start(session, folder.path(), options);
         std::thread::sleep(Duration::from_secs_f32(1.5 * random.next_f32()));
         let way = ["quit", "interrupt", "terminate", "escape", "close"][(random.next_u64() % 5) as usize];
+        // without a window manager a window that comes up late may stay without keys
+        let way = if name == "Xorg" && ["escape", "close"].contains(&way) { "quit" } else { way };
         let signal = |name: &str, show: &Show| {
             assert!(session.command("kill").args([name, &show.child.id().to_string()]).status().unwrap().success());
         };
