@@ -55,7 +55,7 @@ pub(super) enum Watch {
     Winit,
     /// As the X server tells, asked again whenever it says that something is new.
     #[cfg(all(unix, not(target_os = "macos")))]
-    X11(x11::Server),
+    X11(Box<x11::Server>),
 }
 
 impl Watch {
@@ -67,7 +67,7 @@ impl Watch {
         {
             // a window that is not shown yet gets none
             let _ = server.take_keys(window, always);
-            return Self::X11(server);
+            return Self::X11(Box::new(server));
         }
         let _ = (event_loop, window, always);
         Self::Winit
