@@ -37,7 +37,7 @@ impl Show {
     }
 
     pub fn tell(&mut self, line: &str) {
-        writeln!(self.stdin.as_mut().unwrap(), "{line}").unwrap();
+        let _ = writeln!(self.stdin.as_mut().unwrap(), "{line}");
     }
 
     /// Waits for an event.
