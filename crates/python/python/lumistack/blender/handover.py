@@ -59,7 +59,8 @@ def files_of(bpy: Any) -> tuple[list[str], list[str]]:
     named = [(data, data.library) for kind in ("images", "cache_files", "volumes", "fonts") for data in getattr(bpy.data, kind, ())]
     named += [(library, None) for library in bpy.data.libraries]
     named += [(modifier, held.library) for held in bpy.data.objects for modifier in held.modifiers if modifier.type == "MESH_CACHE"]
-    found, missing = set(), set()
+    found: set[str] = set()
+    missing: set[str] = set()
     for data, library in named:
         name = data.filepath
         # Blender's own font is no file
