@@ -4,10 +4,10 @@ use std::time::Instant;
 
 use crate::blender;
 use crate::layers::{self, PORTABLE};
-use crate::panels::{self, WINDOWS};
+use crate::panels;
 use crate::plugins;
 use crate::python;
-use crate::tools::{self, Outcome, cargo, command, output_of, run};
+use crate::tools::{self, EVERYTHING, Outcome, cargo, command, output_of, run};
 use crate::web;
 
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
@@ -23,7 +23,7 @@ pub fn run_steps(full: bool) -> Outcome {
     step("format", || cargo(&["fmt", "--all", "--check"]))?;
     step("layers", layers::check)?;
     step("clippy", || {
-        let mut arguments = [&["clippy", "--workspace", "--all-targets", "--quiet"], &WINDOWS[..]].concat();
+        let mut arguments = [&["clippy", "--all-targets", "--quiet"], &EVERYTHING[..]].concat();
         if strict {
             arguments.extend(["--", "-D", "warnings"]);
         }
@@ -38,7 +38,7 @@ pub fn run_steps(full: bool) -> Outcome {
     tools::poppler();
     step("tests", || {
         let mut tests = command("cargo");
-        run(tests.args(["test", "--workspace"]).args(WINDOWS).env("LUMISTACK_PYTHON", &python))
+        run(tests.arg("test").args(EVERYTHING).env("LUMISTACK_PYTHON", &python))
     })?;
     step("plugins", || plugins::run(false))?;
     step("panels", || panels::check(full))?;

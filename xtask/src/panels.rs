@@ -1,6 +1,6 @@
 //! The windows of `lumistack show`: behind a feature, so that nothing else waits for winit and wgpu, and tested here on real compositors without hardware.
 
-use crate::tools::{Outcome, cargo, command, output_of, run};
+use crate::tools::{EVERYTHING, Outcome, build_everything, command, output_of, run};
 
 /// Packages of Debian: compositors with outputs that do not exist, programs that look at them, and a graphics driver in software.
 const NEEDED: [(&str, &str); 6] = [
@@ -22,16 +22,13 @@ const LIBRARIES: [(&str, &str); 4] = [
 /// How often `full` starts and ends presentations, and how often it stalls a solver.
 const FULL_TURNS: [&str; 2] = ["50", "5"];
 
-/// What builds the windows. Everything that CI compiles has them, so that nothing is compiled twice.
-pub const WINDOWS: [&str; 2] = ["--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
-
 /// Builds and tests; `full` repeats what may fail now and then (some minutes more).
 pub fn check(full: bool) -> Outcome {
     fetch();
-    cargo(&[&["build", "--quiet", "--workspace", "--bins", "--examples"], &WINDOWS[..]].concat())?;
+    build_everything()?;
     for (tests, turns) in [(&["show", "calibrate"][..], FULL_TURNS[0]), (&["solver"], FULL_TURNS[1])] {
         let mut cargo = command("cargo");
-        cargo.args(["test", "--workspace"]).args(WINDOWS);
+        cargo.arg("test").args(EVERYTHING);
         cargo.args(tests.iter().flat_map(|test| ["--test", test]));
         // one session at a time: they share the processors, and some tests count refreshes
         cargo.args(["--", "--nocapture", "--test-threads=1"]).env("LUMISTACK_SESSIONS", "1");

@@ -7,8 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use crate::panels::WINDOWS;
-use crate::tools::{Outcome, cargo, command, output_of, root, run as run_program};
+use crate::tools::{EVERYTHING, Outcome, build_everything, command, output_of, root, run as run_program};
 
 /// All plugins and their parameters, as `lumistack --json plugins` tells them.
 const DUMP: &str = "docs/plugins.json";
@@ -19,8 +18,8 @@ const SAMPLE: &str = "examples/rust-plugin";
 
 /// Builds and checks everything about plugins; `write` renews the committed pages.
 pub fn run(write: bool) -> Outcome {
-    // the same selection of packages as for all tests, so that nothing is built twice; a plugin's library is an example of its crate
-    cargo(&[&["build", "--quiet", "--workspace", "--bins", "--examples"], &WINDOWS[..]].concat())?;
+    // a plugin's library is an example of its crate
+    build_everything()?;
     let metadata = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
         .and_then(|text| serde_json::from_str::<Value>(&text).ok())
         .ok_or("cargo metadata failed")?;
@@ -41,7 +40,7 @@ pub fn run(write: bool) -> Outcome {
     }
     sample(&target, &folder)?;
     let mut tests = command("cargo");
-    tests.args(["test", "--quiet", "--workspace"]).args(WINDOWS);
+    tests.args(["test", "--quiet"]).args(EVERYTHING);
     tests.args(["--test", "loaded", "--", "--nocapture"]);
     run_program(tests.env("LUMISTACK_TEST_PLUGINS", &folder))
 }

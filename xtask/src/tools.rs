@@ -16,6 +16,14 @@ pub fn cargo(arguments: &[&str]) -> Outcome {
     run(command("cargo").args(arguments))
 }
 
+/// What CI compiles: one selection of packages with one set of features, so that nothing is compiled twice. It has the windows of panels.
+pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
+
+/// Builds all programs and examples, among them the libraries of plugins, into `target/debug`.
+pub fn build_everything() -> Outcome {
+    cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--bins", "--examples"]].concat())
+}
+
 /// A program that runs in the workspace's root.
 pub fn command(program: impl AsRef<std::ffi::OsStr>) -> Command {
     let mut command = Command::new(program);

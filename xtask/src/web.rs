@@ -102,16 +102,15 @@ const FEATURES: [&str; 7] = [
 /// The previews and reference views that the browser tests compare with.
 pub fn fixtures() -> Outcome {
     let folder = root().join("web/tests/fixtures");
-    let mut write = command("cargo");
-    write.args(["run", "--quiet", "--package", "lumistack-plugin-web-simulator", "--example", "fixtures", "--"]);
-    tools::run(write.arg(&folder))
+    tools::build_everything()?;
+    tools::run(command(target_folder()?.join("debug/examples/fixtures")).arg(&folder))
 }
 
 /// Runs the tests of `web/tests` in a headless browser.
 pub fn browser_tests() -> Outcome {
     let chromium = chromium()?;
     // for `lumistack preview`
-    cargo(&["build", "--quiet", "--package", "lumistack-cli"])?;
+    tools::build_everything()?;
     let binary = target_folder()?.join("debug").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
     let mut tests = command("npm");
     tests
