@@ -25,6 +25,10 @@ pub(crate) enum InstructionSet {
 impl InstructionSet {
     /// All that this machine has, the best last.
     pub(crate) fn available() -> Vec<Self> {
+        #[cfg_attr(
+            all(target_arch = "wasm32", not(target_feature = "simd128")),
+            allow(unused_mut, reason = "there is no other without vectors")
+        )]
         let mut sets = vec![Self::Portable];
         #[cfg(target_arch = "aarch64")]
         sets.push(Self::Neon);
