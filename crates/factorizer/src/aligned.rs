@@ -1,6 +1,9 @@
 //! `f32` storage whose start lies on a cache line, so that whole vectors never straddle two.
 
+use std::mem::MaybeUninit;
 use std::ops::{Deref, DerefMut};
+
+use crate::bands;
 
 /// Values per cache line.
 pub(crate) const LINE: usize = 16;
@@ -9,8 +12,11 @@ pub(crate) const LINE: usize = 16;
 #[repr(C, align(64))]
 struct CacheLine([f32; LINE]);
 
+/// Cache lines that one thread makes at a time: large memory costs most where it is touched for the first time.
+const PART: usize = 1 << 14;
+
 /// A fixed number of values.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct Aligned {
     lines: Vec<CacheLine>,
     len: usize,
@@ -19,8 +25,30 @@ pub(crate) struct Aligned {
 impl Aligned {
     /// `len` times `value`.
     pub(crate) fn filled(value: f32, len: usize) -> Self {
-        Self { lines: vec![CacheLine([value; LINE]); len.div_ceil(LINE)], len }
+        let lines = made(len.div_ceil(LINE), |_, lines| {
+            lines.fill(MaybeUninit::new(CacheLine([value; LINE])));
+        });
+        Self { lines, len }
     }
+}
+
+impl Clone for Aligned {
+    fn clone(&self) -> Self {
+        let lines = made(self.lines.len(), |first, lines| {
+            lines.iter_mut().zip(&self.lines[first..]).for_each(|(to, from)| *to = MaybeUninit::new(*from));
+        });
+        Self { lines, len: self.len }
+    }
+}
+
+/// So many cache lines, made on all threads: `make(first, part)` writes every one of its part.
+fn made(count: usize, make: impl Fn(usize, &mut [MaybeUninit<CacheLine>]) + Sync + Send) -> Vec<CacheLine> {
+    let mut lines = Vec::with_capacity(count);
+    let spare = &mut lines.spare_capacity_mut()[..count];
+    bands::for_each_chunk(spare, PART, || (), |(), index, part| make(index * PART, part));
+    // SAFETY: every part was written, and together they are the first `count` lines
+    unsafe { lines.set_len(count) };
+    lines
 }
 
 impl Deref for Aligned {

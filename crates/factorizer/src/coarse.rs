@@ -82,19 +82,21 @@ impl Coarse {
             bands::for_each_chunk(
                 to.data_mut(),
                 fine_cols * 3,
-                || (),
-                |(), index, line| {
+                || vec![0.0f32; (cols + 1) * 3],
+                |mixed, index, line| {
                     let (frame, row) = (index / fine_rows, index % fine_rows);
                     let (first, ty) = ys[row];
                     let upper = &from[(frame * rows + first) * cols * 3..][..cols * 3];
                     let lower = &from[(frame * rows + (first + 1).min(rows - 1)) * cols * 3..][..cols * 3];
+                    for ((to, &a), &b) in mixed.iter_mut().zip(upper).zip(lower) {
+                        *to = a + ty * (b - a);
+                    }
+                    // nothing follows the last column: it is mixed with itself
+                    mixed.copy_within((cols - 1) * 3..cols * 3, cols * 3);
                     for (pixel, &(first, tx)) in line.chunks_exact_mut(3).zip(&xs) {
-                        let second = (first + 1).min(cols - 1);
-                        for (c, value) in pixel.iter_mut().enumerate() {
-                            let mix =
-                                |row: &[f32]| row[3 * first + c] + tx * (row[3 * second + c] - row[3 * first + c]);
-                            let (top, bottom) = (mix(upper), mix(lower));
-                            *value = (top + ty * (bottom - top)).clamp(0.0, 1.0);
+                        let (left, right) = mixed[3 * first..3 * first + 6].split_at(3);
+                        for ((value, &a), &b) in pixel.iter_mut().zip(left).zip(right) {
+                            *value = (a + tx * (b - a)).clamp(0.0, 1.0);
                         }
                     }
                 },

@@ -2,9 +2,12 @@
 
 use crate::expand::{Rays, coefficients};
 use crate::factor::{Factor, PAD};
+use crate::gather::mask;
 use crate::lanes::{Kernel, Lanes};
 use crate::plan::Plan;
+use crate::step::sum;
 use crate::sums::Scratch;
+use crate::target::Row;
 
 /// Error sums of some rays.
 #[derive(Clone, Copy, Debug, Default)]
@@ -42,15 +45,19 @@ impl Kernel for RowErrors<'_> {
             for view_x in 0..plan.views[1] {
                 for run in &plan.runs[view_x] {
                     let rays = Rays { channel, view: [view_y, view_x], row, run };
+                    let weights = plan.target.weights(plan.view(view_y, view_x), row);
                     if plan.shifted {
                         // SAFETY: the machine has V; the tables are constant shifts
-                        unsafe { emit::<V>(plan, factors, &rays, &mut scratch.emitted) };
-                    } else {
-                        coefficients(plan, factors, None, &rays, scratch);
+                        let errors = unsafe { squared_shifted::<V>(plan, factors, &rays, weights) };
+                        // beyond 1e19 a square needs f64
+                        if errors.plain.is_finite() {
+                            total = total.merged(errors);
+                            continue;
+                        }
                     }
+                    coefficients(plan, factors, None, &rays, scratch);
                     let errors = &mut errors[..run.len()];
                     plan.target.errors(&rays, plan, &scratch.emitted, errors);
-                    let weights = plan.target.weights(plan.view(view_y, view_x), row);
                     total =
                         total.merged(squared(errors, weights.map(|weights| &weights[PAD + run.start..PAD + run.end])));
                 }
@@ -60,40 +67,96 @@ impl Kernel for RowErrors<'_> {
     }
 }
 
-/// L̃ = (1/M) Σ_m Π_k f_k along rays, where every factor is at a constant shift.
+/// Blocks whose squares are added in f32 before they go to an f64 sum.
+const BLOCKS_PER_SUM: usize = 4;
+
+/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant shift.
 ///
 /// # Safety
-/// The machine has `V`'s instruction set, and [`Plan::shifted`] holds; `emitted` has room for the run and a vector.
+/// The machine has `V`'s instruction set, and [`Plan::shifted`] holds.
 #[inline(always)]
-unsafe fn emit<V: Lanes>(plan: &Plan, factors: &[Factor], rays: &Rays, emitted: &mut [f32]) {
-    let lines: Vec<(&[f32], usize, isize)> = plan
+unsafe fn squared_shifted<V: Lanes>(
+    plan: &Plan,
+    factors: &[Factor],
+    rays: &Rays,
+    root_weights: Option<&[f32]>,
+) -> ErrorSum {
+    let lines: Vec<Line> = plan
         .maps
         .iter()
         .zip(factors)
-        .map(|(map, factor)| {
-            let line = map.y[rays.view[0]][rays.row].first as usize;
-            (factor.line(rays.channel, line), map.layout.stride, map.x[rays.view[1]].shift.unwrap_or(0))
+        .map(|(map, factor)| Line {
+            values: factor.line(rays.channel, map.y[rays.view[0]][rays.row].first as usize),
+            stride: map.layout.stride,
+            shift: map.x[rays.view[1]].shift.unwrap_or(0),
         })
         .collect();
-    let Some((first, rest)) = lines.split_first() else { return };
-    let load = |(values, stride, shift): &(&[f32], usize, isize), frame: usize, col: usize| {
-        let at = (col as isize + shift) as usize + frame * stride;
-        debug_assert!(at + V::COUNT <= values.len());
-        // SAFETY: padding covers every block that touches a valid ray
-        unsafe { V::load(values.as_ptr().add(at)) }
-    };
-    // SAFETY: see above
+    let target = plan.target.row(rays.channel, plan.view(rays.view[0], rays.view[1]), rays.row);
+    let run = rays.run;
+    let mut total = ErrorSum::default();
+    // SAFETY: the machine has V; padding covers every block that touches a valid ray
     unsafe {
-        let mean = V::splat(1.0 / plan.frames as f32);
-        for col in (rays.run.start..rays.run.end).step_by(V::COUNT) {
-            let mut sum = V::splat(0.0);
-            for frame in 0..plan.frames {
-                let product =
-                    rest.iter().fold(load(first, frame, col), |product, line| product.mul(load(line, frame, col)));
-                sum = product.mul_add(mean, sum);
+        let (mean, brightness) = (V::splat(1.0 / plan.frames as f32), V::splat(plan.target.brightness));
+        let zero = V::splat(0.0);
+        let (mut weighted, mut plain) = (zero, zero);
+        for (index, col) in run.clone().step_by(V::COUNT).enumerate() {
+            let mut emitted = zero;
+            for m in (0..plan.frames).step_by(3) {
+                emitted = match plan.frames - m {
+                    1 => emitted_by::<V, 1>(&lines, m, col, emitted),
+                    2 => emitted_by::<V, 2>(&lines, m, col, emitted),
+                    _ => emitted_by::<V, 3>(&lines, m, col, emitted),
+                };
             }
-            sum.store(emitted[col - rays.run.start..][..V::COUNT].as_mut_ptr());
+            let wanted = match target {
+                Row::Half(row) => V::load_half(row[PAD + col..][..V::COUNT].as_ptr()),
+                Row::Float(row) => V::load(row[PAD + col..][..V::COUNT].as_ptr()),
+            };
+            let mut error = emitted.mul(mean).sub(wanted.mul(brightness));
+            if run.end - col < V::COUNT {
+                error = error.mul(mask::<V>(0, run.end - col));
+            }
+            if let Some(roots) = root_weights {
+                let root = V::load(roots[PAD + col..][..V::COUNT].as_ptr());
+                let rooted = root.mul(error);
+                weighted = rooted.mul_add(rooted, weighted);
+                error = root.above(zero, error, zero);
+            }
+            plain = error.mul_add(error, plain);
+            if (index + 1) % BLOCKS_PER_SUM == 0 || col + V::COUNT >= run.end {
+                total.plain += sum::<V>(plain);
+                total.weighted += if root_weights.is_some() { sum::<V>(weighted) } else { 0.0 };
+                (weighted, plain) = (zero, zero);
+            }
         }
+    }
+    if root_weights.is_none() {
+        total.weighted = total.plain;
+    }
+    total
+}
+
+/// One factor's line as rays meet it at their column plus a shift.
+struct Line<'a> {
+    values: &'a [f32],
+    stride: usize,
+    shift: isize,
+}
+
+/// `emitted` and the products of frames m..m + R.
+#[inline(always)]
+unsafe fn emitted_by<V: Lanes, const R: usize>(lines: &[Line], m: usize, col: usize, emitted: V) -> V {
+    // SAFETY: see the caller
+    unsafe {
+        let mut products = [V::splat(1.0); R];
+        for line in lines {
+            for (i, product) in products.iter_mut().enumerate() {
+                let at = (col as isize + line.shift) as usize + (m + i) * line.stride;
+                debug_assert!(at + V::COUNT <= line.values.len());
+                *product = product.mul(V::load(line.values.as_ptr().add(at)));
+            }
+        }
+        products.iter().fold(emitted, |sum, &product| sum.add(product))
     }
 }
 

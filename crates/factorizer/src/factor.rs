@@ -69,18 +69,29 @@ impl Factor {
     /// From a tensor's values, moved into `low`..`high`.
     pub(crate) fn upload(layout: &Layout, tensor: &[f32], [low, high]: [f32; 2]) -> Self {
         let mut factor = Self::blank(layout, 3);
+        // a line of all channels at a time, so that every pixel is read once
+        let (line_len, width) = (layout.line_len(), layout.size[1]);
+        let (red, rest) = factor.values.split_at_mut(layout.stored_lines() * line_len);
+        let (green, blue) = rest.split_at_mut(layout.stored_lines() * line_len);
+        let [red, green, blue] = [red, green, blue].map(|channel| channel.chunks_exact_mut(line_len));
+        let mut lines: Vec<_> = red.zip(green).zip(blue).take(layout.lines()).collect();
         bands::for_each_chunk(
-            &mut factor.values,
-            layout.line_len(),
+            &mut lines,
+            1,
             || (),
-            |(), index, chunk| {
-                let (channel, line) = (index / layout.stored_lines(), index % layout.stored_lines());
-                if line == layout.lines() {
-                    return;
-                }
-                for (frame, row) in chunk.chunks_exact_mut(layout.stride).enumerate() {
-                    for (col, value) in row[layout.pad..layout.pad + layout.cols()].iter_mut().enumerate() {
-                        *value = tensor[layout.tensor_offset(frame, line, col) + channel].clamp(low, high);
+            |(), line, channels| {
+                let ((red, green), blue) = &mut channels[0];
+                for (frame, bin_x) in (0..layout.frames).flat_map(|frame| (0..layout.bins[1]).map(move |x| (frame, x)))
+                {
+                    let to = frame * layout.stride + layout.pad + bin_x * width;
+                    let to = to..to + width;
+                    let from = layout.tensor_offset(frame, line, bin_x * width);
+                    let pixels = tensor[from..from + 3 * width].chunks_exact(3);
+                    let values = red[to.clone()].iter_mut().zip(&mut green[to.clone()]).zip(&mut blue[to]);
+                    for (((red, green), blue), pixel) in values.zip(pixels) {
+                        *red = pixel[0].clamp(low, high);
+                        *green = pixel[1].clamp(low, high);
+                        *blue = pixel[2].clamp(low, high);
                     }
                 }
             },

@@ -12,8 +12,11 @@
 //! Departures:
 //! 1. Columns go in blocks of one vector, and a block meets all views before the next begins: its values stay in the first-level cache, and
 //!    no accumulator ever moves to memory.
-//! 2. Per block, all views' a_m and e are written to a small buffer first (10 kB for 25 views and 6 frames). Then the sums are made tile by tile of
-//!    3×3 frame pairs, each tile in registers. So any number of frames takes the same code, and 12 frames spill as little as 6.
+//! 2. Where registers hold a_m and the sums of all frames (up to 6 with AVX-512 and NEON), and rays of all views count in full, that is all. With 6
+//!    frames G is too large for that: 3×3 tiles along its diagonal are summed at once, what lies between them afterwards from a_m in a small
+//!    buffer. Otherwise all views' a_m and e are buffered (10 kB for 25 views and 6 frames) before the sums are made tile by tile, each in registers; so
+//!    any number of frames takes the same code, and 12 frames spill as little as 6. Buffering alone took 1.3 times as long (multiplicative) and 1.2
+//!    times (block-exact) on Zen 4.
 //! 3. Many rows are read side by side (frames × layers × view rows, and all views of the target), more than hardware prefetchers follow: each block asks
 //!    for what comes two vectors later.
 //! 4. The target is read in 16 bits where that is what it holds. √w multiplies a and e, so that no sum needs w.
@@ -124,6 +127,7 @@ impl GatherLine<'_, '_> {
         let first = rays.views.iter().map(|view| view.valid.start).min().unwrap_or(0).max(layout.pad);
         let first = layout.pad + (first - layout.pad) / V::COUNT * V::COUNT;
         let end = rays.views.iter().map(|view| view.valid.end).max().unwrap_or(0).min(layout.pad + layout.cols());
+        let inner = rays.inner();
         let sight = Sight { brightness: plan.target.brightness, residual: step.rule.needs_gram() };
         let mut outcome = Outcome::default();
         // SAFETY: the machine has V
@@ -147,16 +151,22 @@ impl GatherLine<'_, '_> {
                         V::prefetch(lead.values.as_ptr().wrapping_add(lead.at(x + AHEAD * V::COUNT) + m * lead.stride));
                     }
                 }
-                let mut active = 0;
-                for (view, others) in rays.views.iter().zip(rays.others.chunks_exact(rays.others_per_view.max(1))) {
-                    if view.valid.start < x + V::COUNT && x < view.valid.end {
-                        let others = &others[..rays.others_per_view];
-                        let error = view_errors::<V, M>(view, others, x, frames, &sight, active, buffers);
-                        squares = error.mul_add(error, squares);
-                        active += 1;
+                let whole = inner.start <= x && x + V::COUNT <= inner.end;
+                let sums = if whole { sum_in_registers::<V, M>(&rays, step.rule, x, &sight, buffers) } else { None };
+                if let Some(squared) = sums {
+                    squares = squares.add(squared);
+                } else {
+                    let mut active = 0;
+                    for (view, others) in rays.views.iter().zip(rays.others.chunks_exact(rays.others_per_view.max(1))) {
+                        if view.valid.start < x + V::COUNT && x < view.valid.end {
+                            let others = &others[..rays.others_per_view];
+                            let error = view_errors::<V, M>(view, others, x, frames, &sight, active, buffers);
+                            squares = error.mul_add(error, squares);
+                            active += 1;
+                        }
                     }
+                    sum_views::<V, M>(step.rule, frames, active, buffers);
                 }
-                sum_views::<V, M>(step.rule, frames, active, buffers);
                 gain = gain.add(step.finish_block::<V>(&mut buffers.block, x));
                 x += V::COUNT;
                 // a few blocks may share an f32 sum, a line may not
@@ -179,6 +189,17 @@ struct LineRays<'a> {
     others_per_view: usize,
     /// Per row of another factor, where the foremost view reads it.
     leads: Vec<Other<'a>>,
+}
+
+impl LineRays<'_> {
+    /// x where the rays of every view count in full.
+    fn inner(&self) -> Range<usize> {
+        if self.views.iter().any(|view| view.weights.is_some()) {
+            return 0..0;
+        }
+        let start = self.views.iter().map(|view| view.valid.start).max().unwrap_or(0);
+        start..self.views.iter().map(|view| view.valid.end).min().unwrap_or(0)
+    }
 }
 
 /// One view's rays through the line; x counts in the line's padded storage.
@@ -292,25 +313,13 @@ unsafe fn view_errors<V: Lanes, const M: usize>(
                 multiply_by::<V, M>(rest, x, frames, products, &scratch.scaled)
             }
         };
-        let from = (x as isize + view.target_offset) as usize;
-        let wanted = match view.target {
-            Row::Half(row) => {
-                debug_assert!(from + V::COUNT <= row.len());
-                V::prefetch(row.as_ptr().wrapping_add(from + 2 * AHEAD * V::COUNT));
-                V::load_half(row.as_ptr().add(from))
-            }
-            Row::Float(row) => {
-                V::prefetch(row.as_ptr().wrapping_add(from + 2 * AHEAD * V::COUNT));
-                load::<V>(row, from)
-            }
-        };
-        let mut wanted = wanted.mul(V::splat(sight.brightness));
+        let mut wanted = wanted::<V>(view, x, sight);
         let mut emitted = emitted;
         if view.weights.is_some() || x < view.valid.start || view.valid.end < x + V::COUNT {
             let (low, high) = (view.valid.start.max(x), view.valid.end.min(x + V::COUNT));
             let mut weight = mask::<V>(low - x, high - x);
             if let Some(weights) = view.weights {
-                weight = weight.mul(load::<V>(weights, from));
+                weight = weight.mul(load::<V>(weights, (x as isize + view.target_offset) as usize));
             }
             wanted = wanted.mul(weight);
             emitted = emitted.mul(weight);
@@ -381,6 +390,169 @@ unsafe fn multiply_by<V: Lanes, const M: usize>(
     }
 }
 
+/// The sums over all views of a block that no border crosses, with accumulators that stay in registers; returns the sum of e². `None` where the
+/// registers do not hold them.
+#[inline(always)]
+unsafe fn sum_in_registers<V: Lanes, const M: usize>(
+    rays: &LineRays,
+    rule: Rule,
+    x: usize,
+    sight: &Sight,
+    buffers: &mut Buffers,
+) -> Option<V> {
+    if M == 0 || registers_for(rule, M) > V::REGISTERS {
+        return None;
+    }
+    // SAFETY: see the caller
+    unsafe {
+        match (rays.others_per_view, rule.needs_gram()) {
+            (1, false) => Some(pairs_in_registers::<V, M, 1>(rays, x, sight, buffers)),
+            (2, false) => Some(pairs_in_registers::<V, M, 2>(rays, x, sight, buffers)),
+            (3, false) => Some(pairs_in_registers::<V, M, 3>(rays, x, sight, buffers)),
+            (1, true) => Some(gram_in_registers::<V, M, 1>(rays, x, sight, buffers)),
+            (2, true) => Some(gram_in_registers::<V, M, 2>(rays, x, sight, buffers)),
+            (3, true) => Some(gram_in_registers::<V, M, 3>(rays, x, sight, buffers)),
+            _ => None,
+        }
+    }
+}
+
+/// Accumulators, a_m, and a few values more.
+const fn registers_for(rule: Rule, frames: usize) -> usize {
+    match rule {
+        Rule::Multiplicative => 3 * frames + 4,
+        _ => {
+            let (tile, tiles) = (tile_of(frames), frames.div_ceil(tile_of(frames)));
+            2 * frames + tiles * tile * (tile + 1) / 2 + 5
+        }
+    }
+}
+
+/// Which part of G is summed while a_m is at hand: all of it, or tiles of so many frames along its diagonal.
+const fn tile_of(frames: usize) -> usize {
+    if frames <= 4 { frames } else { 3 }
+}
+
+/// n and d of all frames.
+#[inline(always)]
+unsafe fn pairs_in_registers<V: Lanes, const M: usize, const K: usize>(
+    rays: &LineRays,
+    x: usize,
+    sight: &Sight,
+    buffers: &mut Buffers,
+) -> V {
+    // SAFETY: see the caller
+    unsafe {
+        let mut squares = V::splat(0.0);
+        let (mut above, mut below) = ([V::splat(0.0); M], [V::splat(0.0); M]);
+        for (view, others) in rays.views.iter().zip(rays.others.chunks_exact(K)) {
+            let (products, emitted) = whole_products::<V, M, K>(others, x, &buffers.scaled);
+            let wanted = wanted::<V>(view, x, sight);
+            let error = wanted.sub(emitted);
+            squares = error.mul_add(error, squares);
+            for m in 0..M {
+                above[m] = products[m].mul_add(wanted, above[m]);
+                below[m] = products[m].mul_add(emitted, below[m]);
+            }
+        }
+        for m in 0..M {
+            store(above[m], &mut buffers.block.residual, m * V::COUNT);
+            store(below[m], &mut buffers.block.emitted, m * V::COUNT);
+        }
+        squares
+    }
+}
+
+/// r of all frames and G: tiles along its diagonal at once, what lies between them from buffered a_m.
+#[inline(always)]
+unsafe fn gram_in_registers<V: Lanes, const M: usize, const K: usize>(
+    rays: &LineRays,
+    x: usize,
+    sight: &Sight,
+    buffers: &mut Buffers,
+) -> V {
+    let tile = tile_of(M);
+    // SAFETY: see the caller
+    unsafe {
+        let mut squares = V::splat(0.0);
+        let (mut residual, mut gram) = ([V::splat(0.0); M], [[V::splat(0.0); M]; M]);
+        for (index, (view, others)) in rays.views.iter().zip(rays.others.chunks_exact(K)).enumerate() {
+            let (products, emitted) = whole_products::<V, M, K>(others, x, &buffers.scaled);
+            let error = wanted::<V>(view, x, sight).sub(emitted);
+            squares = error.mul_add(error, squares);
+            for m in 0..M {
+                residual[m] = products[m].mul_add(error, residual[m]);
+                for k in m..M {
+                    if m / tile == k / tile {
+                        gram[m][k] = products[m].mul_add(products[k], gram[m][k]);
+                    }
+                }
+                if tile < M {
+                    store(products[m], &mut buffers.products, (index * M + m) * V::COUNT);
+                }
+            }
+        }
+        let block = &mut buffers.block;
+        for m in 0..M {
+            store(residual[m], &mut block.residual, m * V::COUNT);
+            for k in m..M {
+                if m / tile == k / tile {
+                    store(gram[m][k], &mut block.gram, (m * M + k) * V::COUNT);
+                }
+            }
+        }
+        if tile < M {
+            let views = rays.views.len();
+            let (products, errors, emitted) = (&buffers.products, &buffers.errors, &buffers.emitted);
+            Tiles { frames: M, views, products, errors, emitted }.between_tiles::<V>(block);
+        }
+        squares
+    }
+}
+
+/// a_m of all frames and L̃ of one view and block.
+#[inline(always)]
+unsafe fn whole_products<V: Lanes, const M: usize, const K: usize>(
+    others: &[Other],
+    x: usize,
+    scaled: &[f32],
+) -> ([V; M], V) {
+    // SAFETY: see the caller
+    unsafe {
+        let others: [_; K] = std::array::from_fn(|k| at(&others[k], x));
+        let (mut products, mut emitted) = ([V::splat(0.0); M], V::splat(0.0));
+        for m in 0..M {
+            products[m] = V::load(others[0].0.add(m * others[0].1));
+            for other in &others[1..] {
+                products[m] = products[m].mul(V::load(other.0.add(m * other.1)));
+            }
+            emitted = products[m].mul_add(load::<V>(scaled, m * V::COUNT), emitted);
+        }
+        (products, emitted)
+    }
+}
+
+/// βL of one view and block.
+#[inline(always)]
+unsafe fn wanted<V: Lanes>(view: &View, x: usize, sight: &Sight) -> V {
+    let from = (x as isize + view.target_offset) as usize;
+    // SAFETY: see the caller
+    unsafe {
+        let radiance = match view.target {
+            Row::Half(row) => {
+                debug_assert!(from + V::COUNT <= row.len());
+                V::prefetch(row.as_ptr().wrapping_add(from + 2 * AHEAD * V::COUNT));
+                V::load_half(row.as_ptr().add(from))
+            }
+            Row::Float(row) => {
+                V::prefetch(row.as_ptr().wrapping_add(from + 2 * AHEAD * V::COUNT));
+                load::<V>(row, from)
+            }
+        };
+        radiance.mul(V::splat(sight.brightness))
+    }
+}
+
 /// The sums over all views of a block.
 #[inline(always)]
 unsafe fn sum_views<V: Lanes, const M: usize>(rule: Rule, frames: usize, views: usize, scratch: &mut Buffers) {
@@ -414,14 +586,8 @@ unsafe fn sum_views<V: Lanes, const M: usize>(rule: Rule, frames: usize, views: 
                 2 => tiles.diagonal::<V, 2>(m, block),
                 _ => tiles.diagonal::<V, 3>(m, block),
             }
-            for k in (m + 3..frames).step_by(3) {
-                match frames - k {
-                    1 => tiles.rectangle::<V, 1>(m, k, block),
-                    2 => tiles.rectangle::<V, 2>(m, k, block),
-                    _ => tiles.rectangle::<V, 3>(m, k, block),
-                }
-            }
         }
+        tiles.between_tiles::<V>(block);
     }
 }
 
@@ -488,6 +654,23 @@ impl Tiles<'_> {
         }
     }
 
+    /// G off the tiles of 3×3 frames along its diagonal.
+    #[inline(always)]
+    unsafe fn between_tiles<V: Lanes>(&self, block: &mut Block) {
+        // SAFETY: see the caller
+        unsafe {
+            for m in (0..self.frames).step_by(3) {
+                for k in (m + 3..self.frames).step_by(3) {
+                    match self.frames - k {
+                        1 => self.rectangle::<V, 1>(m, k, block),
+                        2 => self.rectangle::<V, 2>(m, k, block),
+                        _ => self.rectangle::<V, 3>(m, k, block),
+                    }
+                }
+            }
+        }
+    }
+
     /// G between frames m..m + 3 and k..k + C.
     #[inline(always)]
     unsafe fn rectangle<V: Lanes, const C: usize>(&self, m: usize, k: usize, block: &mut Block) {
@@ -514,7 +697,7 @@ impl Tiles<'_> {
 
 /// 1 in lanes low..high, else 0.
 #[inline(always)]
-unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
+pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
     static STEPS: [f32; 3 * PAD] = {
         let mut steps = [0.0; 3 * PAD];
         let mut i = PAD;

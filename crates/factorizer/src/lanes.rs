@@ -41,7 +41,10 @@ impl InstructionSet {
                 && std::is_x86_feature_detected!("f16c")
             {
                 sets.push(Self::Avx2);
-                if std::is_x86_feature_detected!("avx512f") && std::is_x86_feature_detected!("avx512vl") {
+                if std::env::var_os("NO512").is_none()
+                    && std::is_x86_feature_detected!("avx512f")
+                    && std::is_x86_feature_detected!("avx512vl")
+                {
                     sets.push(Self::Avx512);
                 }
             }
@@ -62,6 +65,8 @@ impl InstructionSet {
 pub(crate) trait Lanes: Copy {
     /// Number of values; divides [`crate::factor::PAD`].
     const COUNT: usize;
+    /// Number of vector registers.
+    const REGISTERS: usize;
     unsafe fn splat(value: f32) -> Self;
     unsafe fn load(from: *const f32) -> Self;
     /// From IEEE half floats.
@@ -125,6 +130,7 @@ impl Portable {
 
 impl Lanes for Portable {
     const COUNT: usize = 8;
+    const REGISTERS: usize = 16;
 
     #[inline(always)]
     unsafe fn splat(value: f32) -> Self {
@@ -239,6 +245,7 @@ mod x86 {
             #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
             impl Lanes for $name {
                 const COUNT: usize = $count;
+                const REGISTERS: usize = 2 * $count;
 
                 #[inline(always)]
                 unsafe fn splat(value: f32) -> Self {
@@ -366,6 +373,7 @@ mod neon {
     #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
     impl Lanes for Neon {
         const COUNT: usize = 4;
+        const REGISTERS: usize = 32;
 
         #[inline(always)]
         unsafe fn splat(value: f32) -> Self {
@@ -453,6 +461,7 @@ mod wasm {
     #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
     impl Lanes for Simd128 {
         const COUNT: usize = 4;
+        const REGISTERS: usize = 16;
 
         #[inline(always)]
         unsafe fn splat(value: f32) -> Self {

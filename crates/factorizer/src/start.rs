@@ -60,12 +60,11 @@ pub fn start_patterns(problem: &Problem, kind: StartKind, seed: u64) -> LayerSta
         return stack;
     }
     let spread = Layer { blur_px: NOISE_BLUR_PX, ..problem.display.layers[0].clone() }.response();
-    let (mut blurred, mut scratch) = (Vec::new(), Vec::new());
-    for_each_plane(&mut stack, |plane, rows, cols| {
+    for_each_plane(&mut stack, |plane, rows, cols, [blurred, scratch]| {
         blurred.resize(plane.len(), 0.0);
         if let Some(spread) = &spread {
-            spread.blur(rows, cols, plane, &mut blurred, &mut scratch);
-            plane.copy_from_slice(&blurred);
+            spread.blur(rows, cols, plane, blurred, scratch);
+            plane.copy_from_slice(blurred);
         }
         let range = plane.iter().fold((f32::MAX, f32::MIN), |(low, high), &v| (low.min(v), high.max(v)));
         let scale = (1.0 - FLOOR) / (range.1 - range.0).max(f32::MIN_POSITIVE);
@@ -101,10 +100,17 @@ pub(crate) fn level(formation: Formation, mean: f32, factors: f32) -> f32 {
 /// Patterns of [`StartKind::Random`].
 pub fn random_start(display: &Display, seed: u64) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
-    for (part, values) in parts(&mut stack).enumerate() {
-        let mut stream = Stream::new(derive(seed, &[part as u64]));
-        values.iter_mut().for_each(|value| *value = FLOOR + (1.0 - FLOOR) * stream.next_f32());
-    }
+    let mut parts: Vec<&mut [f32]> = parts(&mut stack).collect();
+    bands::for_each_chunk(
+        &mut parts,
+        1,
+        || (),
+        |(), part, values| {
+            let mut stream = Stream::new(derive(seed, &[part as u64]));
+            values[0].iter_mut().for_each(|value| *value = FLOOR + (1.0 - FLOOR) * stream.next_f32());
+        },
+    );
+    drop(parts);
     stack
 }
 
@@ -114,21 +120,25 @@ fn parts(stack: &mut LayerStack) -> impl Iterator<Item = &mut [f32]> {
     layers.chain(stack.emission.iter_mut().map(|emission| emission.data_mut()))
 }
 
-/// Hands every picture of one frame (and angular bin) in one channel to `change`, with its rows and columns.
-fn for_each_plane(stack: &mut LayerStack, mut change: impl FnMut(&mut [f32], usize, usize)) {
+/// Hands every picture of one frame (and angular bin) in one channel to `change`, with its rows and columns and two buffers to use.
+fn for_each_plane(stack: &mut LayerStack, change: impl Fn(&mut [f32], usize, usize, &mut [Vec<f32>; 2]) + Sync + Send) {
     let mut sizes: Vec<[usize; 2]> = stack.layers.iter().map(|layer| [layer.shape()[1], layer.shape()[2]]).collect();
     sizes.extend(stack.emission.as_ref().map(|emission| [emission.shape()[3], emission.shape()[4]]));
     for (values, [rows, cols]) in parts(stack).zip(sizes) {
-        let mut plane = vec![0.0; rows * cols];
-        for picture in values.chunks_exact_mut(rows * cols * 3) {
-            for channel in 0..3 {
-                let pixels = picture.chunks_exact(3);
-                plane.iter_mut().zip(pixels).for_each(|(value, pixel)| *value = pixel[channel]);
-                change(&mut plane, rows, cols);
-                let pixels = picture.chunks_exact_mut(3);
-                plane.iter().zip(pixels).for_each(|(value, pixel)| pixel[channel] = *value);
-            }
-        }
+        bands::for_each_chunk(
+            values,
+            rows * cols * 3,
+            || (vec![0.0; rows * cols], Default::default()),
+            |(plane, buffers), _, picture| {
+                for channel in 0..3 {
+                    let pixels = picture.chunks_exact(3);
+                    plane.iter_mut().zip(pixels).for_each(|(value, pixel)| *value = pixel[channel]);
+                    change(plane, rows, cols, buffers);
+                    let pixels = picture.chunks_exact_mut(3);
+                    plane.iter().zip(pixels).for_each(|(value, pixel)| pixel[channel] = *value);
+                }
+            },
+        );
     }
 }
 

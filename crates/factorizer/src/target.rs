@@ -79,10 +79,16 @@ impl Target {
         let views = view_rows * view_cols;
         let stride = PAD + cols + PAD;
         let radiance = problem.target.radiance().data();
-        let halves = rows_of(radiance, cols, stride, half_from_float);
+        let halves = rows_of(radiance, cols, stride, halves_from_floats);
         let values = match halves {
             Some(halves) => Radiance::Half(halves),
-            None => Radiance::Float(rows_of(radiance, cols, stride, Some).unwrap_or_default()),
+            None => {
+                let copied = |from: &[f32], to: &mut [f32]| {
+                    to.copy_from_slice(from);
+                    true
+                };
+                Radiance::Float(rows_of(radiance, cols, stride, copied).unwrap_or_default())
+            }
         };
         let (weights, weight_scale) = ray_weights(problem.weights, [views, rows, cols], stride);
         let brightness = problem.display.brightness as f32;
@@ -169,12 +175,12 @@ impl Target {
     }
 }
 
-/// `[view][row][col][rgb]` into padded rows `[channel][view][row][x]`; `None` where any value has no counterpart.
+/// `[view][row][col][rgb]` into padded rows `[channel][view][row][x]`; `None` where `convert` says of a row that not all values have a counterpart.
 fn rows_of<T: Copy + Default + Send>(
     radiance: &[f32],
     cols: usize,
     stride: usize,
-    convert: impl Fn(f32) -> Option<T> + Sync + Send,
+    convert: impl Fn(&[f32], &mut [T]) -> bool + Sync + Send,
 ) -> Option<Vec<T>> {
     let lines = radiance.len() / (3 * cols);
     let mut values = vec![T::default(); 3 * lines * stride];
@@ -186,26 +192,42 @@ fn rows_of<T: Copy + Default + Send>(
     bands::for_each_chunk(
         &mut rows,
         1,
-        || (),
-        |(), line, rows| {
+        || vec![T::default(); 3 * cols],
+        |converted, line, rows| {
             if !complete.load(Ordering::Relaxed) {
                 return;
             }
-            let pixels = radiance[line * cols * 3..][..cols * 3].chunks_exact(3);
-            let mut all = true;
-            for (col, pixel) in pixels.enumerate() {
-                for (row, &value) in rows[0].iter_mut().zip(pixel) {
-                    let converted = convert(value);
-                    all &= converted.is_some();
-                    row[PAD + col] = converted.unwrap_or_default();
-                }
-            }
-            if !all {
+            if !convert(&radiance[line * cols * 3..][..cols * 3], converted) {
                 complete.store(false, Ordering::Relaxed);
+            }
+            let [red, green, blue] = &mut rows[0];
+            let rows = red[PAD..].iter_mut().zip(&mut green[PAD..]).zip(&mut blue[PAD..]);
+            for (((red, green), blue), pixel) in rows.zip(converted.chunks_exact(3)) {
+                (*red, *green, *blue) = (pixel[0], pixel[1], pixel[2]);
             }
         },
     );
     complete.into_inner().then_some(values)
+}
+
+/// The half floats that are exactly `values`; whether all have one.
+fn halves_from_floats(values: &[f32], halves: &mut [u16]) -> bool {
+    // zeros and what is normal in both formats, without branches
+    let mut simple = true;
+    for (half, value) in halves.iter_mut().zip(values) {
+        let (sign, bits) = ((value.to_bits() >> 16 & 0x8000) as u16, value.to_bits() & 0x7fff_ffff);
+        let normal = (113 << 23..143 << 23).contains(&bits) & (bits & 0x1fff == 0);
+        simple &= normal | (bits == 0);
+        *half = sign | if bits == 0 { 0 } else { (bits.wrapping_sub(112 << 23) >> 13) as u16 };
+    }
+    simple
+        || halves.iter_mut().zip(values).all(|(half, &value)| match half_from_float(value) {
+            Some(exact) => {
+                *half = exact;
+                true
+            }
+            None => false,
+        })
 }
 
 /// The half float that is exactly `value`, if there is one and it is finite.
@@ -272,9 +294,13 @@ mod tests {
             };
             let value = if bits & 0x8000 == 0 { magnitude } else { -magnitude } as f32;
             assert_eq!(half_from_float(value), Some(bits), "{value}");
+            let mut half = [0];
+            assert!(halves_from_floats(&[value], &mut half));
+            assert_eq!(half, [bits], "{value}");
         }
         for value in [0.1, 1.0 + 1.0 / 2048.0, 65536.0, 2f32.powi(-25), f32::INFINITY, f32::NAN] {
             assert_eq!(half_from_float(value), None, "{value}");
+            assert!(!halves_from_floats(&[1.0, value], &mut [0; 2]), "{value}");
         }
     }
 }

@@ -113,6 +113,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     let frames = match kind {
         Kind::OneFrame => 1,
         Kind::ManyFrames => 9 + below(5),
+        Kind::Wide => 1 + below(8),
         _ => 2 + below(4),
     };
     let layers = match kind {
