@@ -199,9 +199,8 @@ impl ApplicationHandler<Command> for App<'_> {
             let error = WindowError::Graphics { on: "the outputs".into(), found: found.trim().into() };
             return self.end(event_loop, Err(error));
         }
-        // a window manager gives no keys to a window that it does not know
-        let watch =
-            self.watch.get_or_insert_with(|| Watch::new(event_loop, &self.windows[0].0, stage.mode == Mode::Span));
+        let watch = self.watch.get_or_insert_with(|| Watch::new(event_loop));
+        watch.keep_keys(&self.windows[0].0, stage.mode == Mode::Span);
         if stage.mode != Mode::Window {
             let placed = stage.mode == Mode::Span || is_x11(event_loop);
             let now = watch.outputs(event_loop);
@@ -415,6 +414,8 @@ impl App<'_> {
         self.stage =
             Some(Stage { baton, work, report, produced, failure, mode, fields, half_fov_deg, from_deg, duration });
         self.shown_since = Some(Instant::now());
+        // who hears that it has begun may press a key
+        self.watch.insert(Watch::new(event_loop)).keep_keys(&self.windows[0].0, mode == Mode::Span);
         (self.tell)(Event::Started(shown));
         Ok(())
     }
