@@ -405,9 +405,62 @@ fn where_the_platform_tells_late_frames_and_skew_come_from_it() {
     assert!((0.0..1.0).contains(&skew), "{report}");
 }
 
+/// Without a window manager a single press of a key arrives, whoever had the keys before.
+#[test]
+fn a_bare_x_server_sends_keys_to_the_presentation() {
+    let Some(session) = Session::xorg(&XORG) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write_run(folder.path(), &display(&XORG), 1);
+    let mut poke = poke::Poke::new(session.x_display());
+    // outside of the rehearsal's window, so that no key comes to it by way of the pointer
+    poke.point([1300, 300]);
+    let (root, other) = (poke.root, poke.window());
+    for options in [&["--hold", "1"][..], &["--span"], &["--rehearse"]] {
+        for before in [poke::NOBODY, poke::POINTER_ROOT, root, other] {
+            poke.focus(before);
+            let mut show = Show::start(&session, folder.path(), options);
+            show.event("started");
+            poke.key(poke::ESCAPE);
+            let (status, errors) = show.ended();
+            assert!(status.success(), "{options:?} after {before}: {status}: {errors}");
+        }
+    }
+    let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
+    show.event("swapped");
+    // a window manager does as it likes
+    poke.manage(true);
+    poke.focus(root);
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(poke.focused(), root);
+    poke.manage(false);
+    // who takes the keys keeps them, and when it goes they come back
+    poke.focus(other);
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(poke.focused(), other);
+    poke.close(other);
+    wait_for("the keys", || (poke.focused() > 1).then_some(()));
+    let (name, size, at) = XORG[0];
+    wait_for("frame 0", || session.import().filter(|all| all.part(at, size) == expected(1, 0, 0, size)));
+    // Tab chooses the next panel
+    for key in [poke::RIGHT, poke::UP, poke::RIGHT, poke::UP, poke::RIGHT, poke::TAB, poke::DOWN] {
+        poke.key(key);
+    }
+    let plain = expected(1, 0, 0, size).part([0, 2], [317, 238]);
+    wait_for(&format!("the nudge on {name}"), || {
+        session.import().filter(|all| all.part([at[0] + 3, at[1]], [317, 238]) == plain)
+    });
+    poke.key(poke::S);
+    show.event("saved");
+    let kept = Display::from_toml(&std::fs::read_to_string(folder.path().join("display.toml")).unwrap()).unwrap();
+    let nudges = kept.layers.iter().map(|layer| layer.panel.as_ref().unwrap().nudge_px);
+    assert_eq!(nudges.collect::<Vec<_>>(), [[3.0, -2.0], [0.0, 1.0], [0.0, 0.0]]);
+    poke.key(poke::ESCAPE);
+    assert!(show.ended().0.success());
+}
+
 /// Presentations that end at any moment, in every way, do so quickly and without a crash: some before they have begun. `LUMISTACK_PANELS_TURNS` is how many.
-fn starts_and_stops(session: &Session, name: &str, key: &mut dyn FnMut(u8)) {
-    let turns = std::env::var("LUMISTACK_PANELS_TURNS").ok().and_then(|turns| turns.parse().ok()).unwrap_or(4);
+fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn FnMut(u32)) {
+    let turns = std::env::var("LUMISTACK_PANELS_TURNS").ok().and_then(|turns| turns.parse().ok()).unwrap_or(turns);
     let folder = tempfile::tempdir().unwrap();
     write_run(folder.path(), &display(if name == "sway" { &ON_X } else { &XORG }), 1);
     let mut random = Stream::new(7);
@@ -417,8 +470,8 @@ fn starts_and_stops(session: &Session, name: &str, key: &mut dyn FnMut(u8)) {
         let mut show = Show::start(session, folder.path(), options);
         std::thread::sleep(Duration::from_secs_f32(1.5 * random.next_f32()));
         let way = ["quit", "interrupt", "terminate", "escape", "close"][(random.next_u64() % 5) as usize];
-        // without a window manager a window that comes up late may stay without keys
-        let way = if name == "Xorg" && ["escape", "close"].contains(&way) { "quit" } else { way };
+        // without a window manager nobody asks windows to close
+        let way = if name == "Xorg" && way == "close" { "escape" } else { way };
         let signal = |name: &str, show: &Show| {
             assert!(session.command("kill").args([name, &show.child.id().to_string()]).status().unwrap().success());
         };
@@ -432,7 +485,7 @@ fn starts_and_stops(session: &Session, name: &str, key: &mut dyn FnMut(u8)) {
                     show.child.try_wait().unwrap()
                 });
             }
-            // a window may not be there yet, or not have the keys
+            // a window may not be there yet
             _ => {
                 wait_for("the end by a key", || {
                     key(poke::ESCAPE);
@@ -458,12 +511,12 @@ fn presentations_end_at_any_moment_without_a_crash() {
     let Some(session) = Session::xorg(&XORG) else { return };
     let mut poke = poke::Poke::new(session.x_display());
     poke.point([100, 100]);
-    starts_and_stops(&session, "Xorg", &mut |code| poke.key(code));
+    starts_and_stops(&session, "Xorg", 16, &mut |key| poke.key(key));
     drop(session);
     let Some(session) = Session::sway_on_x(&ON_X) else { return };
     let mut poke = poke::Poke::new(session.outer().x_display());
     poke.point([100, 100]);
-    starts_and_stops(&session, "sway", &mut |code| poke.key(code));
+    starts_and_stops(&session, "sway", 4, &mut |key| poke.key(key));
 }
 
 #[test]

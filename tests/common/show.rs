@@ -75,7 +75,8 @@ impl Show {
     pub fn quit(mut self) -> Value {
         self.tell("quit");
         let report = self.event("report");
-        assert!(self.child.wait().unwrap().success());
+        let (status, errors) = self.ended();
+        assert!(status.success(), "{status}: {errors}");
         report
     }
 }

@@ -1,8 +1,9 @@
 //! The main thread: windows on outputs, keys, and outputs that go away.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use lumistack_plugin::display::ColourSequence;
@@ -112,6 +113,9 @@ struct Stage {
     report: Receiver<Report>,
     /// Closes when the producer has ended.
     produced: Receiver<()>,
+    /// The conductor, and who passes on what it needs no more.
+    conducting: [JoinHandle<()>; 2],
+    producing: JoinHandle<()>,
     failure: Arc<OnceLock<(Instant, String)>>,
     mode: Mode,
     fields: i64,
@@ -199,9 +203,8 @@ impl ApplicationHandler<Command> for App<'_> {
             let error = WindowError::Graphics { on: "the outputs".into(), found: found.trim().into() };
             return self.end(event_loop, Err(error));
         }
-        // a window manager gives no keys to a window that it does not know
-        let watch =
-            self.watch.get_or_insert_with(|| Watch::new(event_loop, &self.windows[0].0, stage.mode == Mode::Span));
+        let watch = self.watch.get_or_insert_with(|| Watch::new(event_loop));
+        watch.keep_keys(&self.windows[0].0, stage.mode == Mode::Span);
         if stage.mode != Mode::Window {
             let placed = stage.mode == Mode::Span || is_x11(event_loop);
             let now = watch.outputs(event_loop);
@@ -351,7 +354,7 @@ impl App<'_> {
         let (work, works) = channel();
         let (retire, retired) = channel();
         let forward = work.clone();
-        std::thread::spawn(move || {
+        let passing = std::thread::spawn(move || {
             for deck in retired {
                 if forward.send(Work::Retired(deck)).is_err() {
                     break;
@@ -393,17 +396,17 @@ impl App<'_> {
             number: 0,
         };
         let tell = self.tell.clone();
-        let (producing, produced) = channel::<()>();
-        std::thread::Builder::new()
+        let (ends, produced) = channel::<()>();
+        let producing = std::thread::Builder::new()
             .name("panels: producer".into())
             .spawn(move || {
                 producer.run(&*tell);
-                drop(producing);
+                drop(ends);
             })
             .map_err(thread)?;
         let (done, report) = channel();
         let tell = self.tell.clone();
-        std::thread::Builder::new()
+        let conducting = std::thread::Builder::new()
             .name("panels: conductor".into())
             .spawn(move || {
                 let _ = done.send(conductor.run(&*tell));
@@ -412,9 +415,23 @@ impl App<'_> {
         if mode != Mode::Window {
             outputs::stay_awake(self.windows.iter().map(|(window, ..)| &**window));
         }
-        self.stage =
-            Some(Stage { baton, work, report, produced, failure, mode, fields, half_fov_deg, from_deg, duration });
+        self.stage = Some(Stage {
+            baton,
+            work,
+            report,
+            produced,
+            conducting: [conducting, passing],
+            producing,
+            failure,
+            mode,
+            fields,
+            half_fov_deg,
+            from_deg,
+            duration,
+        });
         self.shown_since = Some(Instant::now());
+        // who hears that it has begun may press a key
+        self.watch.insert(Watch::new(event_loop)).keep_keys(&self.windows[0].0, mode == Mode::Span);
         (self.tell)(Event::Started(shown));
         Ok(())
     }
@@ -525,12 +542,17 @@ impl App<'_> {
                     // what it then still has to say
                     stage.report.recv_timeout(FAREWELL).map_err(|_| waits)
                 });
-                let report = report.unwrap_or_default();
-                // whoever uses the graphics processor ends before the process does: drivers do not survive it otherwise
+                // whoever uses the graphics processor ends before the process does: drivers do not survive it otherwise; a thread that has said its last word may
+                // still be giving back what the driver keeps for it
+                if report.is_ok() {
+                    stage.conducting.into_iter().for_each(|thread| drop(thread.join()));
+                }
                 drop(stage.work);
                 drop(stage.baton);
-                let _ = stage.produced.recv_timeout(FAREWELL);
-                report
+                if stage.produced.recv_timeout(FAREWELL) == Err(RecvTimeoutError::Disconnected) {
+                    let _ = stage.producing.join();
+                }
+                report.unwrap_or_default()
             }
         };
         self.windows.clear();

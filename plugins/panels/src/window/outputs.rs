@@ -1,7 +1,11 @@
-//! Which outputs there are, and whether they stay what they were.
+//! Which outputs there are, whether they stay what they were, and who has the keys.
 //!
 //! winit's list follows Wayland, whose registry takes an output back when it goes. On X11 it stays as it was at the start: RandR's events reach winit through
 //! Xlib, which drops those of extensions that it was not told about. So there a connection of our own asks the server.
+//!
+//! Keys on X11 go to the window that has the focus. Where it is the root window, or no window, they go to the one under the pointer, which winit does not pass on: it
+//! was never told that this window has them. A window manager gives the focus to new windows. Without one nobody does; what ends before us leaves it where its
+//! windows were asked to leave it (winit's for full screens: with the root window).
 
 use winit::application::ApplicationHandler;
 use winit::event::WindowEvent;
@@ -59,18 +63,28 @@ pub(super) enum Watch {
 }
 
 impl Watch {
-    /// Begins to watch. Of an X server it also asks that `window` gets the keys: `always`, or where nobody else has them, as without a window manager.
-    pub(super) fn new(event_loop: &ActiveEventLoop, window: &Window, always: bool) -> Self {
+    /// Begins to watch.
+    pub(super) fn new(event_loop: &ActiveEventLoop) -> Self {
         #[cfg(all(unix, not(target_os = "macos")))]
         if is_x11(event_loop)
             && let Ok(server) = x11::Server::connect()
         {
-            // a window that is not shown yet gets none
-            let _ = server.take_keys(window, always);
             return Self::X11(Box::new(server));
         }
-        let _ = (event_loop, window, always);
+        let _ = event_loop;
         Self::Winit
+    }
+
+    /// Sees to it that an X server without a window manager sends keys to `window`: at the start, and whenever nobody has them any more. `unmanaged` is a window that
+    /// no window manager cares for, either. Costs nothing where nothing changed.
+    pub(super) fn keep_keys(&mut self, window: &Window, unmanaged: bool) {
+        #[cfg(all(unix, not(target_os = "macos")))]
+        if let Self::X11(server) = self {
+            // a window that is not shown yet gets none: next time
+            let _ = server.keep_keys(window, unmanaged);
+        }
+        #[cfg(not(all(unix, not(target_os = "macos"))))]
+        let _ = (window, unmanaged);
     }
 
     /// Names, places and sizes of the outputs that are there now.
@@ -95,9 +109,10 @@ mod x11 {
     use winit::window::Window;
     use x11rb::connection::Connection;
     use x11rb::errors::{ConnectionError, ReplyError};
+    use x11rb::protocol::Event;
     use x11rb::protocol::randr::{Connection as Plug, ConnectionExt as _, NotifyMask};
     use x11rb::protocol::screensaver::ConnectionExt as _;
-    use x11rb::protocol::xproto::{ConnectionExt as _, InputFocus};
+    use x11rb::protocol::xproto::{ChangeWindowAttributesAux, ConnectionExt as _, EventMask, InputFocus};
     use x11rb::rust_connection::RustConnection;
 
     use crate::assign::Output;
@@ -112,8 +127,20 @@ mod x11 {
         /// Names of the outputs with a monitor at the start.
         plugged: Vec<String>,
         outputs: Vec<Output>,
-        /// When something new was last told about.
+        /// When something new about outputs was last told.
         told: Option<Instant>,
+        keys: Keys,
+    }
+
+    /// Who has the keys.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Keys {
+        /// Not yet a window of ours.
+        Before,
+        /// A window of ours, or of somebody who took them from it.
+        Given,
+        /// Perhaps nobody: the focus fell to the root window or to none.
+        Fallen,
     }
 
     impl Server {
@@ -124,9 +151,13 @@ mod x11 {
             connection.randr_query_version(1, 3)?.reply()?;
             let all = NotifyMask::SCREEN_CHANGE | NotifyMask::CRTC_CHANGE | NotifyMask::OUTPUT_CHANGE;
             connection.randr_select_input(root, all)?.check()?;
+            // a focus that falls to nobody passes the root window
+            let focus = ChangeWindowAttributesAux::new().event_mask(EventMask::FOCUS_CHANGE);
+            connection.change_window_attributes(root, &focus)?.check()?;
             // outputs stay awake as long as this connection lasts; without the extension they follow the server's settings
             let _ = connection.screensaver_suspend(1);
-            let mut server = Self { connection, root, plugged: Vec::new(), outputs: Vec::new(), told: None };
+            let (plugged, outputs) = (Vec::new(), Vec::new());
+            let mut server = Self { connection, root, plugged, outputs, told: None, keys: Keys::Before };
             let first = server.ask()?;
             server.plugged =
                 first.iter().filter(|(_, plugged)| *plugged).map(|(output, _)| output.name.clone()).collect();
@@ -134,24 +165,46 @@ mod x11 {
             Ok(server)
         }
 
-        pub(super) fn take_keys(&self, window: &Window, always: bool) -> Result<(), Box<dyn std::error::Error>> {
+        pub(super) fn keep_keys(&mut self, window: &Window, unmanaged: bool) -> Result<(), Box<dyn std::error::Error>> {
+            self.listen()?;
+            if self.keys == Keys::Given {
+                return Ok(());
+            }
             let window = match window.window_handle()?.as_raw() {
                 RawWindowHandle::Xlib(handle) => handle.window as u32,
                 RawWindowHandle::Xcb(handle) => handle.window.get(),
                 _ => return Ok(()),
             };
-            // 0 is nobody, 1 whoever is under the pointer: winit hears of neither
-            if always || self.connection.get_input_focus()?.reply()?.focus <= 1 {
+            // who redirects the root window's children is the window manager
+            let redirected = self.connection.get_window_attributes(self.root)?.reply()?.all_event_masks;
+            let managed = redirected.contains(EventMask::SUBSTRUCTURE_REDIRECT);
+            let take = match self.keys {
+                Keys::Before => unmanaged || !managed,
+                // 0 is nobody, 1 whoever is under the pointer
+                _ => !managed && [0, 1, self.root].contains(&self.connection.get_input_focus()?.reply()?.focus),
+            };
+            if take {
                 self.connection.set_input_focus(InputFocus::POINTER_ROOT, window, x11rb::CURRENT_TIME)?.check()?;
+            }
+            self.keys = Keys::Given;
+            Ok(())
+        }
+
+        /// Hears what is new, without waiting.
+        fn listen(&mut self) -> Result<(), ConnectionError> {
+            while let Some(event) = self.connection.poll_for_event()? {
+                match event {
+                    Event::FocusIn(_) if self.keys == Keys::Given => self.keys = Keys::Fallen,
+                    Event::FocusIn(_) | Event::FocusOut(_) => {}
+                    _ => self.told = Some(Instant::now()),
+                }
             }
             Ok(())
         }
 
         /// Does not wait unless something is new.
         pub(super) fn outputs(&mut self) -> Result<&[Output], ReplyError> {
-            while self.connection.poll_for_event()?.is_some() {
-                self.told = Some(Instant::now());
-            }
+            self.listen()?;
             if self.told.is_some_and(|told| told.elapsed() >= QUIET) {
                 // a server goes on sending after a cable was drawn; but pictures may also be sent where it never saw a monitor
                 let is = |(output, plugged): &(Output, bool)| *plugged || !self.plugged.contains(&output.name);
