@@ -158,8 +158,11 @@ impl Lights {
         u: [f32; 2],
         u_fine: f32,
     ) -> Option<LightSample> {
-        let (index, inside) = self.choice.as_ref()?.sample(u[0]);
-        let chance = self.chance(index);
+        let choice = self.choice.as_ref()?;
+        // mostly there is nothing to choose
+        let only_local = choice.probability(LOCAL) == 1.0;
+        let (index, inside) = if only_local { (LOCAL, u[0]) } else { choice.sample(u[0]) };
+        let chance = choice.probability(index);
         let inside = f64::from(inside) + f64::from(u_fine * DIGIT / chance);
         let single = |inside: f64| (inside as f32).min(1.0 - f32::EPSILON);
         if index == LOCAL {
