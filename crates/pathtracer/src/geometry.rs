@@ -69,12 +69,13 @@ struct Record {
     /// Of set 0; zeros where the mesh has none.
     uvs: [Vec2; 3],
     geometric_normal: Vec3,
-    doubled_area: f32,
+    /// Length in texture space (set 0) per length in the space of the corners: √(area / area).
+    uv_per_length: f32,
     material: u32,
     /// For shared triangles any instance.
     instance: u32,
     triangle_in_mesh: u32,
-    /// [`SWAPPED`], [`COLORED`].
+    /// [`SWAPPED`], [`COLORED`], [`FLAT`].
     flags: u32,
 }
 
@@ -82,6 +83,10 @@ struct Record {
 const SWAPPED: u32 = 1;
 /// The mesh has vertex colours.
 const COLORED: u32 = 2;
+/// The vertex normals are the geometric normal.
+const FLAT: u32 = 4;
+/// Cosine from which on two normals are one.
+const SAME_NORMAL: f32 = 1.0 - 1e-6;
 
 struct PlacedInstance {
     /// Inverse transpose of the linear part, for normals of shared meshes.
@@ -102,8 +107,8 @@ pub(crate) struct SurfacePoint<'a> {
     pub(crate) position: Vec3,
     /// On the front side.
     pub(crate) geometric_normal: Vec3,
-    /// Doubled area in render space.
-    pub(crate) doubled_area: f32,
+    /// Length in the space of the triangle's corners over length in render space.
+    shrinking: f32,
     /// Distance by which a ray must start off the surface.
     pub(crate) offset: f32,
 }
@@ -212,16 +217,20 @@ impl Geometry {
             }
             let corners = indices.map(|i| place(mesh.positions[i].as_dvec3()).as_vec3());
             let (geometric_normal, doubled_area) = normal_and_doubled_area(corners);
+            let normals = indices.map(|i| normal_matrix * mesh.normals[i]);
+            let is_flat = |normal: Vec3| normal.normalize_or_zero().dot(geometric_normal) > SAME_NORMAL;
+            let flat = if normals.into_iter().all(is_flat) { FLAT } else { 0 };
+            let uvs = indices.map(|i| mesh.uvs[0].get(i).copied().unwrap_or_default());
             self.records.push(Record {
                 corners,
-                normals: indices.map(|i| normal_matrix * mesh.normals[i]),
-                uvs: indices.map(|i| mesh.uvs[0].get(i).copied().unwrap_or_default()),
+                normals,
+                uvs,
                 geometric_normal,
-                doubled_area,
+                uv_per_length: uv_per_length(uvs, doubled_area),
                 material: mesh.material as u32,
                 instance: instance as u32,
                 triangle_in_mesh: triangle as u32,
-                flags: colored | if mirrored { SWAPPED } else { 0 },
+                flags: colored | flat | if mirrored { SWAPPED } else { 0 },
             });
         }
     }
@@ -236,6 +245,11 @@ impl Geometry {
     /// Number of triangles that are kept.
     pub(crate) fn triangle_count(&self) -> usize {
         self.records.len()
+    }
+
+    /// Area of a triangle; of a shared one in the space of its tree.
+    pub(crate) fn area(&self, triangle: u32) -> f32 {
+        0.5 * normal_and_doubled_area(self.corners(triangle)).1
     }
 
     /// Corners of a triangle; of a shared one in the space of its tree.
@@ -254,6 +268,23 @@ impl Geometry {
         &self.scene.materials[self.material_index(triangle)]
     }
 
+    /// Asks for what a hit needs to know of its triangle before it is needed.
+    #[inline]
+    pub(crate) fn prefetch(&self, triangle: u32) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+            let record = self.records.as_ptr().wrapping_add(triangle as usize).cast::<i8>();
+            // SAFETY: a prefetch may name any address, and every x86-64 has the instruction
+            unsafe {
+                _mm_prefetch::<_MM_HINT_T0>(record);
+                _mm_prefetch::<_MM_HINT_T0>(record.wrapping_add(64));
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        let _ = triangle;
+    }
+
     /// The point of a triangle of no shared mesh with these vertex weights (in render-space winding).
     #[inline]
     pub(crate) fn point(&self, triangle: u32, barycentric: [f32; 3]) -> SurfacePoint<'_> {
@@ -265,7 +296,7 @@ impl Geometry {
             weights: barycentric,
             position: weighted(barycentric, record.corners),
             geometric_normal: record.geometric_normal,
-            doubled_area: record.doubled_area,
+            shrinking: 1.0,
             offset: OFFSET_SHARE * largest_coordinate(record.corners),
         }
     }
@@ -295,7 +326,7 @@ impl Geometry {
             position: weighted(hit.barycentric, corners),
             // a mirrored triangle winds the other way
             geometric_normal: if instance.mirrored { -normal } else { normal },
-            doubled_area,
+            shrinking: (normal_and_doubled_area(record.corners).1 / doubled_area.max(f32::MIN_POSITIVE)).sqrt(),
             offset: OFFSET_SHARE * (largest_coordinate(corners) + largest_coordinate(turned)),
         }
     }
@@ -306,6 +337,11 @@ fn normal_and_doubled_area([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     let cross = (b - a).cross(c - a);
     let doubled_area = cross.length();
     (if doubled_area > 0.0 { cross / doubled_area } else { Vec3::Z }, doubled_area)
+}
+
+/// √(area in texture space / area).
+fn uv_per_length([a, b, c]: [Vec2; 3], doubled_area: f32) -> f32 {
+    ((b - a).perp_dot(c - a) / doubled_area.max(f32::MIN_POSITIVE)).abs().sqrt()
 }
 
 #[inline]
@@ -374,17 +410,22 @@ impl SurfacePoint<'_> {
         if uvs.is_empty() { Vec2::ZERO } else { self.interpolated(uvs) }
     }
 
-    /// Texture coordinates per render-space length: √(area in texture space / area).
+    /// Length in texture space per length in render space.
     #[inline]
-    pub(crate) fn uv_per_length(&self, set: usize, determinant: f32) -> f32 {
-        let [a, b, c] = if set == 0 {
-            self.record.uvs
-        } else {
-            let mesh = self.mesh();
-            mesh.triangles[self.record.triangle_in_mesh as usize]
-                .map(|i| mesh.uvs[set].get(i as usize).copied().unwrap_or_default())
-        };
-        ((b - a).perp_dot(c - a) * determinant / self.doubled_area.max(f32::MIN_POSITIVE)).abs().sqrt()
+    pub(crate) fn uv_per_length(&self, set: usize) -> f32 {
+        if set == 0 {
+            return self.record.uv_per_length * self.shrinking;
+        }
+        let mesh = self.mesh();
+        let uvs = mesh.triangles[self.record.triangle_in_mesh as usize]
+            .map(|i| mesh.uvs[set].get(i as usize).copied().unwrap_or_default());
+        uv_per_length(uvs, normal_and_doubled_area(self.record.corners).1) * self.shrinking
+    }
+
+    /// Whether vertex normals turn nothing.
+    #[inline]
+    pub(crate) fn is_flat(&self) -> bool {
+        self.record.flags & FLAT != 0
     }
 
     /// Whether the mesh has vertex colours.

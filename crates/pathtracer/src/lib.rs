@@ -11,7 +11,7 @@
 //! ```text
 //! Scene ─▶ Geometry ─▶ Bvh                            PrimaryRays (window, geometry, view)
 //!       ├▶ Materials ─▶ Textures        Renderer          │
-//!       └▶ Lights ─▶ Distribution          └── tiles ──▶ Tracer ─▶ Bsdf, Lights, Sampler ─▶ radiance[row][col][rgb]
+//!       └▶ Lights ─▶ Distribution          └── tiles ──▶ Tracer ─▶ Bsdf, Lights, Draws ─▶ radiance[row][col][rgb]
 //! ```
 //!
 //! The same bytes come out on any number of threads. No file system, no clock: the crate compiles to wasm32.

@@ -325,25 +325,18 @@ impl Renderer {
         let mut sum = [0.0f64; 3];
         let mut not_finite = 0;
         let mut beam = [rays.central(); BEAM];
-        let mut hits = [None; BEAM];
         for first in (0..settings.samples).step_by(BEAM) {
-            let count = (settings.samples - first).min(BEAM as u32) as usize;
-            let sampler = |index: usize| bank.sampler(pixel_seed, first + index as u32);
-            for (index, ray) in beam[..count].iter_mut().enumerate() {
-                let mut sampler = sampler(index);
-                *ray = rays.ray(centred(sampler.pair()), centred(sampler.pair()));
+            let beam = &mut beam[..(settings.samples - first).min(BEAM as u32) as usize];
+            let draws = bank.draws(pixel_seed, first);
+            let (in_pixel, in_bin) = (draws.pair(0), draws.pair(1));
+            for (index, ray) in beam.iter_mut().enumerate() {
+                *ray = rays.ray(centred(in_pixel.of(index)), centred(in_bin.of(index)));
             }
-            if rays.in_bounds {
-                tracer.first_hits(&beam[..count], &mut hits, sampler, stack);
-            }
-            for index in 0..count {
-                let mut radiance =
-                    tracer.radiance(&beam[index], rays.cone, hits[index].as_ref(), settings, &sampler(index), stack);
-                if let Some(limit) = settings.clamp {
-                    radiance = clamped.dim(radiance, limit);
-                }
-                if radiance.is_finite() {
-                    (0..3).for_each(|c| sum[c] += f64::from(radiance[c]));
+            let radiance = tracer.radiance(beam, rays.cone, rays.in_bounds, settings, &draws, stack);
+            for &sample in &radiance[..beam.len()] {
+                let sample = settings.clamp.map_or(sample, |limit| clamped.dim(sample, limit));
+                if sample.is_finite() {
+                    (0..3).for_each(|c| sum[c] += f64::from(sample[c]));
                 } else {
                     not_finite += 1;
                 }

@@ -23,12 +23,21 @@ pub(crate) struct SampleBank {
     length: u32,
 }
 
-/// Draws the random numbers of one sample of one pixel, two at a time.
-pub(crate) struct Sampler<'a> {
+/// Draws the random numbers of samples of one pixel that follow one another: what depends on pixel and pair is worked out once for all.
+#[derive(Clone, Copy)]
+pub(crate) struct Draws<'a> {
     bank: &'a SampleBank,
     pixel: u64,
-    index: u32,
-    pair: u64,
+    first: u32,
+}
+
+/// One pair of dimensions of a pixel.
+#[derive(Clone, Copy)]
+pub(crate) struct Pair<'a> {
+    points: &'a [[u32; 2]],
+    /// Bits of the index and of the values that change.
+    flip: u32,
+    flips: [u32; 2],
 }
 
 impl SampleBank {
@@ -51,32 +60,38 @@ impl SampleBank {
         Self { points, length }
     }
 
-    /// The numbers for sample `index` of the pixel with this hash.
-    pub(crate) fn sampler(&self, pixel: u64, index: u32) -> Sampler<'_> {
-        let pixel = if index < self.length { pixel } else { seed::derive(pixel, &[u64::from(index / self.length)]) };
-        Sampler { bank: self, pixel, index: index & (self.length - 1), pair: 0 }
+    /// The numbers of the pixel with this hash for sample `first` and those that follow. Those of one object must be in one stretch of the longest
+    /// sequence, as they are from multiples of any power of two up to it.
+    pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
+        let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
+        Draws { bank: self, pixel, first: first & (self.length - 1) }
     }
 }
 
-impl Sampler<'_> {
-    /// The next two numbers, each in [0, 1).
+impl<'a> Draws<'a> {
+    /// Any pair of dimensions.
     #[inline]
-    pub(crate) fn pair(&mut self) -> [f32; 2] {
-        let pair = self.pair;
-        self.pair += 1;
-        self.pair_at(pair)
-    }
-
-    /// The two numbers of any pair of dimensions.
-    #[inline]
-    pub(crate) fn pair_at(&self, pair: u64) -> [f32; 2] {
+    pub(crate) fn pair(&self, pair: u64) -> Pair<'a> {
         let hash = seed::mix(self.pixel.wrapping_add(pair.wrapping_mul(PAIR_STEP)));
         // a different pattern for each of 64 pairs in a row, starting at random
         let pattern = (self.pixel.wrapping_add(pair.wrapping_mul(37)) as usize) % PATTERNS;
-        let length = self.bank.length;
-        let flip = (hash ^ (hash >> 27)) as u32 & (length - 1);
-        let [x, y] = self.bank.points[pattern * length as usize + (self.index ^ flip) as usize];
-        [unit(x ^ (hash >> 32) as u32), unit(y ^ hash as u32)]
+        let length = self.bank.length as usize;
+        let flip = (hash ^ (hash >> 27)) as u32 ^ self.first;
+        Pair {
+            points: &self.bank.points[pattern * length..(pattern + 1) * length],
+            flip,
+            flips: [(hash >> 32) as u32, hash as u32],
+        }
+    }
+}
+
+impl Pair<'_> {
+    /// The two numbers, each in [0, 1), of a sample, counted from the first.
+    #[inline]
+    pub(crate) fn of(&self, sample: usize) -> [f32; 2] {
+        // the sequence is a power of two long
+        let [x, y] = self.points[(sample as u32 ^ self.flip) as usize & (self.points.len() - 1)];
+        [unit(x ^ self.flips[0]), unit(y ^ self.flips[1])]
     }
 }
 
@@ -124,8 +139,11 @@ mod tests {
         for pixel in 0..20 {
             let mut points = vec![Vec::new(); 5];
             for index in 0..samples {
-                let mut sampler = bank.sampler(seed::derive(3, &[pixel]), index);
-                points.iter_mut().for_each(|pair| pair.push(sampler.pair()));
+                let draws = bank.draws(seed::derive(3, &[pixel]), index & !15);
+                points
+                    .iter_mut()
+                    .zip(0..)
+                    .for_each(|(points, pair)| points.push(draws.pair(pair).of(index as usize & 15)));
             }
             for pair in &points {
                 for log_x in 0..=6 {
@@ -152,8 +170,8 @@ mod tests {
                 for pairs in [[0, 0], [2, 2], [4, 4], [1 << 62, 1 << 62], [0, 3], [3, 67]] {
                     let mut counts = vec![0u64; EDGE * EDGE];
                     for pixel in 0..pixels {
-                        let sampler = bank.sampler(seed::derive(11, &[pixel]), index);
-                        let (x, y) = (sampler.pair_at(pairs[0])[0], sampler.pair_at(pairs[1])[1]);
+                        let draws = bank.draws(seed::derive(11, &[pixel]), index);
+                        let (x, y) = (draws.pair(pairs[0]).of(0)[0], draws.pair(pairs[1]).of(0)[1]);
                         counts[(x * EDGE as f32) as usize + (y * EDGE as f32) as usize * EDGE] += 1;
                     }
                     let expected = vec![pixels as f64 / (EDGE * EDGE) as f64; EDGE * EDGE];
@@ -175,7 +193,7 @@ mod tests {
                     for side in 0..2 {
                         let mut seen = vec![0; parts as usize];
                         for index in 0..samples {
-                            let number = bank.sampler(seed::derive(12, &[pixel]), index).pair_at(pair)[side];
+                            let number = bank.draws(seed::derive(12, &[pixel]), index).pair(pair).of(0)[side];
                             seen[(number * parts as f32) as usize] += 1;
                         }
                         let most = if samples == parts { 1 } else { 2 };
@@ -194,7 +212,7 @@ mod tests {
         let mut sums = [0.0f64; 4];
         for pixel in 0..pixels {
             let draw = |pixel: u64, index: u32, pair: u64| {
-                bank.sampler(seed::derive(1, &[pixel]), index).pair_at(pair).map(|v| f64::from(v) - 0.5)
+                bank.draws(seed::derive(1, &[pixel]), index).pair(pair).of(0).map(|v| f64::from(v) - 0.5)
             };
             let a = draw(pixel, 3, 2);
             sums[0] += a[0] * a[1];
@@ -218,7 +236,7 @@ mod tests {
             .map(|pixel| {
                 let inside = (0..samples)
                     .filter(|&i| {
-                        let [x, y] = bank.sampler(seed::derive(5, &[pixel]), i).pair();
+                        let [x, y] = bank.draws(seed::derive(5, &[pixel]), i).pair(0).of(0);
                         x * x + y * y < 1.0
                     })
                     .count();
@@ -230,12 +248,23 @@ mod tests {
         assert!(mean_square < random / 10.0, "{mean_square} against {random}");
     }
 
+    /// The numbers of a sample do not depend on how many are drawn with it.
+    #[test]
+    fn samples_are_the_same_in_any_company() {
+        for samples in [1, 16, 48, LONGEST + 40] {
+            let bank = SampleBank::new(samples);
+            for index in [0, 7, 15, 17, 40, LONGEST - 1, LONGEST, LONGEST + 37] {
+                let index = index.min(samples - 1);
+                let together = bank.draws(9, index & !15).pair(3).of(index as usize & 15);
+                assert_eq!(together, bank.draws(9, index).pair(3).of(0), "{index} of {samples}");
+            }
+        }
+    }
+
     #[test]
     fn more_samples_than_the_longest_sequence_go_on() {
         let bank = SampleBank::new(LONGEST + 5);
-        let mut first = bank.sampler(1, 0);
-        let mut again = bank.sampler(1, LONGEST);
-        assert_ne!(first.pair(), again.pair());
+        assert_ne!(bank.draws(1, 0).pair(0).of(0), bank.draws(1, LONGEST).pair(0).of(0));
         assert_eq!(SampleBank::new(1).points.len(), PATTERNS);
     }
 }

@@ -350,8 +350,12 @@ impl Materials {
         front: bool,
         to_viewer: Vec3,
     ) -> Vec3 {
+        let slot = &self.slots[index].normal;
+        if slot.is_none() && point.is_flat() {
+            return geometric;
+        }
         let scale = self.scene.materials[index].normal_scale;
-        let mapped = self.turned(&self.slots[index].normal, scale, point.shading_normal(), point, width);
+        let mapped = self.turned(slot, scale, point.shading_normal(), point, width);
         bend_normal(if front { mapped } else { -mapped }, geometric, to_viewer)
     }
 
@@ -381,9 +385,7 @@ impl Materials {
     #[inline]
     fn lookup(&self, slot: &Slot, point: &SurfacePoint<'_>, width: f32) -> Vec4 {
         let set = slot.source.uv_set;
-        let size = self.textures.size(slot);
-        let determinant = slot.source.texture_from_mesh.matrix2.determinant() * size.x * size.y;
-        let texels_wide = if width > 0.0 { width * point.uv_per_length(set, determinant) } else { 0.0 };
+        let texels_wide = if width > 0.0 { width * point.uv_per_length(set) * slot.texels_per_uv } else { 0.0 };
         self.textures.lookup(slot, point.uv(set), texels_wide)
     }
 }

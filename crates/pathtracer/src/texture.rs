@@ -32,6 +32,8 @@ pub(crate) struct Textures {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Slot {
     pub(crate) source: TextureUse,
+    /// Texels of the finest level per length in the mesh's texture space, √ of the ratio of areas.
+    pub(crate) texels_per_uv: f32,
     texture: Texture,
     pyramid: usize,
     encoding: Encoding,
@@ -63,7 +65,9 @@ impl Textures {
             self.pyramids.push(pyramid(image, encoding));
             self.pyramids.len() - 1
         });
-        Slot { source, texture, pyramid, encoding }
+        let texels = (image.width * image.height) as f32;
+        let texels_per_uv = (source.texture_from_mesh.matrix2.determinant() * texels).abs().sqrt();
+        Slot { source, texels_per_uv, texture, pyramid, encoding }
     }
 
     /// Bytes of the coarser levels.
@@ -74,12 +78,6 @@ impl Textures {
             Texels::Float(texels) => size_of_val(texels.as_slice()),
         };
         self.pyramids.iter().flatten().map(level).sum()
-    }
-
-    /// Size of the slot's image in texels.
-    pub(crate) fn size(&self, slot: &Slot) -> Vec2 {
-        let image = &self.scene.images[slot.texture.image];
-        Vec2::new(image.width as f32, image.height as f32)
     }
 
     /// The texture at mesh coordinates `uv`, averaged over a footprint `texels_wide` texels of the finest level wide.

@@ -158,8 +158,11 @@ impl Lights {
         u: [f32; 2],
         u_fine: f32,
     ) -> Option<LightSample> {
-        let (index, inside) = self.choice.as_ref()?.sample(u[0]);
-        let chance = self.chance(index);
+        let choice = self.choice.as_ref()?;
+        // mostly there is nothing to choose
+        let only_local = choice.probability(LOCAL) == 1.0;
+        let (index, inside) = if only_local { (LOCAL, u[0]) } else { choice.sample(u[0]) };
+        let chance = choice.probability(index);
         let inside = f64::from(inside) + f64::from(u_fine * DIGIT / chance);
         let single = |inside: f64| (inside as f32).min(1.0 - f32::EPSILON);
         if index == LOCAL {
@@ -204,19 +207,20 @@ impl TriangleLight {
         };
         let position: Vec3 = (0..3).map(|k| barycentric[k] * self.corners[k]).sum();
         let to_light = position - from;
-        let distance = to_light.length();
-        let direction = to_light / distance;
+        let distance2 = to_light.length_squared();
+        let direction = to_light * distance2.sqrt().recip();
         let cosine = -direction.dot(self.normal);
-        if !(distance > 0.0 && cosine.abs() > 0.0 && (cosine > 0.0 || self.double_sided)) {
+        if !(distance2 > 0.0 && cosine.abs() > 0.0 && (cosine > 0.0 || self.double_sided)) {
             return None;
         }
         let radiance = self.uniform.unwrap_or_else(|| {
             let point = geometry.point(self.triangle, barycentric);
             emitted(materials, geometry.material_index(self.triangle), &point, cosine)
         });
-        let pdf = chance * distance * distance / (self.area * cosine.abs());
+        let pdf = chance * distance2 / (self.area * cosine.abs());
         let end = Some(position + cosine.signum() * self.offset * self.normal);
-        (radiance != Vec3::ZERO && pdf.is_finite()).then(|| LightSample { direction, end, weight: radiance / pdf, pdf })
+        let weight = radiance * pdf.recip();
+        (radiance != Vec3::ZERO && pdf.is_finite()).then_some(LightSample { direction, end, weight, pdf })
     }
 }
 
@@ -292,7 +296,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
                 points.sum::<Vec3>() / (POWER_POINTS * POWER_POINTS) as f32
             }
         };
-        let area = 0.5 * centre.doubled_area;
+        let area = geometry.area(triangle);
         let strength = area * luminance(mean.to_array());
         // what light sampling cannot choose is still found by scattering
         if strength > 0.0 && strength.is_finite() && area.is_normal() {

@@ -89,10 +89,9 @@ impl Renderer {
             let rays = rays.pixel(row, col);
             let samples_in_bounds = if rays.in_bounds { samples } else { 0 };
             for index in 0..samples_in_bounds {
-                let mut sampler = bank.sampler(pixel_seed, index);
-                let ray = rays.ray(centred(sampler.pair()), centred(sampler.pair()));
-                let Some((point, normal, appearance)) = self.tracer().first_seen(&ray, rays.cone, &sampler, stack)
-                else {
+                let draws = bank.draws(pixel_seed, index);
+                let ray = rays.ray(centred(draws.pair(0).of(0)), centred(draws.pair(1).of(0)));
+                let Some((point, normal, appearance)) = self.tracer().first_seen(&ray, rays.cone, &draws, stack) else {
                     continue;
                 };
                 let reflectance = appearance.base.lerp(Vec3::ONE, DIELECTRIC_SHARE * (1.0 - appearance.metallic));
