@@ -4,9 +4,7 @@ use lumistack_core::Task;
 
 use crate::package::{Array, MeshEntry, Package, Subdivision};
 use crate::polygons::{Attribute, Interpolation, Polygons};
-use crate::subdivide::{
-    Boundary, Cage, DEFAULT_LEVEL, FaceVarying, MOST_TRIANGLES, Refinement, Scheme, affordable_level,
-};
+use crate::subdivide::{Boundary, Cage, FaceVarying, Refinement, Scheme, level_for};
 
 /// The refined mesh with its normals, and for each of its faces the face of the file that it is a part of.
 pub(crate) fn refined(
@@ -62,7 +60,7 @@ pub(crate) fn refined(
         "all" => FaceVarying::All,
         _ => FaceVarying::CornersPlus1,
     };
-    let level = affordable_level(polygons.corners.len(), DEFAULT_LEVEL, MOST_TRIANGLES);
+    let level = level_for(polygons.corners.len());
     let refinement = Refinement::new(&cage, level);
     let (mut counts, mut corners, mut parents) = (Vec::new(), Vec::new(), Vec::new());
     for (parent, face) in refinement.faces() {

@@ -228,8 +228,8 @@ fn shapes_other_than_meshes_are_there() {
     near(extent("/can"), Vec3::new(2.0, 1.0, 1.0));
     near(extent("/dots"), Vec3::new(1.0, 1.0, 10.0));
     assert!((extent("/hair").y - 5.0).abs() < 1e-5);
-    // the limit surface of a cube: the middle of a face at 68/81, two levels of 6 faces
+    // the limit surface of a cube: the middle of a face at 68/81, four levels of 6 faces
     near(extent("/smooth"), Vec3::splat(68.0 / 81.0));
     let smooth = scene.meshes.iter().find(|mesh| mesh.place == "/smooth").unwrap();
-    assert_eq!((smooth.triangles.len(), smooth.positions.len()), (192, 98));
+    assert_eq!((smooth.triangles.len(), smooth.positions.len()), (3072, 1538));
 }

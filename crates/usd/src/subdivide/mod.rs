@@ -83,14 +83,23 @@ pub(crate) struct Cage<'a> {
     pub(crate) smooth_triangles: bool,
 }
 
-/// Default number of levels.
-pub(crate) const DEFAULT_LEVEL: u32 = 2;
-
+/// Number of levels.
+const LEVEL: u32 = 2;
 /// Refinement stops at the level before the one whose triangles exceed this: a mesh that is dense already is smooth already.
-pub(crate) const MOST_TRIANGLES: usize = 200_000;
+const MOST_TRIANGLES: usize = 200_000;
+/// Number of levels of a mesh of few faces, whose outline would show corners after [`LEVEL`]...
+const SPARSE_LEVEL: u32 = 4;
+/// ...as long as its triangles do not exceed this.
+const SPARSE_TRIANGLES: usize = 8_000;
+
+/// The number of levels for a mesh of so many corners of faces.
+pub(crate) fn level_for(corner_count: usize) -> u32 {
+    let usual = affordable_level(corner_count, LEVEL, MOST_TRIANGLES);
+    usual.max(affordable_level(corner_count, SPARSE_LEVEL, SPARSE_TRIANGLES))
+}
 
 /// The number of levels, at most `wanted`, that keeps a mesh of so many corners of faces within `most_triangles`.
-pub(crate) fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
+fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
     // a corner becomes a quadrilateral at the first level, each quadrilateral four at the next
     (1..=wanted).rev().find(|&level| corner_count.saturating_mul(2 << (2 * (level - 1))) <= most_triangles).unwrap_or(0)
 }
