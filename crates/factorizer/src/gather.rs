@@ -12,11 +12,11 @@
 //! Departures:
 //! 1. Columns go in blocks of one vector, and a block meets all views before the next begins: its values stay in the first-level cache, and
 //!    no accumulator ever moves to memory.
-//! 2. Where registers hold a_m and the sums of all frames (up to 6 with AVX-512 and NEON), and rays of all views count in full, that is all. With 6
-//!    frames G is too large for that: 3×3 tiles along its diagonal are summed at once, what lies between them afterwards from a_m in a small
-//!    buffer. Otherwise all views' a_m and e are buffered (10 kB for 25 views and 6 frames) before the sums are made tile by tile, each in registers; so
-//!    any number of frames takes the same code, and 12 frames spill as little as 6. Buffering alone took 1.3 times as long (multiplicative) and 1.2
-//!    times (block-exact) on Zen 4.
+//! 2. Where registers hold a_m and the sums of all frames (with AVX-512 and NEON up to 8 for the paper's rule, up to 4 for G, and 6), and rays of all
+//!    views count in full, that is all. G of 6 frames is too large for that: 3×3 tiles along its diagonal are summed at once, what lies between
+//!    them afterwards from a_m in a small buffer. Otherwise all views' a_m and e are buffered (10 kB for 25 views and 6 frames) before the sums are
+//!    made tile by tile, each in registers; so any number of frames takes the same code, and 12 frames spill as little as 6. Buffering alone took
+//!    1.3 times as long (multiplicative) and 1.2 times (block-exact) on Zen 4.
 //! 3. Many rows are read side by side (frames × layers × view rows, and all views of the target), more than hardware prefetchers follow: each block asks
 //!    for what comes two vectors later.
 //! 4. The target is read in 16 bits where that is what it holds. √w multiplies a and e, so that no sum needs w.
