@@ -12,31 +12,32 @@
 //! Departures:
 //! 1. Columns go in blocks of one vector, and a block meets all views before the next begins: its values stay in the first-level cache, and
 //!    no accumulator ever moves to memory.
-//! 2. Where registers hold a_m and the sums of all frames (with AVX-512 and NEON up to 8 for the paper's rule, up to 4 for G, and 6), and rays of all
-//!    views count in full, that is all. G of 6 frames is too large for that: 3×3 tiles along its diagonal are summed at once, what lies between
-//!    them afterwards from a_m in a small buffer. Otherwise all views' a_m and e are buffered (10 kB for 25 views and 6 frames) before the sums are
-//!    made tile by tile, each in registers; so any number of frames takes the same code, and 12 frames spill as little as 6. Buffering alone took
-//!    1.3 times as long (multiplicative) and 1.2 times (block-exact) on Zen 4.
-//! 3. Many rows are read side by side (frames × layers × view rows, and all views of the target), more than hardware prefetchers follow: each block asks
-//!    for what comes two vectors later.
+//! 2. Where registers hold a_m and the sums of all frames (with AVX-512 and NEON up to 8 for the paper's rule, up to 4 for G, and 6), that is all. G of
+//!    6 frames is too large for that: 3×3 tiles along its diagonal are summed at once, what lies between them afterwards from a_m in a small
+//!    buffer. Otherwise all views' a_m and e are buffered (10 kB for 25 views and 6 frames) before the sums are made tile by tile, each in registers;
+//!    so any number of frames takes the same code, and 12 frames spill as little as 6. Buffering alone took 1.3 times as long (multiplicative) and
+//!    1.2 times (block-exact) on Zen 4.
+//! 3. Many rows are read side by side (frames × layers × view rows, and all views of the target), more than hardware prefetchers follow: each view asks
+//!    for a few rows' values of two vectors later (all 60 at the block's start took 4 % longer), and for its own target's, which are read once, only
+//!    into the second-level cache: the first is full of factors. With everything in the first-level cache a view of a block would take 26 cycles on
+//!    Zen 4; it takes 45 to 50. Tiles of fewer columns, AVX2's vectors with AVX-512's registers, and the sum over frames in two chains gained nothing.
 //! 4. The target is read in 16 bits where that is what it holds. √w multiplies a and e, so that no sum needs w.
-//! 5. Blocks that the border of the valid rays crosses are masked; padding makes their loads legal.
+//! 5. Blocks that the border of the valid rays crosses, and all where rays have weights, are masked; padding makes their loads legal.
 //! 6. Where another factor is not at a constant shift (a lenslet grid, a layer of another pitch), its values along the rays are expanded into rows
 //!    first; then it is at shift 0.
 
-use std::ops::Range;
-
 use crate::aligned::Aligned;
-use crate::expand::{Rays, expand_factor};
 use crate::factor::{Factor, PAD};
 use crate::lanes::{Kernel, Lanes};
 use crate::line::{LineOf, LineStep, Outcome};
 use crate::plan::Plan;
+use crate::rays::{LineRays, Place, RowsOfView, TargetRow, expanded_stride, rays_through};
 use crate::step::{Block, Rule, sum};
-use crate::target::Row;
 
-/// How many vectors ahead rows are asked for. One is a tenth slower, four no faster.
+/// How many vectors ahead the factors' rows are asked for. One is a tenth slower, four no faster.
 const AHEAD: usize = 2;
+/// How many values ahead the target's rows are asked for, into the second-level cache: they are read once, and the first is full of the factors'.
+const TARGET_AHEAD: usize = 64;
 /// How many blocks' errors are added in f32 before they go to an f64 sum.
 const BLOCKS_PER_SUM: usize = 4;
 
@@ -45,6 +46,8 @@ pub(crate) struct Scratch {
     /// Other factors that are not at a constant shift, expanded along the rays: `[view and factor][frame][column]`.
     expanded: Vec<f32>,
     buffers: Buffers,
+    /// Storage for the list of a line's rays.
+    rays: LineRays<'static>,
 }
 
 /// Buffers of one block.
@@ -75,13 +78,9 @@ impl Scratch {
                 scaled: vectors(frames),
             },
             expanded: vec![0.0; others * views * frames * expanded_stride(plan)],
+            rays: LineRays::default(),
         }
     }
-}
-
-/// Values of one expanded row.
-fn expanded_stride(plan: &Plan) -> usize {
-    (PAD + plan.cols + PAD).next_multiple_of(PAD)
 }
 
 /// One line and what becomes of it.
@@ -120,14 +119,16 @@ impl GatherLine<'_, '_> {
     #[inline(always)]
     unsafe fn run_with<V: Lanes, const M: usize>(self) -> Outcome {
         let Self { plan, factors, at, mut step, scratch } = self;
-        let Scratch { expanded, buffers } = scratch;
-        let rays = rays_through(plan, factors, at, expanded);
+        let Scratch { expanded, buffers, rays } = scratch;
         let layout = &plan.maps[at.factor].layout;
         let (frames, stride) = (if M == 0 { layout.frames } else { M }, layout.stride);
-        let first = rays.views.iter().map(|view| view.valid.start).min().unwrap_or(0).max(layout.pad);
-        let first = layout.pad + (first - layout.pad) / V::COUNT * V::COUNT;
-        let end = rays.views.iter().map(|view| view.valid.end).max().unwrap_or(0).min(layout.pad + layout.cols());
-        let inner = rays.inner();
+        let latest = step.beyond.as_ref().map(|(_, latest)| latest.as_ptr());
+        let own = [Some(step.values.as_ptr()), latest].into_iter().flatten();
+        let own = own.flat_map(|line| (0..frames).map(move |frame| line.wrapping_add(frame * stride)));
+        let list = rays_through(std::mem::take(rays), plan, factors, at, own, expanded);
+        let (outer, inner) = (list.outer(), list.inner());
+        let first = layout.pad + (outer.start.max(layout.pad) - layout.pad) / V::COUNT * V::COUNT;
+        let end = outer.end.min(layout.pad + layout.cols());
         let sight = Sight { brightness: plan.target.brightness, residual: step.rule.needs_gram() };
         let mut outcome = Outcome::default();
         // SAFETY: the machine has V
@@ -137,36 +138,13 @@ impl GatherLine<'_, '_> {
             // SAFETY: the machine has V; x + offset lies within padded rows for every block that overlaps a view's valid range
             unsafe {
                 for m in 0..frames {
-                    let from = m * stride + x;
-                    let f = load::<V>(step.values, from);
-                    V::prefetch(step.values.as_ptr().wrapping_add(from + AHEAD * V::COUNT));
-                    if let Some((_, latest)) = &step.beyond {
-                        V::prefetch(latest.as_ptr().wrapping_add(from));
-                    }
+                    let f = load::<V>(step.values, m * stride + x);
                     store(f, &mut buffers.block.values, m * V::COUNT);
                     store(f.mul(V::splat(1.0 / frames as f32)), &mut buffers.scaled, m * V::COUNT);
                 }
-                for lead in &rays.leads {
-                    for m in 0..frames {
-                        V::prefetch(lead.values.as_ptr().wrapping_add(lead.at(x + AHEAD * V::COUNT) + m * lead.stride));
-                    }
-                }
+                let sums = Sums { rays: &list, x, sight: &sight, buffers: &mut *buffers };
                 let whole = inner.start <= x && x + V::COUNT <= inner.end;
-                let sums = if whole { sum_in_registers::<V, M>(&rays, step.rule, x, &sight, buffers) } else { None };
-                if let Some(squared) = sums {
-                    squares = squares.add(squared);
-                } else {
-                    let mut active = 0;
-                    for (view, others) in rays.views.iter().zip(rays.others.chunks_exact(rays.others_per_view.max(1))) {
-                        if view.valid.start < x + V::COUNT && x < view.valid.end {
-                            let others = &others[..rays.others_per_view];
-                            let error = view_errors::<V, M>(view, others, x, frames, &sight, active, buffers);
-                            squares = error.mul_add(error, squares);
-                            active += 1;
-                        }
-                    }
-                    sum_views::<V, M>(step.rule, frames, active, buffers);
-                }
+                squares = squares.add(sums.of_block::<V, M>(step.rule, frames, whole));
                 gain = gain.add(step.finish_block::<V>(&mut buffers.block, x));
                 x += V::COUNT;
                 // a few blocks may share an f32 sum, a line may not
@@ -177,108 +155,9 @@ impl GatherLine<'_, '_> {
                 }
             }
         }
+        *rays = list.emptied();
         outcome
     }
-}
-
-/// The rays through one line.
-struct LineRays<'a> {
-    views: Vec<View<'a>>,
-    /// All factors of a view lie together; one unused entry per view where there is no other factor.
-    others: Vec<Other<'a>>,
-    others_per_view: usize,
-    /// Per row of another factor, where the foremost view reads it.
-    leads: Vec<Other<'a>>,
-}
-
-impl LineRays<'_> {
-    /// x where the rays of every view count in full.
-    fn inner(&self) -> Range<usize> {
-        if self.views.iter().any(|view| view.weights.is_some()) {
-            return 0..0;
-        }
-        let start = self.views.iter().map(|view| view.valid.start).max().unwrap_or(0);
-        start..self.views.iter().map(|view| view.valid.end).min().unwrap_or(0)
-    }
-}
-
-/// One view's rays through the line; x counts in the line's padded storage.
-struct View<'a> {
-    /// x of the rays that count.
-    valid: Range<usize>,
-    target: Row<'a>,
-    weights: Option<&'a [f32]>,
-    /// Index in `target` and `weights` minus x.
-    target_offset: isize,
-}
-
-/// One other factor's line as one view's rays meet it.
-#[derive(Clone, Copy)]
-struct Other<'a> {
-    values: &'a [f32],
-    stride: usize,
-    /// Index minus x.
-    offset: isize,
-}
-
-impl Other<'_> {
-    #[inline(always)]
-    fn at(&self, x: usize) -> usize {
-        (x as isize + self.offset) as usize
-    }
-}
-
-/// Lists the rays of a line, and expands what is not at a constant shift.
-#[inline(always)]
-fn rays_through<'a>(plan: &'a Plan, factors: &'a [Factor], at: LineOf, expanded: &'a mut [f32]) -> LineRays<'a> {
-    let map = &plan.maps[at.factor];
-    let others_per_view = factors.len() - 1;
-    let mut rays = LineRays { views: Vec::new(), others: Vec::new(), others_per_view, leads: Vec::new() };
-    let mut rest = expanded;
-    let stride = expanded_stride(plan);
-    for view_y in 0..plan.views[0] {
-        for &(row, _) in map.rays_of_line(view_y, at.line) {
-            let row = row as usize;
-            let before = rays.others.len();
-            for view_x in 0..plan.views[1] {
-                let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
-                let view = plan.view(view_y, view_x);
-                rays.views.push(View {
-                    valid: (run.start as isize + own) as usize..(run.end as isize + own) as usize,
-                    target: plan.target.row(at.channel, view, row),
-                    weights: plan.target.weights(view, row),
-                    target_offset: PAD as isize - own,
-                });
-                for (k, factor) in factors.iter().enumerate().filter(|(k, _)| *k != at.factor) {
-                    let other = &plan.maps[k];
-                    if let (true, Some(shift)) = (other.shifted, other.x[view_x].shift) {
-                        let line = other.y[view_y][row].first as usize;
-                        let values = factor.line(at.channel, line);
-                        rays.others.push(Other { values, stride: other.layout.stride, offset: shift - own });
-                    } else {
-                        let (values, tail) = std::mem::take(&mut rest).split_at_mut(plan.frames * stride);
-                        rest = tail;
-                        let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
-                        for (frame, values) in values.chunks_exact_mut(stride).enumerate() {
-                            expand_factor(plan, factors, k, frame, &part, &mut values[PAD + run.start..PAD + run.end]);
-                        }
-                        rays.others.push(Other { values, stride, offset: PAD as isize - own });
-                    }
-                }
-            }
-            if others_per_view == 0 {
-                rays.others.resize(rays.views.len(), Other { values: &[], stride: 0, offset: 0 });
-            }
-            // all views of a view row read the same lines, side by side
-            for k in 0..others_per_view {
-                let of_factor = rays.others[before..].iter().skip(k).step_by(others_per_view);
-                if let Some(lead) = of_factor.max_by_key(|other| other.offset).copied() {
-                    rays.leads.push(lead);
-                }
-            }
-        }
-    }
-    rays
 }
 
 /// How rays are compared.
@@ -288,131 +167,132 @@ struct Sight {
     residual: bool,
 }
 
-/// a_m, e (or βL) and L̃ of one view and block, times √w, written to place `to` of the buffers; returns e times √w.
-#[inline(always)]
-unsafe fn view_errors<V: Lanes, const M: usize>(
-    view: &View,
-    others: &[Other],
+/// What the sums of one block are made from, and where they go.
+struct Sums<'a> {
+    rays: &'a LineRays<'a>,
     x: usize,
-    frames: usize,
-    sight: &Sight,
-    to: usize,
-    scratch: &mut Buffers,
-) -> V {
-    let frames = if M == 0 { frames } else { M };
-    // SAFETY: see the caller
-    unsafe {
-        let products = &mut scratch.products[to * frames * V::COUNT..(to + 1) * frames * V::COUNT];
-        let emitted = match others {
-            [] => products_of::<V, M, 0>([], frames, products, &scratch.scaled),
-            [a] => products_of::<V, M, 1>([at(a, x)], frames, products, &scratch.scaled),
-            [a, b] => products_of::<V, M, 2>([at(a, x), at(b, x)], frames, products, &scratch.scaled),
-            [a, b, c] => products_of::<V, M, 3>([at(a, x), at(b, x), at(c, x)], frames, products, &scratch.scaled),
-            [a, b, c, rest @ ..] => {
-                products_of::<V, M, 3>([at(a, x), at(b, x), at(c, x)], frames, products, &scratch.scaled);
-                multiply_by::<V, M>(rest, x, frames, products, &scratch.scaled)
+    sight: &'a Sight,
+    buffers: &'a mut Buffers,
+}
+
+impl Sums<'_> {
+    /// Sums over all views; returns the sum of w e². `whole` says that the rays of every view count in full.
+    #[inline(always)]
+    unsafe fn of_block<V: Lanes, const M: usize>(self, rule: Rule, frames: usize, whole: bool) -> V {
+        let in_registers =
+            M > 0 && registers_for(rule, M) <= V::REGISTERS && (1..=3).contains(&self.rays.others_per_view);
+        // SAFETY: see the caller
+        unsafe {
+            self.rays.ask_for_rest::<V>(self.x + AHEAD * V::COUNT, in_registers);
+            if !in_registers {
+                return self.by_buffers::<V, M>(rule, frames);
             }
-        };
-        let mut wanted = wanted::<V>(view, x, sight);
-        let mut emitted = emitted;
-        if view.weights.is_some() || x < view.valid.start || view.valid.end < x + V::COUNT {
-            let (low, high) = (view.valid.start.max(x), view.valid.end.min(x + V::COUNT));
-            let mut weight = mask::<V>(low - x, high - x);
-            if let Some(weights) = view.weights {
-                weight = weight.mul(load::<V>(weights, (x as isize + view.target_offset) as usize));
-            }
-            wanted = wanted.mul(weight);
-            emitted = emitted.mul(weight);
-            for m in 0..frames {
-                store(load::<V>(products, m * V::COUNT).mul(weight), products, m * V::COUNT);
+            match (self.rays.others_per_view, whole) {
+                (1, true) => self.in_registers::<V, M, 1, false>(rule),
+                (2, true) => self.in_registers::<V, M, 2, false>(rule),
+                (3, true) => self.in_registers::<V, M, 3, false>(rule),
+                (1, false) => self.in_registers::<V, M, 1, true>(rule),
+                (2, false) => self.in_registers::<V, M, 2, true>(rule),
+                (3, false) => self.in_registers::<V, M, 3, true>(rule),
+                _ => unreachable!("what is in registers has one to three other factors"),
             }
         }
-        let error = wanted.sub(emitted);
-        store(if sight.residual { error } else { wanted }, &mut scratch.errors, to * V::COUNT);
-        store(emitted, &mut scratch.emitted, to * V::COUNT);
-        error
     }
-}
 
-#[inline(always)]
-fn at(other: &Other, x: usize) -> (*const f32, usize) {
-    debug_assert!(other.at(x) < other.values.len());
-    (other.values.as_ptr().wrapping_add(other.at(x)), other.stride)
-}
+    /// With accumulators that stay in registers, K other factors.
+    #[inline(always)]
+    unsafe fn in_registers<V: Lanes, const M: usize, const K: usize, const MASKED: bool>(self, rule: Rule) -> V {
+        // SAFETY: see the caller
+        unsafe { if rule.needs_gram() { self.gram::<V, M, K, MASKED>() } else { self.pairs::<V, M, K, MASKED>() } }
+    }
 
-/// Products of K factors for all frames; returns Σ_m a_m f_m/M.
-#[inline(always)]
-unsafe fn products_of<V: Lanes, const M: usize, const K: usize>(
-    others: [(*const f32, usize); K],
-    frames: usize,
-    products: &mut [f32],
-    scaled: &[f32],
-) -> V {
-    let frames = if M == 0 { frames } else { M };
-    // SAFETY: see the caller
-    unsafe {
-        let mut emitted = V::splat(0.0);
-        for m in 0..frames {
-            let value = |k: usize| V::load(others[k].0.add(m * others[k].1));
-            let mut product = if K == 0 { V::splat(1.0) } else { value(0) };
-            for k in 1..K {
-                product = product.mul(value(k));
+    /// n and d of all frames.
+    #[inline(always)]
+    unsafe fn pairs<V: Lanes, const M: usize, const K: usize, const MASKED: bool>(self) -> V {
+        let Self { rays, x, sight, buffers } = self;
+        // SAFETY: see the caller
+        unsafe {
+            let lit = Lit::<K>::new(rays, x, sight, &buffers.scaled);
+            let mut squares = V::splat(0.0);
+            let (mut above, mut below) = ([V::splat(0.0); M], [V::splat(0.0); M]);
+            for rows in rays.by_view::<K>() {
+                let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                let error = wanted.sub(emitted);
+                squares = error.mul_add(error, squares);
+                for m in 0..M {
+                    above[m] = products[m].mul_add(wanted, above[m]);
+                    below[m] = products[m].mul_add(emitted, below[m]);
+                }
             }
-            store(product, products, m * V::COUNT);
-            emitted = product.mul_add(load::<V>(scaled, m * V::COUNT), emitted);
-        }
-        emitted
-    }
-}
-
-/// Multiplies products by more factors; returns Σ_m a_m f_m/M.
-#[inline(always)]
-unsafe fn multiply_by<V: Lanes, const M: usize>(
-    others: &[Other],
-    x: usize,
-    frames: usize,
-    products: &mut [f32],
-    scaled: &[f32],
-) -> V {
-    let frames = if M == 0 { frames } else { M };
-    // SAFETY: see the caller
-    unsafe {
-        let mut emitted = V::splat(0.0);
-        for m in 0..frames {
-            let mut product = load::<V>(products, m * V::COUNT);
-            for other in others {
-                product = product.mul(load::<V>(other.values, other.at(x) + m * other.stride));
+            for m in 0..M {
+                store(above[m], &mut buffers.block.residual, m * V::COUNT);
+                store(below[m], &mut buffers.block.emitted, m * V::COUNT);
             }
-            store(product, products, m * V::COUNT);
-            emitted = product.mul_add(load::<V>(scaled, m * V::COUNT), emitted);
+            squares
         }
-        emitted
     }
-}
 
-/// The sums over all views of a block that no border crosses, with accumulators that stay in registers; returns the sum of e². `None` where the
-/// registers do not hold them.
-#[inline(always)]
-unsafe fn sum_in_registers<V: Lanes, const M: usize>(
-    rays: &LineRays,
-    rule: Rule,
-    x: usize,
-    sight: &Sight,
-    buffers: &mut Buffers,
-) -> Option<V> {
-    if M == 0 || registers_for(rule, M) > V::REGISTERS {
-        return None;
+    /// r of all frames and G: tiles along its diagonal at once, what lies between them from buffered a_m.
+    #[inline(always)]
+    unsafe fn gram<V: Lanes, const M: usize, const K: usize, const MASKED: bool>(self) -> V {
+        let Self { rays, x, sight, buffers } = self;
+        let Buffers { block, products: buffered, errors, emitted, scaled } = buffers;
+        let tile = tile_of(M);
+        // SAFETY: see the caller
+        unsafe {
+            let lit = Lit::<K>::new(rays, x, sight, scaled);
+            let mut squares = V::splat(0.0);
+            let (mut residual, mut gram) = ([V::splat(0.0); M], [[V::splat(0.0); M]; M]);
+            let mut active = 0;
+            for rows in rays.by_view::<K>() {
+                let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                let error = wanted.sub(emitted);
+                squares = error.mul_add(error, squares);
+                for m in 0..M {
+                    residual[m] = products[m].mul_add(error, residual[m]);
+                    for k in m..M {
+                        if m / tile == k / tile {
+                            gram[m][k] = products[m].mul_add(products[k], gram[m][k]);
+                        }
+                    }
+                    if tile < M {
+                        store(products[m], buffered, (active * M + m) * V::COUNT);
+                    }
+                }
+                active += 1;
+            }
+            for m in 0..M {
+                store(residual[m], &mut block.residual, m * V::COUNT);
+                for k in m..M {
+                    if m / tile == k / tile {
+                        store(gram[m][k], &mut block.gram, (m * M + k) * V::COUNT);
+                    }
+                }
+            }
+            if tile < M {
+                Tiles { frames: M, views: active, products: buffered, errors, emitted }.between_tiles::<V>(block);
+            }
+            squares
+        }
     }
-    // SAFETY: see the caller
-    unsafe {
-        match (rays.others_per_view, rule.needs_gram()) {
-            (1, false) => Some(pairs_in_registers::<V, M, 1>(rays, x, sight, buffers)),
-            (2, false) => Some(pairs_in_registers::<V, M, 2>(rays, x, sight, buffers)),
-            (3, false) => Some(pairs_in_registers::<V, M, 3>(rays, x, sight, buffers)),
-            (1, true) => Some(gram_in_registers::<V, M, 1>(rays, x, sight, buffers)),
-            (2, true) => Some(gram_in_registers::<V, M, 2>(rays, x, sight, buffers)),
-            (3, true) => Some(gram_in_registers::<V, M, 3>(rays, x, sight, buffers)),
-            _ => None,
+
+    /// By way of buffers, for any number of frames and factors.
+    #[inline(always)]
+    unsafe fn by_buffers<V: Lanes, const M: usize>(self, rule: Rule, frames: usize) -> V {
+        let Self { rays, x, sight, buffers } = self;
+        // SAFETY: see the caller
+        unsafe {
+            let (mut squares, mut active) = (V::splat(0.0), 0);
+            for (index, view) in rays.views.iter().enumerate() {
+                if let Some(weight) = view.weight::<V>(x) {
+                    let to = (active, &mut *buffers);
+                    let error = buffered::<V, M>(rays, index, x, frames, weight, sight, to);
+                    squares = error.mul_add(error, squares);
+                    active += 1;
+                }
+            }
+            sum_views::<V, M>(rule, frames, active, buffers);
+            squares
         }
     }
 }
@@ -433,120 +313,143 @@ const fn tile_of(frames: usize) -> usize {
     if frames <= 4 { frames } else { 3 }
 }
 
-/// n and d of all frames.
-#[inline(always)]
-unsafe fn pairs_in_registers<V: Lanes, const M: usize, const K: usize>(
-    rays: &LineRays,
+/// a_m of all frames, βL and L̃ of one view and block, times √w.
+struct Seen<V, const M: usize> {
+    products: [V; M],
+    wanted: V,
+    emitted: V,
+}
+
+/// What is alike for all views of a block, at hand.
+struct Lit<'a, const K: usize> {
     x: usize,
-    sight: &Sight,
-    buffers: &mut Buffers,
-) -> V {
-    // SAFETY: see the caller
-    unsafe {
-        let mut squares = V::splat(0.0);
-        let (mut above, mut below) = ([V::splat(0.0); M], [V::splat(0.0); M]);
-        for (view, others) in rays.views.iter().zip(rays.others.chunks_exact(K)) {
-            let (products, emitted) = whole_products::<V, M, K>(others, x, &buffers.scaled);
-            let wanted = wanted::<V>(view, x, sight);
-            let error = wanted.sub(emitted);
-            squares = error.mul_add(error, squares);
-            for m in 0..M {
-                above[m] = products[m].mul_add(wanted, above[m]);
-                below[m] = products[m].mul_add(emitted, below[m]);
+    sight: &'a Sight,
+    /// f/M.
+    scaled: &'a [f32],
+    strides: [usize; K],
+}
+
+impl<'a, const K: usize> Lit<'a, K> {
+    #[inline(always)]
+    fn new(rays: &LineRays, x: usize, sight: &'a Sight, scaled: &'a [f32]) -> Self {
+        Self { x, sight, scaled, strides: std::array::from_fn(|k| rays.strides[k]) }
+    }
+
+    /// What one view sees of the block; `None` where none of its rays counts.
+    #[inline(always)]
+    unsafe fn seen<V: Lanes, const M: usize, const MASKED: bool>(&self, rows: &RowsOfView<K>) -> Option<Seen<V, M>> {
+        // SAFETY: see the caller
+        unsafe {
+            rows.ask::<V>(self.x + AHEAD * V::COUNT);
+            let weight = if MASKED { rows.view.weight::<V>(self.x)? } else { V::splat(1.0) };
+            let mut wanted = wanted::<V>(rows.target, self.x, self.sight);
+            if MASKED {
+                wanted = wanted.mul(weight);
             }
+            let others: [_; K] = std::array::from_fn(|k| rows.others[k].at::<V>(self.x));
+            let (mut products, mut emitted) = ([V::splat(0.0); M], V::splat(0.0));
+            for m in 0..M {
+                let value = |k: usize| V::load(others[k].wrapping_add(m * self.strides[k]));
+                products[m] = value(0);
+                for k in 1..K {
+                    products[m] = products[m].mul(value(k));
+                }
+                if MASKED {
+                    products[m] = products[m].mul(weight);
+                }
+                emitted = products[m].mul_add(load::<V>(self.scaled, m * V::COUNT), emitted);
+            }
+            Some(Seen { products, wanted, emitted })
         }
-        for m in 0..M {
-            store(above[m], &mut buffers.block.residual, m * V::COUNT);
-            store(below[m], &mut buffers.block.emitted, m * V::COUNT);
-        }
-        squares
     }
 }
 
-/// r of all frames and G: tiles along its diagonal at once, what lies between them from buffered a_m.
+/// a_m, e (or βL) and L̃ of one view and block, times √w, written to place `to` of the buffers; returns e times √w.
 #[inline(always)]
-unsafe fn gram_in_registers<V: Lanes, const M: usize, const K: usize>(
+unsafe fn buffered<V: Lanes, const M: usize>(
     rays: &LineRays,
+    view: usize,
     x: usize,
+    frames: usize,
+    weight: V,
     sight: &Sight,
-    buffers: &mut Buffers,
+    (to, buffers): (usize, &mut Buffers),
 ) -> V {
-    let tile = tile_of(M);
+    let frames = if M == 0 { frames } else { M };
+    let others = rays.others_of(view);
     // SAFETY: see the caller
     unsafe {
-        let mut squares = V::splat(0.0);
-        let (mut residual, mut gram) = ([V::splat(0.0); M], [[V::splat(0.0); M]; M]);
-        for (index, (view, others)) in rays.views.iter().zip(rays.others.chunks_exact(K)).enumerate() {
-            let (products, emitted) = whole_products::<V, M, K>(others, x, &buffers.scaled);
-            let error = wanted::<V>(view, x, sight).sub(emitted);
-            squares = error.mul_add(error, squares);
-            for m in 0..M {
-                residual[m] = products[m].mul_add(error, residual[m]);
-                for k in m..M {
-                    if m / tile == k / tile {
-                        gram[m][k] = products[m].mul_add(products[k], gram[m][k]);
+        let products = &mut buffers.products[to * frames * V::COUNT..(to + 1) * frames * V::COUNT];
+        let emitted = match others {
+            [a] => products_of::<V, M, 1>(rays, [a], x, frames, weight, products, &buffers.scaled),
+            [a, b] => products_of::<V, M, 2>(rays, [a, b], x, frames, weight, products, &buffers.scaled),
+            [a, b, c] => products_of::<V, M, 3>(rays, [a, b, c], x, frames, weight, products, &buffers.scaled),
+            _ => {
+                let mut emitted = V::splat(0.0);
+                for m in 0..frames {
+                    let mut product = weight;
+                    for (other, stride) in others.iter().zip(&rays.strides) {
+                        product = product.mul(V::load(other.at::<V>(x).wrapping_add(m * stride)));
                     }
+                    store(product, products, m * V::COUNT);
+                    emitted = product.mul_add(load::<V>(&buffers.scaled, m * V::COUNT), emitted);
                 }
-                if tile < M {
-                    store(products[m], &mut buffers.products, (index * M + m) * V::COUNT);
-                }
+                emitted
             }
-        }
-        let block = &mut buffers.block;
-        for m in 0..M {
-            store(residual[m], &mut block.residual, m * V::COUNT);
-            for k in m..M {
-                if m / tile == k / tile {
-                    store(gram[m][k], &mut block.gram, (m * M + k) * V::COUNT);
-                }
-            }
-        }
-        if tile < M {
-            let views = rays.views.len();
-            let (products, errors, emitted) = (&buffers.products, &buffers.errors, &buffers.emitted);
-            Tiles { frames: M, views, products, errors, emitted }.between_tiles::<V>(block);
-        }
-        squares
+        };
+        let wanted = wanted::<V>(&rays.targets[view], x, sight).mul(weight);
+        let error = wanted.sub(emitted);
+        store(if sight.residual { error } else { wanted }, &mut buffers.errors, to * V::COUNT);
+        store(emitted, &mut buffers.emitted, to * V::COUNT);
+        error
     }
 }
 
-/// a_m of all frames and L̃ of one view and block.
+/// Products of K factors for all frames, times the weight; returns Σ_m a_m f_m/M.
 #[inline(always)]
-unsafe fn whole_products<V: Lanes, const M: usize, const K: usize>(
-    others: &[Other],
+unsafe fn products_of<V: Lanes, const M: usize, const K: usize>(
+    rays: &LineRays,
+    others: [&Place<f32>; K],
     x: usize,
+    frames: usize,
+    weight: V,
+    products: &mut [f32],
     scaled: &[f32],
-) -> ([V; M], V) {
+) -> V {
+    let frames = if M == 0 { frames } else { M };
+    let others: [_; K] = std::array::from_fn(|k| (others[k].at::<V>(x), rays.strides[k]));
     // SAFETY: see the caller
     unsafe {
-        let others: [_; K] = std::array::from_fn(|k| at(&others[k], x));
-        let (mut products, mut emitted) = ([V::splat(0.0); M], V::splat(0.0));
-        for m in 0..M {
-            products[m] = V::load(others[0].0.add(m * others[0].1));
-            for other in &others[1..] {
-                products[m] = products[m].mul(V::load(other.0.add(m * other.1)));
+        let mut emitted = V::splat(0.0);
+        for m in 0..frames {
+            let value = |k: usize| V::load(others[k].0.wrapping_add(m * others[k].1));
+            let mut product = value(0);
+            for k in 1..K {
+                product = product.mul(value(k));
             }
-            emitted = products[m].mul_add(load::<V>(scaled, m * V::COUNT), emitted);
+            let product = product.mul(weight);
+            store(product, products, m * V::COUNT);
+            emitted = product.mul_add(load::<V>(scaled, m * V::COUNT), emitted);
         }
-        (products, emitted)
+        emitted
     }
 }
 
 /// βL of one view and block.
 #[inline(always)]
-unsafe fn wanted<V: Lanes>(view: &View, x: usize, sight: &Sight) -> V {
-    let from = (x as isize + view.target_offset) as usize;
+unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, sight: &Sight) -> V {
     // SAFETY: see the caller
     unsafe {
-        let radiance = match view.target {
-            Row::Half(row) => {
-                debug_assert!(from + V::COUNT <= row.len());
-                V::prefetch(row.as_ptr().wrapping_add(from + 2 * AHEAD * V::COUNT));
-                V::load_half(row.as_ptr().add(from))
+        let radiance = match row {
+            TargetRow::Half(row) => {
+                let at = row.at::<V>(x);
+                V::prefetch_far(at.wrapping_add(TARGET_AHEAD));
+                V::load_half(at)
             }
-            Row::Float(row) => {
-                V::prefetch(row.as_ptr().wrapping_add(from + 2 * AHEAD * V::COUNT));
-                load::<V>(row, from)
+            TargetRow::Float(row) => {
+                let at = row.at::<V>(x);
+                V::prefetch_far(at.wrapping_add(TARGET_AHEAD));
+                V::load(at)
             }
         };
         radiance.mul(V::splat(sight.brightness))

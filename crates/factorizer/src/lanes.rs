@@ -41,10 +41,7 @@ impl InstructionSet {
                 && std::is_x86_feature_detected!("f16c")
             {
                 sets.push(Self::Avx2);
-                if std::env::var_os("NO512").is_none()
-                    && std::is_x86_feature_detected!("avx512f")
-                    && std::is_x86_feature_detected!("avx512vl")
-                {
+                if std::is_x86_feature_detected!("avx512f") && std::is_x86_feature_detected!("avx512vl") {
                     sets.push(Self::Avx512);
                 }
             }
@@ -85,7 +82,11 @@ pub(crate) trait Lanes: Copy {
     /// `then` in lanes where self > limit, else `otherwise`.
     unsafe fn above(self, limit: Self, then: Self, otherwise: Self) -> Self;
     /// Asks for a cache line that will soon be read; may do nothing. Any address is allowed.
-    unsafe fn prefetch<T>(from: *const T);
+    #[inline(always)]
+    unsafe fn prefetch<T>(_from: *const T) {}
+    /// The same, but no nearer than the second-level cache.
+    #[inline(always)]
+    unsafe fn prefetch_far<T>(_from: *const T) {}
 }
 
 /// A computation that is compiled once per instruction set.
@@ -201,9 +202,6 @@ impl Lanes for Portable {
     unsafe fn above(self, limit: Self, then: Self, otherwise: Self) -> Self {
         Self(std::array::from_fn(|i| if self.0[i] > limit.0[i] { then.0[i] } else { otherwise.0[i] }))
     }
-
-    #[inline(always)]
-    unsafe fn prefetch<T>(_from: *const T) {}
 }
 
 /// A finite half float as `f32`, without branches: shifted into place, then scaled by 2^112 for the difference of the exponents' biases, which
@@ -315,6 +313,11 @@ mod x86 {
                 #[inline(always)]
                 unsafe fn prefetch<T>(from: *const T) {
                     unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) }
+                }
+
+                #[inline(always)]
+                unsafe fn prefetch_far<T>(from: *const T) {
+                    unsafe { _mm_prefetch::<_MM_HINT_T1>(from.cast()) }
                 }
             }
         };
@@ -440,9 +443,6 @@ mod neon {
         unsafe fn above(self, limit: Self, then: Self, otherwise: Self) -> Self {
             Self(unsafe { vbslq_f32(vcgtq_f32(self.0, limit.0), then.0, otherwise.0) })
         }
-
-        #[inline(always)]
-        unsafe fn prefetch<T>(_from: *const T) {}
     }
 }
 
@@ -528,8 +528,5 @@ mod wasm {
         unsafe fn above(self, limit: Self, then: Self, otherwise: Self) -> Self {
             Self(v128_bitselect(then.0, otherwise.0, f32x4_gt(self.0, limit.0)))
         }
-
-        #[inline(always)]
-        unsafe fn prefetch<T>(_from: *const T) {}
     }
 }

@@ -29,6 +29,7 @@ mod multiplicative;
 mod plan;
 mod problem;
 mod quantize;
+mod rays;
 mod respond;
 mod solver;
 mod start;

@@ -9,6 +9,7 @@ use lumistack_display::{
 };
 
 use crate::Problem;
+use crate::aligned::LINE;
 use crate::factor::{Layout, PAD};
 use crate::target::Target;
 
@@ -213,7 +214,9 @@ impl FactorMap {
         }
         // own columns start on a cache line
         let pad = (PAD + before as usize).next_multiple_of(PAD);
-        let stride = (pad + cols + after as usize + PAD).next_multiple_of(PAD);
+        // an odd number of cache lines: rows of all frames a multiple of 4 KiB apart share the same sets of the first-level cache (1.7 times as
+        // long), a multiple of 1 KiB costs a fifth
+        let stride = ((pad + cols + after as usize + PAD).div_ceil(LINE) | 1) * LINE;
         let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
         let x: Vec<_> = raw.x.iter().zip(&shifts).map(|(taps, shift)| ColumnTaps::new(taps, *shift, pad)).collect();
         let y: Vec<Vec<LineTap>> = raw
