@@ -158,7 +158,7 @@ impl Tracer<'_> {
                         self.scatter(path, index, &rays[index], hit, bounce, settings, &pairs, draws, &mut shadows)
                     }
                     None => {
-                        let (environment, light_pdf) = self.lights.infinite(rays[index].direction);
+                        let (environment, light_pdf) = self.lights.infinite(rays[index].direction, draws.parts());
                         path.radiance += path.throughput * environment * heuristic(path.scattered_pdf, light_pdf);
                         None
                     }
@@ -209,7 +209,7 @@ impl Tracer<'_> {
                 0.0
             } else {
                 let distance = vertex.point.position.distance(path.scattered_at.position);
-                self.lights.triangle_pdf(hit.triangle, &path.scattered_at, distance, cosine)
+                self.lights.triangle_pdf(hit.triangle, &path.scattered_at, distance, cosine, draws.parts())
             };
             path.radiance += path.throughput * emission * heuristic(path.scattered_pdf, light_pdf);
         }
@@ -227,7 +227,16 @@ impl Tracer<'_> {
         let [u_roulette, u_fresnel] = pairs[2].of(index);
         if surface.is_smooth() && self.lights.can_be_sampled() {
             // the roulette's number may serve twice: this term and the rest of the path only add up
-            self.direct(&vertex, &surface, pairs[1].of(index), u_roulette, index, path.throughput, shadows);
+            self.direct(
+                &vertex,
+                &surface,
+                pairs[1].of(index),
+                u_roulette,
+                draws.parts(),
+                index,
+                path.throughput,
+                shadows,
+            );
         }
         let scatter = surface.sample(pairs[0].of(index), u_fresnel)?;
         path.throughput *= scatter.weight;
@@ -312,12 +321,15 @@ impl Tracer<'_> {
         surface: &Surface,
         u: [f32; 2],
         u_fine: f32,
+        parts: u32,
         index: usize,
         throughput: Vec3,
         shadows: &mut Shadows,
     ) {
         let receiver = vertex.receiver(surface);
-        let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine) else { return };
+        let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
+            return;
+        };
         let (value, scatter_pdf) = surface.evaluate(light.direction);
         let light_weight = if light.pdf.is_infinite() { 1.0 } else { heuristic(light.pdf, scatter_pdf) };
         let contribution = value * light.weight * light_weight;
