@@ -376,6 +376,9 @@ fn parts_of(chance: f32, parts: Parts) -> Parts {
 /// too little is left of it.
 fn in_whole_parts(weights: &[f64], parts: Parts) -> Vec<f64> {
     let (sum, parts) = (weights.iter().sum::<f64>(), f64::from(parts));
+    if !(sum > 0.0 && sum.is_finite()) {
+        return weights.to_vec();
+    }
     let mut chances: Vec<f64> = weights.iter().map(|weight| weight / sum).collect();
     let Some(greatest) = (0..weights.len()).max_by(|&a, &b| weights[a].total_cmp(&weights[b])) else { return chances };
     let rounded = |chance: f64| if chance * parts < 0.5 { chance } else { (chance * parts).round() / parts };
@@ -534,6 +537,7 @@ mod tests {
         close(in_whole_parts(&[5.0], 8), &[1.0]);
         assert!(Distribution::new(&in_whole_parts(&[], 4)).is_none());
         assert!(Distribution::new(&in_whole_parts(&[0.0, 0.0], 4)).is_none());
+        assert!(Distribution::new(&in_whole_parts(&[0.0], 4)).is_none());
     }
 
     #[test]
