@@ -139,6 +139,12 @@ impl Lights {
         (radiance, chance * pdf)
     }
 
+    /// Whether the choice of a point light or spot depends on the receiver's horizon.
+    #[inline]
+    pub(crate) fn has_horizon(&self) -> bool {
+        !self.points.is_empty()
+    }
+
     /// Density per solid angle with which [`sample`](Self::sample) for this receiver finds a point on a triangle, `distance` away and seen
     /// under this cosine.
     pub(crate) fn triangle_pdf(
@@ -448,6 +454,7 @@ mod tests {
         let at = |x, y, z, normal| Receiver {
             position: geometry.space.point(Vec3::new(x, y, z).as_dvec3()).as_vec3(),
             normal,
+            tilt: Receiver::UPRIGHT,
         };
         let receivers = [
             at(0.0, 0.0, 0.0, Some(Vec3::Y)),

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! θ_b is the half angle of the box seen from the point, θ_w that from the cone's axis to the point, θ_o the cone's, θ_i that from the
-//! receiver's normal; d is at least the box's radius. A bound of 0 means that nothing can arrive, so the estimate stays unbiased.
+//! receiver's normal, less its tilt; d is at least the box's radius. A bound of 0 means that nothing can arrive, so the estimate stays unbiased.
 //!
 //! Of the numbers that a pixel chooses with, one lies in each of n equal parts of [0, 1) ([`Parts`]). Chances are rounded to whole parts where a child
 //! keeps at least one: every sample count is then what its chance says, and a few point lights leave no noise. Rounded chances are chances too: the
@@ -27,6 +27,14 @@ pub(crate) struct Receiver {
     pub(crate) position: Vec3,
     /// Unit normal of a surface that passes nothing; light comes from its side only. `None` for surfaces that pass light.
     pub(crate) normal: Option<Vec3>,
+    /// Cosine and sine of the angle by which light may come from below its horizon all the same, as it does to surfaces that are smoother than their
+    /// triangles.
+    pub(crate) tilt: [f32; 2],
+}
+
+impl Receiver {
+    /// [`tilt`](Self::tilt) of surfaces that are their triangles.
+    pub(crate) const UPRIGHT: [f32; 2] = [1.0, 0.0];
 }
 
 /// What the tree knows about a light or a set of them.
@@ -199,7 +207,8 @@ impl Node {
         }
         let cos_receiver = receiver.normal.map_or(1.0, |normal| {
             let cosine = -normal.dot(direction);
-            subtract(cosine, (1.0 - cosine * cosine).max(0.0).sqrt(), cos_box, sin_box).0.max(0.0)
+            let (cosine, sine) = subtract(cosine, (1.0 - cosine * cosine).max(0.0).sqrt(), cos_box, sin_box);
+            subtract(cosine, sine, receiver.tilt[0], receiver.tilt[1]).0.max(0.0)
         });
         // falloff angles beyond a right angle do not occur, so cos_light is positive here
         most * cos_light * cos_receiver
@@ -345,7 +354,8 @@ mod tests {
     }
 
     fn receivers() -> Vec<Receiver> {
-        let at = |x: f32, y: f32, z: f32, normal| Receiver { position: Vec3::new(x, y, z), normal };
+        let at =
+            |x: f32, y: f32, z: f32, normal| Receiver { position: Vec3::new(x, y, z), normal, tilt: Receiver::UPRIGHT };
         vec![
             at(1.0, 0.0, 1.0, Some(Vec3::Y)),
             at(5.0, 3.0, 5.0, Some(Vec3::X)),
