@@ -330,9 +330,9 @@ impl Tracer<'_> {
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
             return;
         };
-        // of hard light the edge of its shadow is that of the smooth surface, not of triangles: no other technique finds it, so the weights stay right
-        let bulges = light.pdf.is_infinite() && light.direction.dot(vertex.normal) <= 0.0 && vertex.may_bulge(surface);
-        let (value, scatter_pdf) = if bulges {
+        // hard light ends where the smooth surface turns away, not its triangles: no other technique finds it, so the weights stay right
+        let is_hard = light.pdf.is_infinite() && vertex.may_bulge(surface);
+        let (value, scatter_pdf) = if is_hard {
             surface.evaluate_above(vertex.smooth_normal(), light.direction)
         } else {
             surface.evaluate(light.direction)
@@ -343,7 +343,7 @@ impl Tracer<'_> {
             return;
         }
         let mut shadow = vertex.leave(light.direction);
-        if bulges {
+        if is_hard && light.direction.dot(vertex.normal) <= 0.0 {
             shadow.origin = vertex.point.smooth_position(vertex.side()) + vertex.point.offset * vertex.normal;
         }
         if let Some(end) = light.end {
