@@ -448,6 +448,24 @@ impl SurfacePoint<'_> {
         if normal.dot(self.geometric_normal) > 0.0 { normal } else { self.geometric_normal }
     }
 
+    /// The place on a smooth surface through the corners with their normals, on the side of the normal; `side` is 1 on the front and −1 on the back.
+    /// Each corner's tangent plane is where the surface may bulge to (Hanika 2021, "Hacking the shadow terminator", Ray Tracing Gems II).
+    pub(crate) fn smooth_position(&self, side: f32) -> Vec3 {
+        let bulge = |k: usize| {
+            let (corner, normal) = match self.placed {
+                None => (self.record.corners[k], self.record.normals[k]),
+                Some(instance) => {
+                    let placement = &self.geometry.placements[instance.placement as usize];
+                    let corner = placement.render_from_tree * self.record.corners[k] + placement.translation;
+                    (corner, instance.normal_matrix * self.record.normals[k])
+                }
+            };
+            let normal = side * normal.normalize_or_zero();
+            self.weights[k] * (corner - self.position).dot(normal).max(0.0) * normal
+        };
+        self.position + bulge(0) + bulge(1) + bulge(2)
+    }
+
     /// `normal` turned by a tangent-space normal (glTF: x along u, y up in the picture). `None` without tangents.
     pub(crate) fn mapped_normal(&self, normal: Vec3, mapped: Vec3) -> Option<Vec3> {
         let tangents = &self.mesh().tangents;

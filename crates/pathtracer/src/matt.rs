@@ -28,6 +28,12 @@ impl Matt {
         Self { albedo, geometric, shading }
     }
 
+    /// The same point with another horizon than that of the geometric normal.
+    #[inline]
+    pub(crate) fn above(&self, horizon: Vec3) -> Self {
+        Self { geometric: horizon, ..*self }
+    }
+
     /// f |cos| and density.
     #[inline]
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {

@@ -21,6 +21,7 @@ const BANK_SEED: u64 = 0x5eed_ba17;
 pub(crate) struct SampleBank {
     points: Vec<[u32; 2]>,
     length: u32,
+    parts: u32,
 }
 
 /// Draws the random numbers of samples of one pixel that follow one another: what depends on pixel and pair is worked out once for all.
@@ -44,6 +45,7 @@ impl SampleBank {
     /// A bank for `samples` points per pixel.
     pub(crate) fn new(samples: u32) -> Self {
         let length = samples.clamp(1, LONGEST).next_power_of_two();
+        let parts = 1 << samples.clamp(1, LONGEST).ilog2();
         let mut points = Vec::with_capacity(PATTERNS * length as usize);
         for pattern in 0..PATTERNS as u64 {
             let key = |what: u64| seed::derive(BANK_SEED, &[pattern, what]);
@@ -57,7 +59,7 @@ impl SampleBank {
                 [owen_scramble(i.reverse_bits(), key(1)), owen_scramble(sobol_second(i), key(2))]
             }));
         }
-        Self { points, length }
+        Self { points, length, parts }
     }
 
     /// The numbers of the pixel with this hash for sample `first` and those that follow. Those of one object must be in one stretch of the longest
@@ -69,6 +71,13 @@ impl SampleBank {
 }
 
 impl<'a> Draws<'a> {
+    /// Of the pixel's samples one each has its number in one of so many equal parts of [0, 1), or one or two where the samples are no power of two:
+    /// true of both numbers of every pair.
+    #[inline]
+    pub(crate) fn parts(&self) -> u32 {
+        self.bank.parts
+    }
+
     /// Any pair of dimensions.
     #[inline]
     pub(crate) fn pair(&self, pair: u64) -> Pair<'a> {

@@ -137,7 +137,7 @@ impl Tracer<'_> {
             radiance: Vec3::ZERO,
             throughput: Vec3::ONE,
             cone,
-            scattered_at: Receiver { position: Vec3::ZERO, normal: None },
+            scattered_at: Receiver { position: Vec3::ZERO, normal: None, tilt: Receiver::UPRIGHT },
             scattered_pdf: f32::INFINITY,
             inside: None,
             wave_nm: None,
@@ -158,7 +158,7 @@ impl Tracer<'_> {
                         self.scatter(path, index, &rays[index], hit, bounce, settings, &pairs, draws, &mut shadows)
                     }
                     None => {
-                        let (environment, light_pdf) = self.lights.infinite(rays[index].direction);
+                        let (environment, light_pdf) = self.lights.infinite(rays[index].direction, draws.parts());
                         path.radiance += path.throughput * environment * heuristic(path.scattered_pdf, light_pdf);
                         None
                     }
@@ -209,7 +209,7 @@ impl Tracer<'_> {
                 0.0
             } else {
                 let distance = vertex.point.position.distance(path.scattered_at.position);
-                self.lights.triangle_pdf(hit.triangle, &path.scattered_at, distance, cosine)
+                self.lights.triangle_pdf(hit.triangle, &path.scattered_at, distance, cosine, draws.parts())
             };
             path.radiance += path.throughput * emission * heuristic(path.scattered_pdf, light_pdf);
         }
@@ -227,7 +227,16 @@ impl Tracer<'_> {
         let [u_roulette, u_fresnel] = pairs[2].of(index);
         if surface.is_smooth() && self.lights.can_be_sampled() {
             // the roulette's number may serve twice: this term and the rest of the path only add up
-            self.direct(&vertex, &surface, pairs[1].of(index), u_roulette, index, path.throughput, shadows);
+            self.direct(
+                &vertex,
+                &surface,
+                pairs[1].of(index),
+                u_roulette,
+                draws.parts(),
+                index,
+                path.throughput,
+                shadows,
+            );
         }
         let scatter = surface.sample(pairs[0].of(index), u_fresnel)?;
         path.throughput *= scatter.weight;
@@ -246,7 +255,7 @@ impl Tracer<'_> {
         path.cone = Cone { width: vertex.width, spread: path.cone.spread.max(SCATTER_SPREAD * scatter.alpha) };
         let straight = scatter.crossed && scatter.pdf.is_infinite() && hit.flags & TINT != 0;
         if !straight {
-            path.scattered_at = vertex.receiver(&surface);
+            path.scattered_at = vertex.receiver(&surface, self.lights.has_horizon());
             path.scattered_pdf = scatter.pdf;
         }
         Some(vertex.leave(scatter.direction))
@@ -312,19 +321,31 @@ impl Tracer<'_> {
         surface: &Surface,
         u: [f32; 2],
         u_fine: f32,
+        parts: u32,
         index: usize,
         throughput: Vec3,
         shadows: &mut Shadows,
     ) {
-        let receiver = vertex.receiver(surface);
-        let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine) else { return };
-        let (value, scatter_pdf) = surface.evaluate(light.direction);
+        let receiver = vertex.receiver(surface, self.lights.has_horizon());
+        let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
+            return;
+        };
+        // hard light ends where the smooth surface turns away, not its triangles: no other technique finds it, so the weights stay right
+        let is_hard = light.pdf.is_infinite() && vertex.may_bulge(surface);
+        let (value, scatter_pdf) = if is_hard {
+            surface.evaluate_above(vertex.smooth_normal(), light.direction)
+        } else {
+            surface.evaluate(light.direction)
+        };
         let light_weight = if light.pdf.is_infinite() { 1.0 } else { heuristic(light.pdf, scatter_pdf) };
         let contribution = value * light.weight * light_weight;
         if contribution == Vec3::ZERO {
             return;
         }
         let mut shadow = vertex.leave(light.direction);
+        if is_hard && light.direction.dot(vertex.normal) <= 0.0 {
+            shadow.origin = vertex.point.smooth_position(vertex.side()) + vertex.point.offset * vertex.normal;
+        }
         if let Some(end) = light.end {
             shadow = Ray { direction: end - shadow.origin, t_max: 1.0, ..shadow };
         }
@@ -390,6 +411,13 @@ impl Surface {
         }
     }
 
+    fn evaluate_above(&self, horizon: Vec3, direction: Vec3) -> (Vec3, f32) {
+        match self {
+            Self::Matt(matt) => matt.above(horizon).evaluate(direction),
+            Self::General(bsdf) => bsdf.evaluate_above(horizon, direction),
+        }
+    }
+
     #[inline]
     fn sample(&self, u: [f32; 2], u_fresnel: f32) -> Option<Scatter> {
         match self {
@@ -407,9 +435,30 @@ impl Surface {
 }
 
 impl Vertex<'_> {
-    /// What the choice of a light needs to know.
-    fn receiver(&self, surface: &Surface) -> Receiver {
-        Receiver { position: self.point.position, normal: (!surface.transmits()).then_some(self.normal) }
+    /// What the choice of a light needs to know; `horizon` where it matters that the surface may be smoother than its triangles.
+    fn receiver(&self, surface: &Surface, horizon: bool) -> Receiver {
+        let tilt = if horizon && self.may_bulge(surface) {
+            let cosine = self.normal.dot(self.smooth_normal()).clamp(0.0, 1.0);
+            [cosine, (1.0 - cosine * cosine).sqrt()]
+        } else {
+            Receiver::UPRIGHT
+        };
+        Receiver { position: self.point.position, normal: (!surface.transmits()).then_some(self.normal), tilt }
+    }
+
+    /// Whether light may arrive from below the triangle's horizon: where it stands for a smooth surface that passes nothing.
+    fn may_bulge(&self, surface: &Surface) -> bool {
+        !self.point.is_flat() && !surface.transmits()
+    }
+
+    /// 1 on the triangle's front, −1 on its back.
+    fn side(&self) -> f32 {
+        self.normal.dot(self.point.geometric_normal).signum()
+    }
+
+    /// Vertex normals between the corners, on the viewer's side.
+    fn smooth_normal(&self) -> Vec3 {
+        self.side() * self.point.shading_normal()
     }
 
     /// A ray from this point, started off the surface on the side it goes to.

@@ -284,3 +284,51 @@ fn hundreds_of_lights_add_up() {
     mean.assert_is(0.0, 2e-3, FALSE_ALARM_RATE);
     assert!(relative.iter().all(|error| error.abs() < 0.25), "one light of 300 per path: {relative:?}");
 }
+
+/// On a sphere of few triangles the edge between light and dark is the sphere's, not that of triangles. A point of a chord has the interpolated normal
+/// P/|P|, so L = ρ E max(P·d, 0) / (π |P|), and |P| lies between the radius and its part at the middle of the largest triangle.
+#[test]
+fn hard_light_ends_where_the_smooth_surface_turns_away() {
+    let (radius, divisions, irradiance) = (0.9f64, 12usize, 2.0f64);
+    let towards = DVec3::new(1.0, 0.35, 0.1).normalize();
+    let far = 4000.0;
+    let at = |scale: f64| Light {
+        position: (far * towards).as_vec3(),
+        direction: Vec3::NEG_Z,
+        intensity: Vec3::splat((scale * irradiance * far * far) as f32),
+        kind: LightKind::Point,
+    };
+    let sun = Light {
+        position: Vec3::ZERO,
+        direction: -towards.as_vec3(),
+        intensity: Vec3::splat(irradiance as f32),
+        kind: LightKind::Directional,
+    };
+    for lights in [vec![sun], vec![at(0.25), at(0.75)]] {
+        let mut scene = Builder::default();
+        scene.add(common::sphere(Vec3::ZERO, radius as f32, divisions), matt(ALBEDO));
+        scene.parts.lights = lights;
+        let size = 96;
+        let radiance = render(&scene.renderer(), &window(), &one_view(size, [0.0, 0.0]), &long_paths(64));
+        let flattest = (PI / divisions as f64 / 2.0).cos().powi(2);
+        let mut at_edge = 0;
+        for (index, pixel) in radiance.data().chunks(3).enumerate() {
+            let place = |i: usize| ((i as f64 + 0.5) / size as f64 - 0.5) * 2.0;
+            let (x, y) = (place(index % size), -place(index / size));
+            if x.hypot(y) > 0.85 * radius {
+                continue;
+            }
+            let on = |radius: f64| DVec3::new(x, y, (radius * radius - x * x - y * y).sqrt()).dot(towards) / radius;
+            // over a pixel the cosine changes by this much
+            let pixel_wide = 2.0 / (size as f64 * radius);
+            let (low, high) = (on(radius).min(on(radius * flattest)), on(radius).max(on(radius * flattest)));
+            let cosine = f64::from(pixel[0]) * PI / (f64::from(ALBEDO) * irradiance);
+            assert!(
+                cosine >= (low - pixel_wide).max(0.0) && cosine <= (high + pixel_wide).max(0.0),
+                "{cosine} is not in {low}..{high} at {x} {y}"
+            );
+            at_edge += usize::from((0.0..0.2).contains(&low));
+        }
+        assert!(at_edge > 200, "{at_edge}");
+    }
+}

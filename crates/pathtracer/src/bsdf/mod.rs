@@ -229,7 +229,12 @@ impl Bsdf {
 
     /// f |cos| for light from `direction`, and the density with which [`sample`](Self::sample) finds it. Mirrors count as zero.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
-        let side = direction.dot(self.geometric_normal);
+        self.evaluate_above(self.geometric_normal, direction)
+    }
+
+    /// The same with another horizon than that of the geometric normal.
+    pub(crate) fn evaluate_above(&self, horizon: Vec3, direction: Vec3) -> (Vec3, f32) {
+        let side = direction.dot(horizon);
         let i = self.scene_from_local.transpose() * direction;
         // geometric and shading normal must agree on which side the light comes from; otherwise it would leak through the surface
         let (mut value, mut pdf) = if side * i.z > 0.0 { self.evaluate_base(i) } else { (Vec3::ZERO, 0.0) };

@@ -15,7 +15,7 @@ use lumistack_scene::Scene;
 use self::environment::EnvironmentLight;
 use self::punctual::PunctualLight;
 pub(crate) use self::tree::Receiver;
-use self::tree::{Emitter, LightTree};
+use self::tree::{Emitter, LightTree, Parts};
 use crate::distribution::Distribution;
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::shading::Materials;
@@ -29,6 +29,8 @@ const POWER_POINTS: usize = 6;
 const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
 /// Share of its size by which a parallelogram may differ from one, about the rounding of its corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
+/// Powers of two of [`Parts`] that a choice of lights is made for, more count as the last.
+const PART_POWERS: u32 = 13;
 /// No light.
 const NONE: u32 = u32::MAX;
 
@@ -43,8 +45,9 @@ pub(crate) struct Lights {
     directional: Vec<PunctualLight>,
     /// Over triangles, then points and spots.
     tree: Option<LightTree>,
-    /// Over the tree ([`LOCAL`]), then directional lights, then the environment.
-    choice: Option<Distribution>,
+    /// Over the tree ([`LOCAL`]), then directional lights, then the environment, rounded to whole parts: one for each power of two of parts; empty in
+    /// the dark.
+    choices: Vec<Distribution>,
 }
 
 /// Index of the tree in the choice.
@@ -113,43 +116,59 @@ impl Lights {
         let environment_power =
             environment.as_ref().map(|light| f64::from(light.sampled_luminance() * PI * PI * radius * radius));
         let weights = share(&[vec![local_power], directional_powers, environment_power.into_iter().collect()]);
-        let choice = Distribution::new(&weights);
-        Self { triangles, light_of_triangle, environment, points, directional, tree, choice }
+        let choices =
+            (0..PART_POWERS).filter_map(|power| Distribution::new(&in_whole_parts(&weights, 1 << power))).collect();
+        Self { triangles, light_of_triangle, environment, points, directional, tree, choices }
     }
 
     /// Whether nothing emits.
     pub(crate) fn is_dark(&self) -> bool {
-        self.choice.is_none() && self.environment.is_none()
+        self.choices.is_empty() && self.environment.is_none()
     }
 
     /// Whether [`sample`](Self::sample) ever finds anything.
     pub(crate) fn can_be_sampled(&self) -> bool {
-        self.choice.is_some()
+        !self.choices.is_empty()
     }
 
     /// Radiance from infinity, and the density with which [`sample`](Self::sample) finds its direction.
-    pub(crate) fn infinite(&self, direction: Vec3) -> (Vec3, f32) {
+    pub(crate) fn infinite(&self, direction: Vec3, parts: Parts) -> (Vec3, f32) {
         let Some(environment) = &self.environment else { return (Vec3::ZERO, 0.0) };
-        let chance = self.chance(1 + self.directional.len());
+        let chance = self.chance(1 + self.directional.len(), parts);
         let (radiance, pdf) = environment.evaluate(direction);
         (radiance, chance * pdf)
     }
 
+    /// Whether the choice of a point light or spot depends on the receiver's horizon.
+    #[inline]
+    pub(crate) fn has_horizon(&self) -> bool {
+        !self.points.is_empty()
+    }
+
     /// Density per solid angle with which [`sample`](Self::sample) for this receiver finds a point on a triangle, `distance` away and seen
     /// under this cosine.
-    pub(crate) fn triangle_pdf(&self, triangle: u32, receiver: &Receiver, distance: f32, cosine: f32) -> f32 {
+    pub(crate) fn triangle_pdf(
+        &self,
+        triangle: u32,
+        receiver: &Receiver,
+        distance: f32,
+        cosine: f32,
+        parts: Parts,
+    ) -> f32 {
         match (self.light_of_triangle.get(triangle as usize), &self.tree) {
             (None | Some(&NONE), _) | (_, None) => 0.0,
             (Some(&light), Some(tree)) => {
                 let area = self.triangles[light as usize].area;
-                let chance = self.chance(LOCAL) * tree.chance(light as usize, receiver);
+                let local = self.chance(LOCAL, parts);
+                let chance = local * tree.chance(light as usize, receiver, parts_of(local, parts));
                 chance * distance * distance / (area * cosine.abs()).max(f32::MIN_POSITIVE)
             }
         }
     }
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also chooses the light and is stretched over
-    /// the light's share, which leaves each light a stratified set of its own; `u_fine` adds the digits that this costs it.
+    /// the light's share, which leaves each light a stratified set of its own; `u_fine` adds the digits that this costs it. Of the first numbers of a
+    /// pixel one lies in each of so many `parts` of [0, 1).
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
@@ -157,8 +176,9 @@ impl Lights {
         receiver: &Receiver,
         u: [f32; 2],
         u_fine: f32,
+        parts: Parts,
     ) -> Option<LightSample> {
-        let choice = self.choice.as_ref()?;
+        let choice = self.choice(parts)?;
         // mostly there is nothing to choose
         let only_local = choice.probability(LOCAL) == 1.0;
         let (index, inside) = if only_local { (LOCAL, u[0]) } else { choice.sample(u[0]) };
@@ -166,7 +186,8 @@ impl Lights {
         let inside = f64::from(inside) + f64::from(u_fine * DIGIT / chance);
         let single = |inside: f64| (inside as f32).min(1.0 - f32::EPSILON);
         if index == LOCAL {
-            let (light, tree_chance, inside) = self.tree.as_ref()?.sample(receiver, inside.min(1.0 - f64::EPSILON))?;
+            let inside = inside.min(1.0 - f64::EPSILON);
+            let (light, tree_chance, inside) = self.tree.as_ref()?.sample(receiver, inside, parts_of(chance, parts))?;
             let chance = chance * tree_chance;
             return match self.triangles.get(light) {
                 Some(triangle) => {
@@ -187,8 +208,13 @@ impl Lights {
         Some(LightSample { direction, end: None, weight: radiance / pdf, pdf })
     }
 
-    fn chance(&self, index: usize) -> f32 {
-        self.choice.as_ref().map_or(0.0, |choice| choice.probability(index))
+    fn chance(&self, index: usize, parts: Parts) -> f32 {
+        self.choice(parts).map_or(0.0, |choice| choice.probability(index))
+    }
+
+    #[inline]
+    fn choice(&self, parts: Parts) -> Option<&Distribution> {
+        self.choices.get(parts.max(1).ilog2().min(PART_POWERS - 1) as usize)
     }
 }
 
@@ -346,6 +372,31 @@ fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     kinds.iter().zip(sums).flat_map(|(powers, sum)| powers.iter().map(move |&power| weight(power, sum))).collect()
 }
 
+/// Parts of [0, 1) in a stretch of it.
+#[inline]
+fn parts_of(chance: f32, parts: Parts) -> Parts {
+    (chance * parts as f32).round() as Parts
+}
+
+/// Weights as chances that are whole numbers of parts, but for those of less than half a part, which the greatest makes room for. Without effect where
+/// too little is left of it.
+fn in_whole_parts(weights: &[f64], parts: Parts) -> Vec<f64> {
+    let (sum, parts) = (weights.iter().sum::<f64>(), f64::from(parts));
+    if !(sum > 0.0 && sum.is_finite()) {
+        return weights.to_vec();
+    }
+    let mut chances: Vec<f64> = weights.iter().map(|weight| weight / sum).collect();
+    let Some(greatest) = (0..weights.len()).max_by(|&a, &b| weights[a].total_cmp(&weights[b])) else { return chances };
+    let rounded = |chance: f64| if chance * parts < 0.5 { chance } else { (chance * parts).round() / parts };
+    let others: f64 = (0..weights.len()).filter(|&index| index != greatest).map(|index| rounded(chances[index])).sum();
+    if 1.0 - others < 0.5 * chances[greatest] {
+        return chances;
+    }
+    chances = chances.into_iter().map(rounded).collect();
+    chances[greatest] = 1.0 - others;
+    chances
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -403,6 +454,7 @@ mod tests {
         let at = |x, y, z, normal| Receiver {
             position: geometry.space.point(Vec3::new(x, y, z).as_dvec3()).as_vec3(),
             normal,
+            tilt: Receiver::UPRIGHT,
         };
         let receivers = [
             at(0.0, 0.0, 0.0, Some(Vec3::Y)),
@@ -411,7 +463,7 @@ mod tests {
             at(0.5, 0.5, 2.0, Some(Vec3::Z)),
         ];
         let cells = PARTS * PARTS * PARTS;
-        for (seed, receiver) in receivers.iter().enumerate() {
+        for (seed, (receiver, parts)) in receivers.iter().zip([0, 4, 16, 64]).enumerate() {
             let draws = 60_000;
             let mut expected = vec![0.0f64; geometry.triangle_count() * cells + 1];
             for triangle in 0..geometry.triangle_count() {
@@ -421,7 +473,7 @@ mod tests {
                 // any point will do: the density per area is the same all over a light
                 let to_light = (a + b + c) / 3.0 - receiver.position;
                 let (distance, cosine) = (to_light.length(), -to_light.normalize().dot(normal));
-                let per_area = lights.triangle_pdf(triangle as u32, receiver, distance, cosine) * cosine.abs()
+                let per_area = lights.triangle_pdf(triangle as u32, receiver, distance, cosine, parts) * cosine.abs()
                     / (distance * distance);
                 // a side that does not shine is chosen in vain
                 let shines = cosine > 0.0 || geometry.material(triangle as u32).double_sided;
@@ -441,7 +493,8 @@ mod tests {
             let mut stream = Stream::new(70 + seed as u64);
             for _ in 0..draws {
                 let [u0, u1, fine] = [stream.next_f32(), stream.next_f32(), stream.next_f32()];
-                let cell = lights.sample(&geometry, &materials, receiver, [u0, u1], fine).and_then(|sample| {
+                let cell = lights.sample(&geometry, &materials, receiver, [u0, u1], fine, parts);
+                let cell = cell.and_then(|sample| {
                     (0..geometry.triangle_count()).find_map(|triangle| {
                         let [a, b, c] = geometry.corners(triangle as u32);
                         let normal = (b - a).cross(c - a);
@@ -476,6 +529,22 @@ mod tests {
         assert!((weights[0] + weights[1] - (0.7 * 0.004 + 0.15)).abs() < 1e-12);
         assert!((weights[1] / weights[0] - 3.0).abs() < 1e-12);
         assert_eq!(share(&[vec![0.0], vec![], vec![]]), [0.0]);
+    }
+
+    #[test]
+    fn chances_become_whole_parts() {
+        let close = |chances: Vec<f64>, expected: &[f64]| {
+            assert!(chances.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{chances:?} {expected:?}");
+        };
+        close(in_whole_parts(&[3.3, 6.7], 16), &[5.0 / 16.0, 11.0 / 16.0]);
+        // nothing is lost, nothing appears
+        close(in_whole_parts(&[0.0, 1e-6, 1.0], 64), &[0.0, 1e-6 / (1.0 + 1e-6), 1.0 / (1.0 + 1e-6)]);
+        // 0.5 is rounded up, twice would leave nothing
+        close(in_whole_parts(&[1.0, 1.0, 2.0], 2), &[0.25, 0.25, 0.5]);
+        close(in_whole_parts(&[5.0], 8), &[1.0]);
+        assert!(Distribution::new(&in_whole_parts(&[], 4)).is_none());
+        assert!(Distribution::new(&in_whole_parts(&[0.0, 0.0], 4)).is_none());
+        assert!(Distribution::new(&in_whole_parts(&[0.0], 4)).is_none());
     }
 
     #[test]

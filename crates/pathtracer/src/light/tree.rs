@@ -8,7 +8,11 @@
 //! ```
 //!
 //! θ_b is the half angle of the box seen from the point, θ_w that from the cone's axis to the point, θ_o the cone's, θ_i that from the
-//! receiver's normal; d is at least the box's radius. A bound of 0 means that nothing can arrive, so the estimate stays unbiased.
+//! receiver's normal, less its tilt; d is at least the box's radius. A bound of 0 means that nothing can arrive, so the estimate stays unbiased.
+//!
+//! Of the numbers that a pixel chooses with, one lies in each of n equal parts of [0, 1) ([`Parts`]). Chances are rounded to whole parts where a child
+//! keeps at least one: every sample count is then what its chance says, and a few point lights leave no noise. Rounded chances are chances too: the
+//! estimate stays unbiased.
 
 use std::f32::consts::PI;
 
@@ -23,6 +27,14 @@ pub(crate) struct Receiver {
     pub(crate) position: Vec3,
     /// Unit normal of a surface that passes nothing; light comes from its side only. `None` for surfaces that pass light.
     pub(crate) normal: Option<Vec3>,
+    /// Cosine and sine of the angle by which light may come from below its horizon all the same, as it does to surfaces that are smoother than their
+    /// triangles.
+    pub(crate) tilt: [f32; 2],
+}
+
+impl Receiver {
+    /// [`tilt`](Self::tilt) of surfaces that are their triangles.
+    pub(crate) const UPRIGHT: [f32; 2] = [1.0, 0.0];
 }
 
 /// What the tree knows about a light or a set of them.
@@ -39,6 +51,17 @@ pub(crate) struct Emitter {
     pub(crate) falloff_angle: f32,
     /// Whether the opposite of the axis counts too.
     pub(crate) two_sided: bool,
+}
+
+/// How many equal parts of [0, 1) hold a number each of those that choose; 0 where nothing is known about them.
+pub(crate) type Parts = u32;
+
+/// The nearest chance that is a whole number of parts, unless that is none or all of them, and the parts on either side.
+#[inline]
+pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
+    let first = (chance * parts as f32).round() as Parts;
+    let chance = if first == 0 || first >= parts { chance } else { first as f32 / parts as f32 };
+    (chance, [first.min(parts), parts.saturating_sub(first)])
 }
 
 /// The tree; leaves are single lights.
@@ -74,40 +97,42 @@ impl LightTree {
         Some(tree)
     }
 
-    /// A light for `u` in [0, 1), its chance, and `u` stretched over its share. `None` where nothing can arrive.
-    pub(crate) fn sample(&self, receiver: &Receiver, mut u: f64) -> Option<(usize, f32, f64)> {
+    /// A light for `u` in [0, 1), one of so many parts, its chance, and `u` stretched over its share. `None` where nothing can arrive.
+    pub(crate) fn sample(&self, receiver: &Receiver, mut u: f64, mut parts: Parts) -> Option<(usize, f32, f64)> {
         let (mut index, mut chance) = (0, 1.0);
         loop {
             let node = &self.nodes[index];
             if node.is_leaf {
                 return Some((node.next as usize, chance, u));
             }
-            let first = f64::from(self.first_share(index, receiver)?);
-            if u < first {
-                u /= first;
-                chance *= first as f32;
-                index += 1;
+            let (first, sides) = whole_parts(self.first_share(index, receiver)?, parts);
+            let edge = f64::from(first);
+            if u < edge {
+                u /= edge;
+                chance *= first;
+                (index, parts) = (index + 1, sides[0]);
             } else {
-                u = (u - first) / (1.0 - first);
-                chance *= (1.0 - first) as f32;
-                index = node.next as usize;
+                u = (u - edge) / (1.0 - edge);
+                chance *= 1.0 - first;
+                (index, parts) = (node.next as usize, sides[1]);
             }
             u = u.min(1.0 - f64::EPSILON);
         }
     }
 
     /// Chance with which [`sample`](Self::sample) chooses a light.
-    pub(crate) fn chance(&self, light: usize, receiver: &Receiver) -> f32 {
+    pub(crate) fn chance(&self, light: usize, receiver: &Receiver, mut parts: Parts) -> f32 {
         let (mut index, mut chance) = (0, 1.0);
         let mut trail = self.trails[light];
         while !self.nodes[index].is_leaf {
             let Some(first) = self.first_share(index, receiver) else { return 0.0 };
+            let (first, sides) = whole_parts(first, parts);
             if trail & 1 == 0 {
                 chance *= first;
-                index += 1;
+                (index, parts) = (index + 1, sides[0]);
             } else {
                 chance *= 1.0 - first;
-                index = self.nodes[index].next as usize;
+                (index, parts) = (self.nodes[index].next as usize, sides[1]);
             }
             trail >>= 1;
         }
@@ -182,7 +207,8 @@ impl Node {
         }
         let cos_receiver = receiver.normal.map_or(1.0, |normal| {
             let cosine = -normal.dot(direction);
-            subtract(cosine, (1.0 - cosine * cosine).max(0.0).sqrt(), cos_box, sin_box).0.max(0.0)
+            let (cosine, sine) = subtract(cosine, (1.0 - cosine * cosine).max(0.0).sqrt(), cos_box, sin_box);
+            subtract(cosine, sine, receiver.tilt[0], receiver.tilt[1]).0.max(0.0)
         });
         // falloff angles beyond a right angle do not occur, so cos_light is positive here
         most * cos_light * cos_receiver
@@ -328,7 +354,8 @@ mod tests {
     }
 
     fn receivers() -> Vec<Receiver> {
-        let at = |x: f32, y: f32, z: f32, normal| Receiver { position: Vec3::new(x, y, z), normal };
+        let at =
+            |x: f32, y: f32, z: f32, normal| Receiver { position: Vec3::new(x, y, z), normal, tilt: Receiver::UPRIGHT };
         vec![
             at(1.0, 0.0, 1.0, Some(Vec3::Y)),
             at(5.0, 3.0, 5.0, Some(Vec3::X)),
@@ -356,11 +383,12 @@ mod tests {
 
     #[test]
     fn chosen_lights_follow_their_chance() {
-        for count in [1, 2, 3, 300] {
+        for (count, parts) in [(1, 16), (2, 0), (2, 4), (3, 16), (300, 0), (300, 64)] {
             let lights = lights(count, count as u64);
             let tree = LightTree::new(&lights).unwrap();
             for (seed, receiver) in receivers().iter().enumerate() {
-                let chances: Vec<f64> = (0..count).map(|light| f64::from(tree.chance(light, receiver))).collect();
+                let chances: Vec<f64> =
+                    (0..count).map(|light| f64::from(tree.chance(light, receiver, parts))).collect();
                 let sum: f64 = chances.iter().sum();
                 assert!(sum < 1.0 + 1e-4, "{sum}");
                 let draws = 40_000;
@@ -368,7 +396,7 @@ mod tests {
                 let mut counts = vec![0u64; count + 1];
                 for _ in 0..draws {
                     let u = f64::from(stream.next_f32()) + f64::from(stream.next_f32()) * 2f64.powi(-24);
-                    match tree.sample(receiver, u.min(1.0 - f64::EPSILON)) {
+                    match tree.sample(receiver, u.min(1.0 - f64::EPSILON), parts) {
                         Some((light, chance, inside)) => {
                             assert!((f64::from(chance) - chances[light]).abs() < 1e-4 * chances[light].max(1e-3));
                             assert!((0.0..1.0).contains(&inside));
@@ -397,7 +425,7 @@ mod tests {
             for receiver in receivers() {
                 for (index, light) in lights.iter().enumerate() {
                     let arrives = irradiance(light, &receiver) > 1e-6;
-                    assert!(!arrives || tree.chance(index, &receiver) > 0.0, "light {index} of {seed}");
+                    assert!(!arrives || tree.chance(index, &receiver, 16) > 0.0, "light {index} of {seed}");
                 }
             }
         }
@@ -433,7 +461,7 @@ mod tests {
                     }
                     square / (mean * mean) - 1.0
                 };
-                let by_tree = moments(&|index| tree.chance(index, &receiver));
+                let by_tree = moments(&|index| tree.chance(index, &receiver, 0));
                 let by_power = moments(&|index| power(&lights[index]) / total);
                 println!("variance by tree {by_tree:.3}, by power {by_power:.3}");
                 ratios.push(by_power / by_tree);
@@ -444,20 +472,50 @@ mod tests {
         assert!(geometric > 2.0, "{geometric}");
     }
 
+    /// Of n stratified numbers each light gets n times its chance, whole: exact, where the chances themselves would give one more or less.
+    #[test]
+    fn a_few_lights_get_whole_parts() {
+        for parts in [16u32, 64] {
+            for seed in 0..20 {
+                let lights = lights(4, 40 + seed);
+                let tree = LightTree::new(&lights).unwrap();
+                for receiver in receivers() {
+                    let mut stream = Stream::new(seed);
+                    let mut counts = [0u32; 4];
+                    for part in 0..parts {
+                        let u = (f64::from(part) + f64::from(stream.next_f32())) / f64::from(parts);
+                        if let Some((light, _, _)) = tree.sample(&receiver, u, parts) {
+                            counts[light] += 1;
+                        }
+                    }
+                    for (light, &count) in counts.iter().enumerate() {
+                        let expected = tree.chance(light, &receiver, parts) * parts as f32;
+                        let exact = tree.chance(light, &receiver, 0) * parts as f32;
+                        // a light too weak for a part takes it from another by chance
+                        let least = (0..4).map(|other| tree.chance(other, &receiver, parts) * parts as f32);
+                        let whole = least.into_iter().all(|share| (share - share.round()).abs() < 1e-3);
+                        assert!(!whole || (expected - count as f32).abs() < 1e-3, "{count} of {expected}");
+                        assert!((expected - exact).abs() < 2.0, "{expected} for {exact}");
+                    }
+                }
+            }
+        }
+    }
+
     #[test]
     fn coincident_lights_make_a_tree() {
         let same = vec![lights(1, 3)[0]; 1000];
         let tree = LightTree::new(&same).unwrap();
         let receiver = receivers()[0];
         for light in [0, 500, 999] {
-            assert!((tree.chance(light, &receiver) * 1000.0 - 1.0).abs() < 0.05);
+            assert!((tree.chance(light, &receiver, 0) * 1000.0 - 1.0).abs() < 0.05);
         }
         assert!(LightTree::new(&[]).is_none());
         // geometric spacing is the deepest that buckets make
         let mut line: Vec<Emitter> = (0..100).map(|k| lights(1, 4)[0].moved(Vec3::X * 0.5f32.powi(k))).collect();
         line.reverse();
         let tree = LightTree::new(&line).unwrap();
-        let sum: f32 = (0..100).map(|light| tree.chance(light, &Receiver { normal: None, ..receiver })).sum();
+        let sum: f32 = (0..100).map(|light| tree.chance(light, &Receiver { normal: None, ..receiver }, 64)).sum();
         assert!((sum - 1.0).abs() < 1e-3, "{sum}");
     }
 
