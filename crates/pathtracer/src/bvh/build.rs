@@ -12,6 +12,7 @@ use obvhs::triangle::Triangle;
 
 use super::lanes::{InstructionSet, WIDTH};
 use super::pages::in_large_pages;
+use super::plan::Plan;
 use super::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed};
 
 /// obvhs' figures for a slow, good build: nodes tried per reinsertion round, depth of the narrow search.
@@ -151,106 +152,6 @@ fn split_large(boxes: &mut Vec<Aabb>, primitives: &mut Vec<u32>, triangles: &[[V
 fn extent(bounds: &Aabb) -> f32 {
     let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
     if largest.is_finite() { largest } else { 0.0 }
-}
-
-/// How the subtrees of a binary tree become nodes and blocks at the least expected cost of a ray (Ylitie, Karras, Laine 2017, "Efficient
-/// incoherent ray traversal on GPUs through compressed wide BVHs", section 3), where a node and a block cost the same: their area.
-///
-/// ```text
-/// cost of a subtree as one child    C(n, 1) = area(n) · min(1 if it fits into a block, 1 + C(n, 8 among its children))
-/// as up to j children               C(n, j) = min over k of C(first, k) + C(second, j − k), or C(n, j − 1)
-/// ```
-struct Plan(Vec<[u8; WIDTH]>);
-
-/// The subtree is a block or an instance.
-const END: u8 = u8::MAX;
-/// The subtree is as good as fewer children.
-const FEWER: u8 = 0;
-
-impl Plan {
-    /// `primitives`: triangle of every slot of the binary tree; from `triangles` on they are instances.
-    fn new(binary: &Bvh2, primitives: &[u32], triangles: usize) -> Self {
-        // per subtree and number of children, less one: how many of them go to the first child. At 0: the same for a node's eight
-        let mut plan = vec![[END; WIDTH]; binary.nodes.len()];
-        let mut order = Vec::with_capacity(binary.nodes.len());
-        let mut open = if binary.nodes.is_empty() { Vec::new() } else { vec![0u32] };
-        while let Some(index) = open.pop() {
-            order.push(index);
-            let node = &binary.nodes[index as usize];
-            if !node.is_leaf() {
-                open.extend([node.first_index, node.first_index + 1]);
-            }
-        }
-        // (number of triangles, costs) of finished subtrees whose parents are not finished: the second child's lies on the first's
-        let mut finished: Vec<(u32, [f32; WIDTH])> = Vec::new();
-        for &index in order.iter().rev() {
-            let node = &binary.nodes[index as usize];
-            let area = node.aabb().half_area();
-            if node.is_leaf() {
-                let slot = binary.primitive_indices[node.first_index as usize];
-                let is_instance = primitives[slot as usize] as usize >= triangles;
-                finished.push((if is_instance { WIDTH as u32 + 1 } else { node.prim_count }, [area; WIDTH]));
-                continue;
-            }
-            let (Some((second_weight, second)), Some((first_weight, first))) = (finished.pop(), finished.pop()) else {
-                unreachable!("children come before their parents")
-            };
-            let weight = first_weight.saturating_add(second_weight);
-            let mut costs = [f32::INFINITY; WIDTH];
-            let shares = &mut plan[index as usize];
-            for count in 2..=WIDTH {
-                for share in 1..count {
-                    let cost = first[share - 1] + second[count - share - 1];
-                    // the first in any case: areas may be too large for numbers
-                    if share == 1 || cost < costs[count - 1] {
-                        (costs[count - 1], shares[count - 1]) = (cost, share as u8);
-                    }
-                }
-            }
-            let as_node = area + costs[WIDTH - 1];
-            if weight as usize <= WIDTH && area <= as_node {
-                (costs[0], shares[0]) = (area, END);
-            } else {
-                (costs[0], shares[0]) = (as_node, shares[WIDTH - 1]);
-            }
-            for count in 1..WIDTH {
-                if costs[count - 1] <= costs[count] {
-                    (costs[count], shares[count]) = (costs[count - 1], FEWER);
-                }
-            }
-            finished.push((weight, costs));
-        }
-        Self(plan)
-    }
-
-    /// Whether a subtree becomes a block or an instance.
-    fn is_end(&self, index: u32) -> bool {
-        self.0[index as usize][0] == END
-    }
-
-    /// Children of the node that a subtree becomes.
-    fn children(&self, binary: &Bvh2, index: u32) -> Vec<u32> {
-        let mut children = Vec::with_capacity(WIDTH);
-        let (first, share) = (binary.nodes[index as usize].first_index, usize::from(self.0[index as usize][0]));
-        self.gather(binary, first, share, &mut children);
-        self.gather(binary, first + 1, WIDTH - share, &mut children);
-        children
-    }
-
-    /// The up to `count` children, at most eight, that a subtree becomes.
-    fn gather(&self, binary: &Bvh2, index: u32, mut count: usize, children: &mut Vec<u32>) {
-        let (node, shares) = (&binary.nodes[index as usize], &self.0[index as usize]);
-        while count > 1 && shares[count - 1] == FEWER {
-            count -= 1;
-        }
-        if count == 1 || node.is_leaf() {
-            children.push(index);
-            return;
-        }
-        let share = usize::from(shares[count - 1]);
-        self.gather(binary, node.first_index, share, children);
-        self.gather(binary, node.first_index + 1, count - share, children);
-    }
 }
 
 struct Collapse<'a> {

@@ -15,6 +15,7 @@ mod beam;
 mod build;
 mod lanes;
 mod pages;
+mod plan;
 mod traverse;
 
 #[cfg(test)]
