@@ -12,10 +12,14 @@ use obvhs::triangle::Triangle;
 
 use super::lanes::{InstructionSet, WIDTH};
 use super::pages::in_large_pages;
+use super::plan::Plan;
 use super::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed};
 
-/// obvhs' figures for a slow, good build: nodes tried per reinsertion round, depth of the narrow search.
+/// Share of the nodes tried per reinsertion round: obvhs' figure for a slow, good build, and more where it takes no time: all of still-life's
+/// (0.04 s) give 3 to 4 % more rays, all of FlightHelmet's (0.4 s) or half of 15 copies' (4 s more) 1 to 2 %.
 const REINSERTION_RATIO: f32 = 0.2;
+const REINSERTED_AT_LEAST: f32 = 20_000.0;
+/// obvhs' depth of the narrow search.
 const SEARCH_DEPTH: usize = 2;
 /// Bounds of instances are widened by this share of their largest coordinate, for the rounding of their corners and of rays that
 /// are moved into their space.
@@ -106,10 +110,11 @@ impl Bvh {
             SortPrecision::U128,
             SEARCH_DEPTH,
         );
+        let ratio = (REINSERTED_AT_LEAST / boxes.len() as f32).clamp(REINSERTION_RATIO, 1.0);
         drop(boxes);
-        ReinsertionOptimizer::default().run(&mut binary, REINSERTION_RATIO, None);
+        ReinsertionOptimizer::default().run(&mut binary, ratio, None);
         let mut collapse = Collapse {
-            weights: subtree_weights(&binary, &primitives, triangles.len()),
+            plan: Plan::new(&binary, &primitives, triangles.len()),
             binary: &binary,
             primitives: &primitives,
             triangles,
@@ -153,33 +158,9 @@ fn extent(bounds: &Aabb) -> f32 {
     if largest.is_finite() { largest } else { 0.0 }
 }
 
-/// Number of triangles below every node of a binary tree; an instance counts as more than a block holds.
-fn subtree_weights(binary: &Bvh2, primitives: &[u32], triangles: usize) -> Vec<u32> {
-    let mut weights = vec![0; binary.nodes.len()];
-    let mut order = Vec::with_capacity(binary.nodes.len());
-    let mut open = if binary.nodes.is_empty() { Vec::new() } else { vec![0u32] };
-    while let Some(index) = open.pop() {
-        order.push(index);
-        let node = &binary.nodes[index as usize];
-        if !node.is_leaf() {
-            open.extend([node.first_index, node.first_index + 1]);
-        }
-    }
-    for &index in order.iter().rev() {
-        let node = &binary.nodes[index as usize];
-        weights[index as usize] = if node.is_leaf() {
-            let slot = binary.primitive_indices[node.first_index as usize];
-            if primitives[slot as usize] as usize >= triangles { WIDTH as u32 + 1 } else { node.prim_count }
-        } else {
-            weights[node.first_index as usize].saturating_add(weights[node.first_index as usize + 1])
-        };
-    }
-    weights
-}
-
 struct Collapse<'a> {
     binary: &'a Bvh2,
-    weights: Vec<u32>,
+    plan: Plan,
     /// Triangle of every slot of the binary tree, or the number of triangles plus an instance.
     primitives: &'a [u32],
     triangles: &'a [[Vec3; 3]],
@@ -197,7 +178,7 @@ impl Collapse<'_> {
         if self.binary.nodes.is_empty() {
             return (EMPTY, 1);
         }
-        if self.is_end(0) {
+        if self.plan.is_end(0) {
             return (self.end(0), 1);
         }
         let mut stack_depth = 1;
@@ -205,11 +186,11 @@ impl Collapse<'_> {
         // (binary node, own node to fill, postponed siblings on the way to it)
         let mut open = vec![(0u32, root, 0usize)];
         while let Some((binary_index, node, postponed)) = open.pop() {
-            let children = self.children(binary_index);
+            let children = self.plan.children(self.binary, binary_index);
             let postponed = postponed + children.len() - 1;
             stack_depth = stack_depth.max(postponed + 1);
             for (lane, &child) in children.iter().enumerate() {
-                let reference = if self.is_end(child) {
+                let reference = if self.plan.is_end(child) {
                     self.end(child)
                 } else {
                     let index = self.add_node();
@@ -226,28 +207,6 @@ impl Collapse<'_> {
             }
         }
         (root, stack_depth)
-    }
-
-    /// Whether a subtree becomes a block or an instance.
-    fn is_end(&self, binary_index: u32) -> bool {
-        self.weights[binary_index as usize] as usize <= WIDTH || self.binary.nodes[binary_index as usize].is_leaf()
-    }
-
-    /// Opens the child of the largest area until there are eight, or only ends are left.
-    fn children(&self, binary_index: u32) -> Vec<u32> {
-        let first = self.binary.nodes[binary_index as usize].first_index;
-        let mut children = vec![first, first + 1];
-        while children.len() < WIDTH {
-            let area = |&child: &u32| self.binary.nodes[child as usize].aabb().half_area();
-            let largest = (0..children.len())
-                .filter(|&i| !self.is_end(children[i]))
-                .max_by(|&a, &b| area(&children[a]).total_cmp(&area(&children[b])));
-            let Some(largest) = largest else { break };
-            let first = self.binary.nodes[children[largest] as usize].first_index;
-            children[largest] = first;
-            children.push(first + 1);
-        }
-        children
     }
 
     fn add_node(&mut self) -> u32 {

@@ -1,8 +1,8 @@
 //! Bounding volume hierarchy: an eight-wide tree with eight triangles per leaf block, and instances that share a tree.
 //!
 //! obvhs builds a binary tree by parallel locally-ordered clustering (Meister, Bittner 2018) and improves it by reinsertion (Meister,
-//! Bittner 2018). That tree is collapsed greedily by surface area to eight children, and any subtree of at most eight triangles
-//! becomes one block in structure-of-arrays form, so that both the slab test and the triangle test work on a whole vector.
+//! Bittner 2018). That tree is collapsed to eight children, and subtrees of at most eight triangles to blocks in structure-of-arrays form,
+//! so that both the slab test and the triangle test work on a whole vector; which subtrees is chosen by the surface area heuristic.
 //!
 //! ```text
 //! top tree, render space ─▶ nodes ─▶ blocks            triangles of meshes that are placed once
@@ -15,6 +15,7 @@ mod beam;
 mod build;
 mod lanes;
 mod pages;
+mod plan;
 mod traverse;
 
 #[cfg(test)]

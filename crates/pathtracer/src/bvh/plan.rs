@@ -1,0 +1,209 @@
+//! Which subtrees of a binary tree become nodes and blocks: those of the least expected cost of a ray (Ylitie, Karras, Laine 2017, "Efficient
+//! incoherent ray traversal on GPUs through compressed wide BVHs", section 3), where a node and a block cost the same: their area.
+//!
+//! ```text
+//! cost of a subtree as one child    C(n, 1) = area(n) if n fits into a block, else or if less area(n) + min over k of C(first, k) + C(second, 8 − k)
+//! as up to j children               C(n, j) = min over k of C(first, k) + C(second, j − k), or C(n, j − 1)
+//! ```
+
+use obvhs::bvh2::Bvh2;
+
+use super::lanes::WIDTH;
+
+/// Per subtree and number of children, less one: how many of them go to the first child of the binary tree. At 0: the same for the eight
+/// children of a node, or [`END`].
+pub(super) struct Plan(Vec<[u8; WIDTH]>);
+
+/// The subtree is a block or an instance.
+const END: u8 = u8::MAX;
+/// The subtree is as good as fewer children.
+const FEWER: u8 = 0;
+
+impl Plan {
+    /// `primitives`: triangle of every slot of the binary tree; from `triangles` on they are instances.
+    pub(super) fn new(binary: &Bvh2, primitives: &[u32], triangles: usize) -> Self {
+        let mut plan = vec![[END; WIDTH]; binary.nodes.len()];
+        let mut order = Vec::with_capacity(binary.nodes.len());
+        let mut open = if binary.nodes.is_empty() { Vec::new() } else { vec![0u32] };
+        while let Some(index) = open.pop() {
+            order.push(index);
+            let node = &binary.nodes[index as usize];
+            if !node.is_leaf() {
+                open.extend([node.first_index, node.first_index + 1]);
+            }
+        }
+        // (number of triangles, costs) of finished subtrees whose parents are not finished: the second child's lies on the first's
+        let mut finished: Vec<(u32, [f32; WIDTH])> = Vec::new();
+        for &index in order.iter().rev() {
+            let node = &binary.nodes[index as usize];
+            let area = node.aabb().half_area();
+            if node.is_leaf() {
+                let slot = binary.primitive_indices[node.first_index as usize];
+                let is_instance = primitives[slot as usize] as usize >= triangles;
+                finished.push((if is_instance { WIDTH as u32 + 1 } else { node.prim_count }, [area; WIDTH]));
+                continue;
+            }
+            let (Some((second_weight, second)), Some((first_weight, first))) = (finished.pop(), finished.pop()) else {
+                unreachable!("children come before their parents")
+            };
+            let weight = first_weight.saturating_add(second_weight);
+            let mut costs = [f32::INFINITY; WIDTH];
+            let shares = &mut plan[index as usize];
+            for count in 2..=WIDTH {
+                for share in 1..count {
+                    let cost = first[share - 1] + second[count - share - 1];
+                    // the first in any case: areas may be too large for numbers
+                    if share == 1 || cost < costs[count - 1] {
+                        (costs[count - 1], shares[count - 1]) = (cost, share as u8);
+                    }
+                }
+            }
+            let as_node = area + costs[WIDTH - 1];
+            if weight as usize <= WIDTH && area <= as_node {
+                (costs[0], shares[0]) = (area, END);
+            } else {
+                (costs[0], shares[0]) = (as_node, shares[WIDTH - 1]);
+            }
+            for count in 1..WIDTH {
+                if costs[count - 1] <= costs[count] {
+                    (costs[count], shares[count]) = (costs[count - 1], FEWER);
+                }
+            }
+            finished.push((weight, costs));
+        }
+        Self(plan)
+    }
+
+    /// Whether a subtree becomes a block or an instance.
+    pub(super) fn is_end(&self, index: u32) -> bool {
+        self.0[index as usize][0] == END
+    }
+
+    /// Children of the node that a subtree becomes.
+    pub(super) fn children(&self, binary: &Bvh2, index: u32) -> Vec<u32> {
+        let mut children = Vec::with_capacity(WIDTH);
+        let (first, share) = (binary.nodes[index as usize].first_index, usize::from(self.0[index as usize][0]));
+        self.gather(binary, first, share, &mut children);
+        self.gather(binary, first + 1, WIDTH - share, &mut children);
+        children
+    }
+
+    /// The up to `count` children, at most eight, that a subtree becomes.
+    fn gather(&self, binary: &Bvh2, index: u32, mut count: usize, children: &mut Vec<u32>) {
+        let (node, shares) = (&binary.nodes[index as usize], &self.0[index as usize]);
+        while count > 1 && shares[count - 1] == FEWER {
+            count -= 1;
+        }
+        if count == 1 || node.is_leaf() {
+            children.push(index);
+            return;
+        }
+        let share = usize::from(shares[count - 1]);
+        self.gather(binary, node.first_index, share, children);
+        self.gather(binary, node.first_index + 1, count - share, children);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3A;
+    use lumistack_core::seed::Stream;
+    use obvhs::aabb::Aabb;
+    use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
+
+    use super::*;
+
+    fn area(binary: &Bvh2, index: u32) -> f64 {
+        binary.nodes[index as usize].aabb().half_area().into()
+    }
+
+    fn first(binary: &Bvh2, index: u32) -> Option<u32> {
+        let node = &binary.nodes[index as usize];
+        (!node.is_leaf()).then_some(node.first_index)
+    }
+
+    /// Number of triangles; None with an instance among them.
+    fn weight(binary: &Bvh2, index: u32, triangles: usize) -> Option<usize> {
+        match first(binary, index) {
+            Some(first) => Some(weight(binary, first, triangles)? + weight(binary, first + 1, triangles)?),
+            None => {
+                let slot = binary.nodes[index as usize].first_index as usize;
+                ((binary.primitive_indices[slot] as usize) < triangles).then_some(1)
+            }
+        }
+    }
+
+    /// All ways to cut a subtree into at most eight.
+    fn cuts(binary: &Bvh2, index: u32) -> Vec<Vec<u32>> {
+        let mut all = vec![vec![index]];
+        if let Some(first) = first(binary, index) {
+            let seconds = cuts(binary, first + 1);
+            for a in cuts(binary, first) {
+                all.extend(seconds.iter().filter(|b| a.len() + b.len() <= WIDTH).map(|b| [a.as_slice(), b].concat()));
+            }
+        }
+        all
+    }
+
+    /// The least cost of a subtree as one child, by trying all cuts.
+    fn least(binary: &Bvh2, index: u32, triangles: usize, known: &mut Vec<Option<f64>>) -> f64 {
+        if let Some(cost) = known[index as usize] {
+            return cost;
+        }
+        let mut cost = f64::INFINITY;
+        if first(binary, index).is_none() || weight(binary, index, triangles).is_some_and(|count| count <= WIDTH) {
+            cost = area(binary, index);
+        }
+        for cut in cuts(binary, index).into_iter().filter(|cut| cut.len() > 1) {
+            let children: f64 = cut.iter().map(|&child| least(binary, child, triangles, known)).sum();
+            cost = cost.min(area(binary, index) + children);
+        }
+        known[index as usize] = Some(cost);
+        cost
+    }
+
+    fn planned(plan: &Plan, binary: &Bvh2, index: u32, triangles: usize) -> f64 {
+        if plan.is_end(index) {
+            assert!(first(binary, index).is_none() || weight(binary, index, triangles).unwrap() <= WIDTH);
+            return area(binary, index);
+        }
+        let children = plan.children(binary, index);
+        assert!((2..=WIDTH).contains(&children.len()));
+        area(binary, index) + children.iter().map(|&child| planned(plan, binary, child, triangles)).sum::<f64>()
+    }
+
+    /// Boxes of very different sizes.
+    fn tree(count: usize, scale: f32, stream: &mut Stream) -> Bvh2 {
+        let mut point = |size: f32| Vec3A::new(stream.next_f32(), stream.next_f32(), stream.next_f32()) * size;
+        let boxes: Vec<Aabb> = (0..count)
+            .map(|i| {
+                let (min, size) = (point(4.0), point(0.1 + (i % 7) as f32 * 0.2));
+                Aabb::new(min * scale, (min + size) * scale)
+            })
+            .collect();
+        let slots = (0..count as u32).collect();
+        PlocBuilder::new().build(PlocSearchDistance::High, &boxes, slots, SortPrecision::U128, 0)
+    }
+
+    #[test]
+    fn no_other_way_costs_less() {
+        let mut stream = Stream::new(3);
+        for (count, instances) in [(2, 0), (8, 0), (9, 0), (9, 9), (12, 2), (17, 0), (20, 3), (24, 0), (24, 1)] {
+            let binary = tree(count, 1.0, &mut stream);
+            let slots: Vec<u32> = (0..count as u32).collect();
+            let triangles = count - instances;
+            let plan = Plan::new(&binary, &slots, triangles);
+            let least = least(&binary, 0, triangles, &mut vec![None; binary.nodes.len()]);
+            let cost = planned(&plan, &binary, 0, triangles);
+            assert!((cost - least).abs() < 1e-5 * least, "{count} boxes: {cost}, least {least}");
+        }
+    }
+
+    #[test]
+    fn areas_too_large_for_numbers_end() {
+        let binary = tree(50, 1e30, &mut Stream::new(5));
+        assert!(area(&binary, 0).is_infinite());
+        let slots: Vec<u32> = (0..50).collect();
+        planned(&Plan::new(&binary, &slots, 50), &binary, 0, 50);
+    }
+}
