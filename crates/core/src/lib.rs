@@ -1,4 +1,4 @@
-//! What every other crate shares: labelled tensors, colour, image metrics, seeds, and the
+//! What every other crate shares: labelled tensors, colour, image metrics, seeds, large pages, and the
 //! [`Task`] handle that carries progress, cancellation and warnings.
 //!
 //! No file system, no clock, no threads: the crate also compiles to wasm32.
@@ -6,6 +6,7 @@
 pub mod colour;
 pub mod config;
 pub mod metrics;
+pub mod pages;
 pub mod seed;
 mod task;
 mod tensor;

@@ -3,6 +3,8 @@
 use std::mem::MaybeUninit;
 use std::ops::{Deref, DerefMut};
 
+use lumistack_core::pages::prefer_large_pages;
+
 use crate::bands;
 
 /// Values per cache line.
@@ -45,6 +47,8 @@ impl Clone for Aligned {
 fn made(count: usize, make: impl Fn(usize, &mut [MaybeUninit<CacheLine>]) + Sync + Send) -> Vec<CacheLine> {
     let mut lines = Vec::with_capacity(count);
     let spare = &mut lines.spare_capacity_mut()[..count];
+    // 7 % less for an update, a third less for preparation
+    prefer_large_pages(spare);
     bands::for_each_chunk(spare, PART, || (), |(), index, part| make(index * PART, part));
     // SAFETY: every part was written, and together they are the first `count` lines
     unsafe { lines.set_len(count) };

@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use lumistack_core::pages::prefer_large_pages;
 use lumistack_display::{FieldGeometry, Weights};
 
 use crate::expand::Rays;
@@ -184,6 +185,7 @@ fn rows_of<T: Copy + Default + Send>(
 ) -> Option<Vec<T>> {
     let lines = radiance.len() / (3 * cols);
     let mut values = vec![T::default(); 3 * lines * stride];
+    prefer_large_pages(&values);
     let (red, rest) = values.split_at_mut(lines * stride);
     let (green, blue) = rest.split_at_mut(lines * stride);
     let channels = red.chunks_exact_mut(stride).zip(green.chunks_exact_mut(stride)).zip(blue.chunks_exact_mut(stride));

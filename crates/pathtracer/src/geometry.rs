@@ -10,9 +10,10 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3, Mat3, Vec2, Vec3, Vec4};
+use lumistack_core::pages::in_large_pages;
 use lumistack_scene::{Bounds, Instance, Material, Mesh, Scene};
 
-use crate::bvh::{Hit, NO_INSTANCE, Placement, in_large_pages};
+use crate::bvh::{Hit, NO_INSTANCE, Placement};
 
 /// Rays leave a surface at this share of the largest coordinate of its triangle: about 16 times the rounding error of a point
 /// interpolated from three vertices.

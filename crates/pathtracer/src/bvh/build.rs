@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use glam::{Vec3, Vec3A};
+use lumistack_core::pages::in_large_pages;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
@@ -11,7 +12,6 @@ use obvhs::splits::split_aabbs_preset;
 use obvhs::triangle::Triangle;
 
 use super::lanes::{InstructionSet, WIDTH};
-use super::pages::in_large_pages;
 use super::plan::Plan;
 use super::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed};
 

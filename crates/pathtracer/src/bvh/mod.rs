@@ -14,7 +14,6 @@
 mod beam;
 mod build;
 mod lanes;
-mod pages;
 mod plan;
 mod traverse;
 
@@ -26,7 +25,6 @@ use std::ops::Range;
 use glam::{Mat3, Vec3};
 
 pub(crate) use beam::BEAM;
-pub(crate) use pages::in_large_pages;
 pub(crate) use traverse::Stack;
 
 use lanes::{InstructionSet, WIDTH};

@@ -1,0 +1,59 @@
+//! Large pages for large arrays: what is read here and there waits for addresses too where pages are small, and new memory comes faster in large ones.
+
+use std::mem::MaybeUninit;
+
+/// Arrays below twice this are left alone, in bytes: the size of a large page on most machines.
+const LARGE_PAGE: usize = 2 << 20;
+
+/// Asks the system for large pages where it can be asked (Linux) and there is room for some. For memory that nobody has touched yet, such as the
+/// spare capacity of a new [`Vec`] or large `vec![0; n]`: that is when pages are made.
+pub fn prefer_large_pages<T>(memory: &[T]) {
+    if size_of_val(memory) >= 2 * LARGE_PAGE {
+        advise(memory.as_ptr() as usize, size_of_val(memory));
+    }
+}
+
+/// The same values in large pages, where the array is large and the system can be asked.
+pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
+    if cfg!(not(target_os = "linux")) || size_of_val(values.as_slice()) < 2 * LARGE_PAGE {
+        return values;
+    }
+    let mut moved = Vec::with_capacity(values.len());
+    prefer_large_pages::<MaybeUninit<T>>(moved.spare_capacity_mut());
+    moved.extend_from_slice(&values);
+    moved
+}
+
+#[cfg(target_os = "linux")]
+fn advise(address: usize, length: usize) {
+    use std::ffi::{c_int, c_void};
+    unsafe extern "C" {
+        fn madvise(address: *mut c_void, length: usize, advice: c_int) -> c_int;
+    }
+    const MADV_HUGEPAGE: c_int = 14;
+    let start = address.next_multiple_of(LARGE_PAGE);
+    let end = (address + length) / LARGE_PAGE * LARGE_PAGE;
+    if start < end {
+        // SAFETY: the range lies within memory that the caller has borrowed, and the advice changes no values. A refusal changes nothing.
+        unsafe { madvise(start as *mut c_void, end - start, MADV_HUGEPAGE) };
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn advise(_address: usize, _length: usize) {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_stay_what_they_are() {
+        for count in [0, 1000, 3_000_000] {
+            let values: Vec<u64> = (0..count).map(|i| i * i).collect();
+            assert_eq!(in_large_pages(values.clone()), values);
+            let zeros = vec![0u64; count as usize];
+            prefer_large_pages(&zeros);
+            assert!(zeros.iter().all(|&zero| zero == 0));
+        }
+    }
+}
