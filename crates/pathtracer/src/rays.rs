@@ -37,7 +37,7 @@ impl Tree {
     pub fn met_by_beam(&self, rays: impl ExactSizeIterator<Item = (Vec3, Vec3)>, scratch: &mut Scratch) -> usize {
         let count = rays.len();
         assert!(count <= BEAM, "{count} rays in a beam of {BEAM}");
-        let mut beam = [Ray { origin: Vec3::ZERO, direction: Vec3::Z, t_max: f32::INFINITY }; BEAM];
+        let mut beam = [Ray::ANY; BEAM];
         for (ray, (origin, direction)) in beam.iter_mut().zip(rays) {
             (ray.origin, ray.direction) = (origin, direction);
         }

@@ -72,6 +72,8 @@ pub(crate) trait Lanes: Copy {
     unsafe fn below(self, other: Self) -> Self::Mask;
     unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     unsafe fn either(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// self where the mask is true, other elsewhere.
+    unsafe fn where_else(self, mask: Self::Mask, other: Self) -> Self;
     /// One bit per lane, lane 0 lowest.
     unsafe fn bits(mask: Self::Mask) -> u32;
 }
@@ -177,6 +179,11 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
+    unsafe fn where_else(self, mask: u32, other: Self) -> Self {
+        Self(std::array::from_fn(|i| if mask >> i & 1 == 0 { other.0[i] } else { self.0[i] }))
+    }
+
+    #[inline(always)]
     unsafe fn bits(mask: u32) -> u32 {
         mask
     }
@@ -276,6 +283,11 @@ pub(crate) mod x86 {
         }
 
         #[inline(always)]
+        unsafe fn where_else(self, mask: __m256, other: Self) -> Self {
+            Self(unsafe { _mm256_blendv_ps(other.0, self.0, mask) })
+        }
+
+        #[inline(always)]
         unsafe fn bits(mask: __m256) -> u32 {
             unsafe { _mm256_movemask_ps(mask) as u32 }
         }
@@ -286,7 +298,7 @@ pub(crate) mod x86 {
 #[cfg(any(target_arch = "aarch64", all(target_arch = "wasm32", target_feature = "simd128")))]
 macro_rules! halves {
     ($name:ident, $vector:ty, $mask:ty, $splat:expr, $load:expr, $store:expr, $add:expr, $sub:expr, $mul:expr, $div:expr, $min:expr,
-     $max:expr, $fma:expr, $fnma:expr, $le:expr, $lt:expr, $and:expr, $or:expr, $bits:expr) => {
+     $max:expr, $fma:expr, $fnma:expr, $le:expr, $lt:expr, $and:expr, $or:expr, $select:expr, $bits:expr) => {
         #[derive(Clone, Copy)]
         pub(crate) struct $name([$vector; 2]);
 
@@ -378,6 +390,11 @@ macro_rules! halves {
             }
 
             #[inline(always)]
+            unsafe fn where_else(self, mask: Self::Mask, other: Self) -> Self {
+                Self(unsafe { [$select(mask[0], self.0[0], other.0[0]), $select(mask[1], self.0[1], other.0[1])] })
+            }
+
+            #[inline(always)]
             unsafe fn bits(mask: Self::Mask) -> u32 {
                 unsafe { $bits(mask[0]) | ($bits(mask[1]) << 4) }
             }
@@ -419,6 +436,7 @@ pub(crate) mod neon {
         vcltq_f32,
         vandq_u32,
         vorrq_u32,
+        vbslq_f32,
         bits
     );
 }
@@ -450,6 +468,7 @@ pub(crate) mod wasm {
         f32x4_lt,
         v128_and,
         v128_or,
+        |mask, a, b| v128_bitselect(a, b, mask),
         |mask| u32::from(u32x4_bitmask(mask))
     );
 }

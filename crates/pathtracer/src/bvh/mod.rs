@@ -58,6 +58,11 @@ pub(crate) struct Ray {
     pub(crate) t_max: f32,
 }
 
+impl Ray {
+    /// Up from the origin, to be written over.
+    pub(crate) const ANY: Self = Self { origin: Vec3::ZERO, direction: Vec3::Z, t_max: f32::INFINITY };
+}
+
 /// Where a ray meets a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Hit {
