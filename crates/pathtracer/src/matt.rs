@@ -5,7 +5,7 @@ use std::f32::consts::FRAC_1_PI;
 use glam::Vec3;
 use lumistack_scene::Material;
 
-use crate::bsdf::{Scatter, cosine_direction};
+use crate::bsdf::Scatter;
 
 /// A matt point.
 pub(crate) struct Matt {
@@ -45,10 +45,10 @@ impl Matt {
         }
     }
 
-    /// A direction for `u` in [0, 1)²; `None` when it is below the surface or nothing is reflected.
+    /// A scattered direction, from one of [`cosine_direction`](crate::bsdf::cosine_direction) around the z axis; `None` when it is below the surface
+    /// or nothing is reflected.
     #[inline]
-    pub(crate) fn sample(&self, u: [f32; 2]) -> Option<Scatter> {
-        let local = cosine_direction(u);
+    pub(crate) fn sample(&self, local: Vec3) -> Option<Scatter> {
         let (tangent, bitangent) = self.shading.any_orthonormal_pair();
         let direction = local.x * tangent + local.y * bitangent + local.z * self.shading;
         let is_above = direction.dot(self.geometric) > 0.0 && self.albedo != Vec3::ZERO;

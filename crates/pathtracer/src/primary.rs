@@ -14,7 +14,7 @@ use glam::{DVec3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
 use lumistack_scene::Window;
 
-use crate::bvh::Ray;
+use crate::bvh::{BEAM, Ray};
 use crate::geometry::RenderSpace;
 use crate::tracer::Cone;
 
@@ -139,18 +139,48 @@ impl<'a> PrimaryRays<'a> {
 }
 
 impl PixelRays {
-    /// The ray at an offset from the centre of the pixel, in pixels, and from the centre of the slopes, in widths; offsets are in
+    /// At most [`BEAM`] rays at offsets from the centre of the pixel, in pixels, and from the centre of the slopes, in widths; offsets are in
     /// −0.5..0.5, x to the right and y up.
     #[inline]
-    pub(crate) fn ray(&self, in_pixel: [f32; 2], in_bin: [f32; 2]) -> Ray {
-        let in_bin = if self.round { in_disc(in_bin) } else { in_bin };
-        let turn = |axis: usize| in_pixel[axis] * self.turn[axis] + in_bin[axis] * self.slope_width[axis];
-        let turned = turn(0) * self.axes[0] + turn(1) * self.axes[1];
-        Ray {
-            origin: self.origin + (in_pixel[0] * self.pixel[0] + in_pixel[1] * self.pixel[1] - self.start * turned),
-            direction: (self.direction - turned).normalize(),
-            t_max: f32::INFINITY,
+    pub(crate) fn fill(&self, rays: &mut [Ray], offsets: impl Fn(usize) -> [[f32; 2]; 2]) {
+        // numbers of the same kind side by side: their roots and quotients become vectors
+        let mut origins = [[0.0f32; BEAM]; 3];
+        let mut directions = [[0.0f32; BEAM]; 3];
+        let mut turns = [[0.0f32; BEAM]; 2];
+        let mut places = [[0.0f32; BEAM]; 2];
+        for index in 0..rays.len() {
+            let [in_pixel, in_bin] = offsets(index);
+            let in_bin = if self.round { in_disc(in_bin) } else { in_bin };
+            for axis in 0..2 {
+                places[axis][index] = in_pixel[axis];
+                turns[axis][index] = in_pixel[axis] * self.turn[axis] + in_bin[axis] * self.slope_width[axis];
+            }
         }
+        for index in 0..BEAM {
+            let turned: [f32; 3] =
+                std::array::from_fn(|axis| turns[0][index] * self.axes[0][axis] + turns[1][index] * self.axes[1][axis]);
+            for axis in 0..3 {
+                let aside = places[0][index] * self.pixel[0][axis] + places[1][index] * self.pixel[1][axis];
+                origins[axis][index] = self.origin[axis] + (aside - self.start * turned[axis]);
+                directions[axis][index] = self.direction[axis] - turned[axis];
+            }
+        }
+        for index in 0..BEAM {
+            let [x, y, z] = directions.each_ref().map(|direction| direction[index]);
+            let inverse = 1.0 / (x * x + y * y + z * z).sqrt();
+            directions.iter_mut().for_each(|direction| direction[index] *= inverse);
+        }
+        for (index, ray) in rays.iter_mut().enumerate() {
+            let at = |numbers: &[[f32; BEAM]; 3]| Vec3::new(numbers[0][index], numbers[1][index], numbers[2][index]);
+            *ray = Ray { origin: at(&origins), direction: at(&directions), t_max: f32::INFINITY };
+        }
+    }
+
+    /// The ray at an offset as [`fill`](Self::fill) has them.
+    pub(crate) fn ray(&self, in_pixel: [f32; 2], in_bin: [f32; 2]) -> Ray {
+        let mut ray = [Ray::ANY];
+        self.fill(&mut ray, |_| [in_pixel, in_bin]);
+        ray[0]
     }
 
     /// The ray through the pixel's centre.

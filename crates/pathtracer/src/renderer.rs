@@ -11,7 +11,7 @@ use lumistack_scene::{Image, Mesh, Pixels, Scene, Window};
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::bvh::{self, BEAM, Bvh, Stack};
+use crate::bvh::{self, BEAM, Bvh, Ray, Stack};
 use crate::clamp::Clamped;
 use crate::geometry::{self, Geometry, Sharing};
 use crate::light::Lights;
@@ -324,14 +324,12 @@ impl Renderer {
         let rays = rays.pixel(row, col);
         let mut sum = [0.0f64; 3];
         let mut not_finite = 0;
-        let mut beam = [rays.central(); BEAM];
+        let mut beam = [Ray::ANY; BEAM];
         for first in (0..settings.samples).step_by(BEAM) {
             let beam = &mut beam[..(settings.samples - first).min(BEAM as u32) as usize];
             let draws = bank.draws(pixel_seed, first);
             let (in_pixel, in_bin) = (draws.pair(0), draws.pair(1));
-            for (index, ray) in beam.iter_mut().enumerate() {
-                *ray = rays.ray(centred(in_pixel.of(index)), centred(in_bin.of(index)));
-            }
+            rays.fill(beam, |index| [centred(in_pixel.of(index)), centred(in_bin.of(index))]);
             let radiance = tracer.radiance(beam, rays.cone, rays.in_bounds, settings, &draws, stack);
             for &sample in &radiance[..beam.len()] {
                 let sample = settings.clamp.map_or(sample, |limit| clamped.dim(sample, limit));

@@ -77,8 +77,8 @@ pub(crate) struct LightSample {
     pub(crate) end: Option<Vec3>,
     /// Radiance over density: multiply by f |cos|, visibility and the heuristic's weight.
     pub(crate) weight: Vec3,
-    /// Density per solid angle, including the choice of the light; infinite for punctual lights.
-    pub(crate) pdf: f32,
+    /// 1 over the density per solid angle, including the choice of the light; 0 for punctual lights, which no other technique finds.
+    pub(crate) inverse_pdf: f32,
 }
 
 impl Lights {
@@ -204,8 +204,8 @@ impl Lights {
         }
         let environment = self.environment.as_ref()?;
         let (direction, radiance, density) = environment.sample([single(inside), u[1]])?;
-        let pdf = chance * density;
-        Some(LightSample { direction, end: None, weight: radiance / pdf, pdf })
+        let inverse_pdf = 1.0 / (chance * density);
+        Some(LightSample { direction, end: None, weight: radiance * inverse_pdf, inverse_pdf })
     }
 
     fn chance(&self, index: usize, parts: Parts) -> f32 {
@@ -231,22 +231,25 @@ impl TriangleLight {
             Some(_) => [1.0 - u[0] - u[1], u[0], u[1]],
             None => uniform_barycentric(u),
         };
-        let position: Vec3 = (0..3).map(|k| barycentric[k] * self.corners[k]).sum();
+        let [a, b, c] = self.corners;
+        let position = barycentric[0] * a + barycentric[1] * b + barycentric[2] * c;
         let to_light = position - from;
-        let distance2 = to_light.length_squared();
-        let direction = to_light * distance2.sqrt().recip();
+        let inverse_distance = to_light.length_recip();
+        let direction = to_light * inverse_distance;
         let cosine = -direction.dot(self.normal);
-        if !(distance2 > 0.0 && cosine.abs() > 0.0 && (cosine > 0.0 || self.double_sided)) {
+        // area |cos θ'| / d² over the chance: divisions stand side by side, not one after the other
+        let inverse_pdf = self.area * cosine.abs() * (inverse_distance * inverse_distance) * chance.recip();
+        // not so at no distance, across the light and where the numbers overflow
+        let is_seen = inverse_pdf > 0.0 && inverse_pdf.is_finite() && (cosine > 0.0 || self.double_sided);
+        if !is_seen {
             return None;
         }
         let radiance = self.uniform.unwrap_or_else(|| {
             let point = geometry.point(self.triangle, barycentric);
             emitted(materials, geometry.material_index(self.triangle), &point, cosine)
         });
-        let pdf = chance * distance2 / (self.area * cosine.abs());
         let end = Some(position + cosine.signum() * self.offset * self.normal);
-        let weight = radiance * pdf.recip();
-        (radiance != Vec3::ZERO && pdf.is_finite()).then_some(LightSample { direction, end, weight, pdf })
+        (radiance != Vec3::ZERO).then_some(LightSample { direction, end, weight: radiance * inverse_pdf, inverse_pdf })
     }
 }
 
@@ -375,7 +378,7 @@ fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
 /// Parts of [0, 1) in a stretch of it.
 #[inline]
 fn parts_of(chance: f32, parts: Parts) -> Parts {
-    (chance * parts as f32).round() as Parts
+    (chance * parts as f32 + 0.5) as Parts
 }
 
 /// Weights as chances that are whole numbers of parts, but for those of less than half a part, which the greatest makes room for. Without effect where

@@ -75,7 +75,7 @@ impl PunctualLight {
     /// The light as a sample, chosen with this chance; `u` chooses a direction where there are several.
     pub(crate) fn light_sample(&self, from: Vec3, chance: f32, u: [f32; 2]) -> Option<LightSample> {
         let (direction, end, intensity) = self.sample(from, u)?;
-        Some(LightSample { direction, end, weight: intensity / chance, pdf: f32::INFINITY })
+        Some(LightSample { direction, end, weight: intensity / chance, inverse_pdf: 0.0 })
     }
 
     /// Direction to the light, its place (`None` at infinity), and the irradiance it gives to a surface that faces it.

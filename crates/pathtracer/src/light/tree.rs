@@ -59,7 +59,7 @@ pub(crate) type Parts = u32;
 /// The nearest chance that is a whole number of parts, unless that is none or all of them, and the parts on either side.
 #[inline]
 pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
-    let first = (chance * parts as f32).round() as Parts;
+    let first = (chance * parts as f32 + 0.5) as Parts;
     let chance = if first == 0 || first >= parts { chance } else { first as f32 / parts as f32 };
     (chance, [first.min(parts), parts.saturating_sub(first)])
 }
