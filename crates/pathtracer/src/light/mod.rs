@@ -9,7 +9,6 @@ use std::f32::consts::PI;
 use std::sync::Arc;
 
 use glam::Vec3;
-use lumistack_core::colour::luminance;
 use lumistack_scene::Scene;
 
 use self::environment::EnvironmentLight;
@@ -114,7 +113,7 @@ impl Lights {
         let tree = LightTree::new(&emitters);
         let environment = EnvironmentLight::new(scene);
         let environment_power =
-            environment.as_ref().map(|light| f64::from(light.sampled_luminance() * PI * PI * radius * radius));
+            environment.as_ref().map(|light| f64::from(light.sampled_magnitude() * PI * PI * radius * radius));
         let weights = share(&[vec![local_power], directional_powers, environment_power.into_iter().collect()]);
         let choices =
             (0..PART_POWERS).filter_map(|power| Distribution::new(&in_whole_parts(&weights, 1 << power))).collect();
@@ -298,6 +297,12 @@ fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>, cos
     materials.emission(material, point, 0.0, true, cosine) * materials.coverage(material, point)
 }
 
+/// What counts of light when lights are chosen: the length of its colour, 1 for white. Chances in proportion to it leave the least squared error of
+/// the channels together; by luminance, blue light would be chosen fourteen times more rarely than white, and its noise would show.
+fn magnitude(rgb: Vec3) -> f32 {
+    rgb.length() * (1.0 / 3.0f32).sqrt()
+}
+
 /// Triangles that emit, as lights and as the tree sees them.
 fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<TriangleLight>, Vec<Emitter>) {
     let mut lights: Vec<TriangleLight> = Vec::new();
@@ -323,7 +328,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
             }
         };
         let area = geometry.area(triangle);
-        let strength = area * luminance(mean.to_array());
+        let strength = area * magnitude(mean);
         // what light sampling cannot choose is still found by scattering
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
             let corners @ [a, b, c] = geometry.corners(triangle);
