@@ -408,7 +408,7 @@ mod tests {
     use glam::Affine3A;
     use lumistack_core::seed::Stream;
     use lumistack_core::{Cancel, Collector, Task};
-    use lumistack_scene::{Instance, Material, Mesh, SceneParts};
+    use lumistack_scene::{Instance, Light, LightKind, Material, Mesh, SceneParts};
     use lumistack_testkit::statistics::{FALSE_ALARM_RATE, assert_counts};
 
     use crate::geometry::Sharing;
@@ -524,6 +524,26 @@ mod tests {
             }
             assert_counts(&counts, &expected, FALSE_ALARM_RATE);
         }
+    }
+
+    /// Red, green and blue light of one strength is chosen alike, and white light by the length of its colour more often.
+    #[test]
+    fn no_colour_is_starved() {
+        let mut parts = Arc::try_unwrap(lit_scene()).ok().unwrap().into_parts();
+        parts.materials.iter_mut().for_each(|material| material.emission = Vec3::ZERO);
+        let light = |intensity: Vec3| Light {
+            position: Vec3::ZERO,
+            direction: Vec3::NEG_Y,
+            intensity,
+            kind: LightKind::Directional,
+        };
+        parts.lights = [Vec3::X, Vec3::Y, Vec3::Z, Vec3::ONE].map(light).to_vec();
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let scene = Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap());
+        let lights = Lights::new(&scene, &Geometry::new(scene.clone(), Sharing::Auto), &Materials::new(scene.clone()));
+        let [red, green, blue, white] = [1, 2, 3, 4].map(|index| lights.chance(index, 0));
+        assert!((red / blue - 1.0).abs() < 1e-5 && (green / blue - 1.0).abs() < 1e-5, "{red} {green} {blue}");
+        assert!((white / blue - 3.0f32.sqrt()).abs() < 1e-4, "{white} {blue}");
     }
 
     #[test]
