@@ -22,6 +22,7 @@ use crate::tracer::Cone;
 const BOUNDS_MARGIN: f64 = 1e-5;
 /// Width of the texture footprint over that of a pixel. Samples are spread over the pixel, so each needs to cover only a part: 16 of them a quarter
 /// of its width each. Half of it pales small letters, and adds what variance it takes (up to 3 %) as blur.
+/// A display shows the paler target better (still life: 36.8 dB instead of 36.2 dB), but less of what is there: its gradients have 12 % less energy.
 const FOOTPRINT_SHARE: f64 = 0.25;
 
 /// The rays of one view.

@@ -8,6 +8,7 @@ use lumistack_scene::{AlphaMode, Material, Scene, TextureUse};
 use crate::bsdf::{self, Film, MIRROR_ALPHA, Wave};
 use crate::bvh;
 use crate::geometry::{SurfacePoint, bend_normal};
+use crate::matt::Normals;
 use crate::texture::{Encoding, Slot, Textures};
 
 /// Footprint of lookups that must not be filtered: alpha, whose average is not the alpha of an average once it is thresholded.
@@ -97,7 +98,10 @@ pub(crate) struct Fabric {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame {
     pub(crate) geometric: Vec3,
+    /// Normal of what is reflected and refracted, bent so that a mirror shows the viewer nothing from below the surface.
     pub(crate) shading: Vec3,
+    /// Normals of diffuse scattering, which are not bent.
+    pub(crate) diffuse: Normals,
     /// Normal of the clear coat.
     pub(crate) coat: Vec3,
     /// Direction in which reflections are stretched.
@@ -107,7 +111,7 @@ pub(crate) struct Frame {
 impl Frame {
     /// The same normal for everything.
     pub(crate) fn flat(geometric: Vec3, shading: Vec3) -> Self {
-        Self { geometric, shading, coat: shading, tangent: None }
+        Self { geometric, shading, diffuse: Normals::smooth(shading), coat: shading, tangent: None }
     }
 }
 
@@ -306,7 +310,7 @@ impl Materials {
         (factor > 0.0).then_some(Coating { factor, roughness })
     }
 
-    /// Normals and tangent on the viewer's side, which is that of `geometric`; bent so that the viewer sees no surface from behind.
+    /// Normals and tangent on the viewer's side, which is that of `geometric`.
     pub(crate) fn frame(
         &self,
         index: usize,
@@ -320,9 +324,11 @@ impl Materials {
         let slots = &self.slots[index];
         let smooth = point.shading_normal();
         let turned = |slot: &Option<Slot>, scale: f32| self.turned(slot, scale, smooth, point, width);
-        let seen = |normal: Vec3| bend_normal(if front { normal } else { -normal }, geometric, to_viewer);
+        let on_side = |normal: Vec3| if front { normal } else { -normal };
+        let seen = |normal: Vec3| bend_normal(on_side(normal), geometric, to_viewer);
         let mapped = turned(&slots.normal, material.normal_scale);
-        let mut frame = Frame::flat(geometric, seen(mapped));
+        let diffuse = Normals::new(on_side(mapped), on_side(smooth));
+        let mut frame = Frame { diffuse, ..Frame::flat(geometric, seen(mapped)) };
         if let Some(extra) = &slots.extras {
             if let Some(coat) = &material.clearcoat {
                 frame.coat = seen(turned(&extra.coat_normal, coat.normal_scale));
@@ -339,24 +345,24 @@ impl Materials {
         frame
     }
 
-    /// [`Frame::shading`] alone.
+    /// [`Frame::diffuse`] alone.
     #[inline]
-    pub(crate) fn shading_normal(
+    pub(crate) fn diffuse_normals(
         &self,
         index: usize,
         point: &SurfacePoint<'_>,
         width: f32,
         geometric: Vec3,
         front: bool,
-        to_viewer: Vec3,
-    ) -> Vec3 {
+    ) -> Normals {
         let slot = &self.slots[index].normal;
         if slot.is_none() && point.is_flat() {
-            return geometric;
+            return Normals::smooth(geometric);
         }
+        let smooth = point.shading_normal();
         let scale = self.scene.materials[index].normal_scale;
-        let mapped = self.turned(slot, scale, point.shading_normal(), point, width);
-        bend_normal(if front { mapped } else { -mapped }, geometric, to_viewer)
+        let mapped = self.turned(slot, scale, smooth, point, width);
+        if front { Normals::new(mapped, smooth) } else { Normals::new(-mapped, -smooth) }
     }
 
     /// A normal turned by a normal map, if there is one.

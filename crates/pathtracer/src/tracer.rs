@@ -250,7 +250,7 @@ impl Tracer<'_> {
         }
         let mut vertex_nm = None;
         let surface = if traits & MATT != 0 {
-            Surface::Matt(self.matt(&vertex, -ray.direction))
+            Surface::Matt(self.matt(&vertex))
         } else {
             let mut appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
             vertex_nm = appearance.disperse(path.wave_nm, || draws.pair(WAVE_PAIR).of(index)[0]);
@@ -339,10 +339,10 @@ impl Tracer<'_> {
 
     /// What [`bsdf`](Self::bsdf) is for a matt material, without what only others have.
     #[inline]
-    fn matt(&self, vertex: &Vertex<'_>, to_viewer: Vec3) -> Matt {
+    fn matt(&self, vertex: &Vertex<'_>) -> Matt {
         let Vertex { material, point, front, normal, width } = vertex;
-        let shading = self.materials.shading_normal(*material, point, *width, *normal, *front, to_viewer);
-        Matt::new(self.materials.base_color(*material, point, *width), *normal, shading)
+        let normals = self.materials.diffuse_normals(*material, point, *width, *normal, *front);
+        Matt::new(self.materials.base_color(*material, point, *width), *normal, normals)
     }
 
     /// Adds light from one sampled light, which has yet to find its way.

@@ -35,6 +35,7 @@ use self::glass::{Glass, GlassOptions};
 use self::sheen::Fibres;
 pub(crate) use self::spectrum::{Wave, index_at};
 use crate::math::concentric_disc;
+use crate::matt::Normals;
 use crate::shading::{Appearance, Coating, Extras, Frame};
 
 /// Below this α a lobe is a perfect mirror (perceptual roughness 0.032): light sampling could not find it.
@@ -56,6 +57,8 @@ pub(crate) struct Bsdf {
     metal: Schlick,
     dielectric: Schlick,
     diffuse: Vec3,
+    /// Normals of diffuse scattering in the local frame; z but where normals were bent or mapped.
+    diffuse_normals: Normals,
     thin: Vec3,
     thin_scale: f32,
     glass: Option<Glass>,
@@ -188,6 +191,9 @@ impl Bsdf {
         }
         let thin_scale = if compensated { 1.0 / table.full } else { 1.0 };
         let geometric_normal = frame.geometric;
+        let diffuse_normals = frame
+            .diffuse
+            .turned(|normal| if normal == frame.shading { Vec3::Z } else { scene_from_local.transpose() * normal });
         Self {
             scene_from_local,
             geometric_normal,
@@ -197,6 +203,7 @@ impl Bsdf {
             metal,
             dielectric,
             diffuse,
+            diffuse_normals,
             thin,
             thin_scale,
             glass,
@@ -238,6 +245,13 @@ impl Bsdf {
         let i = self.scene_from_local.transpose() * direction;
         // geometric and shading normal must agree on which side the light comes from; otherwise it would leak through the surface
         let (mut value, mut pdf) = if side * i.z > 0.0 { self.evaluate_base(i) } else { (Vec3::ZERO, 0.0) };
+        // diffuse scattering has a normal of its own, and so a horizon
+        let cosine = i.dot(self.diffuse_normals.mapped);
+        if side > 0.0 && cosine > 0.0 {
+            let density = cosine * FRAC_1_PI;
+            value += self.diffuse * (density * self.diffuse_normals.unshadowed(i));
+            pdf += self.chances[DIFFUSE] * density;
+        }
         if let Some(coat) = &self.coat
             && side > 0.0
         {
@@ -257,7 +271,13 @@ impl Bsdf {
         let chance = self.chances[lobe];
         let u = [first, u[1]];
         let (i, alpha) = match lobe {
-            DIFFUSE => (cosine_direction(u), 1.0),
+            DIFFUSE => {
+                let i = cosine_direction(u);
+                let normal = self.diffuse_normals.mapped;
+                let i = if normal == Vec3::Z { i } else { local_frame(normal, None) * i };
+                let direction = (self.scene_from_local * i).try_normalize()?;
+                return (direction.dot(self.geometric_normal) > 0.0).then(|| self.finish(direction, 1.0)).flatten();
+            }
             REFLECTION if self.mirror => {
                 let i = Vec3::new(-self.o.x, -self.o.y, self.o.z);
                 return self.finish_mirror(i, self.reflectance(self.o.z) / chance, false);
@@ -341,8 +361,6 @@ impl Bsdf {
         let mut value = Vec3::ZERO;
         let mut pdf = 0.0;
         if i.z > 0.0 {
-            value += self.diffuse * (i.z * FRAC_1_PI);
-            pdf += self.chances[DIFFUSE] * i.z * FRAC_1_PI;
             if !self.mirror
                 && let Some(h) = (o + i).try_normalize()
             {

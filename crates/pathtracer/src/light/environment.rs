@@ -1,7 +1,7 @@
-//! Light from infinity: an equirectangular map, bilinear, sampled by its luminance.
+//! Light from infinity: an equirectangular map, bilinear, sampled by its magnitude (the length of its colour).
 //!
 //! The map is covered by a grid of cells with constant density in (u, v); a cell's weight is the integral over it of bilinear
-//! luminance times sin θ. Large maps share a cell between several texels, small ones split their texels, so that the grid is
+//! magnitude times sin θ. Large maps share a cell between several texels, small ones split their texels, so that the grid is
 //! neither huge nor so coarse that sin θ varies much inside a cell.
 //!
 //! Only what is brighter than the mean is sampled ("MIS compensation", Karlík et al. 2019): scattered rays find the rest as well or
@@ -11,9 +11,9 @@ use std::f32::consts::PI;
 use std::sync::Arc;
 
 use glam::{Quat, Vec3};
-use lumistack_core::colour::luminance;
 use lumistack_scene::{Pixels, Scene};
 
+use super::magnitude;
 use crate::distribution::Distribution;
 use crate::math::{angle_turns, sin_cos_turns};
 
@@ -31,10 +31,10 @@ pub(crate) struct EnvironmentLight {
     rows: Cells,
     row_choice: Distribution,
     column_choices: Vec<Option<Distribution>>,
-    /// Luminance that is subtracted before sampling.
+    /// Magnitude that is subtracted before sampling.
     floor: f32,
-    /// Mean over the sphere of the luminance above the floor.
-    sampled_luminance: f32,
+    /// Mean over the sphere of the magnitude above the floor.
+    sampled_magnitude: f32,
     /// Radiance, if it is the same everywhere.
     constant: Option<Vec3>,
 }
@@ -54,11 +54,11 @@ impl EnvironmentLight {
     pub(crate) fn new(scene: &Arc<Scene>) -> Option<Self> {
         // first with the density of all the light, to know its mean
         let whole = Self::above(scene, 0.0)?;
-        let mean = whole.sampled_luminance;
+        let mean = whole.sampled_magnitude;
         if whole.constant.is_some() { Some(whole) } else { Self::above(scene, mean).or(Some(whole)) }
     }
 
-    /// Samples what is brighter than a luminance.
+    /// Samples what is brighter than a magnitude.
     fn above(scene: &Arc<Scene>, floor: f32) -> Option<Self> {
         let environment = scene.environment?;
         let image = &scene.images[environment.image];
@@ -74,7 +74,7 @@ impl EnvironmentLight {
             row_choice: Distribution::new(&[1.0])?,
             column_choices: Vec::new(),
             floor,
-            sampled_luminance: 0.0,
+            sampled_magnitude: 0.0,
             constant: None,
         };
         let Pixels::RgbF32(texels) = &image.pixels else { return None };
@@ -90,13 +90,13 @@ impl EnvironmentLight {
         }
         this.row_choice = Distribution::new(&row_weights)?;
         // ∫ L sin θ du dv · 2π² / 4π
-        this.sampled_luminance = (row_weights.iter().sum::<f64>() * std::f64::consts::FRAC_PI_2) as f32;
+        this.sampled_magnitude = (row_weights.iter().sum::<f64>() * std::f64::consts::FRAC_PI_2) as f32;
         Some(this)
     }
 
-    /// Mean luminance of what [`sample`](Self::sample) looks for; 0 for a sky of one radiance.
-    pub(crate) fn sampled_luminance(&self) -> f32 {
-        self.sampled_luminance
+    /// Mean magnitude of what [`sample`](Self::sample) looks for; 0 for a sky of one radiance.
+    pub(crate) fn sampled_magnitude(&self) -> f32 {
+        self.sampled_magnitude
     }
 
     /// Radiance from a direction, and the density per solid angle with which [`sample`](Self::sample) finds it.
@@ -137,7 +137,7 @@ impl EnvironmentLight {
         self.row_choice.probability(row) * columns.probability(column) / ((u1 - u0) * (v1 - v0))
     }
 
-    /// ∫ luminance sin θ du dv over a cell.
+    /// ∫ magnitude sin θ du dv over a cell.
     fn cell_weight(&self, row: usize, column: usize) -> f64 {
         let mut sum = 0.0;
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
@@ -149,7 +149,7 @@ impl EnvironmentLight {
             for i in 0..=2 * across {
                 let u = u0 + (u1 - u0) * i as f32 / (2 * across) as f32;
                 let share = if i == 0 || i == 2 * across { 0.5 } else { 1.0 };
-                line += share * f64::from((luminance(self.bilinear(u, v).to_array()) - self.floor).max(0.0));
+                line += share * f64::from((magnitude(self.bilinear(u, v)) - self.floor).max(0.0));
             }
             let share = if j == 0 || j == 2 * down { 0.5 } else { 1.0 };
             // at the poles the line itself has no weight, but the cell beside it must have some
@@ -302,12 +302,12 @@ mod tests {
         // ten times the samples make a standard error 3.2 times smaller
         assert!(important.standard_error < 0.5 * 3.2 * uniform.standard_error, "{important:?} {uniform:?}");
         // the integral over a cell is exact but where the floor cuts through it
-        assert!((important.value / (4.0 * std::f64::consts::PI * f64::from(sky.sampled_luminance)) - 1.0).abs() < 0.03);
+        assert!((important.value / (4.0 * std::f64::consts::PI * f64::from(sky.sampled_magnitude)) - 1.0).abs() < 0.03);
     }
 
     #[test]
     fn a_sky_of_one_radiance_is_left_to_scattered_rays() {
         let sky = light(3, 2, Quat::IDENTITY, |_, _| 0.5);
-        assert_eq!((sky.evaluate(Vec3::Y), sky.sampled_luminance()), ((Vec3::splat(0.5), 0.0), 0.0));
+        assert_eq!((sky.evaluate(Vec3::Y), sky.sampled_magnitude()), ((Vec3::splat(0.5), 0.0), 0.0));
     }
 }

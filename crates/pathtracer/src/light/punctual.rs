@@ -5,11 +5,10 @@
 use std::f64::consts::PI;
 
 use glam::Vec3;
-use lumistack_core::colour::luminance;
 use lumistack_scene::{Light, LightKind};
 
-use super::LightSample;
 use super::tree::Emitter;
+use super::{LightSample, magnitude};
 use crate::geometry::RenderSpace;
 use crate::math::sin_cos_turns;
 
@@ -44,7 +43,7 @@ impl PunctualLight {
 
     /// Light's power, or the power that reaches a sphere of `radius`.
     pub(crate) fn power(&self, radius: f32) -> f64 {
-        let intensity = f64::from(luminance(self.intensity.to_array()));
+        let intensity = f64::from(magnitude(self.intensity));
         match self.kind {
             LightKind::Point => 4.0 * PI * intensity,
             LightKind::Spot { outer_cone_rad, .. } => 2.0 * PI * (1.0 - f64::from(outer_cone_rad).cos()) * intensity,
@@ -54,7 +53,7 @@ impl PunctualLight {
 
     /// What the light tree knows of it; `None` for light from infinity.
     pub(crate) fn emitter(&self) -> Option<Emitter> {
-        let strength = luminance(self.intensity.to_array());
+        let strength = magnitude(self.intensity);
         let (normal_angle, falloff_angle) = match self.kind {
             LightKind::Point => (std::f32::consts::PI, std::f32::consts::FRAC_PI_2),
             LightKind::Spot { outer_cone_rad, .. } => (outer_cone_rad, SPOT_MARGIN_RAD),

@@ -23,7 +23,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
     let (before, after) = (before.encoded().embedded(encoding)?, after.encoded().embedded(encoding)?);
     let end = format::number(1.0 / f64::from(gain));
     let overall = denoising.overall;
-    let relative = |value: f64| format!("{:+.3} %", 100.0 * value);
+    let relative = |value: f64| format!("{:+.3} %", 100.0 * value).replace('-', "−");
     Ok(html! {
         section id="denoising" {
             h2 { "Denoising" }
