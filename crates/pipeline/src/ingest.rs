@@ -386,7 +386,7 @@ fn close_up(
 }
 
 /// The largest part of a picture, as a factor on its size and its centre [row, column] in pixels, of which [`COVERAGE`] is set in the mask. Where even
-/// [`CLOSEST`] is not enough, that. With `recentre` what is seen stays whole, [with a margin](Window::FRAMING_MARGIN), but for a foot below a slender neck.
+/// [`CLOSEST`] is not enough, that. With `recentre` what is seen stays whole, but for a foot below a slender neck.
 fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
     let per_row: Vec<f64> = (0..rows).map(|row| mask.block([row]).iter().map(|&hit| f64::from(hit)).sum()).collect();
@@ -397,9 +397,7 @@ fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
             _ => (0..rows).any(|row| mask.get([row, i]) > 0.0),
         };
         let count = [rows, cols][axis];
-        let (first, last) = ((0..count).find(|&i| hit(i))?, (0..count).rfind(|&i| hit(i))?);
-        let margin = (Window::FRAMING_MARGIN * (last + 1 - first) as f64).ceil() as usize;
-        Some([first.saturating_sub(margin), (last + 1 + margin).min(count)])
+        Some([(0..count).find(|&i| hit(i))?, (0..count).rfind(|&i| hit(i))? + 1])
     };
     let (Some([first_row, end_row]), Some([first_col, end_col])) = (seen(0), seen(1)) else { return (1.0, middle) };
     // where a window of `size` goes of `count` pixels, so that it stands as near to `wanted` as it can
@@ -439,13 +437,13 @@ fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
     }
 }
 
-/// Whether a window that ends before row `bottom` cuts nothing off, or a foot below a slender neck; a margin below the foot is part of what is there.
+/// Whether a window that ends before row `bottom` cuts nothing off, or a foot below a slender neck.
 fn cuts_through_a_neck(per_row: &[f64], bottom: usize) -> bool {
     let Some(&cut) = per_row.get(bottom) else { return true };
     let foot: f64 = per_row[bottom..].iter().sum();
     // of what stays: a piece of chess is widest at its foot, and that is no stand
     let widest = per_row[..bottom].iter().copied().fold(0.0, f64::max);
-    foot > 0.0 && cut <= SLENDER * widest && foot <= FOOT * per_row.iter().sum::<f64>()
+    cut <= SLENDER * widest && foot <= FOOT * per_row.iter().sum::<f64>()
 }
 
 fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, PipelineError> {
@@ -591,12 +589,6 @@ mod tests {
         let (factor, [row, col]) = best_crop(&mask, true);
         assert!(factor >= 0.96, "{factor}");
         assert!((row - 50.0).abs() <= 2.0 && (col - 80.0).abs() <= 1.0);
-        // one that does not fill the window's height is framed with a margin above and below
-        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
-        (15..85).for_each(|row| (70..90).for_each(|col| *mask.at_mut([row, col]) = 1.0));
-        let (factor, [row, _]) = best_crop(&mask, true);
-        let [top, bottom] = [row - 50.0 * factor, row + 50.0 * factor];
-        assert!((11.0..13.5).contains(&top) && (86.5..89.0).contains(&bottom), "{top} to {bottom}");
         // nor does a piece of chess lose its foot: a head, a stem that is slender beside the foot, and the foot
         let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
         for row in 2..98 {
@@ -615,7 +607,7 @@ mod tests {
         let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
         (10..150).for_each(|col| (60..68).for_each(|row| *mask.at_mut([row, col]) = 1.0));
         let (factor, [row, _]) = best_crop(&mask, true);
-        assert!((0.93..0.96).contains(&factor), "{factor}, with a margin at both ends");
+        assert!((0.87..0.92).contains(&factor), "{factor}");
         assert!((row - 55.0).abs() < 10.0, "it stands in the middle as far as that goes: {row}");
     }
 }
