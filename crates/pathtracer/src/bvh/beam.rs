@@ -15,7 +15,7 @@
 //! On FlightHelmet (16 samples of a pixel) this took 60 % of the time of blocks tested ray by ray, which was that of single rays.
 
 use super::lanes::{InstructionSet, Lanes, Portable, WIDTH};
-use super::traverse::{SLAB_ROUNDING, SMALLEST_SLOPE, Shear, Test, eight};
+use super::traverse::{Corners, Edges, SLAB_ROUNDING, SMALLEST_SLOPE, Shear, Test, eight};
 use super::{Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, LEAF, NO_INSTANCE, Ray, Stack};
 
 /// The most rays of a beam.
@@ -267,15 +267,16 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// A vertex in the spaces of eight rays.
+    /// A triangle in the spaces of eight rays.
     #[inline(always)]
-    unsafe fn vertex(&self, vector: usize, [x, y, z]: [f32; 3]) -> (V, V, V) {
+    unsafe fn corners(&self, vector: usize, [a, b, c]: &[[f32; 3]; 3]) -> Corners<V> {
         unsafe {
             let [origin, shear] = [&self.origin[vector], &self.shear[vector]];
-            let x = V::splat(x).sub(origin[0]);
-            let y = V::splat(y).sub(origin[1]);
-            let z = V::splat(z).sub(origin[2]);
-            (shear[0].neg_mul_add(z, x), shear[1].neg_mul_add(z, y), z)
+            Corners([
+                Corners::corner([V::splat(a[0]), V::splat(a[1]), V::splat(a[2])], origin, shear),
+                Corners::corner([V::splat(b[0]), V::splat(b[1]), V::splat(b[2])], origin, shear),
+                Corners::corner([V::splat(c[0]), V::splat(c[1]), V::splat(c[2])], origin, shear),
+            ])
         }
     }
 
@@ -283,32 +284,23 @@ impl<V: Lanes> Sheared<V> {
     #[inline(always)]
     unsafe fn meet(&mut self, block: &Block, lane: usize, accept: &mut impl FnMut(usize, &Hit) -> bool) -> bool {
         unsafe {
-            let corner = |vertex: usize| {
+            let vertex = |vertex: usize| {
                 let rows = block.vertices[vertex].as_flattened();
                 self.axes.map(|row| *rows.get_unchecked(row + lane))
             };
-            let corners = [corner(0), corner(1), corner(2)];
+            let vertices = [vertex(0), vertex(1), vertex(2)];
             let reference = block.references[lane];
             let flags = reference & !INDEX_MASK;
             let zero = V::splat(0.0);
             let mut any = false;
             for vector in 0..self.vectors {
-                let (ax, ay, az) = self.vertex(vector, corners[0]);
-                let (bx, by, bz) = self.vertex(vector, corners[1]);
-                let (cx, cy, cz) = self.vertex(vector, corners[2]);
-                let u = cx.mul(by).sub(cy.mul(bx));
-                let v = ax.mul(cy).sub(ay.mul(cx));
-                let w = bx.mul(ay).sub(by.mul(ax));
-                let low = u.min(v).min(w);
-                let high = u.max(v).max(w);
-                let determinant = u.add(v).add(w);
-                let turned = V::either(determinant.below(zero), zero.below(determinant));
-                let inside = V::both(V::either(zero.at_most(low), high.at_most(zero)), turned);
-                if V::bits(inside) == 0 {
+                let corners = self.corners(vector, &vertices);
+                let edges = corners.edges();
+                if V::bits(edges.inside) == 0 {
                     continue;
                 }
-                let along = self.shear[vector][2];
-                let t = w.mul_add(cz, v.mul_add(bz, u.mul(az))).mul(along).div(determinant);
+                let t = corners.distance(&edges, self.shear[vector][2]);
+                let Edges { u, v, determinant, inside, .. } = edges;
                 let within = V::both(zero.below(t), t.below(self.t[vector]));
                 let mut met = V::both(inside, within);
                 if flags & CULL_BACK != 0 {

@@ -556,25 +556,64 @@ impl Shear {
         z.abs() > x.abs().max(y.abs()) && (z < 0.0) == (self.shear[2] < 0.0)
     }
 
-    /// A vertex of eight triangles in the space where the ray starts at the origin and is the z axis; z is not scaled yet.
-    #[inline(always)]
-    unsafe fn vertex<V: Lanes>(&self, block: &Block, vertex: usize) -> (V, V, V) {
-        unsafe {
-            let rows = block.vertices.get_unchecked(vertex).as_flattened();
-            let x = V::load(eight(rows, self.axes[0])).sub(V::splat(self.origin[0]));
-            let y = V::load(eight(rows, self.axes[1])).sub(V::splat(self.origin[1]));
-            let z = V::load(eight(rows, self.axes[2])).sub(V::splat(self.origin[2]));
-            (V::splat(self.shear[0]).neg_mul_add(z, x), V::splat(self.shear[1]).neg_mul_add(z, y), z)
-        }
-    }
-
     /// Tests eight triangles; a bit per triangle that is met at 0 < t < `t_max`.
     #[inline(always)]
     pub(super) unsafe fn meets<V: Lanes>(&self, block: &Block, t_max: f32) -> (u32, Test<V>) {
         unsafe {
-            let (ax, ay, az) = self.vertex::<V>(block, 0);
-            let (bx, by, bz) = self.vertex::<V>(block, 1);
-            let (cx, cy, cz) = self.vertex::<V>(block, 2);
+            let origin = [V::splat(self.origin[0]), V::splat(self.origin[1]), V::splat(self.origin[2])];
+            let shear = [V::splat(self.shear[0]), V::splat(self.shear[1]), V::splat(self.shear[2])];
+            let corners = Corners([
+                Corners::corner(self.vertex(block, 0), &origin, &shear),
+                Corners::corner(self.vertex(block, 1), &origin, &shear),
+                Corners::corner(self.vertex(block, 2), &origin, &shear),
+            ]);
+            let edges = corners.edges();
+            let t = corners.distance(&edges, shear[2]);
+            let within = V::both(V::splat(0.0).below(t), t.below(V::splat(t_max)));
+            let bits = V::bits(V::both(edges.inside, within));
+            (bits, Test { t, u: edges.u, v: edges.v, determinant: edges.determinant })
+        }
+    }
+
+    /// A vertex of eight triangles, its coordinates in the order of `axes`.
+    #[inline(always)]
+    unsafe fn vertex<V: Lanes>(&self, block: &Block, vertex: usize) -> [V; 3] {
+        unsafe {
+            let rows = block.vertices.get_unchecked(vertex).as_flattened();
+            [V::load(eight(rows, self.axes[0])), V::load(eight(rows, self.axes[1])), V::load(eight(rows, self.axes[2]))]
+        }
+    }
+}
+
+/// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z is not scaled yet.
+///
+/// Single rays and beams both test by these functions: their hits are the same to the bit.
+pub(super) struct Corners<V>(pub(super) [[V; 3]; 3]);
+
+/// A triangle per lane as seen along the lane's ray: twice the areas that the ray makes with each edge, and whether it passes inside.
+pub(super) struct Edges<V: Lanes> {
+    pub(super) u: V,
+    pub(super) v: V,
+    w: V,
+    pub(super) determinant: V,
+    pub(super) inside: V::Mask,
+}
+
+#[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
+impl<V: Lanes> Corners<V> {
+    /// Brings a vertex into the ray's space.
+    #[inline(always)]
+    pub(super) unsafe fn corner(vertex: [V; 3], origin: &[V; 3], shear: &[V; 3]) -> [V; 3] {
+        unsafe {
+            let [x, y, z] = [vertex[0].sub(origin[0]), vertex[1].sub(origin[1]), vertex[2].sub(origin[2])];
+            [shear[0].neg_mul_add(z, x), shear[1].neg_mul_add(z, y), z]
+        }
+    }
+
+    #[inline(always)]
+    pub(super) unsafe fn edges(&self) -> Edges<V> {
+        unsafe {
+            let [[ax, ay, _], [bx, by, _], [cx, cy, _]] = self.0;
             let u = cx.mul(by).sub(cy.mul(bx));
             let v = ax.mul(cy).sub(ay.mul(cx));
             let w = bx.mul(ay).sub(by.mul(ax));
@@ -584,9 +623,16 @@ impl Shear {
             let determinant = u.add(v).add(w);
             let turned = V::either(determinant.below(zero), zero.below(determinant));
             let inside = V::both(V::either(zero.at_most(low), high.at_most(zero)), turned);
-            let t = w.mul_add(cz, v.mul_add(bz, u.mul(az))).mul(V::splat(self.shear[2])).div(determinant);
-            let within = V::both(zero.below(t), t.below(V::splat(t_max)));
-            (V::bits(V::both(inside, within)), Test { t, u, v, determinant })
+            Edges { u, v, w, determinant, inside }
+        }
+    }
+
+    /// Where the ray meets the triangle's plane; `along` scales z.
+    #[inline(always)]
+    pub(super) unsafe fn distance(&self, edges: &Edges<V>, along: V) -> V {
+        unsafe {
+            let [[.., az], [.., bz], [.., cz]] = self.0;
+            edges.w.mul_add(cz, edges.v.mul_add(bz, edges.u.mul(az))).mul(along).div(edges.determinant)
         }
     }
 }
