@@ -1,5 +1,5 @@
-//! Rays per second of the tree alone, beside Embree over the same rays on the same threads. Beams are of neighbouring pixels here, as Embree's packets
-//! are; the samples of one pixel lie closer together.
+//! Rays per second of the tree alone, beside Embree over the same rays on the same threads. Beams and packets are taken over neighbouring pixels
+//! (`primary`) and over the samples of one pixel (`pixels`), as the path tracer takes them.
 
 use std::path::Path;
 use std::time::Instant;
@@ -19,7 +19,25 @@ const CHUNK: usize = 4096;
 /// A ray starts this share of the scene's size off its surface.
 const OFFSET: f32 = 1e-5;
 
-type Batch = Vec<(Vec3, Vec3, f32)>;
+/// Origins, directions and ends.
+type Rays = Vec<(Vec3, Vec3, f32)>;
+
+/// Rays that are traced in one go.
+struct Batch {
+    name: &'static str,
+    kind: Kind,
+    rays: Rays,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    /// Neighbours follow one another: traced one by one, as beams and as packets.
+    Coherent,
+    /// The nearest hits of rays to all sides.
+    Scattered,
+    /// Whether anything is in the way.
+    Shadow,
+}
 
 /// Prints Mrays/s of primary rays, two bounces and shadow rays: the fastest of rounds in turn, since what else a machine does only takes time away.
 pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
@@ -47,18 +65,21 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     let batches = batches(case, &tree, &triangles);
     println!(
         "Mrays/s                    {}",
-        batches.iter().map(|(name, ..)| format!("{name:>10}")).collect::<String>()
+        batches.iter().map(|batch| format!("{:>10}", batch.name)).collect::<String>()
     );
     let mut ours = vec![Vec::new(); batches.len()];
     let mut single = vec![Vec::new(); batches.len()];
-    let (mut beams, mut packets) = (Vec::new(), Vec::new());
+    let coherent = batches.iter().filter(|batch| batch.kind == Kind::Coherent).count();
+    let mut beams = vec![Vec::new(); coherent];
+    let mut packets = vec![Vec::new(); coherent];
     let mut differing = 0usize;
     for _ in 0..rounds {
-        for (index, (_, shadow, rays)) in batches.iter().enumerate() {
+        for (index, Batch { kind, rays, .. }) in batches.iter().enumerate() {
+            let (shadow, coherent) = (*kind == Kind::Shadow, *kind == Kind::Coherent);
             let (seconds, own_hits) = timed(rays, |chunk| {
                 let mut scratch = tree.scratch();
                 let hits = |&(o, d, t): &(Vec3, Vec3, f32)| {
-                    if *shadow {
+                    if shadow {
                         !tree.is_open(o, d, t, &mut scratch)
                     } else {
                         tree.nearest(o, d, t, &mut scratch).is_some()
@@ -67,7 +88,7 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
                 chunk.iter().map(hits).filter(|&hit| hit).count()
             });
             ours[index].push(rays.len() as f64 / seconds * 1e-6);
-            if index == 0 {
+            if coherent {
                 let (seconds, hits) = timed(rays, |chunk| {
                     let mut scratch = tree.scratch();
                     let beam = |rays: &[(Vec3, Vec3, f32)]| {
@@ -75,22 +96,22 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
                     };
                     chunk.chunks(BEAM_RAYS).map(beam).sum()
                 });
-                beams.push(rays.len() as f64 / seconds * 1e-6);
+                beams[index].push(rays.len() as f64 / seconds * 1e-6);
                 differing = differing.max(hits.abs_diff(own_hits));
             }
             #[cfg(unix)]
             if let Some(peer) = &peer {
                 let (seconds, hits) = timed(rays, |chunk| {
                     let hits = |&(o, d, t): &(Vec3, Vec3, f32)| {
-                        if *shadow { !peer.is_open(o, d, t) } else { peer.nearest(o, d, t).is_some() }
+                        if shadow { !peer.is_open(o, d, t) } else { peer.nearest(o, d, t).is_some() }
                     };
                     chunk.iter().map(hits).filter(|&hit| hit).count()
                 });
                 single[index].push(rays.len() as f64 / seconds * 1e-6);
                 differing = differing.max(hits.abs_diff(own_hits));
-                if index == 0 {
+                if coherent {
                     let (seconds, _) = timed(rays, |chunk| chunk.chunks(8).map(|rays| peer.nearest8(rays)).sum());
-                    packets.push(rays.len() as f64 / seconds * 1e-6);
+                    packets[index].push(rays.len() as f64 / seconds * 1e-6);
                 }
             }
         }
@@ -103,16 +124,16 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
         println!("{name:<27}{}", values.iter_mut().map(fastest).collect::<String>());
     };
     row("Lumistack, single rays", &mut ours);
-    row(&format!("Lumistack, beams of {BEAM_RAYS}"), &mut [beams]);
-    if !packets.is_empty() {
+    row(&format!("Lumistack, beams of {BEAM_RAYS}"), &mut beams);
+    if packets.iter().any(|packets| !packets.is_empty()) {
         row("Embree, single rays", &mut single);
-        row("Embree, 8 coherent rays", &mut [packets]);
-        println!("largest difference in the number of hits: {differing} of {}", batches[0].2.len());
+        row("Embree, 8 coherent rays", &mut packets);
+        println!("largest difference in the number of hits: {differing} of {}", batches[0].rays.len());
     }
     Ok(())
 }
 
-fn timed(rays: &Batch, trace: impl Fn(&[(Vec3, Vec3, f32)]) -> usize + Sync + Send) -> (f64, usize) {
+fn timed(rays: &Rays, trace: impl Fn(&[(Vec3, Vec3, f32)]) -> usize + Sync + Send) -> (f64, usize) {
     let start = Instant::now();
     let hits: usize = rays.par_chunks(CHUNK).map(trace).sum();
     (start.elapsed().as_secs_f64(), hits)
@@ -128,28 +149,34 @@ fn world_triangles(case: &Case) -> Vec<[Vec3; 3]> {
     triangles
 }
 
-/// Rays of a path tracer: through every pixel, then scattered by Lambert's law, and from the first hits to the light.
-fn batches(case: &Case, tree: &Tree, triangles: &[[Vec3; 3]]) -> Vec<(&'static str, bool, Batch)> {
+/// Rays of a path tracer: through every pixel, as many samples of some pixels, then scattered by Lambert's law, and from the first hits to the light.
+fn batches(case: &Case, tree: &Tree, triangles: &[[Vec3; 3]]) -> Vec<Batch> {
     let mut stream = Stream::new(1);
     let geometry = &case.geometry;
     let map = &case.window.scene_from_display;
     let Projection::Perspective { distance_mm } = geometry.grid.projection else { return Vec::new() };
     let eye = map.point(DVec3::new(0.0, 0.0, distance_mm));
-    let mut primary = Vec::with_capacity(geometry.rows * geometry.cols);
+    let mut through = |row: usize, col: usize| {
+        let x = geometry.x_mm(0) + geometry.pitch_mm * (col as f64 + f64::from(stream.next_f32()) - 0.5);
+        let y = geometry.y_mm(0) - geometry.pitch_mm * (row as f64 + f64::from(stream.next_f32()) - 0.5);
+        let direction = (map.point(DVec3::new(x, y, 0.0)) - eye).normalize();
+        (eye.as_vec3(), direction.as_vec3(), f32::INFINITY)
+    };
+    let (mut primary, mut pixels) = (Vec::new(), Vec::new());
     // in tiles of 4 × 2 pixels, which suits packets
     for tile_row in 0..geometry.rows.div_ceil(2) {
         for tile_col in 0..geometry.cols.div_ceil(4) {
-            for at in 0..8 {
-                let (row, col) = (2 * tile_row + at / 4, 4 * tile_col + at % 4);
-                let x = geometry.x_mm(0) + geometry.pitch_mm * (col as f64 + f64::from(stream.next_f32()) - 0.5);
-                let y = geometry.y_mm(0) - geometry.pitch_mm * (row as f64 + f64::from(stream.next_f32()) - 0.5);
-                let direction = (map.point(DVec3::new(x, y, 0.0)) - eye).normalize();
-                primary.push((eye.as_vec3(), direction.as_vec3(), f32::INFINITY));
-            }
+            primary.extend((0..8).map(|at| through(2 * tile_row + at / 4, 4 * tile_col + at % 4)));
+        }
+    }
+    // every fourth pixel of every fourth row
+    for row in (0..geometry.rows).step_by(4) {
+        for col in (0..geometry.cols).step_by(4) {
+            pixels.extend((0..BEAM_RAYS).map(|_| through(row, col)));
         }
     }
     let mut scratch = tree.scratch();
-    let mut scatter = |rays: &Batch| -> (Batch, Batch) {
+    let mut scatter = |rays: &Rays| -> (Rays, Rays) {
         let (mut scattered, mut shadow) = (Vec::new(), Vec::new());
         for &(origin, direction, t_max) in rays {
             let Some((t, triangle)) = tree.nearest(origin, direction, t_max, &mut scratch) else { continue };
@@ -167,5 +194,12 @@ fn batches(case: &Case, tree: &Tree, triangles: &[[Vec3; 3]]) -> Vec<(&'static s
     };
     let (first, shadow) = scatter(&primary);
     let (second, _) = scatter(&first);
-    vec![("primary", false, primary), ("bounce 1", false, first), ("bounce 2", false, second), ("shadow", true, shadow)]
+    let batch = |name, kind, rays| Batch { name, kind, rays };
+    vec![
+        batch("primary", Kind::Coherent, primary),
+        batch("pixels", Kind::Coherent, pixels),
+        batch("bounce 1", Kind::Scattered, first),
+        batch("bounce 2", Kind::Scattered, second),
+        batch("shadow", Kind::Shadow, shadow),
+    ]
 }
