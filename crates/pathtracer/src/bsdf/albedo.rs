@@ -1,6 +1,6 @@
 //! Directional albedo of the GGX reflection lobe, tabulated once.
 //!
-//! E(μ, α) is the albedo of the lobe without Fresnel and B(μ, α) that with (1 − o·h)⁵ in its place, so that Schlick's Fresnel gives
+//! E(μ, α) is the albedo of the lobe without Fresnel and B(μ, α) that with s(o·h) of [`fresnel`] in its place, so that with Fresnel it is
 //! F₀(E − B) + F₉₀B. Single scattering loses 1 − E of what it reflects. That share strikes the surface again, is reflected by the mean F̄ of the
 //! Fresnel term, and leaves in the share Ē or strikes once more, so that the lobe has to be multiplied by K:
 //!
@@ -8,6 +8,8 @@
 //! E K = E + (1 − E) F̄ Ē (1 + F̄(1 − Ē) + F̄²(1 − Ē)² + …) = E + (1 − E) F̄ Ē / (1 − F̄(1 − Ē))
 //! F̄ = 2 ∫ F(μ) μ dμ = F₀ + (1 − F₀)/21,   Ē = 2 ∫ E(μ) μ dμ
 //! ```
+//!
+//! F̄ is that of a metal's s. A dielectric's is a little greater (0.092 instead of 0.086 at n = 1.5), which would change its gloss by less than a percent.
 //!
 //! A white metal is lossless, a coloured one becomes more saturated. Sources: Turquin 2019, "Practical multiple scattering compensation for
 //! microfacet models" (a factor on the lobe that depends on the viewer alone); Kulla, Conty 2017, "Revisiting physically based shading at
@@ -17,7 +19,8 @@ use std::sync::OnceLock;
 
 use glam::{Vec2, Vec3};
 
-use super::ggx;
+use super::table::Table;
+use super::{fresnel, ggx};
 
 /// Nodes over the cosine μ and over perceptual roughness √α.
 const COSINES: usize = 64;
@@ -32,23 +35,36 @@ const STRETCHED_SAMPLES: u32 = 377;
 const STRETCHED_STEP: u32 = 233;
 /// The smallest cosine and α of the table: there the lobe is a mirror.
 const SMALLEST: f32 = 1e-3;
+/// The index of refraction whose B every table has: the format's own, and that of clear coats.
+pub(crate) const COMMON_IOR: f32 = 1.5;
+/// Nodes of the table for other indices over the root of the cosine, √α, and the root of (n − 1)/(n + 1); samples per node.
+const INDICES: [usize; 3] = [40, 16, 20];
+const INDICES_SAMPLES: u32 = 377;
+const INDICES_STEP: u32 = 233;
+/// (n − 1)/(n + 1) of the highest index in that table, 4; a higher one counts as this.
+const LARGEST_ROOT: f32 = 0.6;
+
+/// Where in a table's values E stands, and its mean.
+const FULL: usize = 0;
+const MEAN: usize = 3;
 
 /// E and B for a cosine and α.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Albedo {
     /// Albedo without Fresnel, in (0, 1].
     pub(crate) full: f32,
-    /// Albedo with (1 − o·h)⁵ for Fresnel.
-    pub(crate) grazing: f32,
+    /// B of metals, and of dielectrics of index [`COMMON_IOR`].
+    pub(crate) metal: f32,
+    pub(crate) dielectric: f32,
     /// Mean of `full` over all cosines, by their projected solid angle.
     pub(crate) mean: f32,
 }
 
 impl Albedo {
-    /// Albedo of the lobe with Schlick's Fresnel, before compensation.
+    /// Albedo of the lobe with Fresnel, before compensation; `rise` is B.
     #[inline]
-    pub(crate) fn schlick(&self, f0: Vec3, f90: f32) -> Vec3 {
-        f0 * (self.full - self.grazing) + f90 * self.grazing
+    pub(crate) fn reflected(&self, f0: Vec3, f90: f32, rise: f32) -> Vec3 {
+        f0 * (self.full - rise) + f90 * rise
     }
 
     /// Factor that returns what single scattering loses.
@@ -60,128 +76,124 @@ impl Albedo {
     }
 }
 
+impl From<[f32; 4]> for Albedo {
+    fn from([full, metal, dielectric, mean]: [f32; 4]) -> Self {
+        Self { full, metal, dielectric, mean }
+    }
+}
+
 /// Looks the albedo up, bilinearly in the cosine and in perceptual roughness √α.
 #[inline]
 pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
-    static TABLE: OnceLock<Vec<Albedo>> = OnceLock::new();
-    let table = TABLE.get_or_init(tabulate);
-    let x = cosine.clamp(0.0, 1.0) * (COSINES - 1) as f32;
-    let y = roughness.clamp(0.0, 1.0) * (ROUGHNESSES - 1) as f32;
-    let (i, j) = ((x as usize).min(COSINES - 2), (y as usize).min(ROUGHNESSES - 2));
-    let (fx, fy) = (x - i as f32, y - j as f32);
-    let corners = &table[j * COSINES + i..(j + 1) * COSINES + i + 2];
-    let (lower, upper) = (&corners[..2], &corners[COSINES..COSINES + 2]);
-    let mix = |a: Albedo, b: Albedo, t: f32| Albedo {
-        full: a.full + (b.full - a.full) * t,
-        grazing: a.grazing + (b.grazing - a.grazing) * t,
-        mean: a.mean + (b.mean - a.mean) * t,
-    };
-    mix(mix(lower[0], lower[1], fx), mix(upper[0], upper[1], fx), fy)
+    static TABLE: OnceLock<Table<2, 4>> = OnceLock::new();
+    TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
 /// Albedo of a stretched lobe: linear in the root of the cosine, in cos² of the azimuth from the stretch, and in √α along and across.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
-    static TABLE: OnceLock<Vec<Albedo>> = OnceLock::new();
-    let table = TABLE.get_or_init(tabulate_stretched);
+    static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
     let azimuth = if across > 0.0 { o.x * o.x / across } else { 0.5 };
-    let at = [o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()];
-    let mut index = [0; 4];
-    let mut share = [0.0; 4];
-    for axis in 0..4 {
-        let x = at[axis].clamp(0.0, 1.0) * (STRETCHED[axis] - 1) as f32;
-        index[axis] = (x as usize).min(STRETCHED[axis] - 2);
-        share[axis] = x - index[axis] as f32;
-    }
-    let mut sum = Albedo { full: 0.0, grazing: 0.0, mean: 0.0 };
-    for corner in 0..16 {
-        let bit = |axis: usize| (corner >> axis) & 1;
-        let weight: f32 = (0..4).map(|axis| if bit(axis) == 1 { share[axis] } else { 1.0 - share[axis] }).product();
-        let node = (0..4).rev().fold(0, |node, axis| node * STRETCHED[axis] + index[axis] + bit(axis));
-        sum.full += weight * table[node].full;
-        sum.grazing += weight * table[node].grazing;
-        sum.mean += weight * table[node].mean;
-    }
-    sum
+    TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-fn tabulate_stretched() -> Vec<Albedo> {
-    let node = |index: usize| {
-        let mut rest = index;
-        let [root, azimuth, along, across] = STRETCHED.map(|nodes| {
-            let fraction = (rest % nodes) as f32 / (nodes - 1) as f32;
-            rest /= nodes;
-            fraction
-        });
+/// B of a dielectric of any index: linear in the root of the cosine, in √α, and in the root of (n − 1)/(n + 1).
+pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
+    static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
+    let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;
+    let [rise] = TABLE.get_or_init(tabulate_indices).at([cosine.max(0.0).sqrt(), roughness, root.sqrt()]);
+    rise
+}
+
+fn tabulate() -> Table<2, 4> {
+    let mut table = Table::new([COSINES, ROUGHNESSES], |[cosine, roughness]| {
+        integrate(towards(cosine), round(roughness), SAMPLES, LATTICE_STEP)
+    });
+    for row in table.values.chunks_exact_mut(COSINES) {
+        let mean = mean_over(row, |cosine| 2.0 * cosine);
+        row.iter_mut().for_each(|node| node[MEAN] = mean);
+    }
+    table
+}
+
+fn tabulate_stretched() -> Table<4, 4> {
+    let mut table = Table::new(STRETCHED, |[root, azimuth, along, across]| {
         let cosine = (root * root).max(SMALLEST);
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
         let o = Vec3::new(sine * azimuth.sqrt(), sine * (1.0 - azimuth).sqrt(), cosine);
         let alpha = Vec2::new(along * along, across * across).max(Vec2::splat(SMALLEST));
         integrate(o, alpha, STRETCHED_SAMPLES, STRETCHED_STEP)
-    };
-    let mut table: Vec<Albedo> = (0..STRETCHED.iter().product()).map(node).collect();
+    });
     let [roots, azimuths, ..] = STRETCHED;
-    for lobe in table.chunks_exact_mut(roots * azimuths) {
+    for lobe in table.values.chunks_exact_mut(roots * azimuths) {
         // μ = root²
-        let over = |cosines: &[Albedo]| mean_over(cosines, |root| 4.0 * root.powi(3));
+        let over = |cosines: &[[f32; 4]]| mean_over(cosines, |root| 4.0 * root.powi(3));
         let mean = lobe.chunks_exact(roots).map(over).sum::<f32>() / azimuths as f32;
-        lobe.iter_mut().for_each(|node| node.mean = mean);
+        lobe.iter_mut().for_each(|node| node[MEAN] = mean);
     }
     table
 }
 
+fn tabulate_indices() -> Table<3, 1> {
+    Table::new(INDICES, |[root_of_cosine, roughness, root]| {
+        let root = LARGEST_ROOT * root * root;
+        let ior = (1.0 + root) / (1.0 - root);
+        let rise = |o_h: f32| [fresnel::dielectric_rise(o_h, ior)];
+        mean_of_lobe(towards(root_of_cosine * root_of_cosine), round(roughness), INDICES_SAMPLES, INDICES_STEP, rise)
+    })
+}
+
 /// ∫ E density over nodes that are spread evenly over 0..1, for a density whose own integral is 1: exact where E is constant.
-fn mean_over(nodes: &[Albedo], density: impl Fn(f32) -> f32) -> f32 {
+fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);
     for (i, node) in nodes.iter().enumerate() {
         let x = i as f32 / last;
         let weight = density(x) * if i == 0 || i + 1 == nodes.len() { 0.5 } else { 1.0 };
-        (sum, weights) = (sum + weight * node.full, weights + weight);
+        (sum, weights) = (sum + weight * node[FULL], weights + weight);
     }
     sum / weights
 }
 
-fn tabulate() -> Vec<Albedo> {
-    let mut table = Vec::with_capacity(COSINES * ROUGHNESSES);
-    for j in 0..ROUGHNESSES {
-        let roughness = j as f32 / (ROUGHNESSES - 1) as f32;
-        let alpha = Vec2::splat((roughness * roughness).max(SMALLEST));
-        for i in 0..COSINES {
-            table.push(integrate(
-                towards((i as f32 / (COSINES - 1) as f32).max(SMALLEST)),
-                alpha,
-                SAMPLES,
-                LATTICE_STEP,
-            ));
-        }
-        let row = &mut table[j * COSINES..];
-        let mean = mean_over(row, |cosine| 2.0 * cosine);
-        row.iter_mut().for_each(|node| node.mean = mean);
-    }
-    table
-}
-
-/// A view with this cosine.
+/// A view with this cosine, or the smallest.
 fn towards(cosine: f32) -> Vec3 {
+    let cosine = cosine.max(SMALLEST);
     Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine)
 }
 
-fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> Albedo {
-    let (mut full, mut grazing) = (0.0, 0.0);
+/// α of a lobe that is not stretched.
+fn round(roughness: f32) -> Vec2 {
+    Vec2::splat((roughness * roughness).max(SMALLEST))
+}
+
+/// E, both B, and room for the mean, which is known once all cosines are.
+fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> [f32; 4] {
+    let [full, metal, dielectric] = mean_of_lobe(o, alpha, samples, lattice_step, |o_h| {
+        [1.0, fresnel::metal_rise(o_h), fresnel::dielectric_rise(o_h, COMMON_IOR)]
+    });
+    [full, metal, dielectric, f32::NAN]
+}
+
+/// Albedo of the lobe with functions of o·h in the place of Fresnel.
+fn mean_of_lobe<const N: usize>(
+    o: Vec3,
+    alpha: Vec2,
+    samples: u32,
+    lattice_step: u32,
+    functions: impl Fn(f32) -> [f32; N],
+) -> [f32; N] {
+    let mut sums = [0.0; N];
     for k in 0..samples {
         let u = [(k as f32 + 0.5) / samples as f32, ((k * lattice_step) % samples) as f32 / samples as f32];
         let h = ggx::sample_normal(o, alpha, u);
         let i = ggx::reflect(o, h);
         if i.z > 0.0 {
             let weight = f64::from(ggx::masking_ratio(o, i, alpha));
-            full += weight;
-            grazing += weight * f64::from(1.0 - o.dot(h)).max(0.0).powi(5);
+            let values = functions(o.dot(h));
+            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * f64::from(value));
         }
     }
-    let n = f64::from(samples);
-    // the mean is known once all cosines are
-    Albedo { full: (full / n) as f32, grazing: (grazing / n) as f32, mean: f32::NAN }
+    sums.map(|sum| (sum / f64::from(samples)) as f32)
 }
 
 #[cfg(test)]
@@ -191,32 +203,40 @@ mod tests {
     /// Largest difference between the interpolated table and a direct integration.
     const TABLE_TOLERANCE: f32 = 4e-3;
     const STRETCHED_TOLERANCE: f32 = 0.02;
+    const INDICES_TOLERANCE: f32 = 0.01;
 
     #[test]
     fn the_table_interpolates_the_integral() {
         for cosine in [0.05, 0.3, 0.77, 1.0] {
             for alpha in [0.003f32, 0.02, 0.1, 0.4, 1.0] {
-                let (table, direct) = (
-                    albedo(cosine, alpha.sqrt()),
-                    integrate(towards(cosine), Vec2::splat(alpha), SAMPLES, LATTICE_STEP),
-                );
-                assert!((table.full - direct.full).abs() < TABLE_TOLERANCE, "{cosine} {alpha}: {table:?} {direct:?}");
-                assert!(
-                    (table.grazing - direct.grazing).abs() < TABLE_TOLERANCE,
-                    "{cosine} {alpha}: {table:?} {direct:?}"
-                );
+                let table = albedo(cosine, alpha.sqrt());
+                let direct: Albedo = integrate(towards(cosine), Vec2::splat(alpha), SAMPLES, LATTICE_STEP).into();
+                for [table, direct] in [
+                    [table.full, direct.full],
+                    [table.metal, direct.metal],
+                    [table.dielectric, direct.dielectric],
+                    [dielectric(cosine, alpha.sqrt(), COMMON_IOR), direct.dielectric],
+                ] {
+                    assert!((table - direct).abs() < TABLE_TOLERANCE, "{cosine} {alpha}: {table} {direct}");
+                }
+                for ior in [1.02, 1.2, 1.33, 2.42, 3.9] {
+                    let table = dielectric(cosine, alpha.sqrt(), ior);
+                    let rise = |o_h: f32| [fresnel::dielectric_rise(o_h, ior)];
+                    let [direct] = mean_of_lobe(towards(cosine), Vec2::splat(alpha), SAMPLES, LATTICE_STEP, rise);
+                    assert!((table - direct).abs() < INDICES_TOLERANCE, "{cosine} {alpha} {ior}: {table} {direct}");
+                }
             }
         }
         // a mirror loses nothing and reflects (1 − μ)⁵
         let mirror = albedo(0.5, 0.0);
-        assert!((mirror.full - 1.0).abs() < TABLE_TOLERANCE && (mirror.grazing - 1.0 / 32.0).abs() < TABLE_TOLERANCE);
+        assert!((mirror.full - 1.0).abs() < TABLE_TOLERANCE && (mirror.metal - 1.0 / 32.0).abs() < TABLE_TOLERANCE);
     }
 
     /// Against the series, summed.
     #[test]
     fn the_compensation_is_a_series_of_reflections() {
         for (full, escape) in [(0.3f32, 0.5f32), (0.5, 0.45), (0.9, 0.95), (1.0, 1.0)] {
-            let lobe = Albedo { full, grazing: 0.0, mean: escape };
+            let lobe = Albedo { full, metal: 0.0, dielectric: 0.0, mean: escape };
             for f0 in [0.0f32, 0.04, 0.37, 1.0] {
                 // the mean of Schlick's term, by midpoints
                 let schlick = |x: f32| 2.0 * x * (f0 + (1.0 - f0) * (1.0 - x).powi(5));
@@ -255,8 +275,12 @@ mod tests {
                     let sine = (1.0 - cosine * cosine).sqrt();
                     let o = Vec3::new(sine * azimuth.cos(), sine * azimuth.sin(), cosine);
                     let alpha = Vec2::from_array(alpha);
-                    let (table, direct) = (stretched(o, alpha), integrate(o, alpha, SAMPLES, LATTICE_STEP));
-                    let error = (table.full - direct.full).abs().max((table.grazing - direct.grazing).abs());
+                    let table = stretched(o, alpha);
+                    let direct: Albedo = integrate(o, alpha, SAMPLES, LATTICE_STEP).into();
+                    let error = (table.full - direct.full)
+                        .abs()
+                        .max((table.metal - direct.metal).abs())
+                        .max((table.dielectric - direct.dielectric).abs());
                     assert!(error < STRETCHED_TOLERANCE, "{o} {alpha}: {table:?} {direct:?}");
                 }
             }

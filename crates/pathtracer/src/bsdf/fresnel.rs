@@ -1,6 +1,8 @@
 //! Share of light that an interface reflects: Schlick's approximation, Fresnel's equations, and a thin film on top.
 //!
-//! F = f₀ + (f₉₀ − f₀)(1 − cos θ)⁵ (Schlick 1994). A film (`KHR_materials_iridescence`) replaces F by the reflectance of
+//! F = f₀ + (f₉₀ − f₀) s(cos θ), where s rises from 0 to 1. Metals have s = (1 − cos θ)⁵ (Schlick 1994), dielectrics the course of Fresnel's equations
+//! F_n for their index: s = (F_n(cos θ) − F_n(1)) / (1 − F_n(1)), so that F = F_n where nothing changes f₀ and f₉₀. (The format's sample code takes
+//! Schlick's term for both; at n = 1.5 it reflects 8.6 % of diffuse light, the equations 9.2 %.) A film (`KHR_materials_iridescence`) replaces F by the reflectance of
 //! outside–film–base with interference, integrated over the spectrum in closed form (Belcour, Barla 2017, section 4; the constants
 //! are their fit of the CIE colour-matching functions), with Schlick's reflectances at both interfaces and without polarization:
 //!
@@ -20,9 +22,9 @@ const FADE_NM: f32 = 30.0;
 /// f₀ of the base from which its index of refraction is taken; 1 would be infinite.
 const MOST_F0: f32 = 0.9999;
 
-/// Schlick's term with its weight: `weight · (f0 + (f90 − f0)(1 − cos)⁵)`, per channel.
+/// A reflectance with its weight: `weight · (f0 + (f90 − f0) s)`, per channel.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Schlick {
+pub(crate) struct Fresnel {
     pub(crate) f0: Vec3,
     pub(crate) f90: f32,
     pub(crate) weight: Vec3,
@@ -38,12 +40,30 @@ pub(crate) struct Film {
     pub(crate) thickness_nm: f32,
 }
 
-impl Schlick {
-    /// F without the weight; `grazing` is (1 − cos)⁵.
+impl Fresnel {
+    /// F without the weight, for a value of s.
     #[inline]
-    pub(crate) fn reflectance(&self, grazing: f32) -> Vec3 {
-        self.f0 + (Vec3::splat(self.f90) - self.f0) * grazing
+    pub(crate) fn reflectance(&self, rise: f32) -> Vec3 {
+        self.f0 + (Vec3::splat(self.f90) - self.f0) * rise
     }
+}
+
+/// s of a metal: (1 − cos)⁵.
+#[inline]
+pub(crate) fn metal_rise(cosine: f32) -> f32 {
+    (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
+}
+
+/// s of a dielectric seen from outside. An index of 0, as the format has it where only colours of gloss are known, rises like a metal.
+#[inline]
+pub(crate) fn dielectric_rise(cosine: f32, ior: f32) -> f32 {
+    if ior < 1.0 { metal_rise(cosine) } else { rise(dielectric(cosine, ior).0, normal_reflectance(ior)) }
+}
+
+/// s where the interface reflects `reflectance`, and `f0` straight on.
+#[inline]
+pub(crate) fn rise(reflectance: f32, f0: f32) -> f32 {
+    ((reflectance - f0) / (1.0 - f0)).clamp(0.0, 1.0)
 }
 
 impl Film {
@@ -86,7 +106,7 @@ pub(crate) fn normal_reflectance(ior: f32) -> f32 {
 }
 
 fn schlick(f0: f32, cosine: f32) -> f32 {
-    f0 + (1.0 - f0) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
+    f0 + (1.0 - f0) * metal_rise(cosine)
 }
 
 /// Fourier transform of the colour-matching functions at an optical path difference, in linear RGB.

@@ -12,6 +12,7 @@ use glam::{Vec2, Vec3};
 
 use super::fresnel::{self, Film};
 use super::ggx;
+use super::table::Table;
 
 /// Indices of refraction closer to 1 than this do not bend light.
 const NO_REFRACTION: f32 = 1e-3;
@@ -96,9 +97,8 @@ impl Glass {
             // total reflection leaves no other way
             return (Vec3::ONE, 1.0, far);
         }
-        // exact terms in the place of Schlick's (1 − cos)⁵
-        let grazing = ((bare - changed.bare_f0) / (1.0 - changed.bare_f0)).clamp(0.0, 1.0);
-        let mut fresnel = changed.f0 + (Vec3::splat(changed.f90) - changed.f0) * grazing;
+        let rise = fresnel::rise(bare, changed.bare_f0);
+        let mut fresnel = changed.f0 + (Vec3::splat(changed.f90) - changed.f0) * rise;
         if let Some(film) = &changed.film {
             // a lossless stack reflects alike from both sides
             let outside = if changed.front { cosine } else { far };
@@ -148,35 +148,19 @@ impl Glass {
 
 /// Albedo of clear glass, trilinear in the root of the cosine, perceptual roughness and the root of |n − 1|/(n + 1).
 fn albedo(cosine: f32, roughness: f32, ior: f32, front: bool) -> f32 {
-    static TABLES: OnceLock<[Vec<f32>; 2]> = OnceLock::new();
+    static TABLES: OnceLock<[Table<3, 1>; 2]> = OnceLock::new();
     let table = &TABLES.get_or_init(|| [tabulate(false), tabulate(true)])[usize::from(front)];
-    let at = [cosine.max(0.0).sqrt(), roughness, ((ior - 1.0).abs() / (ior + 1.0) / LARGEST_ROOT).sqrt()];
-    let mut index = [0; 3];
-    let mut share = [0.0; 3];
-    for axis in 0..3 {
-        let x = at[axis].clamp(0.0, 1.0) * (NODES[axis] - 1) as f32;
-        index[axis] = (x as usize).min(NODES[axis] - 2);
-        share[axis] = x - index[axis] as f32;
-    }
-    let mut sum = 0.0;
-    for corner in 0..8 {
-        let bit = |axis: usize| (corner >> axis) & 1;
-        let node = ((index[2] + bit(2)) * NODES[1] + index[1] + bit(1)) * NODES[0] + index[0] + bit(0);
-        let weight = |axis: usize| if bit(axis) == 1 { share[axis] } else { 1.0 - share[axis] };
-        sum += table[node] * weight(0) * weight(1) * weight(2);
-    }
-    sum
+    let root = (ior - 1.0).abs() / (ior + 1.0) / LARGEST_ROOT;
+    let [albedo] = table.at([cosine.max(0.0).sqrt(), roughness, root.sqrt()]);
+    albedo
 }
 
-fn tabulate(front: bool) -> Vec<f32> {
-    let fraction = |index: usize, axis: usize| index as f32 / (NODES[axis] - 1) as f32;
-    let node = |index: usize| {
-        let cosine = fraction(index % NODES[0], 0).powi(2).max(SMALLEST);
-        let roughness = fraction(index / NODES[0] % NODES[1], 1);
-        let root = LARGEST_ROOT * fraction(index / NODES[0] / NODES[1], 2).powi(2);
-        integrate(cosine, (roughness * roughness).max(SMALLEST), (1.0 + root) / (1.0 - root), front)
-    };
-    (0..NODES.iter().product()).map(node).collect()
+fn tabulate(front: bool) -> Table<3, 1> {
+    Table::new(NODES, |[root_of_cosine, roughness, root]| {
+        let cosine = (root_of_cosine * root_of_cosine).max(SMALLEST);
+        let root = LARGEST_ROOT * root * root;
+        [integrate(cosine, (roughness * roughness).max(SMALLEST), (1.0 + root) / (1.0 - root), front)]
+    })
 }
 
 fn integrate(cosine: f32, alpha: f32, ior: f32, front: bool) -> f32 {

@@ -1,6 +1,6 @@
 //! Scattering at a surface: glTF's metallic-roughness model with its extensions, conserving energy.
 //!
-//! With base colour c, metallic m, transmission t, F Schlick's Fresnel term and K the compensation of [`albedo`]:
+//! With base colour c, metallic m, transmission t, F the reflectance of [`fresnel`] and K the compensation of [`albedo`]:
 //!
 //! ```text
 //! f     = κ f_coat + (1 − κ E_coat(o)) [σ f_fibres + (1 − max(σ) E_fibres(o)) f_base]
@@ -23,14 +23,15 @@ mod ggx;
 mod glass;
 mod sheen;
 mod spectrum;
+mod table;
 
 use std::f32::consts::FRAC_1_PI;
 
 use glam::{Mat3, Vec2, Vec3};
 
-use self::albedo::{Albedo, albedo};
+use self::albedo::{Albedo, COMMON_IOR, albedo};
 pub(crate) use self::fresnel::Film;
-use self::fresnel::{Schlick, normal_reflectance};
+use self::fresnel::{Fresnel, dielectric_rise, metal_rise, normal_reflectance};
 use self::glass::{Glass, GlassOptions};
 use self::sheen::Fibres;
 pub(crate) use self::spectrum::{Wave, index_at};
@@ -40,9 +41,7 @@ use crate::shading::{Appearance, Coating, Extras, Frame};
 
 /// Below this α a lobe is a perfect mirror (perceptual roughness 0.032): light sampling could not find it.
 pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
-/// F₉₀ falls to 0 with F₀ below 2 %, where no real material is: an index of 1 then reflects nothing at any angle.
-const F90_PER_F0: f32 = 50.0;
-/// Reflectance of the clear coat at normal incidence: index 1.5.
+/// Reflectance of the clear coat at normal incidence: [`COMMON_IOR`].
 const COAT_F0: f32 = 0.04;
 
 /// The scattering function at one point for one outgoing direction.
@@ -54,8 +53,10 @@ pub(crate) struct Bsdf {
     o: Vec3,
     alpha: Vec2,
     mirror: bool,
-    metal: Schlick,
-    dielectric: Schlick,
+    metal: Fresnel,
+    dielectric: Fresnel,
+    /// The dielectric's index, by which its reflectance rises.
+    ior: f32,
     diffuse: Vec3,
     /// Normals of diffuse scattering in the local frame; z but where normals were bent or mapped.
     diffuse_normals: Normals,
@@ -137,17 +138,22 @@ impl Bsdf {
         let film = extras.and_then(|extras| extras.film);
         let (f0, f90) = dielectric_reflectance(ior, extras);
         // what the lobe reflects at its mean, for the albedo of what lies below
-        let seen = |lobe: &Schlick| match &film {
+        let seen = |lobe: &Fresnel, rise: f32, mean_rise: f32| match &film {
             Some(film) => {
-                let fresnel = film.over(lobe.reflectance((1.0 - o.z).powi(5)), lobe.f0, o.z);
+                let fresnel = film.over(lobe.reflectance(rise), lobe.f0, o.z);
                 (fresnel * table.full, fresnel)
             }
-            None => (table.schlick(lobe.f0, lobe.f90), lobe.f0),
+            None => (table.reflected(lobe.f0, lobe.f90, mean_rise), lobe.f0),
         };
         let glass_share = if solid && ior > 0.0 { transmission } else { 0.0 };
         let layered = below * (1.0 - metallic) * (1.0 - glass_share);
-        let mut dielectric = Schlick { f0, f90, weight: Vec3::ONE };
-        let (reflected, for_compensation) = seen(&dielectric);
+        let mut dielectric = Fresnel { f0, f90, weight: Vec3::ONE };
+        let mean_rise = match ior {
+            COMMON_IOR => table.dielectric,
+            ..1.0 => table.metal,
+            _ => albedo::dielectric(o.z, (alpha.x * alpha.y).sqrt().sqrt(), ior),
+        };
+        let (reflected, for_compensation) = seen(&dielectric, dielectric_rise(o.z, ior), mean_rise);
         let compensation = compensate(for_compensation);
         let reflected = (reflected * compensation).min(Vec3::ONE);
         dielectric.weight = layered * compensation;
@@ -155,10 +161,10 @@ impl Bsdf {
         let thin_share = if solid { 0.0 } else { transmission };
         let diffuse = passed * (1.0 - thin_share) * base;
         let thin = passed * thin_share * base;
-        let mut metal = Schlick { f0: base, f90: 1.0, weight: Vec3::ZERO };
+        let mut metal = Fresnel { f0: base, f90: 1.0, weight: Vec3::ZERO };
         let mut metal_albedo = Vec3::ZERO;
         if metallic > 0.0 {
-            let (reflected, for_compensation) = seen(&metal);
+            let (reflected, for_compensation) = seen(&metal, metal_rise(o.z), table.metal);
             metal.weight = below * metallic * compensate(for_compensation);
             metal_albedo = reflected * metal.weight;
         }
@@ -202,6 +208,7 @@ impl Bsdf {
             mirror,
             metal,
             dielectric,
+            ior,
             diffuse,
             diffuse_normals,
             thin,
@@ -344,8 +351,8 @@ impl Bsdf {
     /// Σ weight · F of the reflection lobes at the cosine between direction and microfacet normal.
     #[inline]
     fn reflectance(&self, cosine: f32) -> Vec3 {
-        let grazing = (1.0 - cosine.clamp(0.0, 1.0)).powi(5);
-        let (metal, dielectric) = (self.metal.reflectance(grazing), self.dielectric.reflectance(grazing));
+        let metal = self.metal.reflectance(metal_rise(cosine));
+        let dielectric = self.dielectric.reflectance(dielectric_rise(cosine, self.ior));
         let Some(film) = &self.film else { return self.metal.weight * metal + self.dielectric.weight * dielectric };
         let mut sum = Vec3::ZERO;
         for (lobe, bare) in [(&self.metal, metal), (&self.dielectric, dielectric)] {
@@ -410,12 +417,12 @@ impl Coat {
         let table = albedo(o.z, if mirror { 0.0 } else { coating.roughness });
         let compensation = if compensated { table.compensation(Vec3::splat(COAT_F0)).x } else { 1.0 };
         let weight = coating.factor * compensation;
-        let albedo = weight * table.schlick(Vec3::splat(COAT_F0), 1.0).x;
+        let albedo = weight * table.reflected(Vec3::splat(COAT_F0), 1.0, table.dielectric).x;
         Self { scene_from_local, o, alpha: Vec2::splat(alpha.max(MIRROR_ALPHA)), mirror, weight, albedo }
     }
 
     fn reflectance(&self, cosine: f32) -> f32 {
-        self.weight * (COAT_F0 + (1.0 - COAT_F0) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5))
+        self.weight * fresnel::dielectric(cosine, COMMON_IOR).0
     }
 
     /// f |cos| and density.
@@ -434,16 +441,15 @@ impl Coat {
 pub(crate) fn coat_transmittance(coating: &Coating, cosine: f32) -> f32 {
     let table = albedo(cosine, coating.roughness);
     let f0 = Vec3::splat(COAT_F0);
-    1.0 - coating.factor * table.schlick(f0, 1.0).x * table.compensation(f0).x
+    1.0 - coating.factor * table.reflected(f0, 1.0, table.dielectric).x * table.compensation(f0).x
 }
 
 /// F₀ and F₉₀ of the dielectric base.
 fn dielectric_reflectance(ior: f32, extras: Option<&Extras>) -> (Vec3, f32) {
     let f0 = normal_reflectance(ior);
-    let f90 = (F90_PER_F0 * f0).min(1.0);
     match extras {
-        None => (Vec3::splat(f0), f90),
-        Some(extras) => ((f0 * extras.specular_color).min(Vec3::ONE) * extras.specular, f90 * extras.specular),
+        None => (Vec3::splat(f0), 1.0),
+        Some(extras) => ((f0 * extras.specular_color).min(Vec3::ONE) * extras.specular, extras.specular),
     }
 }
 
