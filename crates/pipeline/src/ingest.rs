@@ -28,6 +28,8 @@ const CLOSEST: f64 = 0.58;
 const FOOT: f64 = 0.5;
 /// Width of what its lower edge may cut through, over the widest of what is seen above it.
 const SLENDER: f64 = 0.3;
+/// What stays free on each side of what an automatic window shows whole, as a share of it.
+const MARGIN: f64 = 0.03;
 /// Columns of the straight view by which coverage is measured.
 const PROBE_COLS: usize = 168;
 
@@ -363,7 +365,7 @@ fn close_up(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Window, PipelineError> {
-    let mut key = KeyBuilder::new("window", 3);
+    let mut key = KeyBuilder::new("window", 4);
     ingested.add_to(&mut key);
     let key = key.add("window", format!("{window:?} {recentre}").as_bytes()).finish();
     let (centre, scale): ([f64; 3], f64) = remembered(cache_dir, &format!("window-{}.json", &key[..16]), || {
@@ -386,7 +388,8 @@ fn close_up(
 }
 
 /// The largest part of a picture, as a factor on its size and its centre [row, column] in pixels, of which [`COVERAGE`] is set in the mask. Where even
-/// [`CLOSEST`] is not enough, that. With `recentre` what is seen stays whole, but for a foot below a slender neck.
+/// [`CLOSEST`] is not enough, that. With `recentre` what is seen stays whole, but for a foot below a slender neck; where less than [`COVERAGE`] is to
+/// be had, it keeps a [margin](MARGIN).
 fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
     let per_row: Vec<f64> = (0..rows).map(|row| mask.block([row]).iter().map(|&hit| f64::from(hit)).sum()).collect();
@@ -403,7 +406,14 @@ fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
     // where a window of `size` goes of `count` pixels, so that it stands as near to `wanted` as it can
     let place =
         |wanted: f64, size: usize, count: usize| wanted.clamp(0.5 * size as f64, count as f64 - 0.5 * size as f64);
-    let (mut best, mut factor) = ((1.0, middle), 1.0);
+    let framed = |count: usize, seen: usize| (1.0 + 2.0 * MARGIN) * seen as f64 / count as f64;
+    let whole = framed(rows, end_row - first_row).max(framed(cols, end_col - first_col)).max(CLOSEST);
+    let mut best = if recentre {
+        (whole, [0.5 * (first_row + end_row) as f64, 0.5 * (first_col + end_col) as f64])
+    } else {
+        (1.0, middle)
+    };
+    let mut factor = 1.0;
     loop {
         let [height, width] = [rows, cols].map(|n| ((n as f64 * factor).round() as usize).max(1));
         let centre = if recentre {
@@ -424,7 +434,14 @@ fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
             .map(|row| mask.block([row])[left..right].iter().map(|&hit| f64::from(hit)).sum::<f64>())
             .sum();
         let enough = shown >= COVERAGE * (height * width) as f64;
-        if !recentre || cuts_through_a_neck(&per_row[..end_row], bottom) {
+        let is_fine = if !recentre {
+            true
+        } else if bottom < end_row {
+            cuts_through_a_neck(&per_row[..end_row], bottom)
+        } else {
+            enough
+        };
+        if is_fine {
             best = (factor, centre);
             if enough {
                 return best;
@@ -437,9 +454,9 @@ fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
     }
 }
 
-/// Whether a window that ends before row `bottom` cuts nothing off, or a foot below a slender neck.
+/// Whether a window that ends before row `bottom` cuts off a foot below a slender neck.
 fn cuts_through_a_neck(per_row: &[f64], bottom: usize) -> bool {
-    let Some(&cut) = per_row.get(bottom) else { return true };
+    let cut = per_row[bottom];
     let foot: f64 = per_row[bottom..].iter().sum();
     // of what stays: a piece of chess is widest at its foot, and that is no stand
     let widest = per_row[..bottom].iter().copied().fold(0.0, f64::max);
@@ -589,6 +606,17 @@ mod tests {
         let (factor, [row, col]) = best_crop(&mask, true);
         assert!(factor >= 0.96, "{factor}");
         assert!((row - 50.0).abs() <= 2.0 && (col - 80.0).abs() <= 1.0);
+        // one that does not fill the window's height is framed with a margin above and below
+        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
+        (15..85).for_each(|row| (70..90).for_each(|col| *mask.at_mut([row, col]) = 1.0));
+        let (factor, [row, _]) = best_crop(&mask, true);
+        let [top, bottom] = [row - 50.0 * factor, row + 50.0 * factor];
+        assert!((11.0..13.5).contains(&top) && (86.5..89.0).contains(&bottom), "{top} to {bottom}");
+        // one that covers enough is not moved away for it
+        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
+        (15..85).for_each(|row| (54..84).for_each(|col| *mask.at_mut([row, col]) = 1.0));
+        let (factor, _) = best_crop(&mask, true);
+        assert!((0.68..0.72).contains(&factor), "{factor}");
         // nor does a piece of chess lose its foot: a head, a stem that is slender beside the foot, and the foot
         let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
         for row in 2..98 {
@@ -607,7 +635,7 @@ mod tests {
         let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
         (10..150).for_each(|col| (60..68).for_each(|row| *mask.at_mut([row, col]) = 1.0));
         let (factor, [row, _]) = best_crop(&mask, true);
-        assert!((0.87..0.92).contains(&factor), "{factor}");
+        assert!((0.92..0.94).contains(&factor), "{factor}, with a margin at both ends");
         assert!((row - 55.0).abs() < 10.0, "it stands in the middle as far as that goes: {row}");
     }
 }
