@@ -2,7 +2,7 @@
 
 use crate::tools::{Outcome, command, output_of, root, run};
 
-/// What a kernel's tests need besides the Rust target: a program and its Debian package.
+/// What a kernel's tests need besides the Rust target: programs and the Debian packages that bring each to work.
 struct Machine {
     target: &'static str,
     programs: &'static [(&'static str, &'static str)],
@@ -21,7 +21,10 @@ pub fn check() -> Outcome {
     let machines = [
         Machine {
             target: "aarch64-unknown-linux-gnu",
-            programs: &[("qemu-aarch64", "qemu-user"), ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu")],
+            programs: &[
+                ("qemu-aarch64", "qemu-user"),
+                ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"),
+            ],
             linker: Some("aarch64-linux-gnu-gcc"),
             runner: "qemu-aarch64 -L /usr/aarch64-linux-gnu".into(),
             flags: "",
@@ -46,8 +49,12 @@ pub fn check() -> Outcome {
 impl Machine {
     fn fetch(&self) -> Outcome {
         let has = |program: &str| output_of(command(program).arg("--version")).is_some();
-        let missing: Vec<&str> =
-            self.programs.iter().filter(|(program, _)| !has(program)).map(|(_, package)| *package).collect();
+        let missing: Vec<&str> = self
+            .programs
+            .iter()
+            .filter(|(program, _)| !has(program))
+            .flat_map(|(_, packages)| packages.split(' '))
+            .collect();
         if !missing.is_empty() {
             println!(
                 "\nfetching: the Debian packages {} (used only to run the tests of {})",
