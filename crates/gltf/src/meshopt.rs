@@ -68,7 +68,9 @@ impl<'d> Packed<'d> {
         }
         let (count, stride) = (count as usize, stride as usize);
         document.spend(&fields.place("count"), count, stride)?;
-        let mut workspace = Workspace::new(Limits { max_bytes: 2 * MAX_VIEW_BYTES as usize, ..Limits::default() });
+        // packed and unpacked; more than there are addresses on 32 bits
+        let most_held = usize::try_from(2 * MAX_VIEW_BYTES).unwrap_or(usize::MAX);
+        let mut workspace = Workspace::new(Limits { max_bytes: most_held, ..Limits::default() });
         let broken = |error| Fault::new(fields.place("buffer"), "a sound meshopt stream", error);
         let mode = fields.text("mode")?;
         let decode = match mode {
