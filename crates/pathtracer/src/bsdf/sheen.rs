@@ -11,6 +11,7 @@ use std::sync::OnceLock;
 
 use glam::Vec3;
 
+use super::table::Table;
 use super::{cosine_direction, ggx};
 use crate::math::sin_cos_turns;
 
@@ -92,29 +93,19 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
     (raw.min(1.0), 1.0 / raw.max(1.0))
 }
 
+/// Bilinear in the root of the cosine and in roughness.
 fn raw_albedo(cosine: f32, roughness: f32) -> f32 {
-    static TABLE: OnceLock<Vec<f32>> = OnceLock::new();
-    let table = TABLE.get_or_init(tabulate);
-    let x = cosine.clamp(0.0, 1.0).sqrt() * (COSINES - 1) as f32;
-    let y = ((roughness - LEAST_ROUGHNESS) / (1.0 - LEAST_ROUGHNESS)).clamp(0.0, 1.0) * (ROUGHNESSES - 1) as f32;
-    let (i, j) = ((x as usize).min(COSINES - 2), (y as usize).min(ROUGHNESSES - 2));
-    let (fx, fy) = (x - i as f32, y - j as f32);
-    let row = |j: usize| {
-        let [left, right] = [table[j * COSINES + i], table[j * COSINES + i + 1]];
-        left + (right - left) * fx
-    };
-    let (lower, upper) = (row(j), row(j + 1));
-    lower + (upper - lower) * fy
+    static TABLE: OnceLock<Table<2, 1>> = OnceLock::new();
+    let rough = (roughness - LEAST_ROUGHNESS) / (1.0 - LEAST_ROUGHNESS);
+    let [albedo] = TABLE.get_or_init(tabulate).at([cosine.max(0.0).sqrt(), rough]);
+    albedo
 }
 
-fn tabulate() -> Vec<f32> {
-    let node = |index: usize| {
-        let roughness = (index / COSINES) as f32 / (ROUGHNESSES - 1) as f32;
-        let fibres = Fibres::new(LEAST_ROUGHNESS + (1.0 - LEAST_ROUGHNESS) * roughness);
-        let root = (index % COSINES) as f32 / (COSINES - 1) as f32;
-        fibres.integrate((root * root).max(SMALLEST))
-    };
-    (0..COSINES * ROUGHNESSES).map(node).collect()
+fn tabulate() -> Table<2, 1> {
+    Table::new([COSINES, ROUGHNESSES], |[root_of_cosine, rough]| {
+        let fibres = Fibres::new(LEAST_ROUGHNESS + (1.0 - LEAST_ROUGHNESS) * rough);
+        [fibres.integrate((root_of_cosine * root_of_cosine).max(SMALLEST))]
+    })
 }
 
 impl Fibres {
