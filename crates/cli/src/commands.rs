@@ -126,17 +126,22 @@ fn finish(
         say!("{}", summary.report.display());
     } else if !summary.nodes.is_empty() {
         for node in &summary.nodes {
-            say!("{}: PSNR {:.1} dB at the target views", node.id, node.psnr_view);
+            let zone = node.psnr_zone.map_or(String::new(), |psnr| format!("{psnr:.1} dB over the zone, "));
+            say!("{}: PSNR {zone}{:.1} dB at the solver's views", node.id, node.psnr_view);
         }
         say!("{} displays; {:.0} s", summary.nodes.len(), summary.seconds);
         say!("{}", summary.report.display());
     } else {
+        let zone = match (summary.psnr_zone, summary.psnr_zone_worst) {
+            (Some(zone), Some(worst)) => format!("{zone:.1} dB over the zone (worst tenth {worst:.1}), "),
+            _ => String::new(),
+        };
         let others = [("in between", summary.psnr_held_out), ("outside", summary.psnr_outside)];
-        let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!(", {name} {psnr:.1} dB")));
+        let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!(", {name} {psnr:.1}")));
         if let Some(sentence) = &summary.depth_sentence {
             say!("Depth: {sentence}");
         }
-        say!("PSNR {:.1} dB at the target views{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
+        say!("PSNR {zone}{:.1} at the solver's views{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
         if let Some(preview) = written_preview(folder) {
             say!("Look into the display: lumistack preview {}", folder.display());
             let single = preview.join("preview.html");

@@ -216,6 +216,7 @@ fn run_folder(path: &Path) -> Result<Value, PipelineError> {
     {
         value["result"] = json!({
             "title": report["title"], "psnr_view": report["psnr_view"], "psnr_raw": report["psnr_raw"],
+            "psnr over the zone": report["psnr_zone"],
             "psnr in between": report["held_out"]["overall_psnr_view"],
             "psnr outside": report["outside"]["overall_psnr_view"], "ssim": report["ssim"], "flip": report["flip"],
             "command": report["command"],

@@ -4,12 +4,14 @@
 //! gives any number of views.
 //!
 //! The simple version reads four pixels of a layer for every ray. Departure: where the rays of a view meet single pixels one after another – nearest sampling at
-//! equal pitch, or any view along the layer's own pixels – whole lines are combined at once (`Reads::Line`), to the same bits.
+//! equal pitch, any view along the layer's own pixels, or the parts of pixels of a seen picture – whole lines are combined at once (`Reads::Runs`), to the
+//! same bits.
 
 use std::borrow::Cow;
 
 use lumistack_core::Tensor;
 
+use crate::area::AreaMap;
 use crate::{BacklightTap, Display, FieldGeometry, Formation, LayerStack, Missing, Projection, RayMap, Tap, ViewGrid};
 
 /// One emitted view.
@@ -20,6 +22,16 @@ pub struct EmittedView {
     pub radiance: Tensor<3>,
     /// Whether the ray counts, `[row][col]` row-major: false where it misses the display under the display's [`Missing`] rule.
     pub valid: Vec<bool>,
+}
+
+/// A picture as an eye sees it: every pixel is the mean over its area.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeenView {
+    /// Mean of the emitted radiance L̃ over the part of the pixel whose rays count, `[row][col][rgb]`; 0 where none counts. Divide by the stack's brightness
+    /// for what an adapted viewer sees.
+    pub radiance: Tensor<3>,
+    /// That part of the pixel's area, 0..1, `[row][col]` row-major: the rest misses the display under its [`Missing`] rule.
+    pub share: Vec<f32>,
 }
 
 /// A display that shows a stack. The stack must fit the display ([`LayerStack::check`]).
@@ -47,55 +59,122 @@ impl<'a> Simulator<'a> {
         self.single(ViewGrid::single(Projection::Perspective { distance_mm: z }, [x / z, y / z]))
     }
 
+    /// The seen picture of one view, given as a grid of one: from far away, or from an eye.
+    pub fn seen_from(&self, view: &ViewGrid) -> SeenView {
+        self.seen(&self.display.field_pixels().with_grid(view.clone()), [0, 0])
+    }
+
     fn single(&self, grid: ViewGrid) -> EmittedView {
         let geometry = FieldGeometry { grid, ..self.display.field_pixels() };
         self.view(&RayMap::new(self.display, &geometry), &geometry, [0, 0])
     }
 
-    /// The view `view` = [view_y, view_x] of a geometry whose tables for this display are `map`.
+    /// The view `view` = [view_y, view_x] of a geometry whose tables for this display are `map`: one ray per pixel, through its centre.
     pub fn view(&self, map: &RayMap, geometry: &FieldGeometry, view: [usize; 2]) -> EmittedView {
-        let (rows, cols, frames) = (geometry.rows, geometry.cols, self.stack.frames());
-        let formation = self.display.formation;
+        let (rows, cols) = (geometry.rows, geometry.cols);
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
         let mut valid = vec![true; rows * cols];
-        let mut met = vec![0.0f32; cols * 3];
-        let mut sum = vec![0.0f64; cols * 3];
-        let reads: Vec<Reads> = map.layers.iter().map(|layer| Reads::of(layer.x.of_view(view[1]))).collect();
+        let mut lines = Lines::new(self, map, view);
         for row in 0..rows {
-            sum.fill(0.0);
-            for frame in 0..frames {
-                met.fill(formation.neutral());
-                for ((layer, values), reads) in map.layers.iter().zip(&self.stack.layers).zip(&reads) {
-                    let tap_y = layer.y.of_view(view[0])[row];
-                    match formation {
-                        Formation::Attenuating => meet_layer(&mut met, values, frame, tap_y, reads, |met, v| *met *= v),
-                        _ => meet_layer(&mut met, values, frame, tap_y, reads, |met, v| *met += v),
-                    }
-                }
-                if formation == Formation::Polarization {
-                    met.iter_mut().for_each(|met| *met = sin2_of_quarter_turns(*met));
-                }
-                if let (Some(map), Some(emission)) = (&map.backlight, &self.stack.emission) {
-                    let (tap_y, taps_x) = (map.y(view[0])[row], map.x(view[1]));
-                    match formation {
-                        Formation::Additive => {
-                            meet_backlight(&mut met, emission, frame, tap_y, taps_x, |met, b| *met += b)
-                        }
-                        _ => meet_backlight(&mut met, emission, frame, tap_y, taps_x, |met, b| *met *= b),
-                    }
-                }
-                sum.iter_mut().zip(&met).for_each(|(sum, &met)| *sum += f64::from(met));
-            }
+            let sum = lines.emitted(row);
             for (col, (pixel, sum)) in
                 radiance.block_mut([row]).chunks_exact_mut(3).zip(sum.chunks_exact(3)).enumerate()
             {
                 valid[row * cols + col] = ray_is_valid(map, self.display.missing, view, row, col);
                 if valid[row * cols + col] {
-                    pixel.iter_mut().zip(sum).for_each(|(value, sum)| *value = (sum / frames as f64) as f32);
+                    pixel.iter_mut().zip(sum).for_each(|(value, sum)| *value = *sum as f32);
                 }
             }
         }
         EmittedView { radiance, valid }
+    }
+
+    /// The seen picture of a view: for every pixel of `geometry` the mean over its area of the emission along the rays of that view. Exact, since layers are
+    /// squares of constant value: pixels are cut where rays pass from one square to the next ([`AreaMap`]).
+    pub fn seen(&self, geometry: &FieldGeometry, view: [usize; 2]) -> SeenView {
+        let area = AreaMap::new(self.display, geometry, view);
+        let missing = self.display.missing;
+        let mut sums = vec![0.0f64; 3 * geometry.cols];
+        let mut shares = vec![0.0f64; geometry.cols];
+        let mut radiance = Tensor::zeros(["row", "col", "rgb"], [geometry.rows, geometry.cols, 3]);
+        let mut share = Vec::with_capacity(geometry.rows * geometry.cols);
+        let mut lines = Lines::new(self, &area.map, [0, 0]);
+        for (row, cuts) in area.y.chunk_by(|a, b| a.pixel == b.pixel).enumerate() {
+            sums.fill(0.0);
+            shares.fill(0.0);
+            let first = area.y.partition_point(|cut| cut.pixel < row as u32);
+            for (number, cut_y) in cuts.iter().enumerate() {
+                let line = lines.emitted(first + number);
+                for (i, (cut_x, emitted)) in area.x.iter().zip(line.chunks_exact(3)).enumerate() {
+                    if ray_is_valid(&area.map, missing, [0, 0], first + number, i) {
+                        let (col, weight) = (cut_x.pixel as usize, cut_x.share * cut_y.share);
+                        shares[col] += weight;
+                        sums[3 * col..3 * col + 3].iter_mut().zip(emitted).for_each(|(sum, e)| *sum += weight * e);
+                    }
+                }
+            }
+            for ((pixel, sums), share) in
+                radiance.block_mut([row]).chunks_exact_mut(3).zip(sums.chunks_exact(3)).zip(&shares)
+            {
+                if *share > 0.0 {
+                    pixel.iter_mut().zip(sums).for_each(|(value, sum)| *value = (sum / share) as f32);
+                }
+            }
+            share.extend(shares.iter().map(|share| *share as f32));
+        }
+        SeenView { radiance, share }
+    }
+}
+
+/// What the rows of one view emit, one after another, in storage that is kept.
+struct Lines<'a> {
+    simulator: &'a Simulator<'a>,
+    map: &'a RayMap,
+    view: [usize; 2],
+    reads: Vec<Reads<'a>>,
+    met: Vec<f32>,
+    sum: Vec<f64>,
+}
+
+impl<'a> Lines<'a> {
+    fn new(simulator: &'a Simulator<'a>, map: &'a RayMap, view: [usize; 2]) -> Self {
+        let reads: Vec<Reads> = map.layers.iter().map(|layer| Reads::of(layer.x.of_view(view[1]))).collect();
+        let cols = map.layers.first().map_or_else(
+            || map.backlight.as_ref().map_or(0, |map| map.x(view[1]).len()),
+            |layer| layer.x.of_view(view[1]).len(),
+        );
+        Self { simulator, map, view, reads, met: vec![0.0; cols * 3], sum: vec![0.0; cols * 3] }
+    }
+
+    /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, whether they count or not.
+    fn emitted(&mut self, row: usize) -> &[f64] {
+        let Self { simulator, map, view, reads, met, sum } = self;
+        let (stack, formation) = (&simulator.stack, simulator.display.formation);
+        sum.fill(0.0);
+        for frame in 0..stack.frames() {
+            met.fill(formation.neutral());
+            for ((layer, values), reads) in map.layers.iter().zip(&stack.layers).zip(reads.iter()) {
+                let tap_y = layer.y.of_view(view[0])[row];
+                match formation {
+                    Formation::Attenuating => meet_layer(met, values, frame, tap_y, reads, |met, v| *met *= v),
+                    _ => meet_layer(met, values, frame, tap_y, reads, |met, v| *met += v),
+                }
+            }
+            if formation == Formation::Polarization {
+                met.iter_mut().for_each(|met| *met = sin2_of_quarter_turns(*met));
+            }
+            if let (Some(map), Some(emission)) = (&map.backlight, &stack.emission) {
+                let (tap_y, taps_x) = (map.y(view[0])[row], map.x(view[1]));
+                match formation {
+                    Formation::Additive => meet_backlight(met, emission, frame, tap_y, taps_x, |met, b| *met += b),
+                    _ => meet_backlight(met, emission, frame, tap_y, taps_x, |met, b| *met *= b),
+                }
+            }
+            sum.iter_mut().zip(met.iter()).for_each(|(sum, &met)| *sum += f64::from(met));
+        }
+        let frames = stack.frames() as f64;
+        sum.iter_mut().for_each(|sum| *sum /= frames);
+        sum
     }
 }
 
@@ -125,24 +204,39 @@ pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize
 
 /// How the rays of a row read a layer.
 enum Reads<'a> {
-    /// Columns `first` to `end` read the single pixels from `from` on; the others miss.
-    Line { first: usize, end: usize, from: usize },
+    /// Runs of rays that read single pixels one after another; all other rays miss.
+    Runs(Vec<Run>),
     /// Each as its tap says.
     Taps(&'a [Tap]),
 }
 
+/// Rays `first` to `end` read the single pixels from `from` on.
+#[derive(Clone, Copy)]
+struct Run {
+    first: usize,
+    end: usize,
+    from: usize,
+}
+
 impl<'a> Reads<'a> {
     fn of(taps: &'a [Tap]) -> Self {
-        let first = taps.iter().position(|tap| !tap.is_missed()).unwrap_or(0);
-        let end = taps.iter().rposition(|tap| !tap.is_missed()).map_or(0, |last| last + 1);
-        let from = taps[first..end].first().map_or(0, |tap| tap.first as usize);
-        let is_line = taps[first..end]
-            .iter()
-            .enumerate()
-            .all(|(i, tap)| !tap.is_missed() && tap.first as usize == from + i && tap.t == 0.0);
-        if is_line { Self::Line { first, end, from } } else { Self::Taps(taps) }
+        let mut runs: Vec<Run> = Vec::new();
+        for (i, tap) in taps.iter().enumerate().filter(|(_, tap)| !tap.is_missed()) {
+            if tap.t != 0.0 {
+                return Self::Taps(taps);
+            }
+            match runs.last_mut() {
+                Some(run) if run.end == i && run.from + (i - run.first) == tap.first as usize => run.end += 1,
+                _ => runs.push(Run { first: i, end: i + 1, from: tap.first as usize }),
+            }
+        }
+        // calls for runs of a few rays cost more than the rays themselves
+        if runs.len() * SHORT_RUN > taps.len() { Self::Taps(taps) } else { Self::Runs(runs) }
     }
 }
+
+/// Mean length of runs, in rays, below which rays are read one by one.
+const SHORT_RUN: usize = 4;
 
 /// Hands each `met[col][rgb]` the layer's value there. Where the ray misses, nothing happens: that is the neutral value, and a ray that does
 /// not count is set to 0 later.
@@ -159,19 +253,22 @@ fn meet_layer(
     }
     let upper = values.block([frame, tap_y.first as usize]);
     let lower = values.block([frame, tap_y.second as usize]);
-    match *reads {
-        Reads::Line { first, end, from } if tap_y.t == 0.0 => {
-            let line = &upper[3 * from..3 * (from + end - first)];
-            met[3 * first..3 * end].iter_mut().zip(line).for_each(|(met, value)| meet(met, *value));
-        }
-        Reads::Line { first, end, from } => {
-            let places = 3 * from..3 * (from + end - first);
-            let lines = upper[places.clone()].iter().zip(&lower[places]);
-            let mixed = lines.map(|(top, bottom)| top + tap_y.t * (bottom - top));
-            met[3 * first..3 * end].iter_mut().zip(mixed).for_each(|(met, value)| meet(met, value));
+    match reads {
+        Reads::Runs(runs) => {
+            for &Run { first, end, from } in runs {
+                let places = 3 * from..3 * (from + end - first);
+                let met = met[3 * first..3 * end].iter_mut();
+                if tap_y.t == 0.0 {
+                    met.zip(&upper[places]).for_each(|(met, value)| meet(met, *value));
+                } else {
+                    let lines = upper[places.clone()].iter().zip(&lower[places]);
+                    let mixed = lines.map(|(top, bottom)| top + tap_y.t * (bottom - top));
+                    met.zip(mixed).for_each(|(met, value)| meet(met, value));
+                }
+            }
         }
         Reads::Taps(taps) => {
-            for (pixel, tap) in met.chunks_exact_mut(3).zip(taps).filter(|(_, tap)| !tap.is_missed()) {
+            for (pixel, tap) in met.chunks_exact_mut(3).zip(*taps).filter(|(_, tap)| !tap.is_missed()) {
                 let (left, right) = (3 * tap.first as usize, 3 * tap.second as usize);
                 for c in 0..3 {
                     let top = upper[left + c] + tap.t * (upper[right + c] - upper[left + c]);
@@ -285,7 +382,7 @@ mod tests {
                 for (view, row) in (0..3).flat_map(|view| (0..rows).map(move |row| (view, row))) {
                     let (tap_y, taps_x) = (map.layers[0].y.of_view(view)[row], map.layers[0].x.of_view(view));
                     let reads = Reads::of(taps_x);
-                    if let Reads::Line { .. } = reads {
+                    if let Reads::Runs(_) = reads {
                         lines += 1
                     } else {
                         taps += 1
@@ -301,11 +398,10 @@ mod tests {
         }
         assert!(lines > 20 && taps > 20, "{lines} {taps}");
         // a layer that no ray meets, and no ray at all
-        assert!(matches!(Reads::of(&[]), Reads::Line { end: 0, from: 0, .. }));
-        assert!(matches!(
-            Reads::of(&[Tap { first: Tap::MISSED, second: Tap::MISSED, t: 0.0 }; 3]),
-            Reads::Line { end: 0, .. }
-        ));
+        let missed = Tap { first: Tap::MISSED, second: Tap::MISSED, t: 0.0 };
+        assert!(
+            [&[][..], &[missed; 3]].iter().all(|taps| matches!(Reads::of(taps), Reads::Runs(runs) if runs.is_empty()))
+        );
     }
 
     #[test]

@@ -10,6 +10,7 @@
 //! ```
 
 mod adapt;
+mod area;
 mod backlight;
 mod blur;
 mod check;
@@ -33,6 +34,7 @@ mod time;
 mod transfer;
 mod variation;
 mod weights;
+mod zone;
 
 pub use backlight::{Backlight, LensletBacklight, OutsideBins};
 pub use check::DisplayError;
@@ -40,7 +42,7 @@ pub use closed_form::ClosedForm;
 pub use config::{Display, FieldConfig, Missing, ProjectionKind, Sampling};
 pub use field::LightField;
 pub use formation::Formation;
-pub use forward::{EmittedView, Simulator};
+pub use forward::{EmittedView, SeenView, Simulator};
 pub use grid::{FieldGeometry, GridError, Projection, ViewGrid};
 pub use layer::{Layer, LayerColour, quantize};
 pub use panel::{Flip, Lens, Panel};
@@ -52,3 +54,4 @@ pub use time::{ColourOrder, ColourSequence};
 pub use transfer::{Channels, Transfer};
 pub use variation::Variation;
 pub use weights::{EyeBox, WeightError, Weights};
+pub use zone::{DirectionScore, LEAST_DIRECTIONS, LEAST_SHARE, Zone, ZoneScore, native_step};

@@ -4,7 +4,7 @@
 //! down. The map is separable, so one table of W entries per view column and one of H entries per view row and layer describe all rays: rays
 //! are never expanded into a list.
 
-use crate::{Backlight, Display, FieldGeometry, LensletBacklight, OutsideBins, Sampling};
+use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideBins, Sampling};
 
 /// Where one axis of a ray meets a layer: value = (1 − t)·f(first) + t·f(second).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,95 +124,139 @@ pub struct RayMap {
 impl RayMap {
     /// Computes the tables; sizes A_x·W and A_y·H per layer.
     pub fn new(display: &Display, geometry: &FieldGeometry) -> Self {
+        let [x, y] = [Axis::X, Axis::Y].map(|axis| axis.centres(geometry));
+        Self::of_rays(display, display.sampling, [(&x, geometry.cols), (&y, geometry.rows)])
+    }
+
+    /// Tables of any rays; per axis (x, y) the rays of all views, and how many of them belong to one view.
+    pub(crate) fn of_rays(display: &Display, sampling: Sampling, rays: [(&[AxisRay], usize); 2]) -> Self {
         let layers = display
             .layers
             .iter()
             .map(|layer| {
-                let [cols, rows] = layer.resolution;
-                let taps = |axis: Axis, count: usize| AxisTaps {
-                    rays: axis.rays(geometry),
-                    taps: axis
-                        .positions(geometry, layer.d_mm, layer.offset_mm)
-                        .map(|(position, _)| {
-                            Tap::at(position / layer.pitch_mm + (count as f64 - 1.0) / 2.0, count, display.sampling)
-                        })
-                        .collect(),
+                let taps = |axis: Axis| {
+                    let (rays, per_view) = rays[axis.index()];
+                    let count = layer.resolution[axis.index()];
+                    let tap = |ray: &AxisRay| Tap::at(axis.pixel(layer, ray), count, sampling);
+                    AxisTaps { rays: per_view, taps: rays.iter().map(tap).collect() }
                 };
-                LayerMap { x: taps(Axis::X, cols), y: taps(Axis::Y, rows), rows, cols }
+                let [cols, rows] = layer.resolution;
+                LayerMap { x: taps(Axis::X), y: taps(Axis::Y), rows, cols }
             })
             .collect();
         let backlight = match &display.backlight {
             Backlight::Uniform => None,
-            Backlight::Lenslets(lenslets) => Some(BacklightMap {
-                rays: [geometry.cols, geometry.rows],
-                x: backlight_taps(lenslets, geometry, Axis::X),
-                y: backlight_taps(lenslets, geometry, Axis::Y),
-            }),
+            Backlight::Lenslets(lenslets) => {
+                let taps = |axis: Axis| backlight_taps(lenslets, rays[axis.index()].0, axis);
+                Some(BacklightMap { rays: rays.map(|(_, per_view)| per_view), x: taps(Axis::X), y: taps(Axis::Y) })
+            }
         };
         Self { layers, backlight }
     }
 }
 
-/// The two axes of the separable map. Positions and slopes of `Y` are negated, so that both axes run the way array indices do.
-#[derive(Clone, Copy)]
-enum Axis {
+/// One axis of a ray: where it passes z = 0, in millimetres, and its slope.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct AxisRay {
+    pub(crate) at_mm: f64,
+    pub(crate) slope: f64,
+}
+
+/// The two axes of the separable map. Array indices run with x, and against y.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Axis {
     X,
     Y,
 }
 
 impl Axis {
-    fn rays(self, geometry: &FieldGeometry) -> usize {
+    pub(crate) fn index(self) -> usize {
+        self as usize
+    }
+
+    fn sign(self) -> f64 {
+        match self {
+            Self::X => 1.0,
+            Self::Y => -1.0,
+        }
+    }
+
+    /// Pixels of the field.
+    pub(crate) fn count(self, geometry: &FieldGeometry) -> usize {
         match self {
             Self::X => geometry.cols,
             Self::Y => geometry.rows,
         }
     }
 
-    /// Position at distance `d_mm` and slope of every ray, view by view, along the index direction.
-    fn positions(self, geometry: &FieldGeometry, d_mm: f64, offset_mm: [f64; 2]) -> impl Iterator<Item = (f64, f64)> {
-        let (slopes, sign, offset) = match self {
-            Self::X => (&geometry.grid.slope_x, 1.0, offset_mm[0]),
-            Self::Y => (&geometry.grid.slope_y, -1.0, offset_mm[1]),
+    /// The ray of a view at the point `at_mm` of z = 0.
+    pub(crate) fn ray(self, geometry: &FieldGeometry, view: usize, at_mm: f64) -> AxisRay {
+        let slopes = match self {
+            Self::X => &geometry.grid.slope_x,
+            Self::Y => &geometry.grid.slope_y,
         };
-        slopes.iter().flat_map(move |&view_slope| {
-            (0..self.rays(geometry)).map(move |i| {
-                let x = match self {
-                    Self::X => geometry.x_mm(i),
-                    Self::Y => geometry.y_mm(i),
-                };
-                let slope = geometry.grid.projection.slope(view_slope, x);
-                (sign * (x + d_mm * slope - offset), sign * slope)
-            })
-        })
+        AxisRay { at_mm, slope: geometry.grid.projection.slope(slopes[view], at_mm) }
+    }
+
+    /// Centre of a pixel of the field, millimetres.
+    pub(crate) fn centre_mm(self, geometry: &FieldGeometry, pixel: usize) -> f64 {
+        match self {
+            Self::X => geometry.x_mm(pixel),
+            Self::Y => geometry.y_mm(pixel),
+        }
+    }
+
+    /// The rays through all pixel centres, view by view.
+    fn centres(self, geometry: &FieldGeometry) -> Vec<AxisRay> {
+        let views = match self {
+            Self::X => geometry.grid.slope_x.len(),
+            Self::Y => geometry.grid.slope_y.len(),
+        };
+        let pixels = |view| {
+            (0..self.count(geometry)).map(move |pixel| self.ray(geometry, view, self.centre_mm(geometry, pixel)))
+        };
+        (0..views).flat_map(pixels).collect()
+    }
+
+    /// Where a ray meets a layer, in pixels from the centre of the first.
+    pub(crate) fn pixel(self, layer: &Layer, ray: &AxisRay) -> f64 {
+        let position = ray.at_mm + layer.d_mm * ray.slope - layer.offset_mm[self.index()];
+        self.sign() * position / layer.pitch_mm + (layer.resolution[self.index()] as f64 - 1.0) / 2.0
+    }
+
+    /// Where a ray meets the lenslet grid, in lenslets from its edge.
+    pub(crate) fn lenslet(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
+        let position = ray.at_mm + backlight.d_mm * ray.slope - backlight.offset_mm[self.index()];
+        self.sign() * position / backlight.pitch_mm + backlight.lenslets[self.index()] as f64 / 2.0
+    }
+
+    /// Which angular bin a ray reads: A_b/2·(1 + s/tan(α_b/2)), in bins from the edge of the first.
+    pub(crate) fn bin(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
+        let bins = backlight.views[self.index()] as f64;
+        let half_width = (0.5 * backlight.fov_deg[self.index()].to_radians()).tan();
+        bins / 2.0 * (1.0 + self.sign() * ray.slope / half_width)
     }
 }
 
-/// The ray reads the lenslet by its position at d_b and the bin floor(A_b/2·(1 + s/tan(α_b/2))). Under `repeat` a ray beyond the
-/// bins sees, as behind a real lens array, the picture of the neighbouring lenslet: bins continue periodically while the lenslet moves by one per
-/// zone.
-fn backlight_taps(backlight: &LensletBacklight, geometry: &FieldGeometry, axis: Axis) -> Vec<BacklightTap> {
-    let i = match axis {
-        Axis::X => 0,
-        Axis::Y => 1,
+/// The ray reads the lenslet by its position at d_b and the bin by its slope. Under `repeat` a ray beyond the bins sees, as behind a real lens
+/// array, the picture of the neighbouring lenslet: bins continue periodically while the lenslet moves by one per zone.
+fn backlight_taps(backlight: &LensletBacklight, rays: &[AxisRay], axis: Axis) -> Vec<BacklightTap> {
+    let lenslets = backlight.lenslets[axis.index()] as f64;
+    let bins = backlight.views[axis.index()] as f64;
+    let tap = |ray: &AxisRay| {
+        let lenslet = axis.lenslet(backlight, ray).floor();
+        if !(lenslet >= 0.0 && lenslet < lenslets) {
+            return BacklightTap::Missed;
+        }
+        let bin = axis.bin(backlight, ray).floor();
+        let zone = (bin / bins).floor();
+        let seen = lenslet - zone;
+        if zone != 0.0 && (backlight.outside_bins == OutsideBins::Dark || !(seen >= 0.0 && seen < lenslets)) {
+            return BacklightTap::Dark;
+        }
+        BacklightTap::Lit { lenslet: seen as u32, bin: (bin - zone * bins) as u32 }
     };
-    let lenslets = backlight.lenslets[i] as f64;
-    let bins = backlight.views[i] as f64;
-    let half_width = (0.5 * backlight.fov_deg[i].to_radians()).tan();
-    axis.positions(geometry, backlight.d_mm, backlight.offset_mm)
-        .map(|(position, slope)| {
-            let lenslet = (position / backlight.pitch_mm + lenslets / 2.0).floor();
-            if !(lenslet >= 0.0 && lenslet < lenslets) {
-                return BacklightTap::Missed;
-            }
-            let bin = (bins / 2.0 * (1.0 + slope / half_width)).floor();
-            let zone = (bin / bins).floor();
-            let seen = lenslet - zone;
-            if zone != 0.0 && (backlight.outside_bins == OutsideBins::Dark || !(seen >= 0.0 && seen < lenslets)) {
-                return BacklightTap::Dark;
-            }
-            BacklightTap::Lit { lenslet: seen as u32, bin: (bin - zone * bins) as u32 }
-        })
-        .collect()
+    rays.iter().map(tap).collect()
 }
 
 #[cfg(test)]
@@ -267,9 +311,9 @@ mod tests {
         // beyond the bins: dark, or the neighbour's picture
         let steep = geometry.with_grid(ViewGrid::single(Projection::Oblique, [1.1 * (10f64.to_radians()).tan(), 0.0]));
         let near = LensletBacklight { d_mm: -1.0, ..backlight };
-        assert_eq!(backlight_taps(&near, &steep, Axis::X)[geometry.cols - 1], BacklightTap::Dark);
+        assert_eq!(backlight_taps(&near, &Axis::X.centres(&steep), Axis::X)[geometry.cols - 1], BacklightTap::Dark);
         let repeat = LensletBacklight { outside_bins: OutsideBins::Repeat, ..near };
-        let tap = backlight_taps(&repeat, &steep, Axis::X)[geometry.cols - 1];
+        let tap = backlight_taps(&repeat, &Axis::X.centres(&steep), Axis::X)[geometry.cols - 1];
         let own = ((geometry.x_mm(geometry.cols - 1) - 1.1 * (10f64.to_radians()).tan()) / 4.0 + 2.0).floor() as u32;
         assert_eq!(tap, BacklightTap::Lit { lenslet: own - 1, bin: 0 });
     }

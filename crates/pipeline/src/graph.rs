@@ -33,6 +33,8 @@ pub struct NodeSummary {
     pub psnr_raw: f64,
     /// PSNR at in-between views, dB.
     pub psnr_held_out: Option<f64>,
+    /// PSNR of seen pictures all over the zone, dB.
+    pub psnr_zone: Option<f64>,
 }
 
 /// Runs a job with nodes into `dir`.
@@ -96,6 +98,7 @@ pub(crate) fn run(
             psnr_view: report.psnr_view,
             psnr_raw: report.psnr_raw,
             held_out_psnr_view: report.held_out_psnr_view,
+            psnr_zone: report.psnr_zone,
             brightness: made.stack.brightness,
             layers: made.stack.layers.len(),
             frames: made.stack.frames(),
@@ -113,6 +116,7 @@ pub(crate) fn run(
             psnr_view: report.psnr_view,
             psnr_raw: report.psnr_raw,
             psnr_held_out: report.held_out_psnr_view,
+            psnr_zone: report.psnr_zone,
         });
         input = made.input;
     }
@@ -122,7 +126,7 @@ pub(crate) fn run(
     };
     // of the job's own display, through which the window was placed
     let depth = input.depth;
-    let (psnr, psnr_held_out) = ([first.psnr_view, first.psnr_raw], first.psnr_held_out);
+    let (psnr, psnr_held_out, psnr_zone) = ([first.psnr_view, first.psnr_raw], first.psnr_held_out, first.psnr_zone);
     let settings = job.to_json();
     let (html, json) = lumistack_report::graph(&GraphInput {
         title: &job.name,
@@ -136,7 +140,7 @@ pub(crate) fn run(
     })
     .map_err(PipelineError::Report)?;
     write_report(dir, &html, &json)?;
-    Ok(Summary { psnr_held_out, nodes: summaries, ..Summary::new(dir, psnr, depth.as_ref(), start) })
+    Ok(Summary { psnr_held_out, psnr_zone, nodes: summaries, ..Summary::new(dir, psnr, depth.as_ref(), start) })
 }
 
 /// The plain job that a node stands for, given the light field.

@@ -15,7 +15,7 @@ mod window;
 use std::path::{Path, PathBuf};
 
 use lumistack_core::config;
-use lumistack_display::Display;
+use lumistack_display::{Display, LEAST_DIRECTIONS};
 use lumistack_field_io::GeometryFlags;
 use serde::{Deserialize, Serialize};
 
@@ -122,6 +122,8 @@ pub struct PoseJob {
 pub struct ReportJob {
     /// Pixels of a view per degree of visual angle, for FLIP.
     pub pixels_per_degree: f64,
+    /// Directions all over the zone from which scene and display are compared for the report only; 0 for no score of the zone.
+    pub zone_directions: usize,
 }
 
 fn schema() -> String {
@@ -146,7 +148,7 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 
 impl Default for ReportJob {
     fn default() -> Self {
-        Self { pixels_per_degree: 67.02 }
+        Self { pixels_per_degree: 67.02, zone_directions: LEAST_DIRECTIONS }
     }
 }
 
@@ -265,6 +267,10 @@ impl Job {
         }
         if !(1.0..=1000.0).contains(&self.report.pixels_per_degree) {
             return fail("report.pixels_per_degree", "1 to 1000", self.report.pixels_per_degree.to_string());
+        }
+        if self.report.zone_directions != 0 && !(LEAST_DIRECTIONS..=4096).contains(&self.report.zone_directions) {
+            let expected = format!("0, or {LEAST_DIRECTIONS} to 4096");
+            return fail("report.zone_directions", &expected, self.report.zone_directions.to_string());
         }
         if self.pose != PoseJob::default() && self.scene.is_none() {
             return fail("pose", "a scene to pose", "none".into());

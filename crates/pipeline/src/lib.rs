@@ -33,6 +33,7 @@ mod sequence;
 mod simulate;
 mod steps;
 mod sweep;
+mod zone;
 
 pub use cache::{KeyBuilder, Stamps};
 pub use compare::{

@@ -114,12 +114,9 @@ pub(crate) fn render(
     let target =
         FieldJob { name: "target", stream: 0, geometry: geometry.clone(), traced: traced(geometry), settings, folder };
     let mut fields: Vec<FieldJob> = std::iter::once(Some(target)).chain(others).flatten().collect();
-    let mut key = KeyBuilder::new("render", RENDER_VERSION);
-    ingested.add_to(&mut key);
-    // what a view is before it is exposed
-    key.add_json("light", &(job.light.environment_strength, job.light.automatic))
-        .add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
-    key.add("settings", format!("{settings:?}").as_bytes()).add("window", format!("{window:?}").as_bytes());
+    let mut key = shot_key(job, ingested, window);
+    key.add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
+    key.add("settings", format!("{settings:?}").as_bytes());
     let kind = job.render.denoise;
     if kind != Denoise::Off {
         key.add("halves", b"2");
@@ -194,6 +191,15 @@ pub(crate) fn render(
     let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
     let (held_out, outside) = (other("held-out"), other("outside"));
     Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached })
+}
+
+/// Key of what a view is before it is exposed, but for its geometry and its samples.
+pub(crate) fn shot_key(job: &Job, ingested: &Ingested, window: &Window) -> KeyBuilder {
+    let mut key = KeyBuilder::new("render", RENDER_VERSION);
+    ingested.add_to(&mut key);
+    key.add_json("light", &(job.light.environment_strength, job.light.automatic))
+        .add("window", format!("{window:?}").as_bytes());
+    key
 }
 
 /// One light field to render.

@@ -29,13 +29,18 @@ use crate::graph::{self, NodeSummary};
 use crate::ingest::Ingested;
 use crate::job::{FactorizeJob, Job, NodeJob, OutputJob};
 use crate::sequence::{self, SequenceSummary};
+use crate::zone::References;
 
 /// What a run ended with.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
     /// The report.
     pub report: PathBuf,
-    /// PSNR of L̃/β against L, dB.
+    /// Headline: PSNR of seen pictures all over the zone, dB; where a scene was rendered.
+    pub psnr_zone: Option<f64>,
+    /// The same of the worst tenth of the directions, dB.
+    pub psnr_zone_worst: Option<f64>,
+    /// PSNR of L̃/β against L at the solver's views, dB.
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw: f64,
@@ -63,6 +68,8 @@ impl Summary {
     pub(crate) fn new(run_dir: &Path, psnr: [f64; 2], depth: Option<&DepthBudget>, start: Instant) -> Self {
         Self {
             report: run_dir.join("report.html"),
+            psnr_zone: None,
+            psnr_zone_worst: None,
             psnr_view: psnr[0],
             psnr_raw: psnr[1],
             psnr_held_out: None,
@@ -104,6 +111,8 @@ pub fn run(
     let (mut run, made) = Run::make(job, run_dir, registry, &Moment::default(), task)?;
     let report = run.report(&made, &warnings.list.take(), command, task)?;
     Ok(Summary {
+        psnr_zone: report.psnr_zone,
+        psnr_zone_worst: report.psnr_zone_worst,
         psnr_held_out: report.held_out_psnr_view,
         psnr_outside: report.outside_psnr_view,
         ..Summary::new(run_dir, [report.psnr_view, report.psnr_raw], made.input.depth.as_ref(), start)
@@ -252,6 +261,9 @@ impl<'a> Run<'a> {
         let Made { input, weights, stack, steps, solution, outputs } = made;
         let settings = self.job.to_json();
         let denoising = input.denoised.as_ref().map(Denoised::about);
+        let pixels_per_degree = self.job.report.pixels_per_degree;
+        let measure = |zone: &References| zone.measure(&self.display, stack, pixels_per_degree, task);
+        let zone = input.zone.as_ref().map(measure).transpose()?;
         let report = lumistack_report::build(
             &ReportInput {
                 title: &self.job.name,
@@ -261,7 +273,8 @@ impl<'a> Run<'a> {
                 weights,
                 held_out: input.held_out.as_ref(),
                 outside: input.outside.as_ref(),
-                pixels_per_degree: self.job.report.pixels_per_degree,
+                zone: zone.as_ref(),
+                pixels_per_degree,
                 convergence: steps,
                 solution: solution.as_ref(),
                 stages: &self.stages,

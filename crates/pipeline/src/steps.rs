@@ -157,6 +157,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
             weights: on.weights,
             held_out: None,
             outside: None,
+            zone: None,
             pixels_per_degree: crate::job::ReportJob::default().pixels_per_degree,
             convergence: on.solution.map_or(&[], |(_, steps)| steps),
             solution: on.solution.map(|(solution, _)| solution),

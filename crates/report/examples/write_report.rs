@@ -73,6 +73,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             weights: &Weights::Uniform,
             held_out: held_out.as_ref(),
             outside: None,
+            zone: None,
             pixels_per_degree: Flip::DEFAULT_PIXELS_PER_DEGREE,
             convergence: &convergence,
             solution: None,

@@ -7,7 +7,7 @@
 //! | `schema`, `version` | `"lumistack/graph-report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_view` | dB, the first node's |
-//! | `nodes` | list of `id`, `plugin`, `display`, `report` (path), `psnr_view`, `psnr_raw`, `held_out_psnr_view`, `brightness`, `layers`, `frames`, `seconds`, `outputs` (paths) |
+//! | `nodes` | list of `id`, `plugin`, `display`, `report` (path), `psnr_view`, `psnr_raw`, `held_out_psnr_view`, `psnr_zone`, `brightness`, `layers`, `frames`, `seconds`, `outputs` (paths) |
 //! | `outputs` | paths of what was made of the light field itself |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
@@ -34,6 +34,8 @@ pub struct GraphNode {
     pub psnr_raw: f64,
     /// `psnr_view` at in-between views, dB.
     pub held_out_psnr_view: Option<f64>,
+    /// PSNR of seen pictures all over the zone, dB.
+    pub psnr_zone: Option<f64>,
     /// β.
     pub brightness: f64,
     /// Number of layers.
@@ -90,6 +92,7 @@ pub fn graph(input: &GraphInput) -> Result<(String, Value), ReportError> {
             "psnr_view": figure(node.psnr_view),
             "psnr_raw": figure(node.psnr_raw),
             "held_out_psnr_view": node.held_out_psnr_view.map(figure),
+            "psnr_zone": node.psnr_zone.map(figure),
             "brightness": figure(node.brightness),
             "layers": node.layers,
             "frames": node.frames,
@@ -119,6 +122,7 @@ mod tests {
             psnr_view,
             psnr_raw: 30.0,
             held_out_psnr_view: None,
+            psnr_zone: None,
             brightness: 0.25,
             layers: 2,
             frames: 3,

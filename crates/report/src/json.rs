@@ -27,6 +27,17 @@ pub(crate) fn report(input: &ReportInput, measured: &Measured, found: &Found) ->
         "title": input.title,
         "lumistack_version": input.version,
         "command": input.command,
+        "psnr_zone": input.zone.and_then(|zone| zone.score.psnr()).map(figure),
+        "psnr_zone_worst_tenth": input.zone.and_then(|zone| zone.score.worst_tenth()).map(figure),
+        "zone": input.zone.map(|zone| json!({
+            "directions": zone.score.directions.iter().map(|direction| json!({
+                "slope": direction.slope,
+                "psnr": (direction.pixels > 0).then(|| figure(direction.psnr())),
+                "pixels": direction.pixels,
+            })).collect::<Vec<_>>(),
+            "ssim": figure(zone.ssim),
+            "flip": figure(zone.flip),
+        })),
         "psnr_view": figure(measured.target.psnr_view()),
         "psnr_raw": figure(measured.target.psnr_raw()),
         "ssim": figure(measured.target.mean(|view| view.ssim)),

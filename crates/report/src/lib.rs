@@ -12,6 +12,8 @@
 //!
 //! A sequence of times has a report of its own, [`sequence()`], and so has a job that feeds several displays, [`graph()`].
 //!
+//! The headline is `psnr_zone`: what eyes see that are at no view in particular, pictures averaged over the area of every pixel.
+//!
 //! PSNR is the display crate's: peak 1, linear light, over all rays with w > 0 that meet the display, and all channels. `psnr_view` compares
 //! L̃/β with L, `psnr_raw` compares L̃ with βL and is higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
 //! [`lumistack_core::metrics`] defines them: rays that do not count are set to the target in both pictures, and the means run over the pixels that
@@ -23,7 +25,9 @@
 //! |---|---|
 //! | `schema`, `version` | `"lumistack/report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
-//! | `psnr_view`, `psnr_raw` | dB, all target views |
+//! | `psnr_zone`, `psnr_zone_worst_tenth` | the headline: dB of seen pictures over directions all over the zone, which no solver saw, and over the worst tenth of them; null where the scene's pictures from there are not known |
+//! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), and `ssim` and `flip`, means over the first eight of them |
+//! | `psnr_view`, `psnr_raw` | dB, all target views by their pixels' centre rays: how well the solver did |
 //! | `ssim`, `flip` | means over all target views |
 //! | `pixels_per_degree` | of visual angle, for FLIP |
 //! | `brightness` | β |
@@ -57,7 +61,9 @@ mod plot;
 mod sequence;
 
 use lumistack_core::{Cancelled, Task, Warning};
-use lumistack_display::{Display, LayerStack, LightField, StackError, WeightError, Weights};
+use lumistack_display::{
+    DirectionScore, Display, LayerStack, LightField, SeenView, StackError, ViewGrid, WeightError, Weights, ZoneScore,
+};
 use thiserror::Error;
 
 pub use depth::DepthBudget;
@@ -133,6 +139,32 @@ pub struct Denoising<'a> {
     pub filtered: &'a [f32],
 }
 
+/// How right the display is all over its zone.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ZoneFigures {
+    /// Errors of the seen pictures, direction by direction.
+    pub score: ZoneScore,
+    /// Mean structural similarity over some directions.
+    pub ssim: f64,
+    /// Mean FLIP error over the same.
+    pub flip: f64,
+    /// Directions to look at, the worst first.
+    pub shown: Vec<ZoneView>,
+}
+
+/// A direction to look at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ZoneView {
+    /// From where: a grid of one view.
+    pub direction: ViewGrid,
+    /// Its error.
+    pub score: DirectionScore,
+    /// The scene's picture from there, `[row][col][rgb]` of the target's size.
+    pub target: Vec<f32>,
+    /// The picture that the display shows there.
+    pub seen: SeenView,
+}
+
 /// A file or folder that the run wrote.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Output {
@@ -160,6 +192,8 @@ pub struct ReportInput<'a> {
     pub held_out: Option<&'a LightField>,
     /// Views beyond the target's, usually at [`lumistack_display::ViewGrid::outside`]. Without them such views are shown as simulated only.
     pub outside: Option<&'a LightField>,
+    /// How right the display is all over its zone. `None` where the scene's pictures from there are not known.
+    pub zone: Option<&'a ZoneFigures>,
     /// Pixels of a view per degree of visual angle, for FLIP; usually [`Flip::DEFAULT_PIXELS_PER_DEGREE`](lumistack_core::metrics::Flip).
     pub pixels_per_degree: f64,
     /// The solver's history; may be empty.
@@ -193,6 +227,10 @@ pub struct Report {
     pub html: String,
     /// Content of `report.json`.
     pub json: serde_json::Value,
+    /// Headline: PSNR of seen pictures all over the zone, dB.
+    pub psnr_zone: Option<f64>,
+    /// The same of the worst tenth of the directions, dB.
+    pub psnr_zone_worst: Option<f64>,
     /// PSNR of all target rays, L̃/β against L, dB.
     pub psnr_view: f64,
     /// PSNR of all target rays, L̃ against βL, dB.
@@ -252,6 +290,8 @@ fn build_parts(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     Ok(Report {
         html,
         json,
+        psnr_zone: input.zone.and_then(|zone| zone.score.psnr()),
+        psnr_zone_worst: input.zone.and_then(|zone| zone.score.worst_tenth()),
         psnr_view: target.psnr_view(),
         psnr_raw: target.psnr_raw(),
         held_out_psnr_view: measured.held_out.as_ref().map(measure::FieldScore::psnr_view),

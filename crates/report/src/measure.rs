@@ -46,7 +46,9 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let judge = Judge::new(input);
     let mut sheets = SheetPair::new(input.target.geometry());
     let keep = outstanding_views(grid);
-    let mut place = |view, emitted: &EmittedView| sheets.place(view, input, emitted);
+    let geometry = input.target.geometry();
+    // looking around, an eye sees the area of every pixel
+    let mut place = |view, _: &EmittedView| sheets.place(view, input, &judge.simulator.seen(geometry, view));
     let (target, mut shown) = field(&judge, input.target, input.weights, &keep, task, &mut place)?;
     if let Some(worst) = target.worst_view().filter(|worst| !keep.contains(worst)) {
         let map = RayMap::new(input.display, &target.geometry);
@@ -56,6 +58,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
         shown.push(view);
     }
     let targets = shown.len();
+    shown.extend(input.zone.into_iter().flat_map(|zone| &zone.shown).map(|view| Shown::of_zone(input, view)));
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {
             let keep = names::sample_views(&given.geometry().grid);
@@ -66,7 +69,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
         shown.extend(grid.map_or(Ok(Vec::new()), |grid| simulated_only(&judge, grid, task))?);
         Ok(None)
     };
-    let held_out = others(input.held_out, (grid.views() != [1, 1]).then(|| grid.in_between()))?;
+    let between = (grid.views() != [1, 1] && input.zone.is_none()).then(|| grid.in_between());
+    let held_out = others(input.held_out, between)?;
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
     // held-out views are often far worse: on one scale the target views' differences would vanish

@@ -37,6 +37,7 @@ pub(crate) fn render(
         (settings::warnings(input.warnings))
         nav {
             a href="#views" { "Views" }
+            a href="#zone" { "Zone" }
             @if input.denoising.is_some() { a href="#denoising" { "Denoising" } }
             @if input.depth.is_some() { a href="#depth" { "Depth" } }
             a href="#limits" { "Limits" }
@@ -51,6 +52,7 @@ pub(crate) fn render(
         (views::headline(measured))
         (views::look_around(measured))
         (views::comparisons(input, measured))
+        (figures::zone(input))
         (denoising::section(input)?)
         @if let Some(budget) = input.depth { (depth::section(budget)?) }
         (figures::limits(input, found))

@@ -58,6 +58,7 @@ fn plain<'a>(display: &'a Display, stack: &'a LayerStack, target: &'a LightField
         weights: &Weights::Uniform,
         held_out: None,
         outside: None,
+        zone: None,
         pixels_per_degree: Flip::DEFAULT_PIXELS_PER_DEGREE,
         convergence: &[],
         solution: None,

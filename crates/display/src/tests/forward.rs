@@ -2,7 +2,7 @@
 
 use lumistack_core::seed::{Stream, derive};
 
-use super::oracle::{Met, emitted};
+use super::oracle::{Met, emitted, seen};
 use super::random_stack;
 use crate::{
     Backlight, Display, FieldGeometry, Formation, LayerColour, LayerStack, LensletBacklight, Missing, OutsideBins,
@@ -132,4 +132,90 @@ fn two_quarter_turns_of_half_a_right_angle_are_bright() {
     assert!(bright.radiance.data().iter().all(|value| (value - 1.0).abs() < 1e-6));
     let half = Simulator::new(&display, &LayerStack::filled(&display, 0.25)).from_slope([0.0; 2]);
     assert!(half.radiance.data().iter().all(|value| (value - 0.5).abs() < 1e-6));
+}
+
+/// Oblique views whose edges all lie on the sixteenths of a pixel: there 16 × 16 rays per pixel are exact.
+#[test]
+fn seen_pictures_are_exact_means_over_pixels() {
+    for (seed, formation) in FORMATIONS.into_iter().enumerate() {
+        for missing in [Missing::Drop, Missing::Clear] {
+            let mut display = Display {
+                formation,
+                missing,
+                // whatever the solver reads, eyes see squares
+                sampling: Sampling::Bilinear,
+                ..Display::uniform([8, 6], 1.0, [1, 1], [30.0, 30.0], &[-3.0, 0.0, 2.0], 2)
+            };
+            display.layers[0].pitch_mm = 0.75;
+            display.layers[0].resolution = [11, 9];
+            display.layers[1].offset_mm = [0.125, -0.25];
+            display.layers[2].pitch_mm = 1.25;
+            let mut lenslets = LensletBacklight::new(-4.0, [4, 3], 2.0, [3, 2], [20.0, 20.0]);
+            lenslets.outside_bins = OutsideBins::Repeat;
+            for backlight in [Backlight::Uniform, Backlight::Lenslets(lenslets)] {
+                display.backlight = backlight;
+                let stack = random_stack(&display, seed as u64);
+                for slope in [[0.0, 0.0], [0.125, -0.0625], [-0.25, 0.1875], [0.5, 0.5]] {
+                    let grid = crate::ViewGrid::single(crate::Projection::Oblique, slope);
+                    let worst = compare_seen(&display, &stack, &display.field_pixels().with_grid(grid), 16);
+                    assert!(worst < AGREEMENT, "{formation:?} {missing:?} {slope:?}: {worst}");
+                }
+            }
+        }
+    }
+}
+
+/// Any display, from near and far: 150 × 150 rays per pixel come within what their spacing allows.
+#[test]
+fn seen_pictures_of_any_display_are_means_over_pixels() {
+    const SPACING: f64 = 0.03;
+    for seed in 0..12 {
+        let choices = [0, 1, 2, 3, 4].map(|bit| (5 * seed + 3) >> bit & 1 == 1);
+        let display = random_display(FORMATIONS[seed as usize % 3], choices, seed);
+        let stack = random_stack(&display, seed);
+        let mut geometry = display.geometry().unwrap();
+        (geometry.rows, geometry.cols) = (4, 5);
+        let worst = compare_seen(&display, &stack, &geometry, 150);
+        assert!(worst < SPACING, "seed {seed}: {worst}");
+    }
+}
+
+/// Largest difference from the oracle over all pixels of the last view.
+fn compare_seen(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, fine: usize) -> f64 {
+    display.check().unwrap();
+    let met: Vec<Met> =
+        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Met::of(layer, values)).collect();
+    let view = geometry.grid.iter().last().unwrap();
+    let found = Simulator::new(display, stack).seen(geometry, view);
+    let mut worst = 0.0f64;
+    for (i, (pixel, share)) in found.radiance.data().chunks_exact(3).zip(&found.share).enumerate() {
+        let place = [i / geometry.cols, i % geometry.cols];
+        let (expected, expected_share) = seen(display, &met, stack, geometry, view, place, fine);
+        worst = worst.max((f64::from(*share) - expected_share).abs());
+        if expected_share > 0.1 {
+            (0..3).for_each(|c| worst = worst.max((f64::from(pixel[c]) - expected[c]).abs()));
+        }
+    }
+    worst
+}
+
+/// Where all shifts are whole pixels, one ray per pixel is exact for its area.
+#[test]
+fn whole_shifts_are_seen_as_their_centre_rays_are() {
+    let display = Display::uniform([20, 14], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 3);
+    let stack = random_stack(&display, 5);
+    let step = crate::native_step(&display)[0].unwrap();
+    let simulator = Simulator::new(&display, &stack);
+    for shifts in [[0.0, 0.0], [3.0, -2.0], [-1.0, 5.0]] {
+        let slope = shifts.map(|shift: f64| shift * step);
+        let (seen, centre) = (
+            simulator.seen_from(&crate::ViewGrid::single(crate::Projection::Oblique, slope)),
+            simulator.from_slope(slope),
+        );
+        for (i, (share, valid)) in seen.share.iter().zip(&centre.valid).enumerate() {
+            assert!((share - f32::from(*valid)).abs() < 1e-6, "{shifts:?} {i}");
+        }
+        let worst = seen.radiance.data().iter().zip(centre.radiance.data()).map(|(a, b)| (a - b).abs());
+        assert!(worst.fold(0.0, f32::max) < 1e-6, "{shifts:?}");
+    }
 }

@@ -70,7 +70,7 @@ struct Ray {
     slope: [f64; 2],
 }
 
-/// Radiance of one ray; `None` for one that does not count.
+/// Radiance of the ray through a pixel's centre; `None` for one that does not count.
 pub(super) fn emitted(
     display: &Display,
     met: &[Met],
@@ -79,8 +79,43 @@ pub(super) fn emitted(
     view: [usize; 2],
     [row, col]: [usize; 2],
 ) -> Option<[f64; 3]> {
-    let x = (col as f64 - (geometry.cols as f64 - 1.0) / 2.0) * geometry.pitch_mm;
-    let y = ((geometry.rows as f64 - 1.0) / 2.0 - row as f64) * geometry.pitch_mm;
+    emitted_at(display, met, stack, geometry, view, [row as f64, col as f64])
+}
+
+/// Mean over a pixel's area: of the rays through the centres of `fine` × `fine` squares of it, and the share of them that counts.
+pub(super) fn seen(
+    display: &Display,
+    met: &[Met],
+    stack: &LayerStack,
+    geometry: &FieldGeometry,
+    view: [usize; 2],
+    [row, col]: [usize; 2],
+    fine: usize,
+) -> ([f64; 3], f64) {
+    let display = &Display { sampling: Sampling::Nearest, ..display.clone() };
+    let offset = |i: usize| (i as f64 + 0.5) / fine as f64 - 0.5;
+    let (mut sum, mut count) = ([0.0; 3], 0.0);
+    for (y, x) in (0..fine).flat_map(|y| (0..fine).map(move |x| (y, x))) {
+        let place = [row as f64 + offset(y), col as f64 + offset(x)];
+        if let Some(rgb) = emitted_at(display, met, stack, geometry, view, place) {
+            count += 1.0;
+            (0..3).for_each(|c| sum[c] += rgb[c]);
+        }
+    }
+    (sum.map(|sum| if count > 0.0 { sum / count } else { 0.0 }), count / (fine * fine) as f64)
+}
+
+/// Radiance of the ray at a place between rows and columns; `None` for one that does not count.
+fn emitted_at(
+    display: &Display,
+    met: &[Met],
+    stack: &LayerStack,
+    geometry: &FieldGeometry,
+    view: [usize; 2],
+    [row, col]: [f64; 2],
+) -> Option<[f64; 3]> {
+    let x = (col - (geometry.cols as f64 - 1.0) / 2.0) * geometry.pitch_mm;
+    let y = ((geometry.rows as f64 - 1.0) / 2.0 - row) * geometry.pitch_mm;
     let ray = Ray { x, y, slope: geometry.grid.slope_at(view, [x, y]) };
     let mut radiance = [0.0; 3];
     for frame in 0..display.frames {

@@ -107,7 +107,7 @@ impl Default for RenderJob {
             angular_filter: AngularFilter::Point,
             lens_deg: 0.0,
             denoise: Denoise::Off,
-            held_out: 2,
+            held_out: 0,
             outside: 1,
         }
     }

@@ -21,12 +21,15 @@ use crate::job::{Job, SourceJob};
 use crate::look::Look;
 use crate::render;
 use crate::sequence;
+use crate::zone;
 
 /// What the input stage gives.
 pub(crate) struct Input {
     pub(crate) target: LightField,
     pub(crate) held_out: Option<LightField>,
     pub(super) outside: Option<LightField>,
+    /// The scene's pictures all over the zone, where it was rendered.
+    pub(super) zone: Option<zone::References>,
     /// How it became display-referred, where it was rendered.
     pub(crate) look: Option<Look>,
     /// What the scene's depth asks of the display, where it was rendered.
@@ -106,11 +109,28 @@ impl Run<'_> {
                 write_field_if_changed(&self.stamps, &self.dir, name, field, &info)?;
             }
         }
+        let references = self.timed("render for the score", |run| {
+            let zone = zone::zone_of(job, &run.display, &geometry);
+            let shot = zone::Shot { ingested, window: &placement.window, look: rendered.look };
+            let views = run.dir.join("cache/views");
+            let made = zone::References::render(job, &zone, &geometry, placement.depth_scale, shot, &views, task)?;
+            let cached = made.as_ref().is_none_or(|references| references.cached);
+            Ok((made, cached))
+        })?;
         let depth = rendered.depths.budget(&self.display, &geometry, &placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, ingested, &placement, &rendered);
         let render::Rendered { target, held_out, outside, look, denoised, .. } = rendered;
-        Ok(Input { target, held_out, outside, look: Some(look), depth: Some(depth), denoised, about: Some(about) })
+        Ok(Input {
+            target,
+            held_out,
+            outside,
+            zone: references,
+            look: Some(look),
+            depth: Some(depth),
+            denoised,
+            about: Some(about),
+        })
     }
 
     fn read_field(&mut self, path: &Path, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
@@ -175,7 +195,16 @@ impl Run<'_> {
         self.display = self.display.adapted_to(target.geometry());
         self.display.check().map_err(|source| display_error(source, "light field"))?;
         write_field_if_changed(&self.stamps, &self.dir, "target", &target, &Map::new())?;
-        Ok(Input { target, held_out: None, outside: None, look: None, depth: None, denoised: None, about: Some(about) })
+        Ok(Input {
+            target,
+            held_out: None,
+            outside: None,
+            zone: None,
+            look: None,
+            depth: None,
+            denoised: None,
+            about: Some(about),
+        })
     }
 }
 

@@ -94,7 +94,7 @@ impl<'a> Times<'a> {
                 job.pose = pose_at(self.job, self.sequence, self.share(time));
                 if !self.sequence.reports {
                     // only reports show them
-                    (job.render.held_out, job.render.outside) = (0, 0);
+                    (job.render.held_out, job.render.outside, job.report.zone_directions) = (0, 0, 0);
                 }
             }
         }

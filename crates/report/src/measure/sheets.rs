@@ -1,6 +1,6 @@
 //! All views in one picture, for looking around.
 
-use lumistack_display::{EmittedView, FieldGeometry, ViewGrid};
+use lumistack_display::{FieldGeometry, SeenView, ViewGrid};
 
 use super::names::{left_to_right, top_to_bottom};
 use crate::picture::{self, Embedded, Encoding, Linear, Picture};
@@ -47,13 +47,13 @@ impl SheetPair {
         }
     }
 
-    pub(super) fn place(&mut self, view: [usize; 2], input: &ReportInput, emitted: &EmittedView) {
+    pub(super) fn place(&mut self, view: [usize; 2], input: &ReportInput, seen: &SeenView) {
         let geometry = input.target.geometry();
         let scale = (1.0 / input.stack.brightness) as f32;
         let rank = |order: &[usize], index: usize| order.iter().position(|i| *i == index).unwrap_or(0);
         let (y, x) = (rank(&self.down, view[0]), rank(&self.across, view[1]));
         for (sheet, values, scale) in
-            [(&mut self.target, input.target.view(view), 1.0), (&mut self.simulated, emitted.radiance.data(), scale)]
+            [(&mut self.target, input.target.view(view), 1.0), (&mut self.simulated, seen.radiance.data(), scale)]
         {
             let tile = Linear::new(geometry.rows, geometry.cols, values, scale).shrunk(self.factor).encoded();
             for (row, line) in tile.rgb.chunks_exact(tile.cols * 3).enumerate() {

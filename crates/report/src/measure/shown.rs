@@ -1,12 +1,12 @@
 //! Views that the page shows: target, simulated, difference and FLIP error.
 
-use lumistack_core::metrics::Flip;
-use lumistack_display::{EmittedView, FieldGeometry, LightField, Weights};
+use lumistack_core::metrics::{Flip, SquaredError, ssim};
+use lumistack_display::{EmittedView, FieldGeometry, LEAST_SHARE, LightField, Weights};
 
 use super::names::title;
 use super::score::{ViewFigures, counting, seen};
 use crate::picture::{self, Embedded, Encoding, Linear};
-use crate::{ReportError, ReportInput, format};
+use crate::{ReportError, ReportInput, ZoneView, format};
 
 /// Target, simulated and difference of one view.
 #[derive(Clone, Debug)]
@@ -67,6 +67,33 @@ impl Shown {
             figures: Some(*figures),
             counted_share: figures.error.count as f64 / target.len() as f64,
             errors: Some(picture::signed_error(&shown.simulated.data, target, |i| counts[i])),
+            target: Some(Linear::new(geometry.rows, geometry.cols, target, 1.0)),
+            ..shown
+        }
+    }
+
+    /// A direction of the zone, as an eye sees it.
+    pub(super) fn of_zone(input: &ReportInput, zone_view: &ZoneView) -> Self {
+        let ZoneView { direction, score, target, seen } = zone_view;
+        let geometry = input.target.geometry().with_grid(direction.clone());
+        let counts: Vec<bool> = seen.share.iter().map(|share| *share >= LEAST_SHARE).collect();
+        let emitted = EmittedView { radiance: seen.radiance.clone(), valid: counts.clone() };
+        let shape = [geometry.rows, geometry.cols];
+        let adapted = super::score::seen(&emitted, target, input.stack.brightness, &counts);
+        let flip = Flip::new(input.pixels_per_degree).compare(target, &adapted, shape);
+        let count = 3 * score.pixels as u64;
+        let figures = ViewFigures {
+            error: SquaredError { sum: score.mse.max(0.0) * count as f64, count },
+            ssim: ssim(target, &adapted, shape).mean_where(|i| counts[i]),
+            flip: flip.mean_where(|i| counts[i]),
+            ..ViewFigures::default()
+        };
+        let shown = Self::without_target(input, &geometry, [0, 0], emitted);
+        Self {
+            title: "As an eye sees it".into(),
+            errors: Some(picture::signed_error(&shown.simulated.data, target, |i| counts[i])),
+            flip: Some(flip.values.iter().zip(&counts).map(|(flip, counts)| counts.then_some(*flip)).collect()),
+            figures: Some(figures),
             target: Some(Linear::new(geometry.rows, geometry.cols, target, 1.0)),
             ..shown
         }

@@ -1,6 +1,7 @@
 //! Key figures, quality per view, limits, convergence and timings.
 
 use lumistack_core::metrics::Mean;
+use lumistack_display::DirectionScore;
 use maud::{Markup, PreEscaped, html};
 
 use super::legend;
@@ -15,9 +16,11 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     let [view_rows, view_cols] = geometry.grid.views();
     let pixels = format!("across × up, {} × {} pixels each", geometry.cols, geometry.rows);
     let db = |value: f64| format!("{} dB", format::decibels(value));
+    let (zone, worst) = zone_figures(input);
     let mut figures = vec![
-        ("PSNR of the views", db(measured.target.psnr_view()), "psnr_view: what an adapted eye sees, L̃/β against L"),
-        ("PSNR of raw light", db(measured.target.psnr_raw()), "psnr_raw: emitted light, L̃ against βL"),
+        ("PSNR over the zone", zone, "psnr_zone: what eyes see all over the zone, at no view in particular"),
+        ("Worst tenth of the zone", worst, "the same of the directions that look worst"),
+        ("PSNR at the solver's views", db(measured.target.psnr_view()), "psnr_view: a diagnostic of the solver"),
     ];
     if let Some(held_out) = &measured.held_out {
         figures.push((
@@ -27,9 +30,13 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
         ));
     }
     let mean = |of: fn(&ViewFigures) -> Mean| format::similarity(measured.target.mean(of));
+    let (ssim, flip) = match input.zone {
+        Some(zone) => (format::similarity(zone.ssim), format::similarity(zone.flip)),
+        None => (mean(|view| view.ssim), mean(|view| view.flip)),
+    };
     figures.extend([
-        ("SSIM", mean(|view| view.ssim), "structure that is kept; 1 is all"),
-        ("FLIP", mean(|view| view.flip), "difference that an eye sees; 0 is none"),
+        ("SSIM", ssim, "structure that is kept; 1 is all"),
+        ("FLIP", flip, "difference that an eye sees; 0 is none"),
     ]);
     let backlight = if input.stack.emission.is_some() { "and a directional backlight" } else { "uniform backlight" };
     figures.extend([
@@ -44,6 +51,63 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     html! {
         dl class="key" {
             @for (name, value, note) in figures { div { dt { (name) } dd { strong { (value) } small { (note) } } } }
+        }
+    }
+}
+
+/// The headline and the worst tenth.
+fn zone_figures(input: &ReportInput) -> (String, String) {
+    let db = |value: Option<f64>| value.map_or("not known".into(), |value| format!("{} dB", format::decibels(value)));
+    (db(input.zone.and_then(|zone| zone.score.psnr())), db(input.zone.and_then(|zone| zone.score.worst_tenth())))
+}
+
+/// How right the display is all over its zone: a plan of the directions that were looked at.
+pub(super) fn zone(input: &ReportInput) -> Markup {
+    /// Side of the plan, in its own units.
+    const SIDE: f64 = 400.0;
+    const DOT: f64 = 19.0;
+    let Some(zone) = input.zone else {
+        return html! {
+            section id="zone" {
+                h2 { "All over the zone" }
+                p class="quiet" {
+                    "Not known: this light field was given, so there is no scene to look at from directions between its views. The figures below are those of the views that the solver saw."
+                }
+            }
+        };
+    };
+    let directions: Vec<_> = zone.score.directions.iter().filter(|direction| direction.pixels > 0).collect();
+    let psnr = |direction: &DirectionScore| direction.psnr();
+    let (low, high) =
+        directions.iter().fold((f64::MAX, f64::MIN), |(low, high), d| (low.min(psnr(d)), high.max(psnr(d))));
+    let reach = directions.iter().flat_map(|d| d.slope).fold(1e-9f64, |most, slope| most.max(slope.abs()));
+    let place = |slope: f64| 0.5 * SIDE + slope / reach * (0.5 * SIDE - 1.3 * DOT);
+    let dot = |direction: &DirectionScore| {
+        let t = if high > low { ((psnr(direction) - low) / (high - low)) as f32 } else { 1.0 };
+        let [r, g, b] = map_colour(&SEQUENTIAL, t);
+        let light = 299 * u32::from(r) + 587 * u32::from(g) + 114 * u32::from(b) > 128_000;
+        let [x, y] = [place(direction.slope[0]), SIDE - place(direction.slope[1])];
+        let (fill, text) = (format!("rgb({r} {g} {b})"), if light { "#000" } else { "#fff" });
+        html! {
+            circle cx=(format!("{x:.1}")) cy=(format!("{y:.1}")) r=(DOT) fill=(fill) {
+                title { (format::angle(direction.slope[0])) " across, " (format::angle(direction.slope[1])) " up: " (format::decibels(psnr(direction))) " dB" }
+            }
+            text x=(format!("{x:.1}")) y=(format!("{:.1}", y + 4.5)) fill=(text) text-anchor="middle" font-size="13" { (format::decibels(psnr(direction))) }
+        }
+    };
+    let (mean, worst) = zone_figures(input);
+    html! {
+        section id="zone" {
+            h2 { "All over the zone" }
+            p {
+                "Eyes stand anywhere, so the display is judged from " (directions.len()) " directions spread over its whole zone, none of which the solver saw. Each seen picture, averaged over the area of every pixel, "
+                "is compared with two renders of the scene from there, so that the noise of those does not count: " strong { (mean) } " over all, " strong { (worst) } " over the worst tenth. "
+                "SSIM and FLIP are means over the first eight directions, whose renders have more samples."
+            }
+            svg class="zone" role="img" aria-label="PSNR by direction" viewBox=(format!("0 0 {SIDE} {SIDE}")) {
+                @for direction in &directions { (dot(direction)) }
+            }
+            (legend(&SEQUENTIAL, &[low, high].map(|value| format!("{} dB", format::decibels(value)))))
         }
     }
 }

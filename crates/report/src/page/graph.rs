@@ -63,6 +63,7 @@ fn table(nodes: &[GraphNode]) -> Markup {
         "layers",
         "frames",
         "β",
+        "psnr_zone, dB",
         "psnr_view, dB",
         "psnr_raw, dB",
         "in between, dB",
@@ -72,7 +73,7 @@ fn table(nodes: &[GraphNode]) -> Markup {
     html! {
         section id="nodes" {
             h2 { "Every display" }
-            p { "psnr_view compares what an adapted viewer sees, L̃/β, with the light field; psnr_raw the emitted light L̃ with βL." }
+            p { "psnr_zone is what eyes see all over the zone. psnr_view compares what an adapted viewer sees, L̃/β, with the light field; psnr_raw the emitted light L̃ with βL." }
             div class="scroll" {
                 table class="layers" {
                     thead { tr { @for name in names { th scope="col" { (name) } } } }
@@ -85,6 +86,7 @@ fn table(nodes: &[GraphNode]) -> Markup {
                                 td { (node.layers) }
                                 td { (node.frames) }
                                 td { (format::number(node.brightness)) }
+                                td { (node.psnr_zone.map_or("–".into(), format::decibels)) }
                                 td { (format::decibels(node.psnr_view)) }
                                 td { (format::decibels(node.psnr_raw)) }
                                 td { (node.held_out_psnr_view.map_or("–".into(), format::decibels)) }

@@ -1,0 +1,102 @@
+//! Where the rays of one view meet the display, over the whole area of every field pixel.
+//!
+//! Layers are squares of constant value, so along an axis the pixel that a ray meets changes only where the ray passes an edge. An axis of a field pixel is
+//! cut at all these edges: of every layer, of the lenslets and of their bins. Between two cuts all rays read the same, so one ray with the part's width for a
+//! weight stands for them. The map is separable, hence so are the parts: a pixel's area is the product of its parts along x and along y, and the
+//! mean over it is exact.
+
+use crate::raymap::{Axis, AxisRay};
+use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
+
+/// Parts narrower than this share of a pixel come from rounding, where an edge and the pixel's own border coincide.
+const SLIVER: f64 = 1e-9;
+
+/// The tables of one view, with a ray for every part of a pixel.
+pub(crate) struct AreaMap {
+    /// One view, whose columns and rows are the parts in the order of `x` and `y`.
+    pub(crate) map: RayMap,
+    /// Parts along x. The first part of every pixel stands before the second of any, so that neighbours in the list read neighbouring pixels.
+    pub(crate) x: Vec<Part>,
+    /// Parts along y, from the top, pixel by pixel.
+    pub(crate) y: Vec<Part>,
+}
+
+/// A part of a field pixel along one axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Part {
+    /// Field column or row.
+    pub(crate) pixel: u32,
+    /// Share of the pixel's width, above 0; those of a pixel add up to 1.
+    pub(crate) share: f64,
+}
+
+impl AreaMap {
+    /// Cuts the pixels of the view `view` = [view_y, view_x].
+    pub(crate) fn new(display: &Display, geometry: &FieldGeometry, view: [usize; 2]) -> Self {
+        let (rays_x, x) = phase_by_phase(cut_axis(display, geometry, Axis::X, view[1]));
+        let (rays_y, y) = cut_axis(display, geometry, Axis::Y, view[0]).into_iter().flatten().unzip();
+        let rays_y: Vec<AxisRay> = rays_y;
+        let map = RayMap::of_rays(display, Sampling::Nearest, [(&rays_x, rays_x.len()), (&rays_y, rays_y.len())]);
+        Self { map, x, y }
+    }
+}
+
+/// The parts of every pixel along an axis, in the direction of array indices.
+fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize) -> Vec<Vec<(AxisRay, Part)>> {
+    let half_mm = 0.5 * geometry.pitch_mm * if axis == Axis::X { 1.0 } else { -1.0 };
+    let mut cuts = Vec::new();
+    let pixel = |pixel: usize| {
+        let centre = axis.centre_mm(geometry, pixel);
+        let ray = |t: f64| axis.ray(geometry, view, centre + (2.0 * t - 1.0) * half_mm);
+        cuts.clear();
+        // every place is linear in t, which runs over the pixel from 0 to 1
+        let (first, last) = (ray(0.0), ray(1.0));
+        for layer in &display.layers {
+            let edge = |ray| axis.pixel(layer, ray) + 0.5;
+            cut_at_whole_numbers(&mut cuts, [edge(&first), edge(&last)], layer.resolution[axis.index()]);
+        }
+        if let Backlight::Lenslets(lenslets) = &display.backlight {
+            let count = lenslets.lenslets[axis.index()];
+            cut_at_whole_numbers(&mut cuts, [&first, &last].map(|ray| axis.lenslet(lenslets, ray)), count);
+            // bins may repeat beyond their range, but not farther than the lenslets reach
+            let bins = [&first, &last].map(|ray| axis.bin(lenslets, ray));
+            let reach = lenslets.views[axis.index()].saturating_mul(count + 1);
+            cut_at_whole_numbers(&mut cuts, bins.map(|bin| bin + reach as f64), reach.saturating_mul(2));
+        }
+        cuts.sort_unstable_by(f64::total_cmp);
+        cuts.push(1.0);
+        let mut parts = Vec::with_capacity(cuts.len());
+        let mut from = 0.0;
+        for &to in cuts.iter().filter(|&&to| to <= 1.0 - SLIVER || to == 1.0) {
+            if to - from > SLIVER {
+                let share = to - from;
+                parts.push((ray(from + 0.5 * share), Part { pixel: pixel as u32, share }));
+                from = to;
+            }
+        }
+        parts
+    };
+    (0..axis.count(geometry)).map(pixel).collect()
+}
+
+/// Adds where a place that runs linearly from `place[0]` to `place[1]` passes the edges 0 to `count`, as a share of the way.
+fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
+    let [low, high] = [place[0].min(place[1]), place[0].max(place[1])];
+    let first = low.ceil().max(0.0);
+    let last = high.floor().min(count as f64);
+    if !(first <= last && high > low) {
+        return;
+    }
+    for edge in first as u64..=last as u64 {
+        let t = (edge as f64 - place[0]) / (place[1] - place[0]);
+        if t > 0.0 && t < 1.0 {
+            cuts.push(t);
+        }
+    }
+}
+
+/// The first parts of all pixels, then the second ones, and so on.
+fn phase_by_phase(pixels: Vec<Vec<(AxisRay, Part)>>) -> (Vec<AxisRay>, Vec<Part>) {
+    let most = pixels.iter().map(Vec::len).max().unwrap_or(0);
+    (0..most).flat_map(|phase| pixels.iter().filter_map(move |parts| parts.get(phase).copied())).unzip()
+}

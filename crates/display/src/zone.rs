@@ -1,0 +1,252 @@
+//! The zone that a display is made for, and how right it is there.
+//!
+//! The zone is the slopes |s_x| ≤ tan(α_x/2), |s_y| ≤ tan(α_y/2) of an oblique field, the eye positions D·s of a perspective one, or the union of eye boxes. The
+//! score `psnr_zone` is −10 log₁₀ of the mean squared error between seen picture / β and the scene's picture, over directions that are spread over the whole zone
+//! and that no solver saw. The scene's pictures are noisy, so each is given twice with independent noise: the mean product of the two differences is the squared
+//! error without their noise, since E[(e + n₁)(e + n₂)] = e².
+
+use crate::{Backlight, Display, EyeBox, Projection, SeenView, ViewGrid};
+
+/// A pixel is scored where at least this share of its area counts.
+pub const LEAST_SHARE: f32 = 0.5;
+/// Directions of a score, at least.
+pub const LEAST_DIRECTIONS: usize = 32;
+/// Radius of the disc that stands for an eye box, in its standard deviations.
+const EYE_BOX_SIGMAS: f64 = 1.5;
+
+/// Where eyes are expected.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Zone {
+    /// Slopes, or eye positions D·s: a rectangle around 0.
+    Slopes {
+        /// How the rays of a view relate.
+        projection: Projection,
+        /// tan(α/2) per axis (x, y), ≥ 0.
+        half_width: [f64; 2],
+    },
+    /// Eyes that move around known places.
+    Eyes(Vec<EyeBox>),
+}
+
+impl Zone {
+    /// The zone of a light field's views: from half a spacing beyond the outermost view of an axis to the other side, as wide as `fov_deg` where it is known.
+    /// An axis with one view has no width, since a display for one view promises nothing beside it.
+    pub fn of_grid(grid: &ViewGrid, fov_deg: Option<[f64; 2]>) -> Self {
+        let slopes = [&grid.slope_x, &grid.slope_y];
+        let spacing = grid.bin_width();
+        let half_width = [0, 1].map(|axis| match (slopes[axis].len(), fov_deg) {
+            (0 | 1, _) => 0.0,
+            (_, Some(fov)) => (0.5 * fov[axis].to_radians()).tan(),
+            _ => slopes[axis].iter().fold(0.0f64, |most, slope| most.max(slope.abs())) + 0.5 * spacing[axis],
+        });
+        Self::Slopes { projection: grid.projection, half_width }
+    }
+
+    /// `count` directions, spread over the zone by an additive recurrence of low discrepancy in two dimensions (Roberts' R₂, whose ratio is the real root of
+    /// x³ = x + 1): each a grid of one view. Always the same ones for the same zone and count.
+    pub fn directions(&self, count: usize) -> Vec<ViewGrid> {
+        const RATIO: f64 = 1.324_717_957_244_746;
+        let point = |i: usize| [1.0, 2.0].map(|power| (0.5 + (i + 1) as f64 * RATIO.powf(-power)).fract());
+        let direction = |i: usize| {
+            let [u, v] = point(i);
+            match self {
+                Self::Slopes { projection, half_width: [x, y] } => {
+                    ViewGrid::single(*projection, [(2.0 * u - 1.0) * x, (2.0 * v - 1.0) * y])
+                }
+                Self::Eyes(boxes) => {
+                    // every box in turn; within one, equal areas of its disc
+                    let EyeBox { eye_mm: [x, y, z], sigma_mm, .. } = boxes[i % boxes.len()];
+                    let [u, v] = point(i / boxes.len());
+                    let (radius, angle) = (EYE_BOX_SIGMAS * sigma_mm * u.sqrt(), std::f64::consts::TAU * v);
+                    let slope = [(x + radius * angle.cos()) / z, (y + radius * angle.sin()) / z];
+                    ViewGrid::single(Projection::Perspective { distance_mm: z }, slope)
+                }
+            }
+        };
+        match self {
+            Self::Eyes(boxes) if boxes.is_empty() => Vec::new(),
+            _ => (0..count).map(direction).collect(),
+        }
+    }
+}
+
+/// Error of the seen picture in one direction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DirectionScore {
+    /// Slope (x, y) at the centre of the field.
+    pub slope: [f64; 2],
+    /// Mean squared error over pixels and channels. Noise may leave it a little below 0 where a display is perfect.
+    pub mse: f64,
+    /// Pixels that are scored.
+    pub pixels: usize,
+}
+
+impl DirectionScore {
+    /// Compares a seen picture / β with two renders of the scene's picture, `[row][col][rgb]`, whose noise is independent; two equal ones where they have none.
+    pub fn new(direction: &ViewGrid, seen: &SeenView, brightness: f64, references: [&[f32]; 2]) -> Self {
+        let (mut sum, mut pixels) = (0.0, 0);
+        let pictures = references[0].chunks_exact(3).zip(references[1].chunks_exact(3));
+        for ((seen, (a, b)), share) in seen.radiance.data().chunks_exact(3).zip(pictures).zip(&seen.share) {
+            if *share >= LEAST_SHARE {
+                pixels += 1;
+                for c in 0..3 {
+                    let seen = f64::from(seen[c]) / brightness;
+                    sum += (seen - f64::from(a[c])) * (seen - f64::from(b[c]));
+                }
+            }
+        }
+        let mse = if pixels == 0 { 0.0 } else { sum / (3 * pixels) as f64 };
+        Self { slope: [direction.slope_x[0], direction.slope_y[0]], mse, pixels }
+    }
+
+    /// −10 log₁₀ of the error, dB.
+    pub fn psnr(&self) -> f64 {
+        psnr(self.mse)
+    }
+}
+
+/// Errors all over the zone.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ZoneScore {
+    /// Direction by direction.
+    pub directions: Vec<DirectionScore>,
+}
+
+impl ZoneScore {
+    /// `psnr_zone`: of the mean error over all directions, dB. `None` where no pixel could be scored.
+    pub fn psnr(&self) -> Option<f64> {
+        mean(&self.scored()).map(psnr)
+    }
+
+    /// Of the mean error over the worst tenth of the directions, rounded up, dB.
+    pub fn worst_tenth(&self) -> Option<f64> {
+        let mut scored = self.scored();
+        scored.sort_by(|a, b| b.total_cmp(a));
+        scored.truncate(scored.len().div_ceil(10));
+        mean(&scored).map(psnr)
+    }
+
+    fn scored(&self) -> Vec<f64> {
+        self.directions.iter().filter(|direction| direction.pixels > 0).map(|direction| direction.mse).collect()
+    }
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// Peak 1; an error that noise leaves at 0 or below counts as that of the tenth of a 16-bit step.
+fn psnr(mse: f64) -> f64 {
+    const LEAST: f64 = 1.5e-6 * 1.5e-6;
+    -10.0 * mse.max(LEAST).log10()
+}
+
+/// The native angular step of a display per axis (x, y): the change of slope that moves some layer by one pixel against the light field, p / max |d|, or the
+/// rays by one bin of the backlight. At multiples of it, of layers with one pitch at multiples of one distance, all shifts are whole pixels: there one ray per
+/// pixel is exact for the pixel's area, and between two such slopes the seen picture mixes products that both share. `None` without parallax.
+pub fn native_step(display: &Display) -> [Option<f64>; 2] {
+    let layers = display.layers.iter().filter(|layer| layer.d_mm != 0.0);
+    let finest = layers.map(|layer| layer.pitch_mm / layer.d_mm.abs()).reduce(f64::min);
+    [0, 1].map(|axis| {
+        let bin = match &display.backlight {
+            Backlight::Lenslets(lenslets) if lenslets.views[axis] > 1 => {
+                Some(2.0 * (0.5 * lenslets.fov_deg[axis].to_radians()).tan() / lenslets.views[axis] as f64)
+            }
+            _ => None,
+        };
+        match (finest, bin) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_core::Tensor;
+    use lumistack_core::seed::{Stream, derive};
+
+    use super::*;
+
+    #[test]
+    fn the_zone_reaches_half_a_spacing_beyond_the_views() {
+        let grid = ViewGrid::uniform(Projection::Oblique, [5, 3], [20.0, 14.0]).unwrap();
+        let expected = [10.0f64, 7.0].map(|deg| deg.to_radians().tan());
+        for fov in [None, Some([20.0, 14.0])] {
+            let Zone::Slopes { half_width, .. } = Zone::of_grid(&grid, fov) else { panic!("slopes") };
+            assert!((0..2).all(|axis| (half_width[axis] - expected[axis]).abs() < 1e-12), "{half_width:?}");
+        }
+        let row = ViewGrid::uniform(Projection::Oblique, [5, 1], [20.0, 14.0]).unwrap();
+        let Zone::Slopes { half_width, .. } = Zone::of_grid(&row, Some([20.0, 14.0])) else { panic!("slopes") };
+        assert_eq!(half_width[1], 0.0, "one view row promises nothing above or below it");
+    }
+
+    #[test]
+    fn directions_cover_the_zone_evenly() {
+        let zone = Zone::Slopes { projection: Projection::Oblique, half_width: [0.2, 0.1] };
+        let directions = zone.directions(32);
+        assert_eq!(directions, zone.directions(32));
+        // every cell of a 4 × 4 grid holds one to three of the 32
+        let mut cells = [0; 16];
+        for direction in &directions {
+            let [x, y] = [direction.slope_x[0] / 0.2, direction.slope_y[0] / 0.1].map(|s| (2.0 + 2.0 * s) as usize);
+            cells[4 * y + x] += 1;
+        }
+        assert!(cells.iter().all(|count| (1..=3).contains(count)), "{cells:?}");
+    }
+
+    #[test]
+    fn eyes_are_looked_at_from_their_boxes() {
+        let boxes =
+            [[60.0, 0.0, 500.0], [-60.0, 10.0, 600.0]].map(|eye_mm| EyeBox { eye_mm, sigma_mm: 8.0, weight: 1.0 });
+        let directions = Zone::Eyes(boxes.to_vec()).directions(32);
+        for (i, direction) in directions.iter().enumerate() {
+            let [x, y, z] = boxes[i % 2].eye_mm;
+            assert_eq!(direction.projection, Projection::Perspective { distance_mm: z });
+            let offset = (direction.slope_x[0] * z - x).hypot(direction.slope_y[0] * z - y);
+            assert!(offset <= EYE_BOX_SIGMAS * 8.0, "{offset}");
+        }
+        assert!(Zone::Eyes(Vec::new()).directions(32).is_empty());
+    }
+
+    /// Two noisy references give the error of the picture, not that of the noise, which is 25 times as large.
+    #[test]
+    fn noise_of_the_references_does_not_count() {
+        let pixels = 40_000;
+        let mut random = Stream::new(derive(7, &[]));
+        let mut noisy = || (0..3 * pixels).map(|_| 0.5 + (random.next_f32() - 0.5) * 0.6).collect::<Vec<f32>>();
+        let (a, b) = (noisy(), noisy());
+        let seen = SeenView {
+            radiance: Tensor::filled(["row", "col", "rgb"], [1, pixels, 3], 0.2 * 0.54),
+            share: vec![1.0; pixels],
+        };
+        let direction = ViewGrid::single(Projection::Oblique, [0.0; 2]);
+        let score = DirectionScore::new(&direction, &seen, 0.2, [&a, &b]);
+        // σ of the mean product of 120,000 pairs is 9e-5; five of them
+        assert!((score.mse - 0.0016).abs() < 4.5e-4, "{}", score.mse);
+        assert!((DirectionScore::new(&direction, &seen, 0.2, [&a, &a]).mse - 0.0316).abs() < 1e-3);
+    }
+
+    #[test]
+    fn the_worst_tenth_is_the_worst() {
+        let direction = |mse| DirectionScore { slope: [0.0; 2], mse, pixels: 10 };
+        let mut score = ZoneScore { directions: vec![direction(1e-3); 18] };
+        score.directions.extend([direction(1e-1), direction(1e-2)]);
+        score.directions.push(DirectionScore { pixels: 0, ..direction(1.0) });
+        assert!((score.worst_tenth().unwrap() - psnr(0.055)).abs() < 1e-12);
+        assert!((score.psnr().unwrap() - psnr(0.128 / 20.0)).abs() < 1e-12);
+        assert_eq!(ZoneScore::default().psnr(), None);
+        assert!(DirectionScore { mse: -1e-9, ..direction(0.0) }.psnr() > 100.0, "noise below zero is no error");
+    }
+
+    /// The figures of layered displays with three layers 40 mm apart: at 420 columns there are 13 whole shifts over 20°.
+    #[test]
+    fn native_steps_are_whole_shifts() {
+        let display = Display::uniform([420, 262], 1.128, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 6);
+        let step = native_step(&display)[0].unwrap();
+        assert!((step - 1.128 / 40.0).abs() < 1e-12);
+        assert_eq!(2 * (10f64.to_radians().tan() / step).floor() as usize + 1, 13);
+        let flat = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[0.0], 1);
+        assert_eq!(native_step(&flat), [None, None]);
+    }
+}
