@@ -30,6 +30,8 @@ use crate::LoadError;
 const TICK: Duration = Duration::from_millis(20);
 /// Time for a process to end once there is nothing more for it to do.
 const FAREWELL: Duration = Duration::from_secs(2);
+/// Time for the last messages of a process that has ended.
+const LAST_WORDS: Duration = Duration::from_millis(300);
 /// Of what a plugin prints the last bytes are kept for messages.
 const SAID: usize = 16 << 10;
 /// Files that a message names, at most.
@@ -502,11 +504,12 @@ impl Session {
                 Err(RecvTimeoutError::Disconnected) => return Err(self.died(doing)),
                 Err(RecvTimeoutError::Timeout) => {}
             }
-            // it is gone, but a process that it started holds the pipe: its last messages are read before
-            if matches!(locked(&self.child).try_wait(), Ok(Some(_)))
-                && gone.get_or_insert_with(Instant::now).elapsed() > FAREWELL
-            {
-                return Err(self.died(doing));
+            // where a process that it started holds the pipe, only this tells that it is gone; its last messages are read before
+            if matches!(locked(&self.child).try_wait(), Ok(Some(_))) {
+                if gone.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS {
+                    return Err(self.died(doing));
+                }
+                continue;
             }
             if cancelled() && asked.get_or_insert_with(Instant::now).elapsed() > self.limits.grace {
                 self.kill();
@@ -557,7 +560,7 @@ impl Session {
 
     /// The last line that the plugin printed, once all of it has been read.
     fn last_said(&self) -> String {
-        let deadline = Instant::now() + Duration::from_millis(300);
+        let deadline = Instant::now() + LAST_WORDS;
         while !locked(&self.said).1 && Instant::now() < deadline {
             thread::sleep(Duration::from_millis(1));
         }
