@@ -87,10 +87,10 @@ fn libraries_that_end_their_process_are_listed_with_the_cause() {
     // no other command loads what nobody names
     let marks = folder.path().join("marks");
     std::fs::create_dir(&marks).unwrap();
-    let plain = root().join("scenes/letters/letters.gltf");
-    let mut info = lumistack();
-    info.arg("info").arg(plain).arg("--plugin-path").arg(folder.path()).env("LUMISTACK_TEST_MARKS", &marks);
-    succeed(&mut info);
+    let mut render = lumistack();
+    render.arg("render").arg(root().join("scenes/letters/letters.gltf")).arg("-o").arg(folder.path().join("views"));
+    render.args(["--resolution", "30x20", "--samples", "1", "--plugin-path"]).arg(folder.path());
+    succeed(render.env("LUMISTACK_TEST_MARKS", &marks));
     assert_eq!(std::fs::read_dir(&marks).unwrap().count(), 0);
 }
 

@@ -55,7 +55,7 @@ fn serve(library: &Path) -> io::Result<()> {
         waiting: Mutex::default(),
         requests: AtomicU64::new(0),
         active: AtomicUsize::new(1),
-        asked: Mutex::new((Instant::now(), false)),
+        asked: Mutex::default(),
     }));
     thread::spawn(move || {
         while let Ok(Some((message, body))) = read_frame(&mut from) {
@@ -144,7 +144,7 @@ struct Link {
     /// Calls that are running; loading the library is one.
     active: AtomicUsize,
     /// Whether the user has asked to stop, and when that was true.
-    asked: Mutex<(Instant, bool)>,
+    asked: Mutex<(Option<Instant>, bool)>,
 }
 
 impl Link {
@@ -160,7 +160,7 @@ impl Link {
         let sent = self.send(&FromChild::Request { request, what }, body);
         match sent.ok().and_then(|()| answer.recv().ok()) {
             Some((answer, body)) => {
-                *locked(&self.asked) = (Instant::now(), answer.cancelled);
+                *locked(&self.asked) = (Some(Instant::now()), answer.cancelled);
                 (answer, body)
             }
             None => end_now(),
@@ -186,7 +186,7 @@ impl Link {
 
     fn is_cancelled(&self) -> bool {
         let (when, cancelled) = *locked(&self.asked);
-        if cancelled || when.elapsed() < FRESH {
+        if cancelled || when.is_some_and(|when| when.elapsed() < FRESH) {
             return cancelled;
         }
         let (answer, _) = self.ask(Request::IsCancelled, &[]);
