@@ -1,8 +1,9 @@
 //! Hands out a folder's files on the loopback interface: nothing outside the folder, nothing to other machines.
 //!
-//! Only `GET` and `HEAD` are answered, and every answer ends its connection. Every connection has a thread of its own, of which there are at most
-//! [`MOST`], and bounds on all that it may send: a head of 16 KiB in 5 s and no body. A client that is slow, or does not read its answer, thus holds up nobody
-//! but itself, and it is the first to go when others come.
+//! Only `GET` and `HEAD` are answered, and every answer ends its connection. Every connection has a thread of its own,
+//! of which there are at most [`MOST`], and bounds on all that it may send: a head of 16 KiB in 5 s and no body. A
+//! client that is slow, or does not read its answer, thus holds up nobody but itself, and it is the first to go when
+//! others come.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -32,10 +33,12 @@ const FIELDS: usize = 64;
 const WRITE_TIME: Duration = Duration::from_secs(10);
 /// Bytes of an answer that are written at once.
 const PART: usize = 64 << 10;
-/// Time for which bytes after a refused request are thrown away, since closing on them would cost the client its answer.
+/// Time for which bytes after a refused request are thrown away, since closing on them would cost the client its
+/// answer.
 const LINGER: Duration = Duration::from_millis(500);
 
-/// Asks once a second and reloads when the folder has changed since the page was handed out; the page keeps its state in its address.
+/// Asks once a second and reloads when the folder has changed since the page was handed out; the page keeps its state
+/// in its address.
 const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
@@ -58,7 +61,8 @@ pub(crate) fn port_of(server: &Server) -> u16 {
     server.address.port()
 }
 
-/// Answers requests until `tick` says to stop; it is asked about five times a second and gives what changes whenever the folder does.
+/// Answers requests until `tick` says to stop; it is asked about five times a second and gives what changes whenever
+/// the folder does.
 pub(crate) fn serve(server: &Server, root: &Path, mut tick: impl FnMut() -> Option<String>) {
     let (stop, open, stamp) = (AtomicBool::new(false), Connections::default(), Mutex::new(String::new()));
     let (stop, open, stamp) = (&stop, &open, &stamp);
@@ -120,8 +124,8 @@ struct Connection {
 }
 
 impl Connections {
-    /// Takes a connection in, and returns its number. Where there are too many, the oldest goes that has not asked for anything yet, or else the
-    /// oldest. `None` after the end.
+    /// Takes a connection in, and returns its number. Where there are too many, the oldest goes that has not asked for
+    /// anything yet, or else the oldest. `None` after the end.
     fn add(&self, stream: &TcpStream) -> Option<u64> {
         let stream = stream.try_clone().ok()?;
         let mut open = locked(&self.0);
@@ -483,7 +487,8 @@ mod tests {
         (stream, text)
     }
 
-    /// Through sockets, from a server that listens to this machine alone. A browser opens six at once and keeps those that it may keep.
+    /// Through sockets, from a server that listens to this machine alone. A browser opens six at once and keeps those
+    /// that it may keep.
     #[test]
     fn browsers_with_many_connections_get_the_page() {
         const CONNECTIONS: usize = 24;

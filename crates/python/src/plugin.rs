@@ -6,11 +6,13 @@ use std::path::PathBuf;
 use lumistack_cli::Launcher;
 use pyo3::prelude::*;
 
-/// The child's program; its first argument is the folder in which this package lies, which need not be on the child's own path.
+/// The child's program; its first argument is the folder in which this package lies, which need not be on the child's
+/// own path.
 const BOOT: &str = "import sys; sys.path.insert(0, sys.argv[1]); from lumistack._lumistack import _plugin_child; \
                     sys.exit(_plugin_child(sys.argv[2:]))";
 
-/// Says how a process for a plugin is started. Without a Python to start there is none, which is told where a plugin needs it.
+/// Says how a process for a plugin is started. Without a Python to start there is none, which is told where a plugin
+/// needs it.
 pub(crate) fn set_launcher(py: Python<'_>) {
     if let Ok(launcher) = launcher(py) {
         launcher.set_for_process();

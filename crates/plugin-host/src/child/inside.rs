@@ -1,4 +1,5 @@
-//! The child's end: loads one library, runs its functions as the program asks, and offers it a host whose functions ask the program.
+//! The child's end: loads one library, runs its functions as the program asks, and offers it a host whose functions ask
+//! the program.
 
 use std::collections::HashMap;
 use std::ffi::{OsString, c_void};
@@ -29,8 +30,9 @@ const STACK: usize = 8 << 20;
 /// Time for destructors of the library's statics.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-/// The whole work of a process that runs a plugin for another: `args` are what [`Launcher`](crate::Launcher) adds, the library's path. Call it from
-/// the main thread before anything else uses standard input and output, and end the process with the code that it returns.
+/// The whole work of a process that runs a plugin for another: `args` are what [`Launcher`](crate::Launcher) adds, the
+/// library's path. Call it from the main thread before anything else uses standard input and output, and end the
+/// process with the code that it returns.
 ///
 /// What the library prints to standard output goes to standard error, since the former belongs to the program.
 pub fn plugin_child(args: &[OsString]) -> u8 {
@@ -104,7 +106,8 @@ fn serve(library: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Takes standard input and output for the program's messages: the library finds an empty input, and prints to standard error.
+/// Takes standard input and output for the program's messages: the library finds an empty input, and prints to standard
+/// error.
 #[cfg(unix)]
 fn take_over() -> io::Result<(File, File)> {
     use std::os::fd::AsFd;
@@ -244,8 +247,8 @@ unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorS
     }
 }
 
-// SAFETY of all functions below: the plugin passes back the context of their table, lends texts and bytes for the call, and passes null or a valid
-// sink for errors.
+// SAFETY of all functions below: the plugin passes back the context of their table, lends texts and bytes for the call,
+// and passes null or a valid sink for errors.
 
 unsafe extern "C" fn log(context: *const c_void, level: u32, message: Str) {
     // SAFETY: see above.
@@ -381,7 +384,8 @@ unsafe extern "C" fn view_plane(
 /// Fetches a plane; it is the plugin's until that gives it back.
 ///
 /// # Safety
-/// `context` is that of data of a running call, `plane` a place for a plane that says its own size, `error` null or a valid sink.
+/// `context` is that of data of a running call, `plane` a place for a plane that says its own size, `error` null or a
+/// valid sink.
 unsafe fn fetch(
     context: *const c_void,
     what: impl FnOnce(u64) -> Request,
@@ -513,7 +517,8 @@ unsafe extern "C" fn give_emission(
 /// Sends a plane that the plugin lends.
 ///
 /// # Safety
-/// `context` is that of a sink of a running call; the plugin lends a plane that says its own size; `error` is null or a valid sink.
+/// `context` is that of a sink of a running call; the plugin lends a plane that says its own size; `error` is null or a
+/// valid sink.
 unsafe fn give(
     context: *mut c_void,
     what: impl FnOnce(u64, [usize; 3]) -> Request,

@@ -10,7 +10,8 @@ const SILENCE: &str = "LUMISTACK_PLUGIN_SILENCE_S";
 /// Longest time to load a library, seconds; 0 for any.
 const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
 
-/// A program that runs one plugin: these words, and then the library's path. It calls [`plugin_child`](crate::plugin_child).
+/// A program that runs one plugin: these words, and then the library's path. It calls
+/// [`plugin_child`](crate::plugin_child).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Launcher {
     /// The program.
@@ -30,7 +31,8 @@ impl Launcher {
         Some(Self { program, args: vec![first.into()] })
     }
 
-    /// Starts all children of this process that way, unless the places of their plugins name another. The first call counts.
+    /// Starts all children of this process that way, unless the places of their plugins name another. The first call
+    /// counts.
     pub fn set_for_process(self) {
         let _ = OF_PROCESS.set(self);
     }
@@ -60,7 +62,8 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// The default, but for the environment variables `LUMISTACK_PLUGIN_LOAD_S` and `LUMISTACK_PLUGIN_SILENCE_S`: seconds, 0 for any time.
+    /// The default, but for the environment variables `LUMISTACK_PLUGIN_LOAD_S` and `LUMISTACK_PLUGIN_SILENCE_S`:
+    /// seconds, 0 for any time.
     ///
     /// # Errors
     /// The variable and its value, where that is no number of seconds.

@@ -1,18 +1,18 @@
 //! Plugins in libraries run in a child process, so that nothing they do can end the program.
 //!
 //! ```text
-//! program                                             child, one for every output that is open and every scene, field or stack that is made
+//! program                                             child: one per open output, and per scene, field or stack
 //!  │ Functions::open(HostServices, ...)                 │
-//!  ├── Call(open, texts) ─────────────────────────────▶ │ the library's own `open`, with a HostServices whose functions ask the program
+//!  ├── Call(open, texts) ─────────────────────────────▶ │ the library's `open`, with a HostServices that asks
 //!  │ ◀────────────── Request(file_append) + bytes ───── │
 //!  │   the program's own file_append                    │
 //!  ├── Answer ────────────────────────────────────────▶ │
 //!  │ ◀──────────────────────────────── Done(status) ─── │
 //! ```
 //!
-//! Both ends stand at the C boundary: the host's code above it and the plugin's below are the same as without a child, and so are the bytes. Planes
-//! cross one at a time, when the plugin fetches them, as bytes in the pipe. Memory that both processes map would save one copy, but a child that
-//! shortens the file under it ends the program by a bus error.
+//! Both ends stand at the C boundary: the host's code above it and the plugin's below are the same as without a child,
+//! and so are the bytes. Planes cross one at a time, when the plugin fetches them, as bytes in the pipe. Memory that
+//! both processes map would save one copy, but a child that shortens the file under it ends the program by a bus error.
 //!
 //! [`outside`] is the program's end, [`inside`] the child's.
 

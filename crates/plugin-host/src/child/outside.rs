@@ -1,9 +1,9 @@
 //! The program's end: starts children, passes calls on to them, and does what they ask for.
 //!
-//! Every child has three threads here: one writes what the program sends, one reads and does what the child asks for, and one passes on what the
-//! plugin prints. Who called a function of the plugin waits for its end and meanwhile looks whether the user wants to stop, whether the
-//! child is still there and whether it still says something. None of the three threads is waited for where a call ends, since a process that the plugin
-//! started may hold the pipes open.
+//! Every child has three threads here: one writes what the program sends, one reads and does what the child asks for,
+//! and one passes on what the plugin prints. Who called a function of the plugin waits for its end and meanwhile looks
+//! whether the user wants to stop, whether the child is still there and whether it still says something. None of the
+//! three threads is waited for where a call ends, since a process that the plugin started may hold the pipes open.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ffi::c_void;
@@ -204,8 +204,8 @@ unsafe fn data_of(data: *const Data) -> protocol::Data {
     unsafe { protocol::Data { port: (*data).port, description: text((*data).description_json) } }
 }
 
-// SAFETY: what is lent is kept in the session for as long as the call runs, and taken out before it returns; the table of `open` when the
-// session ends. Whoever uses it holds the lock that takes it out.
+// SAFETY: what is lent is kept in the session for as long as the call runs, and taken out before it returns; the table
+// of `open` when the session ends. Whoever uses it holds the lock that takes it out.
 unsafe impl Functions for Remote {
     unsafe fn import(
         &self,
@@ -441,7 +441,8 @@ impl Session {
     /// Runs a function of the plugin to its end.
     ///
     /// # Safety
-    /// All that is lent is valid until this returns, and `host` until the output is closed; `error` is null or a valid sink.
+    /// All that is lent is valid until this returns, and `host` until the output is closed; `error` is null or a valid
+    /// sink.
     unsafe fn call(
         &self,
         host: *const HostServices,
@@ -504,7 +505,8 @@ impl Session {
                 Err(RecvTimeoutError::Disconnected) => return Err(self.died(doing)),
                 Err(RecvTimeoutError::Timeout) => {}
             }
-            // where a process that it started holds the pipe, only this tells that it is gone; its last messages are read before
+            // where a process that it started holds the pipe, only this tells that it is gone; its last messages are
+            // read before
             if matches!(locked(&self.child).try_wait(), Ok(Some(_))) {
                 if gone.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS {
                     return Err(self.died(doing));
@@ -679,8 +681,8 @@ impl Session {
         let host = unsafe { &*lent.host };
         let mut text = String::new();
         let error = keeping(&mut text);
-        // SAFETY: what is found under the number of a call is lent for as long as it is found there, which the lock keeps so; the
-        // other arguments are lent for the call.
+        // SAFETY: what is found under the number of a call is lent for as long as it is found there, which the lock
+        // keeps so; the other arguments are lent for the call.
         let status = unsafe { self.serve(host, &all, what, body, &mut answer, &mut out, &error) };
         answer.cancelled = {
             // SAFETY: as above.

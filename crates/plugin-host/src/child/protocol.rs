@@ -1,7 +1,8 @@
 //! Messages between a program and the process that runs a plugin for it.
 //!
-//! A frame is the length of its head (u32), the length of its body (u64), both little-endian, the head as JSON, and the body: bytes of a file, a
-//! plane of `f32` in native byte order, or a text of which nobody knows that it is UTF-8. Real numbers cross as their bits.
+//! A frame is the length of its head (u32), the length of its body (u64), both little-endian, the head as JSON, and the
+//! body: bytes of a file, a plane of `f32` in native byte order, or a text of which nobody knows that it is UTF-8. Real
+//! numbers cross as their bits.
 
 use std::io::{self, Read, Write};
 

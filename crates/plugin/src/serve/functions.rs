@@ -10,12 +10,13 @@ use lumistack_plugin_abi::{
 use crate::PluginError;
 use crate::boundary::answer;
 
-/// The functions of the boundary's tables, for every kind of plugin: those of a library in this process, or of another process that passes
-/// the calls on. Functions of another kind than the plugin's return [`Status::REFUSED`].
+/// The functions of the boundary's tables, for every kind of plugin: those of a library in this process, or of another
+/// process that passes the calls on. Functions of another kind than the plugin's return [`Status::REFUSED`].
 ///
 /// # Safety
-/// An implementation keeps the boundary's rules for a plugin: it uses nothing lent after the call returns, and `host` of
-/// [`open`](Self::open) not after [`close`](Self::close). Callers keep the rules for a host, as the documentation of the tables says.
+/// An implementation keeps the boundary's rules for a plugin: it uses nothing lent after the call returns, and `host`
+/// of [`open`](Self::open) not after [`close`](Self::close). Callers keep the rules for a host, as the documentation of
+/// the tables says.
 #[expect(clippy::missing_safety_doc, reason = "the tables' documentation has it, function by function")]
 pub unsafe trait Functions: Send + Sync {
     /// [`ImporterVtable::import`].
