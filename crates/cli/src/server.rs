@@ -217,7 +217,9 @@ fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
         if left.is_zero() {
             return Err(late());
         }
-        stream.set_read_timeout(Some(left)).map_err(|_| None)?;
+        if stream.set_read_timeout(Some(left)).is_err() {
+            return Err(None);
+        }
         let count = match stream.read(&mut part) {
             Ok(0) => return Err(None),
             Ok(count) => count,

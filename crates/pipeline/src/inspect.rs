@@ -39,8 +39,9 @@ pub fn plugin_list(registry: &Registry) -> serde_json::Value {
         plugin["origin"] = origin.to_string().into();
         plugin
     });
-    let failed = registry.failed().iter().map(ToString::to_string);
-    serde_json::json!({ "plugins": plugins.collect::<Vec<_>>(), "failed": failed.collect::<Vec<_>>() })
+    let plugins: Vec<_> = plugins.collect();
+    let failed: Vec<_> = registry.failed().iter().map(ToString::to_string).collect();
+    serde_json::json!({ "plugins": plugins, "failed": failed })
 }
 
 /// The same as text.
