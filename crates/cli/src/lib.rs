@@ -22,6 +22,11 @@ use lumistack_pipeline::PipelineError;
 
 pub use commands::DEFAULT_DISPLAY;
 pub use info::describe_path;
+#[cfg(feature = "dynamic")]
+pub use lumistack_pipeline::{Launcher, plugin_child};
+
+/// First argument of a process that runs a plugin of a library for another one.
+pub const PLUGIN_CHILD: &str = "__plugin";
 
 /// Runs a command line, of which the first word is the program's name, and gives its exit code. What it has to say goes to the process's standard output
 /// and standard error. Setting `cancel` stops it cleanly.

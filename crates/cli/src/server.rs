@@ -1,88 +1,361 @@
 //! Hands out a folder's files on the loopback interface: nothing outside the folder, nothing to other machines.
+//!
+//! Only `GET` and `HEAD` are answered, and every answer ends its connection. Every connection has a thread of its own,
+//! of which there are at most [`MOST`], and bounds on all that it may send: a head of 16 KiB in 5 s and no body. A
+//! client that is slow, or does not read its answer, thus holds up nobody but itself, and it is the first to go when
+//! others come.
 
-use std::io::Write as _;
-use std::net::Ipv4Addr;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Component, Path, PathBuf};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use percent_encoding::percent_decode_str;
-use tiny_http::{Method, Request, Server, StatusCode};
 
 /// Where the page asks whether the stack has changed.
 const STAMP: &str = "/.stamp";
-/// How long one wait for a request lasts.
+/// How often the caller is asked for the stamp, and whether to go on.
 const TICK: Duration = Duration::from_millis(200);
+/// Most connections at a time; a browser opens six.
+const MOST: usize = 64;
+/// Time for a whole head, also where its bytes come one by one.
+const HEAD_TIME: Duration = Duration::from_secs(5);
+/// Longest head, bytes.
+const HEAD: usize = 16 << 10;
+/// Most fields of a head.
+const FIELDS: usize = 64;
+/// Time for a client to take the next part of an answer.
+const WRITE_TIME: Duration = Duration::from_secs(10);
+/// Bytes of an answer that are written at once.
+const PART: usize = 64 << 10;
+/// Time for which bytes after a refused request are thrown away, since closing on them would cost the client its
+/// answer.
+const LINGER: Duration = Duration::from_millis(500);
 
-/// Asks once a second and reloads when the folder has changed since the page was handed out; the page keeps its state in its address.
+/// Asks once a second and reloads when the folder has changed since the page was handed out; the page keeps its state
+/// in its address.
 const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
 
+/// Listens on the loopback interface.
+pub(crate) struct Server {
+    listener: TcpListener,
+    address: SocketAddr,
+}
+
 /// Starts listening; `port` 0 takes any that is free.
-pub(crate) fn listen(port: u16) -> Result<Server, String> {
-    Server::http((Ipv4Addr::LOCALHOST, port)).map_err(|error| error.to_string())
+pub(crate) fn listen(port: u16) -> io::Result<Server> {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
+    let address = listener.local_addr()?;
+    Ok(Server { listener, address })
 }
 
 /// The port that a server listens on.
 pub(crate) fn port_of(server: &Server) -> u16 {
-    server.server_addr().to_ip().map_or(0, |address| address.port())
+    server.address.port()
 }
 
-/// Answers requests until `tick` says to stop; it is asked at least five times a second and gives what changes whenever the folder does.
+/// Answers requests until `tick` says to stop; it is asked about five times a second and gives what changes whenever
+/// the folder does.
 pub(crate) fn serve(server: &Server, root: &Path, mut tick: impl FnMut() -> Option<String>) {
-    while let Some(stamp) = tick() {
-        if let Ok(Some(request)) = server.recv_timeout(TICK) {
-            answer(request, root, &stamp);
+    let (stop, open, stamp) = (AtomicBool::new(false), Connections::default(), Mutex::new(String::new()));
+    let (stop, open, stamp) = (&stop, &open, &stamp);
+    thread::scope(|scope| {
+        scope.spawn(move || {
+            loop {
+                let accepted = server.listener.accept();
+                if stop.load(Ordering::Relaxed) {
+                    break;
+                }
+                // out of descriptors: those that are open end by themselves
+                let Ok((stream, _)) = accepted else {
+                    thread::sleep(Duration::from_millis(50));
+                    continue;
+                };
+                let Some(connection) = open.add(&stream) else { continue };
+                let answer = move || {
+                    let asked = || open.has_asked(connection);
+                    // a mistake here costs one answer
+                    let _ = catch_unwind(AssertUnwindSafe(|| answer(&stream, root, stamp, asked)));
+                    open.remove(connection);
+                };
+                if thread::Builder::new().spawn_scoped(scope, answer).is_err() {
+                    open.remove(connection);
+                }
+            }
+        });
+        while let Some(now) = tick() {
+            *locked(stamp) = now;
+            thread::sleep(TICK);
+        }
+        stop.store(true, Ordering::Relaxed);
+        open.end();
+        // wakes the thread that accepts
+        let _ = TcpStream::connect_timeout(&server.address, TICK);
+    });
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The connections that are open, oldest first.
+#[derive(Default)]
+struct Connections(Mutex<Open>);
+
+#[derive(Default)]
+struct Open {
+    streams: Vec<Connection>,
+    last: u64,
+    ended: bool,
+}
+
+struct Connection {
+    number: u64,
+    stream: TcpStream,
+    /// Whether its whole request has come.
+    asked: bool,
+}
+
+impl Connections {
+    /// Takes a connection in, and returns its number. Where there are too many, the oldest goes that has not asked for
+    /// anything yet, or else the oldest. `None` after the end.
+    fn add(&self, stream: &TcpStream) -> Option<u64> {
+        let stream = stream.try_clone().ok()?;
+        let mut open = locked(&self.0);
+        if open.ended {
+            return None;
+        }
+        if open.streams.len() >= MOST {
+            let waits = open.streams.iter().position(|connection| !connection.asked);
+            // its thread wakes up
+            let _ = open.streams.remove(waits.unwrap_or(0)).stream.shutdown(Shutdown::Both);
+        }
+        open.last += 1;
+        let number = open.last;
+        open.streams.push(Connection { number, stream, asked: false });
+        Some(number)
+    }
+
+    fn has_asked(&self, number: u64) {
+        let mut open = locked(&self.0);
+        open.streams.iter_mut().filter(|connection| connection.number == number).for_each(|found| found.asked = true);
+    }
+
+    fn remove(&self, number: u64) {
+        locked(&self.0).streams.retain(|connection| connection.number != number);
+    }
+
+    /// Ends all connections, and those that come later.
+    fn end(&self) {
+        let mut open = locked(&self.0);
+        open.ended = true;
+        for connection in open.streams.drain(..) {
+            let _ = connection.stream.shutdown(Shutdown::Both);
         }
     }
 }
 
-/// Every answer ends its connection. The library serves each by a thread of a small pool, in which others may wait until a browser lets go of one that it
-/// keeps for later; and it offers no way to say so, hence the header by hand.
-fn answer(request: Request, root: &Path, stamp: &str) {
-    let (status, kind, bytes) = reply(request.method(), host_of(&request).as_deref(), request.url(), root, stamp);
-    let body = if *request.method() == Method::Head { &[][..] } else { &bytes };
-    let header = format!(
-        "HTTP/1.1 {status} {}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
-         X-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n",
-        StatusCode(status).default_reason_phrase(),
-        bytes.len()
+/// A request without a body.
+struct Request {
+    method: String,
+    target: String,
+    host: Option<String>,
+}
+
+/// Status, kind and content of an answer.
+struct Reply {
+    status: u16,
+    kind: &'static str,
+    content: Content,
+}
+
+enum Content {
+    Bytes(Vec<u8>),
+    /// A file and its length.
+    File(File, u64),
+}
+
+impl Reply {
+    fn text(status: u16, text: &str) -> Self {
+        Self { status, kind: "text/plain; charset=utf-8", content: Content::Bytes(text.as_bytes().to_vec()) }
+    }
+}
+
+/// Answers one request; `asked` hears that it is whole. Errors of a connection end it, since nobody is left to tell.
+fn answer(mut stream: &TcpStream, root: &Path, stamp: &Mutex<String>, asked: impl FnOnce()) {
+    let request = match read_request(stream) {
+        Ok(request) => request,
+        Err(None) => return,
+        Err(Some(refusal)) => {
+            let _ = write(stream, refusal, true);
+            return linger(stream);
+        }
+    };
+    asked();
+    let stamp = locked(stamp).clone();
+    let reply = reply(&request.method, request.host.as_deref(), &request.target, root, &stamp);
+    if write(stream, reply, request.method != "HEAD").is_ok() {
+        let _ = stream.flush();
+    }
+    linger(stream);
+}
+
+/// Reads the head of a request. An error is the answer that refuses it, or `None` where the client has gone.
+fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
+    let deadline = Instant::now() + HEAD_TIME;
+    let (mut head, mut part) = (Vec::new(), [0; 2048]);
+    loop {
+        let left = deadline.saturating_duration_since(Instant::now());
+        let late = || Some(Reply::text(408, "the request took too long\n"));
+        if left.is_zero() {
+            return Err(late());
+        }
+        if stream.set_read_timeout(Some(left)).is_err() {
+            return Err(None);
+        }
+        let count = match stream.read(&mut part) {
+            Ok(0) => return Err(None),
+            Ok(count) => count,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {
+                return Err(late());
+            }
+            Err(_) => return Err(None),
+        };
+        // the end may lie across two parts
+        let before = head.len().saturating_sub(3);
+        head.extend_from_slice(&part[..count]);
+        let ends = |end: &[u8]| head[before..].windows(end.len()).any(|window| window == end);
+        if ends(b"\n\r\n") || ends(b"\n\n") {
+            return parse(&head).map_err(Some);
+        }
+        if head.len() > HEAD {
+            return Err(Some(Reply::text(431, "the head of the request is too long\n")));
+        }
+    }
+}
+
+/// Takes a whole head apart.
+fn parse(head: &[u8]) -> Result<Request, Reply> {
+    let mut fields = [httparse::EMPTY_HEADER; FIELDS];
+    let mut request = httparse::Request::new(&mut fields);
+    match request.parse(head) {
+        Ok(httparse::Status::Complete(_)) => {}
+        Err(httparse::Error::TooManyHeaders) => return Err(Reply::text(431, "too many fields\n")),
+        _ => return Err(Reply::text(400, "no request of HTTP\n")),
+    }
+    let method = request.method.unwrap_or_default().to_owned();
+    if !matches!(method.as_str(), "GET" | "HEAD") {
+        return Err(Reply::text(405, "only GET and HEAD\n"));
+    }
+    let field = |name: &str| request.headers.iter().find(|field| field.name.eq_ignore_ascii_case(name));
+    let empty = field("Content-Length").is_none_or(|length| length.value.trim_ascii() == b"0");
+    if !empty || field("Transfer-Encoding").is_some() {
+        return Err(Reply::text(413, "only requests without a body\n"));
+    }
+    let host = field("Host").map(|host| String::from_utf8_lossy(host.value).into_owned());
+    Ok(Request { method, target: request.path.unwrap_or_default().to_owned(), host })
+}
+
+fn write(mut stream: &TcpStream, reply: Reply, with_content: bool) -> io::Result<()> {
+    stream.set_write_timeout(Some(WRITE_TIME))?;
+    let length = match &reply.content {
+        Content::Bytes(bytes) => bytes.len() as u64,
+        Content::File(_, length) => *length,
+    };
+    let (status, kind, reason) = (reply.status, reply.kind, reason(reply.status));
+    let allow = if status == 405 { "Allow: GET, HEAD\r\n" } else { "" };
+    let head = format!(
+        "HTTP/1.1 {status} {reason}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nCache-Control: no-store\r\n\
+         X-Content-Type-Options: nosniff\r\n{allow}Connection: close\r\n\r\n"
     );
-    let mut writer = request.into_writer();
-    // a browser that went away wants no answer
-    let _ = writer.write_all(header.as_bytes()).and_then(|()| writer.write_all(body)).and_then(|()| writer.flush());
+    stream.write_all(head.as_bytes())?;
+    if !with_content {
+        return Ok(());
+    }
+    match reply.content {
+        Content::Bytes(bytes) => stream.write_all(&bytes),
+        Content::File(file, length) => {
+            // as long as was said, though somebody writes it meanwhile
+            let (mut file, mut part) = (file.take(length), vec![0; PART]);
+            loop {
+                match file.read(&mut part)? {
+                    0 => return Ok(()),
+                    count => stream.write_all(&part[..count])?,
+                }
+            }
+        }
+    }
 }
 
-fn host_of(request: &Request) -> Option<String> {
-    request.headers().iter().find(|header| header.field.equiv("Host")).map(|header| header.value.to_string())
+/// Ends a connection so that the client finds the answer, though it may still be sending.
+fn linger(mut stream: &TcpStream) {
+    if stream.shutdown(Shutdown::Write).is_err() {
+        return;
+    }
+    let deadline = Instant::now() + LINGER;
+    let mut part = [0; 4096];
+    loop {
+        let left = deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
+            return;
+        }
+        match stream.read(&mut part) {
+            Ok(0) | Err(_) => return,
+            Ok(_) => {}
+        }
+    }
 }
 
-/// Status, kind and content for a request.
-fn reply(method: &Method, host: Option<&str>, url: &str, root: &Path, stamp: &str) -> (u16, &'static str, Vec<u8>) {
-    let text = |status: u16, text: &str| (status, "text/plain; charset=utf-8", text.as_bytes().to_vec());
-    if !matches!(method, Method::Get | Method::Head) {
-        return text(405, "only GET and HEAD\n");
+fn reason(status: u16) -> &'static str {
+    match status {
+        200 => "OK",
+        400 => "Bad Request",
+        403 => "Forbidden",
+        404 => "Not Found",
+        405 => "Method Not Allowed",
+        408 => "Request Timeout",
+        413 => "Content Too Large",
+        431 => "Request Header Fields Too Large",
+        _ => "",
+    }
+}
+
+/// The answer to a request.
+fn reply(method: &str, host: Option<&str>, url: &str, root: &Path, stamp: &str) -> Reply {
+    if !matches!(method, "GET" | "HEAD") {
+        return Reply::text(405, "only GET and HEAD\n");
     }
     // a page elsewhere whose name was made to lead here asks under its own name
     let name = host.unwrap_or_default();
     let name =
         name.rsplit_once(':').filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit())).map_or(name, |(n, _)| n);
     if !["localhost", "127.0.0.1"].contains(&name) {
-        return text(403, "only for this machine: open http://localhost\n");
+        return Reply::text(403, "only for this machine: open http://localhost\n");
     }
     let path = url.split(['?', '#']).next().unwrap_or_default();
     if path == STAMP {
-        return text(200, stamp);
+        return Reply::text(200, stamp);
     }
-    let Some(file) = file_of(root, path) else { return text(404, "there is no such file in the preview\n") };
-    match std::fs::read(&file) {
-        Ok(bytes) if file.file_name().is_some_and(|name| name == "index.html") => {
-            let page = String::from_utf8_lossy(&bytes).replacen("</body>", &RELOAD.replace("STAMP", stamp), 1);
-            (200, "text/html; charset=utf-8", page.into_bytes())
-        }
-        Ok(bytes) => (200, kind_of(&file), bytes),
-        Err(_) => text(404, "there is no such file in the preview\n"),
+    let missing = || Reply::text(404, "there is no such file in the preview\n");
+    let Some(file) = file_of(root, path) else { return missing() };
+    if file.file_name().is_some_and(|name| name == "index.html") {
+        let Ok(bytes) = std::fs::read(&file) else { return missing() };
+        let page = String::from_utf8_lossy(&bytes).replacen("</body>", &RELOAD.replace("STAMP", stamp), 1);
+        let content = Content::Bytes(page.into_bytes());
+        return Reply { status: 200, kind: "text/html; charset=utf-8", content };
     }
+    let kind = kind_of(&file);
+    let opened = File::open(&file).and_then(|file| file.metadata().map(|data| (file, data.len())));
+    opened
+        .map_or_else(|_| missing(), |(file, length)| Reply { status: 200, kind, content: Content::File(file, length) })
 }
 
 /// The file that a path means; `None` for what is not a plain file inside the folder, also by way of links.
@@ -114,9 +387,6 @@ fn kind_of(file: &Path) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use std::io::Read as _;
-    use std::net::TcpStream;
-
     use super::*;
 
     fn folder() -> tempfile::TempDir {
@@ -131,8 +401,17 @@ mod tests {
     }
 
     fn get(root: &Path, url: &str) -> (u16, &'static str, String) {
-        let (status, kind, bytes) = reply(&Method::Get, Some("localhost:80"), url, root, "7");
-        (status, kind, String::from_utf8(bytes).unwrap())
+        let Reply { status, kind, content } = reply("GET", Some("localhost:80"), url, root, "7");
+        let text = match content {
+            Content::Bytes(bytes) => String::from_utf8(bytes).unwrap(),
+            Content::File(mut file, length) => {
+                let mut text = String::new();
+                file.read_to_string(&mut text).unwrap();
+                assert_eq!(text.len() as u64, length);
+                text
+            }
+        };
+        (status, kind, text)
     }
 
     #[test]
@@ -174,6 +453,9 @@ mod tests {
         {
             std::os::unix::fs::symlink(folder.path().join("secret.txt"), root.join("link.txt")).unwrap();
             assert_eq!(get(&root, "/link.txt").0, 404);
+            std::os::unix::fs::symlink(folder.path(), root.join("up")).unwrap();
+            assert_eq!(get(&root, "/up/secret.txt").0, 404);
+            assert_eq!(get(&root, "/up/site/index.html").0, 200, "back inside");
         }
     }
 
@@ -181,11 +463,11 @@ mod tests {
     fn other_names_and_methods_are_refused() {
         let folder = folder();
         let root = folder.path().join("site");
-        let status = |method: &Method, host: Option<&str>| reply(method, host, "/", &root, "").0;
-        assert_eq!(status(&Method::Head, Some("127.0.0.1:8000")), 200);
-        assert_eq!(status(&Method::Post, Some("localhost")), 405);
+        let status = |method: &str, host: Option<&str>| reply(method, host, "/", &root, "").status;
+        assert_eq!(status("HEAD", Some("127.0.0.1:8000")), 200);
+        assert_eq!(status("POST", Some("localhost")), 405);
         for host in [None, Some("example.org"), Some("localhost.example.org"), Some("127.0.0.1.example.org:80")] {
-            assert_eq!(status(&Method::Get, host), 403, "{host:?}");
+            assert_eq!(status("GET", host), 403, "{host:?}");
         }
     }
 
@@ -207,14 +489,15 @@ mod tests {
         (stream, text)
     }
 
-    /// Through sockets, from a server that listens to this machine alone. A browser opens six at once and keeps those that it may keep.
+    /// Through sockets, from a server that listens to this machine alone. A browser opens six at once and keeps those
+    /// that it may keep.
     #[test]
     fn browsers_with_many_connections_get_the_page() {
         const CONNECTIONS: usize = 24;
         let folder = folder();
         let server = listen(0).unwrap();
         let (port, root) = (port_of(&server), folder.path().join("site"));
-        assert!(server.server_addr().to_ip().unwrap().ip().is_loopback());
+        assert!(server.address.ip().is_loopback());
         let clients = std::thread::spawn(move || {
             let streams: Vec<_> = (0..CONNECTIONS).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
             let mut kept = Vec::new();
@@ -231,5 +514,134 @@ mod tests {
         });
         serve(&server, &root, || (!clients.is_finished()).then(String::new));
         clients.join().unwrap();
+    }
+
+    /// Serves the folder while `clients` does its work with the port.
+    fn against(clients: impl FnOnce(u16) + Send + 'static) {
+        let folder = folder();
+        let root = folder.path().join("site");
+        // more than the system's buffers of a connection hold
+        std::fs::write(root.join("large.bin"), vec![7; 32 << 20]).unwrap();
+        let server = listen(0).unwrap();
+        let port = port_of(&server);
+        let clients = thread::spawn(move || clients(port));
+        serve(&server, &root, || (!clients.is_finished()).then(String::new));
+        clients.join().unwrap();
+    }
+
+    fn connect(port: u16) -> TcpStream {
+        let stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        stream
+    }
+
+    /// An ordinary request is answered within a second.
+    fn page_comes_at_once(port: u16, while_what: &str) {
+        let start = Instant::now();
+        let (_, text) = ask(connect(port), "GET", port);
+        let took = start.elapsed();
+        assert!(text.starts_with("HTTP/1.1 200 OK") && text.ends_with("</body>"), "{while_what}: {text}");
+        assert!(took < Duration::from_secs(1), "{while_what}: {took:?}");
+    }
+
+    /// All that is answered to these bytes.
+    fn told(port: u16, bytes: &[u8]) -> String {
+        let mut stream = connect(port);
+        // refused before all of it is written
+        let _ = stream.write_all(bytes);
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+
+    #[test]
+    fn two_hundred_connections_that_are_stuck_hold_up_nobody() {
+        against(|port| {
+            for (start, what) in [
+                ("", "connections that say nothing"),
+                ("GET / HT", "requests without an end"),
+                ("GET /large.bin HTTP/1.1\r\nHost: localhost\r\n\r\n", "clients that do not read"),
+            ] {
+                let stuck: Vec<TcpStream> = (0..200)
+                    .map(|_| {
+                        let mut stream = connect(port);
+                        // one that has been sent away already
+                        let _ = stream.write_all(start.as_bytes());
+                        stream
+                    })
+                    .collect();
+                (0..3).for_each(|_| page_comes_at_once(port, what));
+                drop(stuck);
+                page_comes_at_once(port, what);
+            }
+        });
+    }
+
+    #[test]
+    fn a_head_that_comes_byte_by_byte_ends_in_time() {
+        against(|port| {
+            let mut slow = connect(port);
+            let start = Instant::now();
+            let head = "GET / HTTP/1.1\r\nHost: localhost\r\nX-A: ".bytes().chain(std::iter::repeat(b'a'));
+            for byte in head {
+                if slow.write_all(&[byte]).is_err() || start.elapsed() > HEAD_TIME + Duration::from_secs(3) {
+                    break;
+                }
+                page_comes_at_once(port, "a slow head");
+                thread::sleep(Duration::from_millis(300));
+            }
+            let took = start.elapsed();
+            assert!(took < HEAD_TIME + Duration::from_secs(2), "{took:?}");
+            let mut answer = Vec::new();
+            let _ = slow.read_to_end(&mut answer);
+            let answer = String::from_utf8_lossy(&answer).into_owned();
+            assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 408 "), "{answer}");
+        });
+    }
+
+    #[test]
+    fn bodies_and_long_heads_are_refused_unread() {
+        against(|port| {
+            let host = format!("Host: localhost:{port}\r\n");
+            let long = format!("GET / HTTP/1.1\r\n{host}X-Long: {}\r\n\r\n", "a".repeat(1 << 20));
+            let many = format!("GET / HTTP/1.1\r\n{host}{}\r\n", "X-A: b\r\n".repeat(100));
+            for (request, status) in [
+                (format!("GET / HTTP/1.1\r\n{host}Content-Length: 10000000000\r\n\r\nabc"), 413),
+                (format!("GET / HTTP/1.1\r\n{host}content-length: 3\r\n\r\nabc"), 413),
+                (format!("GET / HTTP/1.1\r\n{host}Content-Length: -1\r\n\r\n"), 413),
+                (format!("GET / HTTP/1.1\r\n{host}Transfer-Encoding: chunked\r\n\r\nffffffff\r\nabc"), 413),
+                (format!("POST / HTTP/1.1\r\n{host}Content-Length: 10000000000\r\n\r\nabc"), 405),
+                (format!("PUT / HTTP/1.1\r\n{host}Transfer-Encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n"), 405),
+                (format!("DELETE / HTTP/1.1\r\n{host}\r\n"), 405),
+                (long, 431),
+                (many, 431),
+                ("\x16\x03\x01\x02 a handshake of TLS\n\n".into(), 400),
+                (format!("GET / HTTP/1.1\r\n{host}Content-Length: 0\r\n\r\n"), 200),
+                (format!("GET /%2e%2e/secret.txt HTTP/1.1\r\n{host}\r\n"), 404),
+                (format!("GET /../secret.txt HTTP/1.1\r\n{host}\r\n"), 404),
+                (format!("GET http://localhost/ HTTP/1.1\r\n{host}\r\n"), 404),
+            ] {
+                let start = Instant::now();
+                let answer = told(port, request.as_bytes());
+                let shown = &request[..request.len().min(80)];
+                assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")), "{shown:?}: {answer}");
+                assert!(start.elapsed() < Duration::from_secs(3), "{shown:?}: {:?}", start.elapsed());
+                page_comes_at_once(port, shown);
+            }
+        });
+    }
+
+    #[test]
+    fn a_large_file_arrives_whole() {
+        against(|port| {
+            let request = format!("GET /large.bin HTTP/1.1\r\nHost: localhost:{port}\r\n\r\n");
+            let mut stream = connect(port);
+            stream.write_all(request.as_bytes()).unwrap();
+            let mut answer = Vec::new();
+            stream.read_to_end(&mut answer).unwrap();
+            let body = answer.windows(4).position(|window| window == b"\r\n\r\n").unwrap() + 4;
+            assert_eq!(answer.len() - body, 32 << 20);
+            assert!(answer[body..].iter().all(|byte| *byte == 7));
+        });
     }
 }

@@ -4,6 +4,7 @@ use lumistack_plugin_host::{Kind, Registry};
 use serde_json::{Map, Value};
 
 use crate::error::PipelineError;
+use crate::ingest;
 use crate::job::Job;
 
 /// The files among the parameters `params` of the plugin `id`: name and path. A text that begins with `{` is the content itself.
@@ -25,7 +26,9 @@ pub(crate) fn of<'a>(
 pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     let mut job = job.clone();
     let folder = job.folder.clone();
-    let extension = job.scene.as_ref().and_then(|scene| scene.extension());
+    // who reads a file without a plugin needs no look at all libraries
+    let foreign = job.scene.as_ref().filter(|scene| ingest::own_reader(scene).is_none());
+    let extension = foreign.and_then(|scene| scene.extension());
     let extension = extension.map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let by_extension = extension.and_then(|extension| registry.importer_of(&extension));
     for (place, id, params) in job.plugins_mut() {

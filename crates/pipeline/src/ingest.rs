@@ -475,7 +475,7 @@ fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, Pipelin
 
 /// What reads a scene's file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Reader {
+pub(crate) enum Reader {
     Gltf,
     Usd,
     Blend,
@@ -494,20 +494,26 @@ pub fn is_blend(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(lumistack_usd::BLEND_EXTENSION))
 }
 
+/// Who reads a file without a plugin.
+pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
+    let is_gltf = |extension: &std::ffi::OsStr| ["gltf", "glb"].iter().any(|own| extension.eq_ignore_ascii_case(own));
+    if path.extension().is_some_and(is_gltf) {
+        return Some(Reader::Gltf);
+    }
+    if is_usd(path) {
+        return Some(Reader::Usd);
+    }
+    is_blend(path).then_some(Reader::Blend)
+}
+
 fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result<Reader, PipelineError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if let Some(id) = &importer.plugin {
         registry.get_kind(id, PluginKind::Importer).map_err(PipelineError::Output)?;
         return Ok(Reader::Plugin(id.clone()));
     }
-    if matches!(extension.as_str(), "gltf" | "glb") {
-        return Ok(Reader::Gltf);
-    }
-    if is_usd(path) {
-        return Ok(Reader::Usd);
-    }
-    if is_blend(path) {
-        return Ok(Reader::Blend);
+    if let Some(reader) = own_reader(path) {
+        return Ok(reader);
     }
     let found = registry.importer_of(&extension).map(|info| info.id.clone());
     found.map(Reader::Plugin).ok_or_else(|| {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
 use lumistack_field_io::{Description, GeometryFlags};
-use lumistack_plugin_host::{Kind, Registry};
+use lumistack_plugin_host::{Param, Registry};
 
 use crate::error::{PipelineError, field_error};
 
@@ -39,8 +39,9 @@ pub fn plugin_list(registry: &Registry) -> serde_json::Value {
         plugin["origin"] = origin.to_string().into();
         plugin
     });
-    let failed = registry.failed().iter().map(ToString::to_string);
-    serde_json::json!({ "plugins": plugins.collect::<Vec<_>>(), "failed": failed.collect::<Vec<_>>() })
+    let plugins: Vec<_> = plugins.collect();
+    let failed: Vec<_> = registry.failed().iter().map(ToString::to_string).collect();
+    serde_json::json!({ "plugins": plugins, "failed": failed })
 }
 
 /// The same as text.
@@ -51,18 +52,7 @@ pub fn plugin_text(registry: &Registry) -> String {
         let _ = writeln!(text, "{} {} ({}, {origin})", info.id, info.version, kind.as_str().unwrap_or_default());
         let _ = writeln!(text, "  {}", info.doc.trim());
         for param in &info.schema.params {
-            let range = match &param.kind {
-                Kind::Bool { default } => format!("true or false, default {default}"),
-                Kind::Int { default, min, max } => format!("{min} to {max}, default {default}"),
-                Kind::Float { default, min, max } => format!("{min} to {max}, default {default}"),
-                Kind::Choice { default, options } => {
-                    let names: Vec<&str> = options.iter().map(|option| option.value.as_str()).collect();
-                    format!("{}, default {default}", names.join(" | "))
-                }
-                other => format!("{other:?}"),
-            };
-            let unit = param.unit.as_ref().map_or(String::new(), |unit| format!(" {unit}"));
-            let _ = writeln!(text, "    {:14} {} [{range}{unit}]", param.name, param.help);
+            let _ = writeln!(text, "    {:14} {} [{}]", param.name, param.help, values_of(param));
         }
     }
     if !registry.failed().is_empty() {
@@ -72,4 +62,40 @@ pub fn plugin_text(registry: &Registry) -> String {
         let _ = writeln!(text, "  {error}");
     }
     text.trim_end().to_string()
+}
+
+/// What a parameter takes, in its unit, and its value when none is given.
+fn values_of(param: &Param) -> String {
+    let unit = param.unit.as_ref().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" {unit}"));
+    let default = match param.default_value() {
+        serde_json::Value::String(text) if text.is_empty() => "none".into(),
+        serde_json::Value::String(text) => text,
+        number => format!("{number}{unit}"),
+    };
+    format!("{}; default {default}", param.expected())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parameters_are_told_in_their_units_and_without_names_of_types() {
+        for (param, expected) in [
+            (Param::bool("a", true, "A."), "true or false; default true"),
+            (Param::int("a", 4, 1..=9, "A.").unit("1"), "a whole number from 1 to 9; default 4"),
+            (Param::float("a", 0.5, 0.0..=2.0, "A.").unit("mm"), "a number from 0 to 2 mm; default 0.5 mm"),
+            (Param::choice("a", "x", [("x", "X."), ("y", "Y.")], "A."), "one of x, y; default x"),
+            (Param::text("a", "", "A."), "a text; default none"),
+            (Param::text("a", "b c", "A."), "a text; default b c"),
+            (Param::file("a", "A."), "a file's path, or its text, which begins with {; default none"),
+        ] {
+            assert_eq!(values_of(&param), expected);
+        }
+        let all = plugin_text(&plugins(&[]).unwrap());
+        assert!(
+            all.contains("images") && !["Text {", "Float {", "File]"].iter().any(|name| all.contains(name)),
+            "{all}"
+        );
+    }
 }

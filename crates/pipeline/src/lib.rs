@@ -50,6 +50,8 @@ pub use job::{
     OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone, WindowFrom, WindowJob,
 };
 pub use look::automatic_look;
+#[cfg(feature = "dynamic")]
+pub use lumistack_plugin_host::{Launcher, plugin_child};
 pub use lumistack_plugin_host::{OutputData, Registry};
 pub use run::{Summary, render_only, run};
 pub use sequence::SequenceSummary;

@@ -1,8 +1,9 @@
 //! Plugins in shared libraries.
 //!
 //! A plugin `id` lies in a file `lumistack_plugin_<id>` (with the system's prefix and suffix for shared libraries) and is found through
-//! its function `lumistack_plugin_entry_<id>`. What can be checked without running the library's code is checked before it is
-//! opened: name, kind of file, machine. A library is never unloaded: its threads, thread-local destructors and lent texts may outlive any use.
+//! its function `lumistack_plugin_entry_<id>`. Name, kind of file and machine are checked without running the library's code. It is loaded
+//! when its plugin is asked for, in a child process (see [`crate::child`]), and never unloaded there: its threads, thread-local destructors and lent
+//! texts may outlive any use.
 
 use std::env::consts::{ARCH, DLL_PREFIX, DLL_SUFFIX};
 use std::env::{split_paths, var_os};
@@ -10,12 +11,14 @@ use std::ffi::OsString;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use libloading::Library;
+use libloading::Library as Shared;
 use lumistack_plugin::abi::{ENTRY_PREFIX, Entry};
 use lumistack_plugin::is_plugin_id;
 use lumistack_plugin::serve::Plugin;
 use object::{Architecture, BinaryFormat, FileKind, Object, ObjectKind, ReadCache};
 
+use crate::child::{Launcher, Limits};
+use crate::registry::Library;
 use crate::{LoadError, Origin, Registry};
 
 /// Names more places, separated like those of `PATH`.
@@ -30,6 +33,10 @@ pub struct PluginPaths {
     pub named: Vec<PathBuf>,
     /// The user's own folder, which need not exist.
     pub user: Option<PathBuf>,
+    /// How a process for a plugin is started, where not as [`Launcher::set_for_process`] says.
+    pub launcher: Option<Launcher>,
+    /// How long a plugin may take, where not as the environment says; see [`Limits`].
+    pub limits: Option<Limits>,
 }
 
 impl PluginPaths {
@@ -45,6 +52,7 @@ impl PluginPaths {
         Self {
             named: given.iter().cloned().chain(of_variable).collect(),
             user: user_data.map(|folder| folder.join("lumistack").join("plugins")),
+            ..Self::default()
         }
     }
 }
@@ -62,10 +70,15 @@ fn user_data() -> Option<PathBuf> {
 }
 
 impl Registry {
-    /// Loads all plugins of these places. What cannot be used goes to [`Registry::failed`], one entry each.
+    /// Adds all plugins of these places. What is no library of a plugin goes to [`Registry::failed`], one entry each.
     ///
-    /// This runs code of every library there; name only places that you trust.
+    /// This runs no library's code: a plugin is loaded when it is first asked for, in a child process.
     pub fn load(&mut self, paths: &PluginPaths) {
+        let limits = paths.limits.map_or_else(Limits::of_system, Ok).unwrap_or_else(|(variable, found)| {
+            self.failed.push(LoadError::Setting { variable, found });
+            Limits::default()
+        });
+        let launcher = paths.launcher.clone().or_else(Launcher::of_process);
         let user = paths.user.iter().filter(|folder| folder.exists());
         let mut seen = Vec::new();
         for place in paths.named.iter().chain(user) {
@@ -81,21 +94,22 @@ impl Registry {
                 let real = fs::canonicalize(&file).unwrap_or_else(|_| file.clone());
                 if !seen.contains(&real) {
                     seen.push(real);
-                    self.load_file(&file);
+                    self.add_library(&file, launcher.clone(), limits);
                 }
             }
         }
     }
 
-    fn load_file(&mut self, path: &Path) {
-        let added = load(path).and_then(|plugin| {
-            self.add_from(plugin, Origin::Library(path.into())).map_err(|(plugin, first)| LoadError::Duplicate {
-                path: path.into(),
-                id: plugin.info().id.clone(),
-                first,
-            })
-        });
-        self.failed.extend(added.err());
+    fn add_library(&mut self, path: &Path, launcher: Option<Launcher>, limits: Limits) {
+        let found = id_of(path).and_then(|id| check_file(path).map(|()| id));
+        let id = match found {
+            Ok(id) => id,
+            Err(error) => return self.failed.push(error),
+        };
+        match self.origin(&id).cloned() {
+            Some(first) => self.failed.push(LoadError::Duplicate { path: path.into(), id, first }),
+            None => self.libraries.push(Library::new(id, Origin::Library(path.into()), launcher, limits)),
+        }
     }
 }
 
@@ -116,23 +130,26 @@ fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Opens a library and takes its plugin.
-fn load(path: &Path) -> Result<Plugin, LoadError> {
+/// The id that a library's name says.
+fn id_of(path: &Path) -> Result<String, LoadError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let id = name
         .strip_prefix(DLL_PREFIX)
         .and_then(|name| name.strip_prefix(STEM))
         .and_then(|name| name.strip_suffix(DLL_SUFFIX))
-        .filter(|id| is_plugin_id(id))
-        .ok_or_else(|| LoadError::Name { path: path.into(), expected: format!("{DLL_PREFIX}{STEM}ID{DLL_SUFFIX}") })?;
-    check_file(path)?;
-    // an absolute path, since the loader looks for a bare name elsewhere
-    let absolute = std::path::absolute(path).map_err(|source| LoadError::Read { path: path.into(), source })?;
+        .filter(|id| is_plugin_id(id));
+    id.map(String::from)
+        .ok_or_else(|| LoadError::Name { path: path.into(), expected: format!("{DLL_PREFIX}{STEM}ID{DLL_SUFFIX}") })
+}
+
+/// Opens a library in this process and takes its plugin; `path` is absolute, since the loader looks for a bare name elsewhere.
+pub(crate) fn open(path: &Path) -> Result<Plugin, LoadError> {
+    let id = id_of(path)?;
     // SAFETY: whoever names a plugin wants its code to run; the initializers of a library that was built as a plugin make no demands.
-    let library = unsafe { Library::new(&absolute) }
+    let library = unsafe { Shared::new(path) }
         .map_err(|error| LoadError::Open { path: path.into(), reason: said_by_loader(&error) })?;
     // never unloaded, whatever follows
-    let library: &'static Library = Box::leak(Box::new(library));
+    let library: &'static Shared = Box::leak(Box::new(library));
     let symbol = format!("{ENTRY_PREFIX}{id}");
     // SAFETY: a function of this name is a plugin's entry, by the boundary's convention.
     let entry = unsafe { library.get::<Entry>(symbol.as_bytes()) }
@@ -141,10 +158,10 @@ fn load(path: &Path) -> Result<Plugin, LoadError> {
     let plugin = unsafe { Plugin::from_descriptor(entry()) }
         .map_err(|reason| LoadError::Descriptor { path: path.into(), reason })?;
     let found = &plugin.info().id;
-    if found == id {
+    if *found == id {
         Ok(plugin)
     } else {
-        Err(LoadError::OtherId { path: path.into(), expected: id.into(), found: found.clone() })
+        Err(LoadError::OtherId { path: path.into(), expected: id, found: found.clone() })
     }
 }
 

@@ -33,6 +33,14 @@ pub enum HostError {
     /// A plugin that cannot be used.
     #[error("plugin cannot be used: {0}")]
     BadPlugin(PluginError),
+    /// A plugin whose library cannot be used.
+    #[error("plugin `{id}` cannot be used: {reason}")]
+    NotLoaded {
+        /// The plugin.
+        id: String,
+        /// The library, and what is wrong with it.
+        reason: String,
+    },
     /// Two plugins of one id.
     #[error("two plugins have the id `{0}`")]
     DuplicatePlugin(String),
@@ -166,6 +174,28 @@ pub enum LoadError {
         /// By the file's name.
         expected: String,
         /// By the descriptor.
+        found: String,
+    },
+    /// The process that loaded it ended, or had to be ended.
+    #[error("{}: {cause}", path.display())]
+    Ended {
+        /// The file.
+        path: PathBuf,
+        /// How it ended, and while what.
+        cause: String,
+    },
+    /// The program that uses this crate has not said how a process for a plugin is started.
+    #[error("{}: no program is known that loads plugins for this one", path.display())]
+    NoLauncher {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A limit in the environment makes no sense.
+    #[error("{variable}: expected a number of seconds, 0 for any time, found `{found}`")]
+    Setting {
+        /// The variable.
+        variable: &'static str,
+        /// Its value.
         found: String,
     },
     /// The id is taken; the plugin that was there first stays.

@@ -10,11 +10,13 @@
 //! Importers, sources and nodes write no files; what they make comes back checked ([`import_scene`], [`make_field`], [`make_stack`]).
 //!
 //! With the feature `dynamic` the registry also loads plugins from shared libraries; see [`PluginPaths`]. They go through the same
-//! descriptor and the same functions as those that are compiled in.
+//! descriptor and the same functions as those that are compiled in, in a child process; see [`Launcher`].
 //!
 //! Whatever a plugin does (fails midway, panics, is cancelled, names a file outside its folder), the output's folder keeps what it
-//! had, and the program goes on.
+//! had, and the program goes on; so it does where a plugin of a library crashes or hangs.
 
+#[cfg(feature = "dynamic")]
+mod child;
 mod disk;
 #[cfg(feature = "dynamic")]
 mod dynamic;
@@ -24,6 +26,8 @@ mod publish;
 mod registry;
 mod run;
 
+#[cfg(feature = "dynamic")]
+pub use child::{Launcher, Limits, plugin_child};
 #[cfg(feature = "dynamic")]
 pub use dynamic::PluginPaths;
 pub use error::{HostError, LoadError};

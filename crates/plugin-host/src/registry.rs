@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::path::PathBuf;
+use std::sync::OnceLock;
 
 use lumistack_core::config::nearest;
 use lumistack_plugin::serve::{Plugin, PluginInfo, PluginKind};
@@ -9,11 +10,49 @@ use serde_json::{Map, Value};
 
 use crate::{HostError, LoadError};
 
-/// Plugins by id.
+/// Plugins by id: those that are compiled in, and libraries, which are loaded when somebody asks for their plugin.
 #[derive(Debug, Default)]
 pub struct Registry {
-    plugins: Vec<(Plugin, Origin)>,
+    plugins: Vec<Plugin>,
+    pub(crate) libraries: Vec<Library>,
     pub(crate) failed: Vec<LoadError>,
+}
+
+/// A library, loaded when its plugin is first needed.
+#[derive(Debug)]
+#[cfg_attr(not(feature = "dynamic"), expect(dead_code, reason = "nobody adds one"))]
+pub(crate) struct Library {
+    id: String,
+    origin: Origin,
+    #[cfg(feature = "dynamic")]
+    launcher: Option<crate::Launcher>,
+    #[cfg(feature = "dynamic")]
+    limits: crate::Limits,
+    loaded: OnceLock<Result<Plugin, LoadError>>,
+}
+
+impl Library {
+    #[cfg(feature = "dynamic")]
+    pub(crate) fn new(id: String, origin: Origin, launcher: Option<crate::Launcher>, limits: crate::Limits) -> Self {
+        Self { id, origin, launcher, limits, loaded: OnceLock::new() }
+    }
+
+    /// The plugin, loaded in a child process where nobody asked for it before.
+    fn plugin(&self) -> Result<&Plugin, &LoadError> {
+        self.loaded.get_or_init(|| self.load()).as_ref()
+    }
+
+    #[cfg(feature = "dynamic")]
+    fn load(&self) -> Result<Plugin, LoadError> {
+        let Origin::Library(path) = &self.origin else { unreachable!("libraries come from libraries") };
+        let launcher = self.launcher.clone().ok_or_else(|| LoadError::NoLauncher { path: path.clone() })?;
+        crate::child::probe(path, &self.id, launcher, self.limits)
+    }
+
+    #[cfg(not(feature = "dynamic"))]
+    fn load(&self) -> Result<Plugin, LoadError> {
+        unreachable!("without the feature `dynamic` nobody adds a library")
+    }
 }
 
 /// Where a plugin came from.
@@ -73,33 +112,33 @@ impl Registry {
     /// # Errors
     /// If another has its id.
     pub fn add(&mut self, plugin: Plugin) -> Result<(), HostError> {
-        self.add_from(plugin, Origin::CompiledIn)
-            .map_err(|(plugin, _)| HostError::DuplicatePlugin(plugin.info().id.clone()))
-    }
-
-    /// Adds a plugin in its place by id, or gives it back with the origin of the one that has its id already.
-    pub(crate) fn add_from(&mut self, plugin: Plugin, origin: Origin) -> Result<(), (Plugin, Origin)> {
-        match self.plugins.binary_search_by(|(other, _)| other.info().id.cmp(&plugin.info().id)) {
-            Ok(found) => Err((plugin, self.plugins[found].1.clone())),
+        match self.plugins.binary_search_by(|other| other.info().id.cmp(&plugin.info().id)) {
+            Ok(_) => Err(HostError::DuplicatePlugin(plugin.info().id.clone())),
             Err(place) => {
-                self.plugins.insert(place, (plugin, origin));
+                self.plugins.insert(place, plugin);
                 Ok(())
             }
         }
     }
 
-    /// The plugin with this id.
+    /// The plugin with this id. Its library, if it has one, is loaded in a child process where it was not before.
     ///
     /// # Errors
-    /// If there is none; the error names the id that is spelled most like it.
+    /// If there is none, which names the id that is spelled most like it, or its library cannot be used.
     pub fn get(&self, id: &str) -> Result<&Plugin, HostError> {
-        self.plugins.iter().map(|(plugin, _)| plugin).find(|plugin| plugin.info().id == id).ok_or_else(|| {
-            let known = || self.infos().map(|info| info.id.as_str());
-            HostError::UnknownPlugin {
-                id: id.into(),
-                nearest: nearest(id, known()).map(String::from),
-                known: known().map(String::from).collect(),
-            }
+        if let Some(plugin) = self.plugins.iter().find(|plugin| plugin.info().id == id) {
+            return Ok(plugin);
+        }
+        if let Some(library) = self.libraries.iter().find(|library| library.id == id) {
+            return library.plugin().map_err(|error| HostError::NotLoaded { id: id.into(), reason: error.to_string() });
+        }
+        let mut known: Vec<&str> = self.plugins.iter().map(|plugin| plugin.info().id.as_str()).collect();
+        known.extend(self.libraries.iter().map(|library| library.id.as_str()));
+        known.sort_unstable();
+        Err(HostError::UnknownPlugin {
+            id: id.into(),
+            nearest: nearest(id, known.iter().copied()).map(String::from),
+            known: known.into_iter().map(String::from).collect(),
         })
     }
 
@@ -116,29 +155,42 @@ impl Registry {
         Ok(plugin)
     }
 
-    /// Where a plugin came from.
+    /// Where a plugin came from; loads nothing.
     pub fn origin(&self, id: &str) -> Option<&Origin> {
-        self.entries().find(|(info, _)| info.id == id).map(|(_, origin)| origin)
+        if self.plugins.iter().any(|plugin| plugin.info().id == id) {
+            return Some(&Origin::CompiledIn);
+        }
+        self.libraries.iter().find(|library| library.id == id).map(|library| &library.origin)
     }
 
-    /// The importer of files with this extension; of several the first by id.
+    /// The importer of files with this extension: one that is compiled in, else, by loading all libraries, one of theirs. Of several the
+    /// first by id.
     pub fn importer_of(&self, extension: &str) -> Option<&PluginInfo> {
-        self.infos().find(|info| info.kind == PluginKind::Importer && info.extensions.iter().any(|e| e == extension))
+        let takes = |info: &&PluginInfo| {
+            info.kind == PluginKind::Importer && info.extensions.iter().any(|taken| taken == extension)
+        };
+        self.plugins.iter().map(Plugin::info).find(takes).or_else(|| self.infos().find(takes))
     }
 
-    /// What all plugins say about themselves; for listings, serializable.
+    /// What all plugins say about themselves; for listings, serializable. Loads all libraries.
     pub fn infos(&self) -> impl Iterator<Item = &PluginInfo> {
         self.entries().map(|(info, _)| info)
     }
 
     /// The same with where each came from, by id.
     pub fn entries(&self) -> impl Iterator<Item = (&PluginInfo, &Origin)> {
-        self.plugins.iter().map(|(plugin, origin)| (plugin.info(), origin))
+        let mut entries: Vec<_> = self.plugins.iter().map(|plugin| (plugin.info(), &Origin::CompiledIn)).collect();
+        let loaded = self.libraries.iter().filter_map(|library| Some((library.plugin().ok()?.info(), &library.origin)));
+        entries.extend(loaded);
+        entries.sort_by(|(a, _), (b, _)| a.id.cmp(&b.id));
+        entries.into_iter()
     }
 
-    /// Libraries and folders that gave no plugin, and why. The program does without them.
-    pub fn failed(&self) -> &[LoadError] {
-        &self.failed
+    /// Libraries and folders that gave no plugin, and why, as far as is known: a library that nobody asked for has not been loaded.
+    /// The program does without them.
+    pub fn failed(&self) -> Vec<&LoadError> {
+        let loaded = self.libraries.iter().filter_map(|library| library.loaded.get()?.as_ref().err());
+        self.failed.iter().chain(loaded).collect()
     }
 
     /// Checks parameters before the work that leads to the output begins, and fills in the defaults.

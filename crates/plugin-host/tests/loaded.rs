@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use lumistack_plugin::serve::import;
 use lumistack_plugin::testkit::{MemoryHost, conformance_of, import_conformance, same_outputs};
-use lumistack_plugin_host::{PluginPaths, Registry};
+use lumistack_plugin_host::Registry;
 
 mod common;
 
@@ -13,7 +13,9 @@ const FOLDER: &str = "LUMISTACK_TEST_PLUGINS";
 
 fn load(named: Vec<PathBuf>) -> Registry {
     let mut registry = Registry::default();
-    registry.load(&PluginPaths { named, user: None });
+    registry.load(&common::paths(named));
+    // all of them
+    assert!(registry.infos().count() > 0);
     assert!(registry.failed().is_empty(), "{:?}", registry.failed());
     registry
 }

@@ -15,14 +15,16 @@ const ELF_MACHINES: [(u16, &str); 4] = [(62, "x86_64"), (183, "aarch64"), (243, 
 
 fn load(named: &[&Path]) -> Registry {
     let mut registry = Registry::built_in().unwrap();
-    registry.load(&PluginPaths { named: named.iter().map(|path| path.to_path_buf()).collect(), user: None });
+    registry.load(&common::paths(named.iter().map(|path| path.to_path_buf()).collect()));
+    // what only shows when they are loaded
+    let _ = registry.infos().count();
     registry
 }
 
 /// The one message that loading this file gives.
 fn failure(path: &Path) -> String {
     let registry = load(&[path]);
-    let text = match registry.failed() {
+    let text = match registry.failed().as_slice() {
         [error] => error.to_string(),
         errors => panic!("{}: expected one error, found {errors:?}", path.display()),
     };
@@ -134,7 +136,7 @@ fn the_user_s_folder_need_not_exist() {
     let user = folder.path().join("lumistack/plugins");
     let load = || {
         let mut registry = Registry::default();
-        registry.load(&PluginPaths { named: Vec::new(), user: Some(user.clone()) });
+        registry.load(&PluginPaths { user: Some(user.clone()), ..common::paths(Vec::new()) });
         registry
     };
     assert_eq!((load().entries().count(), load().failed().len()), (0, 0));

@@ -8,9 +8,7 @@ use std::time::{Duration, Instant};
 
 use lumistack_core::{Cancel, Collector, NoProgress, Progress, Task};
 use lumistack_plugin::testkit::{Sample, same_outputs, samples};
-use lumistack_plugin_host::{
-    HostError, Origin, OutputContext, Plugin, PluginPaths, Registry, Time, run_output, with_output,
-};
+use lumistack_plugin_host::{HostError, Origin, OutputContext, Plugin, Registry, Time, run_output, with_output};
 use serde_json::{Value, json};
 
 mod common;
@@ -36,7 +34,7 @@ impl Bench {
     /// The same with the plugin from a library.
     fn loaded() -> Self {
         let mut registry = Registry::built_in().unwrap();
-        registry.load(&PluginPaths { named: vec![common::example("faulty")], user: None });
+        registry.load(&common::paths(vec![common::example("faulty")]));
         assert!(registry.failed().is_empty(), "{:?}", registry.failed());
         let (_, origin) = registry.entries().find(|(info, _)| info.id == "faulty").unwrap();
         assert_eq!(*origin, Origin::Library(common::example("faulty")));

@@ -17,10 +17,13 @@ pub struct PlaneView<'a> {
 impl PlaneView<'_> {
     /// Checks a plane that the other side filled in; gives it back when it is of another kind.
     ///
+    /// # Errors
+    /// If it does not have three axes of `f32`, or has no data.
+    ///
     /// # Safety
     /// The plane's pointer, shape, strides and type describe memory that stays readable and unchanged for the lifetime, or until `release` is
     /// called, and all its elements lie within `isize::MAX` bytes of the first.
-    pub(crate) unsafe fn new(plane: Plane) -> Result<Self, PluginError> {
+    pub unsafe fn new(plane: Plane) -> Result<Self, PluginError> {
         let view = Self { plane, _lent: PhantomData };
         if plane.dtype != dtype::F32 || plane.ndim != 3 {
             let (dtype, ndim) = (plane.dtype, plane.ndim);

@@ -21,6 +21,7 @@ use crate::display::{adapted, display_of};
 use crate::error::{raised, setting};
 use crate::field::LightField;
 use crate::json::{map_of, numbers, parsed, table, table_of, to_python, value_of};
+use crate::plugin::set_launcher;
 use crate::scene::Scene;
 use crate::stack::{LayerStack, Solved};
 use crate::work::{command, long};
@@ -31,6 +32,7 @@ pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
     if let Some(registry) = REGISTRY.get() {
         return Ok(registry);
     }
+    set_launcher(py);
     let found = py.detach(|| lumistack_pipeline::plugins(&[])).map_err(|error| raised(py, &error))?;
     Ok(REGISTRY.get_or_init(|| found))
 }
@@ -371,7 +373,10 @@ pub(crate) fn info<'py>(
 /// All plugins: dictionaries with id, kind, version, doc, ports, origin and params (name, help, kind, default, range and unit of each).
 #[pyfunction]
 pub(crate) fn plugins(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
-    to_python(py, &plugin_list(registry(py)?)["plugins"])
+    let registry = registry(py)?;
+    // libraries are loaded for this, in processes of their own
+    let list = py.detach(|| plugin_list(registry));
+    to_python(py, &list["plugins"])
 }
 
 /// Names of the displays that come with the package; Display(name) makes one.
@@ -398,6 +403,7 @@ pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
 /// Runs the command `lumistack` with these arguments and gives its exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 #[pyfunction]
 pub(crate) fn main(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<u8> {
+    set_launcher(py);
     let words: Vec<OsString> = std::iter::once("lumistack".into()).chain(arguments).collect();
     command(py, &words)
 }

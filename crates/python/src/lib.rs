@@ -14,6 +14,7 @@ mod error;
 mod field;
 mod functions;
 mod json;
+mod plugin;
 mod scene;
 mod stack;
 mod usd;
@@ -35,6 +36,8 @@ mod _lumistack {
     use crate::functions::{
         defaults, displays, factorize, info, main, plugins, render, report, run, set_threads, simulate, write,
     };
+    #[pymodule_export]
+    use crate::plugin::_plugin_child;
     #[pymodule_export]
     use crate::scene::Scene;
     #[pymodule_export]

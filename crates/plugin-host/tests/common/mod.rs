@@ -1,9 +1,11 @@
-//! Where the tests find libraries.
+//! Where the tests find libraries, and the program that loads them.
 
 #![allow(dead_code, reason = "each test uses a part")]
 
-use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX, EXE_SUFFIX};
 use std::path::PathBuf;
+
+use lumistack_plugin_host::{Launcher, PluginPaths};
 
 /// What a plugin's library is called.
 pub fn file_name(id: &str) -> String {
@@ -12,9 +14,23 @@ pub fn file_name(id: &str) -> String {
 
 /// A plugin of the folder `examples`, which cargo builds with the tests.
 pub fn example(id: &str) -> PathBuf {
+    built(&file_name(id))
+}
+
+/// The program that runs plugins for these tests.
+pub fn child() -> Launcher {
+    Launcher { program: built(&format!("plugin_child{EXE_SUFFIX}")), args: Vec::new() }
+}
+
+/// Places of plugins that are loaded by that program.
+pub fn paths(named: Vec<PathBuf>) -> PluginPaths {
+    PluginPaths { named, launcher: Some(child()), ..PluginPaths::default() }
+}
+
+fn built(name: &str) -> PathBuf {
     let test = std::env::current_exe().unwrap();
     let folder = test.parent().and_then(|deps| deps.parent()).unwrap().join("examples");
-    let library = folder.join(file_name(id));
-    assert!(library.exists(), "{}: cargo builds it unless a single test target is asked for", library.display());
-    library
+    let file = folder.join(name);
+    assert!(file.exists(), "{}: cargo builds it unless a single test target is asked for", file.display());
+    file
 }

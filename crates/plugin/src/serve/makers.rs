@@ -12,9 +12,8 @@ use crate::boundary::{answer, call, lent_text};
 use crate::describe::Geometry;
 use crate::makers::append;
 use crate::serve::lend::Lent;
-use crate::serve::plugin::Vtable;
 use crate::serve::services::table;
-use crate::serve::{OutputData, Plugin, Services};
+use crate::serve::{OutputData, Plugin, PluginKind, Services};
 use crate::{PlaneView, PluginError, Time};
 
 /// Most numbers of a light field that a plugin makes: 16 GiB.
@@ -34,14 +33,13 @@ pub fn import<S: Services>(
     file: &str,
     read: &ReadAsset<'_>,
 ) -> Result<Vec<u8>, PluginError> {
-    let Vtable::Importer(vtable) = plugin.vtable else { return Err(plugin.is_no("importer")) };
-    let import = vtable.import.ok_or_else(|| plugin.is_no("importer"))?;
+    let functions = plugin.of_kind(PluginKind::Importer)?;
     let assets = Assets { size: size_of::<Assets>(), context: (&raw const read).cast(), read: read_asset };
     let mut bytes: Vec<u8> = Vec::new();
     let sink = ByteSink { size: size_of::<ByteSink>(), context: (&raw mut bytes).cast(), write: append };
     let host = table(services);
     // SAFETY: everything is lent for the call.
-    call(|error| unsafe { import(&host, Str::new(params_json), Str::new(file), &assets, &sink, error) })?;
+    call(|error| unsafe { functions.import(&host, Str::new(params_json), Str::new(file), &assets, &sink, error) })?;
     Ok(bytes)
 }
 
@@ -73,8 +71,7 @@ pub fn make_field<S: Services>(
     display: &Display,
     time: Time,
 ) -> Result<LightField, PluginError> {
-    let Vtable::Source(vtable) = plugin.vtable else { return Err(plugin.is_no("source")) };
-    let make = vtable.make.ok_or_else(|| plugin.is_no("source"))?;
+    let functions = plugin.of_kind(PluginKind::Source)?;
     let display_json = display_json(display)?;
     let builder = Builder::<Field>::new(Field { made: None });
     let sink = FieldSink {
@@ -85,7 +82,9 @@ pub fn make_field<S: Services>(
     };
     let (host, time) = (table(services), time.to_abi());
     // SAFETY: everything is lent for the call.
-    call(|error| unsafe { make(&host, Str::new(params_json), Str::new(&display_json), &time, &sink, error) })?;
+    call(|error| unsafe {
+        functions.make_field(&host, Str::new(params_json), Str::new(&display_json), &time, &sink, error)
+    })?;
     let Field { made } = builder.into_inner();
     let (field, given) = made.ok_or_else(|| PluginError::Failed("the plugin gave no light field".into()))?;
     let views = field.geometry().grid.views();
@@ -105,8 +104,7 @@ pub fn make_stack<S: Services>(
     time: Time,
     field: &LightField,
 ) -> Result<LayerStack, PluginError> {
-    let Vtable::Node(vtable) = plugin.vtable else { return Err(plugin.is_no("node")) };
-    let make = vtable.make.ok_or_else(|| plugin.is_no("node"))?;
+    let functions = plugin.of_kind(PluginKind::Node)?;
     let display_json = display_json(display)?;
     let lent = Lent::new(display, OutputData::LightField(field))?;
     let stack = LayerStack::filled(display, 0.0);
@@ -124,7 +122,9 @@ pub fn make_stack<S: Services>(
     };
     let (host, time, data) = (table(services), time.to_abi(), lent.to_abi());
     // SAFETY: everything is lent for the call.
-    call(|error| unsafe { make(&host, Str::new(params_json), Str::new(&display_json), &time, &data, &sink, error) })?;
+    call(|error| unsafe {
+        functions.make_stack(&host, Str::new(params_json), Str::new(&display_json), &time, &data, &sink, error)
+    })?;
     let Stack { stack, given_layers, given_bins, .. } = builder.into_inner();
     all_given(&given_layers, |i| format!("layer {}, frame {}", i / frames, i % frames))?;
     all_given(&given_bins, |i| {

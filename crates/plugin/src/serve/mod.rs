@@ -3,6 +3,7 @@
 //!
 //! The host proper (`lumistack-plugin-host`) adds a registry and files on disk, the test kit files in memory.
 
+mod functions;
 mod lend;
 mod makers;
 mod output;
@@ -10,6 +11,7 @@ mod path;
 mod plugin;
 mod services;
 
+pub use functions::Functions;
 pub use lend::OutputData;
 pub use makers::{ReadAsset, import, make_field, make_stack, resolved};
 pub use output::Output;

@@ -3,21 +3,21 @@
 use std::ffi::c_void;
 use std::marker::PhantomData;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use lumistack_display::Display;
-use lumistack_plugin_abi::{ErrorSink, HostServices, OutputVtable, Status, Str};
+use lumistack_plugin_abi::{HostServices, Str};
 use serde_json::Value;
 
 use crate::boundary::call;
 use crate::serve::lend::Lent;
-use crate::serve::plugin::Vtable;
 use crate::serve::services::table;
-use crate::serve::{OutputData, Plugin, Services};
+use crate::serve::{Functions, OutputData, Plugin, PluginKind, Services};
 use crate::{PluginError, Port, Time};
 
 /// An open output of a plugin; closed when dropped, abandoned unless it was finished.
 pub struct Output<'a> {
-    vtable: &'static OutputVtable,
+    functions: Arc<dyn Functions>,
     instance: *mut c_void,
     id: String,
     ports: Vec<Port>,
@@ -60,15 +60,14 @@ impl<'a> Output<'a> {
         let display_json = serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))?;
         // not a `Box`: moving one would invalidate the plugin's pointer
         let table = Rc::new(table(services));
-        let Vtable::Output(vtable) = plugin.vtable else { return Err(plugin.is_no("output")) };
-        let open = function(vtable.open)?;
+        let functions = plugin.of_kind(PluginKind::Output)?.clone();
         let mut instance = std::ptr::null_mut();
         // SAFETY: the table lives until `close` has returned (fields are dropped after `drop`); the rest is lent for the call.
         call(|error| unsafe {
-            open(Rc::as_ptr(&table), Str::new(params_json), Str::new(&display_json), &mut instance, error)
+            functions.open(Rc::as_ptr(&table), Str::new(params_json), Str::new(&display_json), &mut instance, error)
         })?;
         Ok(Self {
-            vtable,
+            functions,
             instance,
             id: plugin.info().id.clone(),
             ports: plugin.info().ports.clone(),
@@ -90,9 +89,8 @@ impl<'a> Output<'a> {
         let lent = Lent::new(self.display, data)?;
         let data = lent.to_abi();
         let time = time.to_abi();
-        let submit = function(self.vtable.submit)?;
         // SAFETY: the handle is the plugin's own; time and data are lent for the call.
-        call(|error| unsafe { submit(self.instance, &time, &data, error) })
+        call(|error| unsafe { self.functions.submit(self.instance, &time, &data, error) })
     }
 
     /// For presenters: runs until the user closes the presentation. Call it on the main thread.
@@ -100,9 +98,8 @@ impl<'a> Output<'a> {
     /// # Errors
     /// If the plugin is no presenter, or fails.
     pub fn run(&self) -> Result<(), PluginError> {
-        let run = function(self.vtable.run)?;
         // SAFETY: the handle is the plugin's own.
-        call(|error| unsafe { run(self.instance, error) })
+        call(|error| unsafe { self.functions.run(self.instance, error) })
     }
 
     /// No more data will come.
@@ -110,22 +107,14 @@ impl<'a> Output<'a> {
     /// # Errors
     /// What the plugin returns.
     pub fn finish(self) -> Result<(), PluginError> {
-        let finish: unsafe extern "C" fn(*mut c_void, *const ErrorSink) -> Status = function(self.vtable.finish)?;
         // SAFETY: the handle is the plugin's own; `self` is consumed, so no submit is running.
-        call(|error| unsafe { finish(self.instance, error) })
+        call(|error| unsafe { self.functions.finish(self.instance, error) })
     }
 }
 
 impl Drop for Output<'_> {
     fn drop(&mut self) {
-        if let Some(close) = self.vtable.close {
-            // SAFETY: the handle is given back once; the table is dropped after this.
-            unsafe { close(self.instance) };
-        }
+        // SAFETY: the handle is given back once; the table is dropped after this.
+        unsafe { self.functions.close(self.instance) };
     }
-}
-
-/// A function that a checked plugin has, or a clear error.
-fn function<F>(function: Option<F>) -> Result<F, PluginError> {
-    function.ok_or_else(|| PluginError::Refused("the plugin does not have this function".into()))
 }

@@ -1,17 +1,20 @@
 //! A plugin as a host sees it.
 
 use std::fmt;
+use std::sync::Arc;
 
 use lumistack_plugin_abi::{
     ABI_MAJOR, ABI_MINOR, Descriptor, ImporterVtable, NodeVtable, OutputVtable, SourceVtable, Str, kind,
 };
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::boundary::lent_text;
+use crate::serve::Functions;
+use crate::serve::functions::Vtable;
 use crate::{Export, PluginError, Port, Schema, is_plugin_id};
 
 /// What a plugin is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PluginKind {
     /// Makes scenes from files.
@@ -44,7 +47,7 @@ impl fmt::Display for PluginKind {
 }
 
 /// What a plugin says about itself.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PluginInfo {
     /// Name in job files and on the command line.
     pub id: String,
@@ -57,7 +60,7 @@ pub struct PluginInfo {
     /// What it accepts.
     pub ports: Vec<Port>,
     /// Of an importer: extensions of the files that it takes, without the dot.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub extensions: Vec<String>,
     /// Whether it runs until the user closes it.
     pub presents: bool,
@@ -70,16 +73,7 @@ pub struct PluginInfo {
 #[derive(Clone)]
 pub struct Plugin {
     info: PluginInfo,
-    pub(crate) vtable: Vtable,
-}
-
-/// The functions of a plugin's kind.
-#[derive(Clone, Copy)]
-pub(crate) enum Vtable {
-    Importer(&'static ImporterVtable),
-    Source(&'static SourceVtable),
-    Node(&'static NodeVtable),
-    Output(&'static OutputVtable),
+    functions: Arc<dyn Functions>,
 }
 
 impl Plugin {
@@ -155,12 +149,34 @@ impl Plugin {
             schema,
             id,
         };
-        Ok(Self { info, vtable })
+        Ok(Self { info, functions: Arc::new(vtable) })
     }
 
-    /// A plugin that was taken for one of another kind.
-    pub(crate) fn is_no(&self, wanted: &str) -> PluginError {
-        PluginError::Refused(format!("`{}` is no {wanted} but {}", self.info.id, self.info.kind))
+    /// A plugin whose functions run elsewhere, described by what its process says.
+    ///
+    /// # Errors
+    /// If the description is none that [`from_descriptor`](Self::from_descriptor) would give.
+    pub fn elsewhere(info: PluginInfo, functions: Arc<dyn Functions>) -> Result<Self, PluginError> {
+        let refused = |what: String| PluginError::Refused(format!("plugin `{}`: {what}", info.id));
+        if !is_plugin_id(&info.id) {
+            return Err(PluginError::Refused(format!("`{}` cannot be a plugin's id", info.id)));
+        }
+        info.schema.check().map_err(refused)?;
+        Ok(Self { info, functions })
+    }
+
+    /// Its functions, if it is of this kind.
+    pub(crate) fn of_kind(&self, wanted: PluginKind) -> Result<&Arc<dyn Functions>, PluginError> {
+        if self.info.kind != wanted {
+            let text = format!("`{}` is no {} but {}", self.info.id, wanted.name(), self.info.kind);
+            return Err(PluginError::Refused(text));
+        }
+        Ok(&self.functions)
+    }
+
+    /// Its functions, for a process that runs them for another.
+    pub fn functions(&self) -> &Arc<dyn Functions> {
+        &self.functions
     }
 
     /// What it says about itself.

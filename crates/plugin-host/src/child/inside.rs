@@ -1,0 +1,685 @@
+//! The child's end: loads one library, runs its functions as the program asks, and offers it a host whose functions ask
+//! the program.
+
+use std::collections::HashMap;
+use std::ffi::{OsString, c_void};
+use std::fs::File;
+use std::io;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use lumistack_plugin::PlaneView;
+use lumistack_plugin::abi::{
+    Assets, ByteSink, Bytes, Data, ErrorSink, FieldSink, HostServices, Plane, StackSink, Status, Str, Time, View, dtype,
+};
+use lumistack_plugin::serve::Plugin;
+
+use super::protocol::{self, Answer, Call, FromChild, Loaded, PART, Request, Say, ToChild, read_frame, write_frame};
+use super::{keeping, lent, tell};
+use crate::LoadError;
+use crate::dynamic;
+
+/// For how long an answer to "has the user asked to stop" holds; every other answer of the program brings a newer one.
+const FRESH: Duration = Duration::from_millis(2);
+/// Stack of a thread in which a plugin works, as main threads have it.
+const STACK: usize = 8 << 20;
+/// Time for destructors of the library's statics.
+const FAREWELL: Duration = Duration::from_secs(5);
+
+/// The whole work of a process that runs a plugin for another: `args` are what [`Launcher`](crate::Launcher) adds, the
+/// library's path. Call it from the main thread before anything else uses standard input and output, and end the
+/// process with the code that it returns.
+///
+/// What the library prints to standard output goes to standard error, since the former belongs to the program.
+pub fn plugin_child(args: &[OsString]) -> u8 {
+    let [library] = args else {
+        eprintln!("error: expected the path of a plugin's library; this command is for the program itself");
+        return 2;
+    };
+    match serve(Path::new(library)) {
+        Ok(()) => 0,
+        Err(error) => {
+            eprintln!("error: {}: the program that started this process cannot be reached: {error}", library.display());
+            1
+        }
+    }
+}
+
+fn serve(library: &Path) -> io::Result<()> {
+    let (mut from, to) = take_over()?;
+    let (calls, waiting) = channel();
+    let link: &'static Link = Box::leak(Box::new(Link {
+        to: Mutex::new(to),
+        waiting: Mutex::default(),
+        requests: AtomicU64::new(0),
+        active: AtomicUsize::new(1),
+        asked: Mutex::default(),
+    }));
+    thread::spawn(move || {
+        while let Ok(Some((message, body))) = read_frame(&mut from) {
+            match message {
+                ToChild::Call { call, what } => {
+                    link.active.fetch_add(1, Ordering::SeqCst);
+                    if calls.send((call, what)).is_err() {
+                        break;
+                    }
+                }
+                ToChild::Answer(answer) => {
+                    let waits = locked(&link.waiting).remove(&answer.request);
+                    if let Some(waits) = waits {
+                        let _ = waits.send((answer, body));
+                    }
+                }
+            }
+        }
+        // the program has no more calls; where one is running, nobody wants its end
+        if link.active.load(Ordering::SeqCst) > 0 {
+            end_now();
+        }
+        drop(calls);
+        thread::sleep(FAREWELL);
+        end_now();
+    });
+
+    let (plugin, loaded) = match dynamic::open(library) {
+        Ok(plugin) => {
+            let info = plugin.info().clone();
+            (Some(plugin), Loaded::Plugin(info))
+        }
+        Err(LoadError::NoEntry { symbol, .. }) => (None, Loaded::NoEntry(symbol)),
+        Err(LoadError::Descriptor { reason, .. }) => (None, Loaded::Descriptor(reason.to_string())),
+        Err(LoadError::OtherId { found, .. }) => (None, Loaded::OtherId(found)),
+        Err(LoadError::Open { reason, .. }) => (None, Loaded::Open(reason)),
+        Err(other) => (None, Loaded::Open(other.to_string())),
+    };
+    link.send(&FromChild::Loaded(loaded), &[])?;
+    link.active.fetch_sub(1, Ordering::SeqCst);
+
+    let mut worker = Worker { plugin, link, host: Box::new(link.services()), instance: Arc::default() };
+    for (call, what) in waiting {
+        worker.run(call, what);
+    }
+    Ok(())
+}
+
+/// Takes standard input and output for the program's messages: the library finds an empty input, and prints to standard
+/// error.
+#[cfg(unix)]
+fn take_over() -> io::Result<(File, File)> {
+    use std::os::fd::AsFd;
+    let from = File::from(io::stdin().as_fd().try_clone_to_owned()?);
+    let to = File::from(io::stdout().as_fd().try_clone_to_owned()?);
+    rustix::stdio::dup2_stdin(File::open("/dev/null")?)?;
+    rustix::stdio::dup2_stdout(io::stderr().as_fd())?;
+    Ok((from, to))
+}
+
+/// As on Unix, but the library must not print to standard output, which it shares with the messages.
+#[cfg(windows)]
+fn take_over() -> io::Result<(File, File)> {
+    use std::os::windows::io::AsHandle;
+    let from = File::from(io::stdin().as_handle().try_clone_to_owned()?);
+    let to = File::from(io::stdout().as_handle().try_clone_to_owned()?);
+    Ok((from, to))
+}
+
+/// Ends this process without running any more of the library's code.
+fn end_now() -> ! {
+    #[cfg(unix)]
+    let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
+    std::process::abort()
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The way to the program.
+struct Link {
+    to: Mutex<File>,
+    /// Threads of the plugin that wait for answers.
+    waiting: Mutex<HashMap<u64, Sender<(Answer, Vec<u8>)>>>,
+    requests: AtomicU64,
+    /// Calls that are running; loading the library is one.
+    active: AtomicUsize,
+    /// Whether the user has asked to stop, and when that was true.
+    asked: Mutex<(Option<Instant>, bool)>,
+}
+
+impl Link {
+    fn send(&self, message: &FromChild, body: &[u8]) -> io::Result<()> {
+        write_frame(&mut *locked(&self.to), message, body)
+    }
+
+    /// Asks the program for something. Where it has gone there is nothing left to do.
+    fn ask(&self, what: Request, body: &[u8]) -> (Answer, Vec<u8>) {
+        let request = self.requests.fetch_add(1, Ordering::Relaxed);
+        let (answers, answer) = channel();
+        locked(&self.waiting).insert(request, answers);
+        let sent = self.send(&FromChild::Request { request, what }, body);
+        match sent.ok().and_then(|()| answer.recv().ok()) {
+            Some((answer, body)) => {
+                *locked(&self.asked) = (Some(Instant::now()), answer.cancelled);
+                (answer, body)
+            }
+            None => end_now(),
+        }
+    }
+
+    /// As [`ask`](Self::ask), with the answer's status and its reason for the plugin.
+    ///
+    /// # Safety
+    /// `error` is null or a valid sink.
+    unsafe fn status(&self, what: Request, body: &[u8], error: *const ErrorSink) -> Status {
+        let (answer, _) = self.ask(what, body);
+        // SAFETY: the caller's promise.
+        unsafe { tell(error, &answer.text) };
+        Status(answer.status)
+    }
+
+    fn say(&self, say: Say) {
+        if self.send(&FromChild::Say(say), &[]).is_err() {
+            end_now();
+        }
+    }
+
+    fn is_cancelled(&self) -> bool {
+        let (when, cancelled) = *locked(&self.asked);
+        if cancelled || when.is_some_and(|when| when.elapsed() < FRESH) {
+            return cancelled;
+        }
+        let (answer, _) = self.ask(Request::IsCancelled, &[]);
+        // a host that has gone wants nothing more
+        answer.cancelled || answer.status != Status::OK.0
+    }
+
+    /// The host as the plugin sees it.
+    fn services(&'static self) -> HostServices {
+        HostServices {
+            size: size_of::<HostServices>(),
+            context: (&raw const *self).cast(),
+            log,
+            progress_begin,
+            progress_advance,
+            progress_end,
+            is_cancelled,
+            file_open,
+            file_append,
+            file_commit,
+            file_abort,
+            simulate,
+        }
+    }
+}
+
+/// # Safety
+/// `context` is that of [`Link::services`].
+unsafe fn link_of(context: *const c_void) -> &'static Link {
+    // SAFETY: the caller's promise; a link lives as long as the process.
+    unsafe { &*context.cast::<Link>() }
+}
+
+/// A text of the plugin, with what is not UTF-8 replaced.
+///
+/// # Safety
+/// The plugin lends the text for the call.
+unsafe fn text(text: Str) -> String {
+    // SAFETY: the caller's promise.
+    String::from_utf8_lossy(unsafe { lent(text.ptr, text.len) }.unwrap_or_default()).into_owned()
+}
+
+/// Bytes of the plugin, or the status that refuses them.
+///
+/// # Safety
+/// The plugin lends the bytes for the call; `error` is null or a valid sink.
+unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorSink) -> Result<&'a [u8], Status> {
+    // SAFETY: the caller's promise.
+    unsafe {
+        lent(ptr, len).ok_or_else(|| {
+            let place = if ptr.is_null() { "nowhere" } else { "somewhere" };
+            tell(error, &format!("{what}: {len} bytes {place}, which cannot be"));
+            Status::REFUSED
+        })
+    }
+}
+
+// SAFETY of all functions below: the plugin passes back the context of their table, lends texts and bytes for the call,
+// and passes null or a valid sink for errors.
+
+unsafe extern "C" fn log(context: *const c_void, level: u32, message: Str) {
+    // SAFETY: see above.
+    unsafe { link_of(context).say(Say::Log { level, message: text(message) }) };
+}
+
+unsafe extern "C" fn progress_begin(context: *const c_void, stage: Str, total: u64, unit: Str) {
+    // SAFETY: see above.
+    unsafe { link_of(context).say(Say::ProgressBegin { stage: text(stage), total, unit: text(unit) }) };
+}
+
+unsafe extern "C" fn progress_advance(context: *const c_void, steps: u64, note: Str) {
+    // SAFETY: see above.
+    unsafe { link_of(context).say(Say::ProgressAdvance { steps, note: text(note) }) };
+}
+
+unsafe extern "C" fn progress_end(context: *const c_void) {
+    // SAFETY: see above.
+    unsafe { link_of(context).say(Say::ProgressEnd) };
+}
+
+unsafe extern "C" fn is_cancelled(context: *const c_void) -> u8 {
+    // SAFETY: see above.
+    unsafe { link_of(context).is_cancelled().into() }
+}
+
+unsafe extern "C" fn file_open(context: *const c_void, path: Str, file: *mut u64, error: *const ErrorSink) -> Status {
+    // SAFETY: see above; the plugin provides the place for the handle.
+    unsafe {
+        match bytes(path.ptr, path.len, "file name", error) {
+            Ok(path) => {
+                let (answer, _) = link_of(context).ask(Request::FileOpen, path);
+                tell(error, &answer.text);
+                if answer.status == Status::OK.0 {
+                    *file = answer.file;
+                }
+                Status(answer.status)
+            }
+            Err(refused) => refused,
+        }
+    }
+}
+
+unsafe extern "C" fn file_append(context: *const c_void, file: u64, content: Bytes, error: *const ErrorSink) -> Status {
+    // SAFETY: see above.
+    unsafe {
+        match bytes(content.ptr, content.len, "bytes of a file", error) {
+            Ok(content) => in_parts(content, |part| link_of(context).status(Request::FileAppend { file }, part, error)),
+            Err(refused) => refused,
+        }
+    }
+}
+
+/// Sends bytes in parts, also where there are none.
+fn in_parts(bytes: &[u8], mut send: impl FnMut(&[u8]) -> Status) -> Status {
+    if bytes.is_empty() {
+        return send(bytes);
+    }
+    bytes.chunks(PART).map(&mut send).find(|status| *status != Status::OK).unwrap_or(Status::OK)
+}
+
+unsafe extern "C" fn file_commit(context: *const c_void, file: u64, error: *const ErrorSink) -> Status {
+    // SAFETY: see above.
+    unsafe { link_of(context).status(Request::FileCommit { file }, &[], error) }
+}
+
+unsafe extern "C" fn file_abort(context: *const c_void, file: u64, error: *const ErrorSink) -> Status {
+    // SAFETY: see above.
+    unsafe { link_of(context).status(Request::FileAbort { file }, &[], error) }
+}
+
+unsafe extern "C" fn simulate(
+    _context: *const c_void,
+    data: *const Data,
+    view: *const View,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above; the data are those of the running call.
+    unsafe {
+        let (kind, value_bits) = ((*view).kind, (*view).value.map(f64::to_bits));
+        fetch((*data).context, |call| Request::Simulate { call, kind, value_bits }, plane, error)
+    }
+}
+
+/// What the contexts of lent data and sinks point to.
+struct Running {
+    link: &'static Link,
+    call: u64,
+}
+
+/// # Safety
+/// `context` is that of data or a sink of a running call.
+unsafe fn running<'a>(context: *const c_void) -> &'a Running {
+    // SAFETY: the caller's promise.
+    unsafe { &*context.cast::<Running>() }
+}
+
+unsafe extern "C" fn layer_plane(
+    context: *const c_void,
+    layer: usize,
+    frame: usize,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above.
+    unsafe { fetch(context, |call| Request::LayerPlane { call, layer, frame }, plane, error) }
+}
+
+unsafe extern "C" fn emission_plane(
+    context: *const c_void,
+    frame: usize,
+    bin_y: usize,
+    bin_x: usize,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above.
+    unsafe { fetch(context, |call| Request::EmissionPlane { call, frame, bin_y, bin_x }, plane, error) }
+}
+
+unsafe extern "C" fn view_plane(
+    context: *const c_void,
+    view_y: usize,
+    view_x: usize,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above.
+    unsafe { fetch(context, |call| Request::ViewPlane { call, view_y, view_x }, plane, error) }
+}
+
+/// Fetches a plane; it is the plugin's until that gives it back.
+///
+/// # Safety
+/// `context` is that of data of a running call, `plane` a place for a plane that says its own size, `error` null or a
+/// valid sink.
+unsafe fn fetch(
+    context: *const c_void,
+    what: impl FnOnce(u64) -> Request,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: the caller's promise.
+    let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
+    if size < size_of::<Plane>() {
+        // SAFETY: the caller's promise.
+        unsafe { tell(error, &format!("a plane of {size} bytes")) };
+        return Status::REFUSED;
+    }
+    let (answer, body) = link.ask(what(*call), &[]);
+    // SAFETY: the caller's promise.
+    unsafe { tell(error, &answer.text) };
+    if answer.status != Status::OK.0 {
+        return Status(answer.status);
+    }
+    let element = size_of::<f32>() as isize;
+    let [rows, cols, channels] = answer.shape;
+    let owner = Box::new(body);
+    let filled = Plane {
+        size,
+        data: owner.as_ptr().cast(),
+        dtype: dtype::F32,
+        ndim: 3,
+        shape: [rows, cols, channels, 1],
+        strides: [(cols * channels) as isize * element, channels as isize * element, element, 0],
+        owner: Box::into_raw(owner).cast(),
+        release: Some(release),
+    };
+    // SAFETY: the caller's promise; a newer plugin's plane is longer, and its end stays as the plugin left it.
+    unsafe { *plane = filled };
+    Status::OK
+}
+
+unsafe extern "C" fn release(owner: *mut c_void) {
+    // SAFETY: the owner of a plane of `fetch`, given back once.
+    drop(unsafe { Box::from_raw(owner.cast::<Vec<u8>>()) });
+}
+
+unsafe extern "C" fn read_asset(
+    context: *const c_void,
+    path: Str,
+    sink: *const ByteSink,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above; the plugin lends the sink.
+    unsafe {
+        let Running { link, call } = running(context);
+        let path = match bytes(path.ptr, path.len, "file name", error) {
+            Ok(path) => path,
+            Err(refused) => return refused,
+        };
+        let (answer, content) = link.ask(Request::ReadAsset { call: *call }, path);
+        tell(error, &answer.text);
+        if answer.status != Status::OK.0 {
+            return Status(answer.status);
+        }
+        ((*sink).write)((*sink).context, Bytes::new(&content), error)
+    }
+}
+
+unsafe extern "C" fn give_scene(context: *mut c_void, content: Bytes, error: *const ErrorSink) -> Status {
+    // SAFETY: see above.
+    unsafe {
+        let Running { link, call } = running(context);
+        match bytes(content.ptr, content.len, "bytes", error) {
+            Ok(content) => in_parts(content, |part| link.status(Request::GiveScene { call: *call }, part, error)),
+            Err(refused) => refused,
+        }
+    }
+}
+
+unsafe extern "C" fn give_geometry(context: *mut c_void, geometry_json: Str, error: *const ErrorSink) -> Status {
+    // SAFETY: see above.
+    unsafe {
+        let Running { link, call } = running(context);
+        match bytes(geometry_json.ptr, geometry_json.len, "geometry", error) {
+            Ok(geometry) => link.status(Request::GiveGeometry { call: *call }, geometry, error),
+            Err(refused) => refused,
+        }
+    }
+}
+
+unsafe extern "C" fn give_view(
+    context: *mut c_void,
+    view_y: usize,
+    view_x: usize,
+    plane: *const Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above.
+    unsafe { give(context, |call, shape| Request::GiveView { call, view_y, view_x, shape }, plane, error) }
+}
+
+unsafe extern "C" fn give_brightness(context: *mut c_void, brightness: f64, error: *const ErrorSink) -> Status {
+    // SAFETY: see above.
+    unsafe {
+        let Running { link, call } = running(context);
+        link.status(Request::GiveBrightness { call: *call, bits: brightness.to_bits() }, &[], error)
+    }
+}
+
+unsafe extern "C" fn give_layer(
+    context: *mut c_void,
+    layer: usize,
+    frame: usize,
+    plane: *const Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above.
+    unsafe { give(context, |call, shape| Request::GiveLayer { call, layer, frame, shape }, plane, error) }
+}
+
+unsafe extern "C" fn give_emission(
+    context: *mut c_void,
+    frame: usize,
+    bin_y: usize,
+    bin_x: usize,
+    plane: *const Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above.
+    unsafe { give(context, |call, shape| Request::GiveEmission { call, frame, bin_y, bin_x, shape }, plane, error) }
+}
+
+/// Sends a plane that the plugin lends.
+///
+/// # Safety
+/// `context` is that of a sink of a running call; the plugin lends a plane that says its own size; `error` is null or a
+/// valid sink.
+unsafe fn give(
+    context: *mut c_void,
+    what: impl FnOnce(u64, [usize; 3]) -> Request,
+    plane: *const Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: the caller's promise.
+    let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
+    if size < size_of::<Plane>() {
+        // SAFETY: the caller's promise.
+        unsafe { tell(error, &format!("a plane of {size} bytes")) };
+        return Status::REFUSED;
+    }
+    // SAFETY: the caller's promise; it stays the plugin's, so that nothing is released.
+    let view = match unsafe { PlaneView::new(Plane { release: None, ..*plane }) } {
+        Ok(view) => view,
+        Err(reason) => {
+            // SAFETY: the caller's promise.
+            unsafe { tell(error, &reason.to_string()) };
+            return Status::FAILED;
+        }
+    };
+    let shape = [view.rows(), view.cols(), view.channels()];
+    let values = view.values();
+    // SAFETY: any bytes of an `f32` are bytes.
+    let body = unsafe { std::slice::from_raw_parts(values.as_ptr().cast(), size_of_val(&*values)) };
+    // SAFETY: the caller's promise.
+    unsafe { link.status(what(*call, shape), body, error) }
+}
+
+/// Runs the calls of the program.
+struct Worker {
+    /// `None` where the library gave none; the program then calls nothing.
+    plugin: Option<Plugin>,
+    link: &'static Link,
+    /// The plugin keeps a pointer to it, until the process ends.
+    host: Box<HostServices>,
+    instance: Arc<Mutex<Instance>>,
+}
+
+/// The handle of an open output.
+#[derive(Clone, Copy)]
+struct Instance(*mut c_void);
+
+// SAFETY: the boundary lets the functions of an output be called from any thread.
+unsafe impl Send for Instance {}
+
+impl Default for Instance {
+    fn default() -> Self {
+        Self(std::ptr::null_mut())
+    }
+}
+
+impl Worker {
+    /// Runs one call: times of a sequence in threads of their own, all else here, on the main thread.
+    fn run(&mut self, call: u64, what: Call) {
+        let Some(plugin) = &self.plugin else { return };
+        let (link, functions) = (self.link, plugin.functions().clone());
+        let instance = *locked(&self.instance);
+        if let Call::Submit { time, data } = what {
+            let submit = move || {
+                // the whole of it, and not its pointer, goes to the thread
+                let Instance(handle) = { instance };
+                // SAFETY: the handle of `open`, which the program closes after this; the rest is lent for the call.
+                done(link, call, |error| unsafe {
+                    with_data(link, call, &data, |data| functions.submit(handle, &time_of(time), data, error))
+                });
+            };
+            let started = thread::Builder::new().stack_size(STACK).spawn(submit);
+            if let Err(reason) = started {
+                let text = format!("no thread can be started: {reason}");
+                let _ = link.send(&FromChild::Done { call, status: Status::FAILED.0, text }, &[]);
+                link.active.fetch_sub(1, Ordering::SeqCst);
+            }
+            return;
+        }
+        let host: *const HostServices = &raw const *self.host;
+        let running = Running { link, call };
+        let context = (&raw const running).cast::<c_void>();
+        let Instance(handle) = instance;
+        // SAFETY: everything is lent for the call, and the table until the process ends; handles are those of `open`.
+        done(link, call, |error| unsafe {
+            match &what {
+                Call::Import { params, file } => {
+                    let assets = Assets { size: size_of::<Assets>(), context, read: read_asset };
+                    let scene =
+                        ByteSink { size: size_of::<ByteSink>(), context: context.cast_mut(), write: give_scene };
+                    functions.import(host, Str::new(params), Str::new(file), &assets, &scene, error)
+                }
+                Call::MakeField { params, display, time } => {
+                    let field = FieldSink {
+                        size: size_of::<FieldSink>(),
+                        context: context.cast_mut(),
+                        geometry: give_geometry,
+                        view_plane: give_view,
+                    };
+                    functions.make_field(host, Str::new(params), Str::new(display), &time_of(*time), &field, error)
+                }
+                Call::MakeStack { params, display, time, data } => {
+                    let stack = StackSink {
+                        size: size_of::<StackSink>(),
+                        context: context.cast_mut(),
+                        brightness: give_brightness,
+                        layer_plane: give_layer,
+                        emission_plane: give_emission,
+                    };
+                    let (params, display) = (Str::new(params), Str::new(display));
+                    with_data(link, call, data, |data| {
+                        functions.make_stack(host, params, display, &time_of(*time), data, &stack, error)
+                    })
+                }
+                Call::Open { params, display } => {
+                    let mut handle = std::ptr::null_mut();
+                    let status = functions.open(host, Str::new(params), Str::new(display), &mut handle, error);
+                    *locked(&self.instance) = Instance(handle);
+                    status
+                }
+                Call::Run => functions.run(handle, error),
+                Call::Finish => functions.finish(handle, error),
+                Call::Close => {
+                    functions.close(handle);
+                    Status::OK
+                }
+                Call::Submit { .. } => unreachable!("has a thread of its own"),
+            }
+        });
+    }
+}
+
+fn time_of(time: protocol::Time) -> Time {
+    Time { size: size_of::<Time>(), index: time.index, seconds: f64::from_bits(time.seconds_bits) }
+}
+
+/// Lends the data of a call.
+fn with_data(
+    link: &'static Link,
+    call: u64,
+    data: &protocol::Data,
+    function: impl FnOnce(*const Data) -> Status,
+) -> Status {
+    let running = Running { link, call };
+    let data = Data {
+        size: size_of::<Data>(),
+        port: data.port,
+        context: (&raw const running).cast(),
+        description_json: Str::new(&data.description),
+        layer_plane,
+        emission_plane,
+        view_plane,
+    };
+    function(&data)
+}
+
+/// Runs a function of the plugin and reports its end.
+fn done(link: &Link, call: u64, function: impl FnOnce(*const ErrorSink) -> Status) {
+    let mut text = String::new();
+    let status = function(&keeping(&mut text));
+    // a status other than OK has a reason; one of OK has none, whatever was written
+    let text = if status == Status::OK { String::new() } else { text };
+    link.active.fetch_sub(1, Ordering::SeqCst);
+    if link.send(&FromChild::Done { call, status: status.0, text }, &[]).is_err() {
+        end_now();
+    }
+}

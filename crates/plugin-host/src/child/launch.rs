@@ -1,0 +1,100 @@
+//! How a child is started, and how long it may take.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::sync::OnceLock;
+use std::time::Duration;
+
+/// Longest silence of a plugin at work, seconds; 0 for any.
+const SILENCE: &str = "LUMISTACK_PLUGIN_SILENCE_S";
+/// Longest time to load a library, seconds; 0 for any.
+const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
+
+/// A program that runs one plugin: these words, and then the library's path. It calls
+/// [`plugin_child`](crate::plugin_child).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Launcher {
+    /// The program.
+    pub program: PathBuf,
+    /// Its arguments before the library's path.
+    pub args: Vec<OsString>,
+}
+
+static OF_PROCESS: OnceLock<Launcher> = OnceLock::new();
+
+impl Launcher {
+    /// This program again, with a first argument by which it knows its task.
+    pub fn this_program(first: &str) -> Option<Self> {
+        // what runs now, also after the file has been replaced by another version
+        let own = PathBuf::from("/proc/self/exe");
+        let program = if cfg!(target_os = "linux") && own.exists() { own } else { std::env::current_exe().ok()? };
+        Some(Self { program, args: vec![first.into()] })
+    }
+
+    /// Starts all children of this process that way, unless the places of their plugins name another. The first call
+    /// counts.
+    pub fn set_for_process(self) {
+        let _ = OF_PROCESS.set(self);
+    }
+
+    /// What was set for this process.
+    pub(crate) fn of_process() -> Option<Self> {
+        OF_PROCESS.get().cloned()
+    }
+}
+
+/// How long a child may take; `None` for any time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// From the start until the plugin has described itself.
+    pub load: Option<Duration>,
+    /// At work, without any sign of life: a service of the host that it calls, or a function that returns.
+    pub silence: Option<Duration>,
+    /// After the user has asked to stop.
+    pub grace: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        let (load, silence) = (Duration::from_secs(60), Duration::from_secs(30 * 60));
+        Self { load: Some(load), silence: Some(silence), grace: Duration::from_secs(3) }
+    }
+}
+
+impl Limits {
+    /// The default, but for the environment variables `LUMISTACK_PLUGIN_LOAD_S` and `LUMISTACK_PLUGIN_SILENCE_S`:
+    /// seconds, 0 for any time.
+    ///
+    /// # Errors
+    /// The variable and its value, where that is no number of seconds.
+    pub(crate) fn of_system() -> Result<Self, (&'static str, String)> {
+        let mut limits = Self::default();
+        for (variable, limit) in [(LOAD, &mut limits.load), (SILENCE, &mut limits.silence)] {
+            if let Some(text) = std::env::var_os(variable) {
+                let text = text.to_string_lossy().into_owned();
+                *limit = limit_of(&text).ok_or((variable, text))?;
+            }
+        }
+        Ok(limits)
+    }
+}
+
+/// The limit that a variable names.
+fn limit_of(text: &str) -> Option<Option<Duration>> {
+    let limit = Duration::try_from_secs_f64(text.trim().parse().ok()?).ok()?;
+    Some((!limit.is_zero()).then_some(limit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_are_seconds_and_zero_is_none() {
+        assert_eq!(limit_of("2.5"), Some(Some(Duration::from_millis(2500))));
+        assert_eq!(limit_of(" 0 "), Some(None));
+        for text in ["", "-1", "ten", "NaN", "1e300"] {
+            assert_eq!(limit_of(text), None, "{text}");
+        }
+    }
+}
