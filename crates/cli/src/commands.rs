@@ -6,7 +6,7 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, FitDepth, Job, PipelineError, Registry, RunFolder, SequenceJob, Tone, Viewpoint, is_usd, plugins,
+    DisplayJob, FitDepth, Job, PipelineError, Registry, RunFolder, SequenceJob, Tone, ViewOptions, Viewpoint, is_usd, plugins,
     presets, render_only, run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
@@ -153,7 +153,9 @@ fn render_command(args: &Render, registry: &Registry, json: bool, task: Task<'_>
     let mut job = job_or_scene(&args.scene)?;
     change_display(&mut job, &args.display);
     change_render(&mut job, &args.render);
-    let depth = render_only(&job, &args.output, registry, task)?;
+    let options =
+        ViewOptions { linear: args.linear, layers: args.layers.clone(), only: args.only_views.clone() };
+    let depth = render_only(&job, &args.output, &options, registry, task)?;
     let index = args.output.join("lightfield.json");
     if json {
         say!("{}", json!({"event": "done", "light_field": index, "depth": depth.to_json()}));
@@ -235,6 +237,10 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     if args.environment.is_some() {
         job.light.environment = args.environment.clone();
     }
+    let light = &mut job.light;
+    light.environment_strength = args.environment_strength.unwrap_or(light.environment_strength);
+    light.environment_rotation_deg = args.environment_rotation.unwrap_or(light.environment_rotation_deg);
+    light.background = args.background.unwrap_or(light.background);
     job.pose.time_s = args.time_s.or(job.pose.time_s);
     if args.animation.is_some() {
         job.pose.animation.clone_from(&args.animation);

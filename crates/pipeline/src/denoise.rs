@@ -27,7 +27,7 @@ use crate::render::{read_view, render_error, view_path};
 /// Changes whenever a denoiser gives other pixels or other figures.
 const VERSION: u32 = 1;
 /// Rays per pixel that the guides are averaged over.
-const FEATURE_SAMPLES: u32 = 16;
+pub(crate) const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
 const CHECK_FACTOR: u32 = 2;
 /// What the path tracer takes.

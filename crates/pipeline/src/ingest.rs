@@ -19,6 +19,7 @@ use crate::file_params;
 use crate::job::{ImporterJob, LightJob, PoseJob, WindowFrom, WindowJob};
 use crate::light;
 use crate::render::render_error;
+use crate::surround;
 
 /// Share of an automatic window that the scene should cover at least.
 const COVERAGE: f64 = 0.26;
@@ -232,6 +233,7 @@ fn lit(
             Ok(())
         })?;
     }
+    let scene = surround::turned(scene, light_job, task)?;
     Ok(Ingested { scene: Arc::new(scene), files, pose: pose.clone(), known: None, renderer: OnceLock::new() })
 }
 

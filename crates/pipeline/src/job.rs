@@ -3,6 +3,7 @@
 //! Every key has a default except the input and the display; `docs/JOB.md` lists them all. Relative paths are relative to the job file.
 //! One file per table, beside this one.
 
+mod background;
 mod display;
 mod factorize;
 mod graph;
@@ -19,6 +20,7 @@ use lumistack_display::Display;
 use lumistack_field_io::GeometryFlags;
 use serde::{Deserialize, Serialize};
 
+pub use self::background::Background;
 pub use self::display::DisplayJob;
 pub use self::factorize::{EyeJob, FactorizeJob};
 pub use self::graph::{ImporterJob, NodeJob, OutputJob, SourceJob};
