@@ -347,7 +347,12 @@ pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Fiel
 pub(crate) fn parse_json<'a, T: Deserialize<'a>>(path: &Path, text: &'a [u8]) -> Result<T, FieldError> {
     serde_json::from_slice(text).map_err(|error| {
         let place = format!("line {}, column {}", error.line(), error.column());
-        FieldError::malformed(path, place, "JSON of this kind", error.to_string())
+        let text = lumistack_core::config::plain(&error.to_string(), "");
+        let text = text.split(" at line ").next().unwrap_or_default();
+        match text.strip_prefix("expected ").and_then(|rest| rest.split_once(", found ")) {
+            Some((expected, found)) => FieldError::malformed(path, place, expected, found),
+            None => FieldError::malformed(path, place, "JSON of this kind", text),
+        }
     })
 }
 

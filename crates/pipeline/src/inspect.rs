@@ -51,18 +51,21 @@ pub fn plugin_text(registry: &Registry) -> String {
         let _ = writeln!(text, "{} {} ({}, {origin})", info.id, info.version, kind.as_str().unwrap_or_default());
         let _ = writeln!(text, "  {}", info.doc.trim());
         for param in &info.schema.params {
+            let unit =
+                param.unit.as_deref().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" {unit}"));
             let range = match &param.kind {
                 Kind::Bool { default } => format!("true or false, default {default}"),
-                Kind::Int { default, min, max } => format!("{min} to {max}, default {default}"),
-                Kind::Float { default, min, max } => format!("{min} to {max}, default {default}"),
+                Kind::Int { default, min, max } => format!("{min} to {max}{unit}, default {default}"),
+                Kind::Float { default, min, max } => format!("{min} to {max}{unit}, default {default}"),
                 Kind::Choice { default, options } => {
                     let names: Vec<&str> = options.iter().map(|option| option.value.as_str()).collect();
                     format!("{}, default {default}", names.join(" | "))
                 }
-                other => format!("{other:?}"),
+                Kind::Text { default } if default.is_empty() => "a text".into(),
+                Kind::Text { default } => format!("a text, default \"{default}\""),
+                Kind::File => "a file, or its text".into(),
             };
-            let unit = param.unit.as_ref().map_or(String::new(), |unit| format!(" {unit}"));
-            let _ = writeln!(text, "    {:14} {} [{range}{unit}]", param.name, param.help);
+            let _ = writeln!(text, "    {:14} {} [{range}]", param.name, param.help);
         }
     }
     if !registry.failed().is_empty() {

@@ -277,6 +277,10 @@ impl Job {
         self.render.check()?;
         self.window.check()?;
         self.light.check()?;
+        if self.render.engine == Engine::Blender && self.light.background != Background::Environment {
+            let expected = "`environment` where Blender renders: its own world is seen";
+            return fail("light.background", expected, "a colour".into());
+        }
         self.check_graph()?;
         self.sequence.as_ref().map_or(Ok(()), |sequence| sequence.check(self))
     }

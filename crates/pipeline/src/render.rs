@@ -164,8 +164,7 @@ pub(crate) fn render_views(
         field.folder = cache_dir.join(format!("{}-{}", field.name, &key.finish()[..16]));
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
         let variance = options.variance() && i == 0;
-        let wanted: Vec<[usize; 2]> = if i == 0 { views.clone() } else { field.geometry.grid.iter().collect() };
-        for view in wanted {
+        for view in field.wanted(&views) {
             for &half in denoise::parts(kind) {
                 let path = view_path(&field.folder, view, half);
                 let variance = variance.then(|| variance_path(&field.folder, view, half));
@@ -201,12 +200,37 @@ pub(crate) fn render_views(
             field.halves().filter(kind, ingested.renderer(task)?, window, task)?;
         }
     }
+    let all: usize = fields.iter().map(|field| field.geometry.grid.iter().count()).sum();
+    task.progress.begin("expose", all as u64, "views");
+    let exposed = expose(job, ingested, &fields, &views, &depths, window, options, task);
+    task.progress.end();
+    let (look, denoised, shown) = exposed?;
     let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
+    let mut exposed = shown.into_iter();
+    let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
+    let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
+    let (held_out, outside) = (other("held-out"), other("outside"));
+    let traced = fields.swap_remove(0);
+    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached, traced, views })
+}
+
+/// Reads the finished views of all fields and makes them display-referred, with one look for all, or leaves them as they are.
+fn expose(
+    job: &Job,
+    ingested: &Ingested,
+    fields: &[FieldJob],
+    views: &[[usize; 2]],
+    depths: &Depths,
+    window: &Window,
+    options: &ViewOptions,
+    task: Task<'_>,
+) -> Result<(Look, Option<Denoised>, Vec<LightField>), PipelineError> {
+    let kind = job.render.denoise;
     let mut radiance = Vec::new();
-    for (i, FieldJob { geometry, folder, .. }) in fields.iter().enumerate() {
+    for one in fields {
+        let FieldJob { geometry, folder, .. } = one;
         let mut field = LightField::black(geometry.clone())?;
-        let wanted: Vec<[usize; 2]> = if i == 0 { views.clone() } else { geometry.grid.iter().collect() };
-        for view in wanted {
+        for view in one.wanted(views) {
             let path = view_path(&denoise::finished(kind, folder), view, None);
             let picture = read_view(&path, geometry).ok_or_else(|| {
                 PipelineError::value(&path, "cached view", "the picture just written", "another or none")
@@ -218,7 +242,7 @@ pub(crate) fn render_views(
     let look = if options.linear {
         Look { exposure: 1.0, curve: ToneCurve::Linear }
     } else {
-        Look::choose(&job.light, &ingested.scene, &brightest(&radiance[0], &views, &depths))
+        Look::choose(&job.light, &ingested.scene, &brightest(&radiance[0], views, depths))
     };
     let denoised = fields[0].halves().denoised(kind, look)?;
     let mut shown = Vec::new();
@@ -226,7 +250,7 @@ pub(crate) fn render_views(
         if options.linear {
             // neither exposed nor clipped nor rounded
         } else if let Background::Colour(background) = job.light.background {
-            for view in if field.stream == 0 { views.clone() } else { field.geometry.grid.iter().collect() } {
+            for view in field.wanted(views) {
                 let missed = field.missed(view, kind, || ingested.renderer(task), window, task)?;
                 expose_over(look, background, &missed, radiance.view_mut(view));
             }
@@ -235,14 +259,10 @@ pub(crate) fn render_views(
             look.apply(&mut radiance);
             lumistack_field_io::round_to_half(&mut radiance);
         }
+        task.progress.advance(field.geometry.grid.iter().count() as u64, "");
         shown.push(radiance);
     }
-    let mut exposed = shown.into_iter();
-    let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
-    let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
-    let (held_out, outside) = (other("held-out"), other("outside"));
-    let traced = fields.swap_remove(0);
-    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached, traced, views })
+    Ok((look, denoised, shown))
 }
 
 /// One light field to render.
@@ -264,6 +284,11 @@ impl FieldJob {
     fn halves(&self) -> Traced<'_> {
         let Self { traced, folder, .. } = self;
         Traced { geometry: traced, settings: self.seeded(&[]), folder, checked: self.stream == 0 }
+    }
+
+    /// The views to render: of the target those that were chosen, else all.
+    fn wanted(&self, chosen: &[[usize; 2]]) -> Vec<[usize; 2]> {
+        if self.stream == 0 { chosen.to_vec() } else { self.geometry.grid.iter().collect() }
     }
 
     /// Settings with which a view is traced, or a half of its samples.

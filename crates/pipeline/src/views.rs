@@ -83,7 +83,9 @@ impl ViewLayer {
                 "1",
                 "mean shading normal on the viewer's side: x right, y up, z to the viewer; 0 where there is no surface",
             ],
-            Self::Albedo => ["1", "mean reflectance of the first surfaces, 0..1: base colour plus a dielectric's few percent"],
+            Self::Albedo => {
+                ["1", "mean reflectance of the first surfaces, 0..1: base colour plus a dielectric's few percent"]
+            }
             Self::Variance => [
                 "radiance²",
                 "variance of the view's scene-linear radiance before exposure and denoising: that of its samples over their number",
@@ -128,7 +130,8 @@ impl ViewOptions {
 
     /// Checks that the job can give what is wanted.
     pub(crate) fn check(&self, job: &Job) -> Result<(), PipelineError> {
-        let fail = |flag: &str, expected: &str, found: String| Err(PipelineError::value("render", flag, expected, found));
+        let fail =
+            |flag: &str, expected: &str, found: String| Err(PipelineError::value("render", flag, expected, found));
         let denoise = job.render.denoise;
         if !self.only.is_empty() && denoise != Denoise::Off {
             let expected = "`--denoise off`, since the denoiser works on all views together";
@@ -154,14 +157,16 @@ impl ViewOptions {
                 if let Some([_, last]) = axis
                     && *last >= count
                 {
-                    let expected = format!("a {name} of 0 to {}, of {} rows × {} columns", count - 1, views[0], views[1]);
+                    let expected =
+                        format!("a {name} of 0 to {}, of {} rows × {} columns", count - 1, views[0], views[1]);
                     return Err(PipelineError::value("render", "--only-views", expected, last.to_string()));
                 }
             }
         }
         let is_chosen = |view: &[usize; 2]| {
             let holds = |pick: &ViewPick| {
-                let of_axis = |axis: usize| pick.axes[axis].is_none_or(|[first, last]| (first..=last).contains(&view[axis]));
+                let of_axis =
+                    |axis: usize| pick.axes[axis].is_none_or(|[first, last]| (first..=last).contains(&view[axis]));
                 of_axis(0) && of_axis(1)
             };
             self.only.is_empty() || self.only.iter().any(holds)

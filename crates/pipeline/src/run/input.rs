@@ -66,14 +66,15 @@ pub fn render_only(
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     let footprint = display.angular_footprint();
-    let rendered =
-        render::render_views(&job, &ingested, &placement, &geometry, footprint, &cache, options, task)?;
+    let rendered = render::render_views(&job, &ingested, &placement, &geometry, footprint, &cache, options, task)?;
     let budget = rendered.depths.budget(&display, &geometry, &placement);
     warn_of_depth(&budget, task);
     let all = geometry.grid.iter().count();
     if rendered.views.len() < all && !options.linear && job.light.automatic_exposure {
         let count = rendered.views.len();
-        let message = format!("exposure is chosen from {count} of {all} views; for equal exposure of views that are rendered apart, set `light.automatic_exposure = false` or give --linear");
+        let message = format!(
+            "exposure is chosen from {count} of {all} views; for equal exposure of views that are rendered apart, set `light.automatic_exposure = false` or give --linear"
+        );
         task.warn("exposure", message);
     }
     let mut info = field_info(&rendered, &placement);
@@ -124,12 +125,18 @@ impl Run<'_> {
             Ok((rendered, cached))
         })?;
         let info = field_info(&rendered, &placement);
-        write_field_if_changed(&self.stamps, &self.dir, "target", &rendered.target, &info)?;
-        for (name, field) in [("held-out", &rendered.held_out), ("outside", &rendered.outside)] {
-            if let Some(field) = field {
-                write_field_if_changed(&self.stamps, &self.dir, name, field, &info)?;
-            }
-        }
+        let fields = [
+            ("target", Some(&rendered.target)),
+            ("held-out", rendered.held_out.as_ref()),
+            ("outside", rendered.outside.as_ref()),
+        ];
+        task.progress.begin("write light field", fields.len() as u64, "folders");
+        let written = fields.into_iter().try_for_each(|(name, field)| {
+            task.progress.advance(1, "");
+            field.map_or(Ok(()), |field| write_field_if_changed(&self.stamps, &self.dir, name, field, &info))
+        });
+        task.progress.end();
+        written?;
         let depth = rendered.depths.budget(&self.display, &geometry, &placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, ingested, &placement, &rendered);
