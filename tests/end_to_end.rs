@@ -124,7 +124,7 @@ fn the_same_bytes_on_one_and_two_threads() {
     check_views_beyond_the_zone(&report(&one));
 }
 
-/// One view spacing beyond the outermost views on both sides, with figures of their own; and a warning where a period is too long.
+/// One view spacing beyond the outermost views on both sides, with figures of their own.
 fn check_views_beyond_the_zone(report: &serde_json::Value) {
     let slopes = |field: &str| -> Vec<f64> {
         report[field]["slope_x"].as_array().unwrap().iter().map(|slope| slope.as_f64().unwrap()).collect()
@@ -136,10 +136,9 @@ fn check_views_beyond_the_zone(report: &serde_json::Value) {
         assert!(number(&report["outside"], key).is_finite());
     }
     assert!(number(&report["outside"], "overall_psnr_view") < number(report, "psnr_view"), "nothing constrains them");
-    let hz = number(&report["display"], "refresh_hz") / number(&report["display"], "frames");
     let warnings = report["warnings"].as_array().unwrap();
     let warned = warnings.iter().any(|warning| warning["message"].as_str().unwrap().contains("flicker"));
-    assert_eq!(warned, hz < 60.0, "{hz} periods a second: {warnings:?}");
+    assert!(!warned, "a preset is a design without panels: {warnings:?}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ mod common;
 use std::path::Path;
 use std::process::Command;
 
-use common::{fail, files, lumistack, number, python, report, root, succeed};
+use common::{fail, files, lumistack, number, report, root, succeed};
 
 /// Whether a stage of a report came from the run before.
 fn cached(run: &Path, name: &str) -> bool {
@@ -21,11 +21,7 @@ fn run_job(job: &Path, run: &Path) -> String {
 
 #[test]
 fn other_peoples_software_reads_every_output() {
-    let Some(python) = python() else { return };
-    if !Command::new(&python).args(["-c", "import PIL, OpenEXR"]).output().unwrap().status.success() {
-        println!("skipped: no Python with Pillow and OpenEXR (`cargo xtask ci` makes one)");
-        return;
-    }
+    let Some(python) = lumistack_testkit::skip::python_with("numpy, PIL, OpenEXR") else { return };
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
     run_job(&root().join("tests/cases/all-outputs/job.toml"), &run);

@@ -65,33 +65,17 @@ pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 
 /// The third-party scenes, or `None` with a message where they are missing.
 pub fn assets() -> Option<PathBuf> {
-    folder_from("LUMISTACK_ASSETS", "../shared/scenes")
+    lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")
 }
 
 /// The reference light fields, or `None` with a message where they are missing.
 pub fn light_fields() -> Option<PathBuf> {
-    folder_from("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")
-}
-
-fn folder_from(variable: &str, default: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os(variable).map_or_else(|| root().join(default), PathBuf::from);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: {variable} is not set and {} does not exist", folder.display());
-    None
+    lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")
 }
 
 /// A Python with NumPy: the one that `cargo xtask ci` made, or any that has it.
 pub fn python() -> Option<PathBuf> {
-    let candidates = [std::env::var_os("LUMISTACK_PYTHON").map(PathBuf::from), Some("python3".into())];
-    let found = candidates.into_iter().flatten().find(|python| {
-        Command::new(python).args(["-c", "import numpy"]).output().is_ok_and(|output| output.status.success())
-    });
-    if found.is_none() {
-        println!("skipped: no Python with numpy (`cargo xtask ci` makes one)");
-    }
-    found
+    lumistack_testkit::skip::python_with("numpy")
 }
 
 /// A light field `[view_y][view_x][row][col][rgb]` as `.npy`: a textured plane behind the display and a bright card in front of it.

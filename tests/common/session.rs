@@ -63,13 +63,13 @@ impl Session {
 /// Whether a session can and may be started: it needs the machine for itself.
 fn has(program: &str) -> bool {
     if std::env::var_os("LUMISTACK_SESSIONS").is_none() {
-        println!("skipped: `cargo xtask panels` runs what needs a windowing session, and sets LUMISTACK_SESSIONS");
+        lumistack_testkit::skip::runs_in("panels");
         return false;
     }
     let found = std::env::var_os("PATH")
         .is_some_and(|path| std::env::split_paths(&path).any(|folder| folder.join(program).is_file()));
     if !found {
-        println!("skipped: no {program} (`cargo xtask ci` fetches it on Debian)");
+        lumistack_testkit::skip::skipped(&format!("no {program} (`cargo xtask ci` fetches it on Debian)"));
     }
     found
 }
@@ -202,7 +202,7 @@ impl Session {
             return None;
         }
         if !is_root() {
-            println!("skipped: Xorg's dummy driver needs root");
+            lumistack_testkit::skip::skipped("Xorg's dummy driver needs root");
             return None;
         }
         let folder = tempfile::Builder::new().prefix("lumistack-xorg").tempdir().unwrap();

@@ -32,7 +32,7 @@ pub fn check(full: bool) -> Outcome {
     let python = match environment(BLENDER) {
         Ok(python) => python,
         Err(error) => {
-            println!("blender: skipped: {error}");
+            tools::skipped("blender", &error);
             return Ok(());
         }
     };
@@ -43,7 +43,7 @@ pub fn check(full: bool) -> Outcome {
         for version in OLDER {
             match environment(version) {
                 Ok(python) => cases(&python, &zip, version, "full")?,
-                Err(error) => println!("blender: {version} skipped: {error}"),
+                Err(error) => tools::skipped(&format!("blender {version}"), &error),
             }
         }
     }
@@ -210,7 +210,10 @@ fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
 fn cases(python: &Path, zip: &Path, version: &str, names: &str) -> Outcome {
     println!("\nBlender {version}");
     let place = folder().join(format!("cases-{version}"));
-    run(command(python).arg("plugins/blender/tests/cases.py").arg(names).arg(zip).arg(&place))
+    let mut cases = command(python);
+    cases.arg("plugins/blender/tests/cases.py").arg(names).arg(zip).arg(&place);
+    // the OpenUSD of the other tests, for Blenders that bring none
+    run(cases.env("LUMISTACK_PYTHON", tools::python()?))
 }
 
 #[cfg(test)]

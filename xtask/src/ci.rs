@@ -1,5 +1,6 @@
 //! Everything that must hold before a change lands.
 
+use std::path::PathBuf;
 use std::time::Instant;
 
 use crate::blender;
@@ -13,40 +14,51 @@ use crate::web;
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
 const LINTED_WITH: &str = "1.95";
 
-/// Runs all checks; `full` adds the slow tests.
-pub fn run_steps(full: bool) -> Outcome {
+/// Runs all checks; `full` adds the slow tests. `times` receives the seconds of every step that was begun.
+fn run_steps(full: bool, times: &mut Vec<(&'static str, f64)>) -> Outcome {
+    let mut step = |name: &'static str, work: &mut dyn FnMut() -> Outcome| {
+        println!("\n=== {name}");
+        let start = Instant::now();
+        let result = work();
+        times.push((name, start.elapsed().as_secs_f64()));
+        result
+    };
     let version = output_of(command("rustc").arg("--version")).ok_or("rustc does not start")?;
     let strict = version.contains(&format!("rustc {LINTED_WITH}."));
     if !strict {
         println!("lints: {} is not {LINTED_WITH}, so new lints only warn", version.trim());
     }
-    step("format", || cargo(&["fmt", "--all", "--check"]))?;
-    step("layers", layers::check)?;
-    step("clippy", || {
+    step("format", &mut || cargo(&["fmt", "--all", "--check"]))?;
+    step("layers", &mut layers::check)?;
+    step("clippy", &mut || {
         let mut arguments = [&["clippy", "--all-targets", "--quiet"], &EVERYTHING[..]].concat();
         if strict {
             arguments.extend(["--", "-D", "warnings"]);
         }
         cargo(&arguments)
     })?;
-    step("docs", || {
+    step("docs", &mut || {
         let flags = if strict { "-D warnings" } else { "" };
         run(command("cargo").args(["doc", "--workspace", "--no-deps", "--quiet"]).env("RUSTDOCFLAGS", flags))
     })?;
-    step("wasm32", wasm)?;
-    let python = tools::python()?;
-    tools::poppler();
-    step("tests", || {
+    step("wasm32", &mut wasm)?;
+    let mut python = PathBuf::new();
+    step("fetch", &mut || {
+        python = tools::python()?;
+        tools::poppler();
+        Ok(())
+    })?;
+    step("tests", &mut || {
         let mut tests = command("cargo");
         run(tests.arg("test").args(EVERYTHING).env("LUMISTACK_PYTHON", &python))
     })?;
-    step("plugins", || plugins::run(false))?;
-    step("panels", || panels::check(full))?;
-    step("python", python::check)?;
-    step("blender", || blender::check(full))?;
-    step("web", web::check)?;
+    step("plugins", &mut || plugins::run(false))?;
+    step("panels", &mut || panels::check(full))?;
+    step("python", &mut python::check)?;
+    step("blender", &mut || blender::check(full))?;
+    step("web", &mut web::check)?;
     if full {
-        step("slow tests", || {
+        step("slow tests", &mut || {
             let mut tests = command("cargo");
             tests.args(["test", "--workspace", "--release", "--", "--ignored", "--nocapture", "--test-threads=1"]);
             run(tests.env("LUMISTACK_PYTHON", &python))
@@ -55,26 +67,22 @@ pub fn run_steps(full: bool) -> Outcome {
     Ok(())
 }
 
-/// [`run_steps`], timed as a whole.
+/// [`run_steps`], with a table of how long each step took.
 pub fn run_ci(full: bool) -> Outcome {
-    let start = Instant::now();
-    run_steps(full)?;
-    println!("\nci: everything passed in {:.0} s", start.elapsed().as_secs_f64());
-    Ok(())
-}
-
-fn step(name: &str, work: impl FnOnce() -> Outcome) -> Outcome {
-    println!("\n=== {name}");
-    let start = Instant::now();
-    work()?;
-    println!("=== {name}: {:.0} s", start.elapsed().as_secs_f64());
+    let (start, mut times) = (Instant::now(), Vec::new());
+    let result = run_steps(full, &mut times);
+    println!("\n{:>8}  step", "seconds");
+    times.iter().for_each(|(name, seconds)| println!("{seconds:8.0}  {name}"));
+    println!("{:8.0}  in all", start.elapsed().as_secs_f64());
+    result?;
+    println!("\nci: every check that was run passed");
     Ok(())
 }
 
 /// The portable crates compile to wasm32 without threads.
 fn wasm() -> Outcome {
     if !tools::wasm_target() {
-        println!("wasm32: skipped, this machine cannot get the target");
+        tools::skipped("wasm32", "this machine cannot get the Rust target wasm32-unknown-unknown");
         return Ok(());
     }
     let mut arguments = vec!["check", "--quiet", "--target", "wasm32-unknown-unknown", "--no-default-features"];

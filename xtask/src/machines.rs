@@ -1,6 +1,6 @@
 //! The vector kernels of machines other than this one: NEON under emulation and simd128 in Node.js, against the same oracles as here.
 
-use crate::tools::{Outcome, command, output_of, root, run};
+use crate::tools::{Outcome, apt, command, output_of, root, run, skipped};
 
 /// What a kernel's tests need besides the Rust target: programs and the Debian packages that bring each to work.
 struct Machine {
@@ -39,7 +39,7 @@ pub fn check() -> Outcome {
     ];
     machines.iter().try_for_each(|machine| {
         if let Err(missing) = machine.fetch() {
-            println!("machines: {} skipped: {missing}", machine.target);
+            skipped(machine.target, &missing);
             return Ok(());
         }
         TESTS.iter().try_for_each(|(package, options, names)| machine.test(package, options, names))
@@ -56,12 +56,7 @@ impl Machine {
             .flat_map(|(_, packages)| packages.split(' '))
             .collect();
         if !missing.is_empty() {
-            println!(
-                "\nfetching: the Debian packages {} (used only to run the tests of {})",
-                missing.join(", "),
-                self.target
-            );
-            run(command("apt-get").args(["install", "-y", "--no-install-recommends"]).args(missing))?;
+            apt(&missing, &format!("run the tests of {}", self.target))?;
         }
         run(command("rustup").args(["target", "add", self.target]))
     }

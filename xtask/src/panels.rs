@@ -1,6 +1,6 @@
 //! The windows of `lumistack show`: behind a feature, so that nothing else waits for winit and wgpu, and tested here on real compositors without hardware.
 
-use crate::tools::{EVERYTHING, Outcome, build_everything, command, output_of, run};
+use crate::tools::{EVERYTHING, Outcome, apt, build_everything, command, run, skipped};
 
 /// Packages of Debian: compositors with outputs that do not exist, programs that look at them, and a graphics driver in software.
 const NEEDED: [(&str, &str); 6] = [
@@ -50,12 +50,10 @@ fn fetch() {
     let libraries =
         LIBRARIES.iter().filter(|(file, _)| !std::path::Path::new(file).exists()).map(|(_, package)| *package);
     let missing: Vec<&str> = programs.chain(libraries).collect();
-    if missing.is_empty() || output_of(command("apt-get").arg("--version")).is_none() {
+    if missing.is_empty() {
         return;
     }
-    println!("\nfetching: the Debian packages {} (used only to test panels)", missing.join(", "));
-    let mut install = command("apt-get");
-    if let Err(error) = run(install.args(["install", "-y", "--no-install-recommends"]).args(missing)) {
-        println!("panels: not tested on every compositor: {error}");
+    if let Err(error) = apt(&missing, "test panels") {
+        skipped("panels", &format!("not tested on every compositor: {error}"));
     }
 }

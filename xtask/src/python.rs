@@ -15,7 +15,7 @@ const OLDEST: (u32, u32) = (3, 11);
 pub fn check() -> Outcome {
     let python = tools::python()?;
     if !is_new_enough(&python) {
-        println!("python: skipped, the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1);
+        tools::skipped("python", &format!("the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1));
         return Ok(());
     }
     if !can_import(&python, "maturin, pytest, mypy") {
@@ -23,7 +23,7 @@ pub fn check() -> Outcome {
             "fetching: maturin, pytest and mypy, in target/python (used only to build and check the Python package)"
         );
         if let Err(error) = install(&python, &TOOLS) {
-            println!("python: skipped, the tools of the package cannot be had: {error}");
+            tools::skipped("python", &format!("the tools of the package cannot be had: {error}"));
             return Ok(());
         }
     }

@@ -24,12 +24,95 @@ pub fn build_everything() -> Outcome {
     cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--bins", "--examples"]].concat())
 }
 
-/// A program that runs in the workspace's root.
+/// A program that runs in the workspace's root, and whose tests list what they skip.
 pub fn command(program: impl AsRef<std::ffi::OsStr>) -> Command {
     let mut command = Command::new(program);
-    command.current_dir(root());
+    command.current_dir(root()).env(SKIPPED, skip_list());
     command
 }
+
+/// Names the file in which tests list what they skip; `lumistack_testkit::skip` and the Python tests write there too.
+const SKIPPED: &str = "LUMISTACK_SKIPPED";
+
+fn skip_list() -> PathBuf {
+    root().join("target/skipped.txt")
+}
+
+/// Whether this is a run of continuous integration, where a check that should run and does not is a failure.
+fn is_ci() -> bool {
+    std::env::var("CI").is_ok_and(|value| !["", "0", "false"].contains(&value.as_str()))
+}
+
+/// Says that a check is not run, and why. At the end [`account_of_skipped`] lists it.
+pub fn skipped(check: &str, why: &str) {
+    use std::io::Write;
+    let line = format!("{check}: {}", why.replace('\n', " "));
+    println!("skipped: {line}");
+    let list = std::fs::OpenOptions::new().create(true).append(true).open(skip_list());
+    if let Err(error) = list.and_then(|mut list| writeln!(list, "{line}")) {
+        println!("{}: {error}", skip_list().display());
+    }
+}
+
+/// Begins a new list of what is skipped.
+pub fn forget_skipped() {
+    let _ = std::fs::remove_file(skip_list());
+}
+
+/// Prints what was skipped since [`forget_skipped`].
+///
+/// # Errors
+/// On CI (`CI=true`), when anything was.
+pub fn account_of_skipped() -> Outcome {
+    account(&std::fs::read_to_string(skip_list()).unwrap_or_default(), is_ci())
+}
+
+/// [`account_of_skipped`] of a list, one check a line.
+fn account(list: &str, is_ci: bool) -> Outcome {
+    let mut lines: Vec<&str> = list.lines().collect();
+    lines.sort_unstable();
+    lines.dedup();
+    if lines.is_empty() {
+        return Ok(());
+    }
+    println!("\nskipped:");
+    lines.iter().for_each(|line| println!("  {line}"));
+    if is_ci {
+        Err(format!("{} checks were skipped, and on CI (CI is set) every check must run", lines.len()))
+    } else {
+        println!("  (with CI=true this is a failure)");
+        Ok(())
+    }
+}
+
+/// Installs Debian packages. Waits for other programs that install, and fetches the lists of packages where they are missing or old.
+///
+/// # Errors
+/// When they cannot be installed.
+pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
+    if output_of(command("apt-get").arg("--version")).is_none() {
+        return Err(format!("no apt-get here to install {}", packages.join(", ")));
+    }
+    println!("\nfetching: the Debian packages {} (used only to {purpose})", packages.join(", "));
+    let apt = |arguments: &[&str]| {
+        let mut apt = command("apt-get");
+        run(apt.args(["-o", "DPkg::Lock::Timeout=600"]).args(arguments).env("DEBIAN_FRONTEND", "noninteractive"))
+    };
+    let install = [&["install", "-y", "--no-install-recommends"], packages].concat();
+    for turn in 0.. {
+        let result = apt(&install);
+        if result.is_ok() || turn + 1 == TURNS {
+            return result;
+        }
+        // the lock of the lists has no timeout of its own
+        std::thread::sleep(std::time::Duration::from_secs(20 * turn));
+        let _ = apt(&["update"]);
+    }
+    Ok(())
+}
+
+/// How often an installation is tried.
+const TURNS: u64 = 4;
 
 /// Runs a program to its end, showing what it prints.
 pub fn run(command: &mut Command) -> Outcome {
@@ -78,19 +161,22 @@ pub fn python() -> Outcome<PathBuf> {
     if !imports("PIL, OpenEXR") {
         println!("fetching: Pillow and OpenEXR, in target/python (used only to check pictures that we write)");
         if let Err(error) = install(&python, &READERS) {
-            println!("pictures: other people's readers are not tried: {error}");
+            skipped("pictures", &format!("other people's readers cannot be had: {error}"));
         }
     }
     if !imports("skimage, flip_evaluator") {
         println!("fetching: scikit-image and flip-evaluator, in target/python (used only to check our SSIM and FLIP)");
         if let Err(error) = install(&python, &METRICS) {
-            println!("metrics: the reference tools are not checked anew, their recorded figures are: {error}");
+            skipped(
+                "metrics",
+                &format!("the reference tools cannot be had, their recorded figures are checked: {error}"),
+            );
         }
     }
     if !imports("pxr") {
         println!("fetching: usd-exchange (OpenUSD), in target/python (used only to test how USD is read)");
         if let Err(error) = install(&python, &USD) {
-            println!("USD: reading it is not tested: {error}");
+            skipped("USD", &format!("OpenUSD cannot be had: {error}"));
         }
     }
     Ok(python)
@@ -108,8 +194,7 @@ pub fn make_python(folder: &Path, purpose: &str) -> Outcome {
     println!("\nfetching: a Python environment with numpy, in {} (used only {purpose})", folder.display());
     let make = |with: &str| run(command(with).args(["-m", "venv", "--clear"]).arg(folder));
     if make("python3").is_err() {
-        println!("fetching: the Debian package python3-venv, which this machine's Python needs to make an environment");
-        run(command("apt-get").args(["install", "-y", "--no-install-recommends", "python3-venv"]))
+        apt(&["python3-venv"], "make a Python environment")
             .and_then(|()| make("python3"))
             .map_err(|error| format!("no Python environment: {error}; install Python 3 with its venv module"))?;
     }
@@ -121,9 +206,8 @@ pub fn poppler() {
     if output_of(command("pdftoppm").arg("-v")).is_some() {
         return;
     }
-    println!("\nfetching: the Debian package poppler-utils (used only to check PDF files that we write)");
-    if let Err(error) = run(command("apt-get").args(["install", "-y", "--no-install-recommends", "poppler-utils"])) {
-        println!("PDF: pages are not checked: {error}");
+    if let Err(error) = apt(&["poppler-utils"], "check PDF files that we write") {
+        skipped("PDF", &error);
     }
 }
 
@@ -138,4 +222,17 @@ pub fn wasm_target() -> bool {
     }
     println!("\nfetching: the Rust target wasm32-unknown-unknown");
     run(command("rustup").args(["target", "add", "wasm32-unknown-unknown"])).is_ok() && installed()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_skipped_is_a_failure_on_ci_alone() {
+        assert_eq!(account("", true), Ok(()));
+        let list = "wasm32: no target\ntest a: no files\nwasm32: no target\n";
+        assert_eq!(account(list, false), Ok(()));
+        assert!(account(list, true).unwrap_err().starts_with("2 checks were skipped"));
+    }
 }

@@ -153,8 +153,7 @@ fn chromium() -> Outcome<PathBuf> {
     if let Some(path) = found() {
         return Ok(path);
     }
-    println!("\nfetching: the Debian package chromium (used only to test the simulator's page)");
-    let install = tools::run(command("apt-get").args(["install", "-y", "--no-install-recommends", "chromium"]));
+    let install = tools::apt(&["chromium"], "test the simulator's page");
     found().ok_or_else(|| {
         let error = install.err().unwrap_or_default();
         format!("web: no browser to test the page with; install Chromium, or name one in LUMISTACK_CHROMIUM {error}")
@@ -242,8 +241,7 @@ fn npm_packages() -> Outcome {
         return Ok(());
     }
     if output_of(command("npm").arg("--version")).is_none() {
-        println!("\nfetching: the Debian packages nodejs and npm (used only to build and test the simulator's page)");
-        tools::run(command("apt-get").args(["install", "-y", "--no-install-recommends", "nodejs", "npm"]))
+        tools::apt(&["nodejs", "npm"], "build and test the simulator's page")
             .map_err(|error| format!("web: npm does not start; install Node.js 20 or newer ({error})"))?;
     }
     println!(

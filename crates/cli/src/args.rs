@@ -32,10 +32,13 @@ pub(crate) struct Args {
 pub(crate) enum Command {
     /// Scene to outputs: render, factorize, write, report
     #[command(
-        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA run that was stopped goes on from what is finished when the same command is given again."
+        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA scene without a job file gets pictures and the browser simulator as outputs. A run that was stopped goes on from what is finished when the same command is given again."
     )]
     Run(Run),
     /// The views of a scene only, as a light-field folder
+    #[command(
+        after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with what the views see\n  lumistack render model.glb --only-views 3,* -o row                     the middle row of 7 × 7 views\n\nViews are OpenEXR pictures; lightfield.json says where their rays lie. `lumistack factorize DIR -o RUN` takes the folder."
+    )]
     Render(Render),
     /// Layer patterns from a light field that somebody else rendered
     #[command(
@@ -44,7 +47,7 @@ pub(crate) enum Command {
     Factorize(Factorize),
     /// What a finished display shows from somewhere
     #[command(
-        after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      4° from the right, 2° from below\n  lumistack simulate runs/still-life --eye 100,0,600 -o eye.png   an eye 600 mm in front, 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
+        after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      4° from the right, 2° from below\n  lumistack simulate runs/still-life --eye 100,0,2000 -o eye.png  an eye 2 m in front, 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
     )]
     Simulate(Simulate),
     /// The browser simulator: look at a finished display from anywhere
@@ -155,6 +158,15 @@ pub(crate) struct RenderArgs {
     /// Environment map (Radiance HDR or EXR) instead of the scene's
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
+    /// Factor on the environment's light, the studio light's too
+    #[arg(long, value_name = "K")]
+    pub(crate) environment_strength: Option<f32>,
+    /// Turn of the environment about the up axis, degrees; above 0 what lies straight ahead moves to the left
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
+    pub(crate) environment_rotation: Option<f64>,
+    /// Seen where no surface is: environment, or a colour such as #202028; the light does not depend on it
+    #[arg(long, value_name = "COLOUR")]
+    pub(crate) background: Option<lumistack_pipeline::Background>,
     /// Stops added to the automatic exposure
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
@@ -241,6 +253,15 @@ pub(crate) struct Render {
     /// Folder for the views
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: PathBuf,
+    /// Scene-linear radiance as 32-bit OpenEXR: neither exposed nor tone-mapped nor clipped
+    #[arg(long, help_heading = "Views", conflicts_with_all = ["exposure_ev", "tone", "background"])]
+    pub(crate) linear: bool,
+    /// Layers between commas, in layers_YY_XX.exr beside every view: depth (millimetres before the display plane), normal, albedo, variance, coverage
+    #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Views")]
+    pub(crate) layers: Vec<lumistack_pipeline::ViewLayer>,
+    /// These views only, ROW,COL as in view_ROW_COL.exr; each a number from 0, a range such as 0..2, or *; may be given several times
+    #[arg(long, value_name = "ROW,COL", help_heading = "Views")]
+    pub(crate) only_views: Vec<lumistack_pipeline::ViewPick>,
     #[command(flatten)]
     pub(crate) display: DisplayArgs,
     #[command(flatten)]

@@ -6,8 +6,8 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, FitDepth, Job, PipelineError, Registry, RunFolder, SequenceJob, Tone, Viewpoint, is_usd, plugins,
-    presets, render_only, run as run_job, set_threads, simulate_to_file,
+    DisplayJob, FitDepth, Job, OutputJob, PipelineError, Registry, RunFolder, SequenceJob, Tone, ViewOptions,
+    Viewpoint, is_usd, plugins, presets, render_only, run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
@@ -18,6 +18,7 @@ use crate::args::{
 use crate::console::{Console, say};
 use crate::info;
 use crate::preview::{preview_command, written_preview};
+use crate::program;
 
 /// The display of `run` and `render` when nobody names one.
 pub const DEFAULT_DISPLAY: &str = "paper-three-layer";
@@ -44,7 +45,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         Command::Run(run) => run_command(&run, line, &registry_for_work()?, args.json, task),
         Command::Render(render) => render_command(&render, &registry_for_work()?, args.json, task),
         Command::Factorize(factorize) => factorize_command(&factorize, line, &registry_for_work()?, args.json, task),
-        Command::Simulate(simulate) => simulate_command(&simulate, args.json),
+        Command::Simulate(simulate) => simulate_command(&simulate, args.json, task),
         Command::Preview(preview) => preview_command(&preview, &registry_for_work()?, args.json, task),
         Command::Analyze(analyze) => crate::analyze::run(&analyze, &registry_for_work()?, args.json, task),
         Command::Sweep(sweep) => crate::sweep::run(&sweep, &registry_for_work()?, args.json, task),
@@ -66,7 +67,9 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
             setup.run(&mut tell, cancel).map(|_| ()).map_err(PipelineError::from)
         }
         Command::Completions { shell } => {
-            clap_complete::generate(shell, &mut Args::command(), "lumistack", &mut std::io::stdout());
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Args::command(), "lumistack", &mut script);
+            say!("{}", String::from_utf8_lossy(&script).trim_end());
             Ok(())
         }
     }
@@ -78,8 +81,12 @@ fn run_command(args: &Run, line: &str, registry: &Registry, json: bool, task: Ta
     change_render(&mut job, &args.render);
     change_factorize(&mut job, &args.factorize);
     change_sequence(&mut job, &args.sequence);
+    if !is_job(&args.input) && job.sequence.is_none() {
+        // nobody chose outputs: one that shows the display to its maker, without a word of the command line
+        job.outputs.push(OutputJob { name: Some("preview".into()), ..OutputJob::new("web_simulator") });
+    }
     let folder = args.output.clone().unwrap_or_else(|| Path::new("runs").join(&job.name));
-    finish(&job, &folder, line, registry, json, task)
+    finish(&job, &folder, line, registry, json, task).map_err(|error| in_place(error, &args.input))
 }
 
 fn factorize_command(
@@ -102,7 +109,7 @@ fn factorize_command(
         let iterations = args.sequence_iterations.unwrap_or(default.iterations);
         job.sequence = Some(SequenceJob { iterations, ..default });
     }
-    finish(&job, &args.output, line, registry, json, task)
+    finish(&job, &args.output, line, registry, json, task).map_err(|error| in_place(error, &args.light_field))
 }
 
 fn finish(
@@ -142,12 +149,11 @@ fn finish(
             say!("Depth: {sentence}");
         }
         say!("PSNR {zone}{:.1} at the solver's views{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
-        if let Some(preview) = written_preview(folder) {
-            say!("Look into the display: lumistack preview {}", folder.display());
-            let single = preview.join("preview.html");
-            if single.is_file() {
-                say!("or open {} by a double click", single.display());
-            }
+        say!("Look into the display: {} preview {}", program::name(), folder.display());
+        if let Some(single) = written_preview(folder).map(|preview| preview.join("preview.html"))
+            && single.is_file()
+        {
+            say!("or open {} by a double click", single.display());
         }
         say!("{}", summary.report.display());
     }
@@ -158,7 +164,9 @@ fn render_command(args: &Render, registry: &Registry, json: bool, task: Task<'_>
     let mut job = job_or_scene(&args.scene)?;
     change_display(&mut job, &args.display);
     change_render(&mut job, &args.render);
-    let depth = render_only(&job, &args.output, registry, task)?;
+    let options = ViewOptions { linear: args.linear, layers: args.layers.clone(), only: args.only_views.clone() };
+    let depth =
+        render_only(&job, &args.output, &options, registry, task).map_err(|error| in_place(error, &args.scene))?;
     let index = args.output.join("lightfield.json");
     if json {
         say!("{}", json!({"event": "done", "light_field": index, "depth": depth.to_json()}));
@@ -169,13 +177,17 @@ fn render_command(args: &Render, registry: &Registry, json: bool, task: Task<'_>
     Ok(())
 }
 
-fn simulate_command(args: &Simulate, json: bool) -> Result<(), PipelineError> {
+fn simulate_command(args: &Simulate, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let viewpoint = match (args.view, args.eye, args.sweep) {
         (_, Some(eye), _) => Viewpoint::Eye(eye.0),
         (_, _, Some(count)) => Viewpoint::Sweep(count),
         (view, None, None) => Viewpoint::Angle(view.map_or([0.0, 0.0], |view| view.0)),
     };
-    let picture = RunFolder::open(&args.dir)?.picture(viewpoint, args.raw)?;
+    let run = RunFolder::open(&args.dir)?;
+    if let Some(message) = run.beyond_zone(viewpoint) {
+        task.warn(if args.eye.is_some() { "--eye" } else { "--view" }, message);
+    }
+    let picture = run.picture(viewpoint, args.raw)?;
     simulate_to_file(&picture, &args.output)?;
     if json {
         say!("{}", json!({"event": "done", "picture": args.output}));
@@ -185,15 +197,34 @@ fn simulate_command(args: &Simulate, json: bool) -> Result<(), PipelineError> {
     Ok(())
 }
 
+/// An error about a value of a job, with the place where it was given instead of the word job.
+fn in_place(error: PipelineError, input: &Path) -> PipelineError {
+    match error {
+        PipelineError::Value { path, key, expected, found } if path == Path::new("job") => {
+            let path = if is_job(input) { input.to_owned() } else { "command line".into() };
+            PipelineError::Value { path, key, expected, found }
+        }
+        other => other,
+    }
+}
+
 /// A job file, or a job around a scene.
 pub(crate) fn job_or_scene(path: &Path) -> Result<Job, PipelineError> {
-    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+    if is_job(path) {
         return Job::load(path);
+    }
+    if path.is_dir() {
+        let expected = "a scene (.gltf, .glb, USD, .blend, .obj) or a job file (.toml); `lumistack factorize` takes folders of views";
+        return Err(PipelineError::value(path, "input", expected, "a folder"));
     }
     let mut job = Job::new(DisplayJob { preset: Some(DEFAULT_DISPLAY.into()), ..DisplayJob::default() });
     job.name = stem(path);
     job.scene = Some(path.to_owned());
     Ok(job)
+}
+
+fn is_job(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
 }
 
 fn stem(path: &Path) -> String {
@@ -240,6 +271,10 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     if args.environment.is_some() {
         job.light.environment = args.environment.clone();
     }
+    let light = &mut job.light;
+    light.environment_strength = args.environment_strength.unwrap_or(light.environment_strength);
+    light.environment_rotation_deg = args.environment_rotation.unwrap_or(light.environment_rotation_deg);
+    light.background = args.background.unwrap_or(light.background);
     job.pose.time_s = args.time_s.or(job.pose.time_s);
     if args.animation.is_some() {
         job.pose.animation.clone_from(&args.animation);

@@ -1,12 +1,14 @@
 //! Progress and warnings for people on a terminal, for log files, and for machines.
 
 use std::io::{IsTerminal, Write};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use lumistack_core::{Progress, Warning, Warnings};
 use serde_json::json;
+
+use crate::program::hinted;
 
 /// `println!` that ends the program quietly when nobody reads any more (`lumistack displays | head -1`).
 macro_rules! say {
@@ -14,23 +16,38 @@ macro_rules! say {
 }
 pub(crate) use say;
 
+/// `eprintln!` that goes on where nobody reads any more (`lumistack run JOB 2>&1 | head -1`).
+macro_rules! tell {
+    ($($text:tt)*) => { $crate::console::tell_line(format_args!($($text)*)) };
+}
+pub(crate) use tell;
+
+pub(crate) fn tell_line(text: std::fmt::Arguments<'_>) {
+    // an error here has nobody left to be told
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
 pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {
     if writeln!(std::io::stdout(), "{text}").is_err() {
         std::process::exit(0);
     }
 }
 
-/// How often a stage reports where there is no terminal.
-const PLAIN_INTERVAL: Duration = Duration::from_secs(10);
+/// How long a stage without a terminal says nothing, at most.
+const PLAIN_INTERVAL: Duration = Duration::from_millis(2500);
+/// How often it is asked whether it has been silent for so long.
+const TICK: Duration = Duration::from_millis(250);
+/// A stage of one step is not worth a line before it has lasted so long.
+const LAZY: Duration = Duration::from_secs(1);
 
 /// Where progress and warnings go.
 pub(crate) enum Console {
     /// A bar on the terminal.
     Bar(Mutex<Option<ProgressBar>>, Mutex<Vec<Warning>>),
     /// Plain lines on standard error.
-    Plain(Mutex<Option<Stage>>, Mutex<Vec<Warning>>),
+    Plain(Arc<Mutex<Option<Stage>>>, Mutex<Vec<Warning>>),
     /// JSON lines on standard output.
-    Json(Mutex<Option<Stage>>, Mutex<Vec<Warning>>),
+    Json(Arc<Mutex<Option<Stage>>>, Mutex<Vec<Warning>>),
 }
 
 /// A running stage.
@@ -39,19 +56,31 @@ pub(crate) struct Stage {
     unit: String,
     done: u64,
     total: u64,
+    note: String,
     start: Instant,
     shown: Instant,
+    /// Whether it has said that it began.
+    announced: bool,
 }
 
 impl Console {
     pub(crate) fn new(json: bool) -> Self {
-        if json {
-            Self::Json(Mutex::default(), Mutex::default())
-        } else if std::io::stderr().is_terminal() {
-            Self::Bar(Mutex::default(), Mutex::default())
-        } else {
-            Self::Plain(Mutex::default(), Mutex::default())
+        if !json && std::io::stderr().is_terminal() {
+            return Self::Bar(Mutex::default(), Mutex::default());
         }
+        let state = Arc::<Mutex<Option<Stage>>>::default();
+        let watched = Arc::downgrade(&state);
+        // steps that last long report nothing of their own accord
+        std::thread::spawn(move || {
+            while let Some(state) = watched.upgrade() {
+                if let Some(stage) = lock(&state).as_mut() {
+                    stage.tick(json);
+                }
+                drop(state);
+                std::thread::sleep(TICK);
+            }
+        });
+        if json { Self::Json(state, Mutex::default()) } else { Self::Plain(state, Mutex::default()) }
     }
 }
 
@@ -62,7 +91,40 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 impl Stage {
     fn new(name: &str, total: u64, unit: &str) -> Self {
         let now = Instant::now();
-        Self { name: name.into(), unit: unit.into(), done: 0, total, start: now, shown: now }
+        let (name, unit, note) = (name.into(), unit.into(), String::new());
+        Self { name, unit, done: 0, total, note, start: now, shown: now, announced: false }
+    }
+
+    /// Reports where the stage stands when it has been silent for long.
+    fn tick(&mut self, json: bool) {
+        if !json && !self.announced && self.start.elapsed() >= LAZY {
+            self.announce();
+        }
+        if self.shown.elapsed() < PLAIN_INTERVAL {
+            return;
+        }
+        self.shown = Instant::now();
+        let Self { name, unit, done, total, note, start, .. } = self;
+        let seconds = start.elapsed().as_secs_f64();
+        if json {
+            let event = json!({
+                "event": "progress", "stage": name, "done": done, "total": total, "note": note, "seconds": seconds,
+            });
+            say!("{event}");
+        } else if *total <= 1 {
+            tell!("{name}: {seconds:.0} s");
+        } else {
+            tell!("{name}: {done} of {total} {unit} {note}");
+        }
+    }
+
+    fn announce(&mut self) {
+        self.announced = true;
+        self.shown = Instant::now();
+        match self.total {
+            0 | 1 => tell!("{} ...", self.name),
+            total => tell!("{}: {total} {}", self.name, self.unit),
+        }
     }
 }
 
@@ -79,8 +141,11 @@ impl Progress for Console {
                 *lock(bar) = Some(new);
             }
             Self::Plain(state, _) => {
-                eprintln!("{stage}: {total} {unit}");
-                *lock(state) = Some(Stage::new(stage, total, unit));
+                let mut stage = Stage::new(stage, total, unit);
+                if total > 1 {
+                    stage.announce();
+                }
+                *lock(state) = Some(stage);
             }
             Self::Json(state, _) => {
                 say!("{}", json!({"event": "begin", "stage": stage, "total": total, "unit": unit}));
@@ -100,18 +165,12 @@ impl Progress for Console {
                 }
             }
             Self::Plain(state, _) | Self::Json(state, _) => {
-                let mut state = lock(state);
-                let Some(stage) = state.as_mut() else { return };
-                stage.done += steps;
-                if stage.shown.elapsed() < PLAIN_INTERVAL {
-                    return;
-                }
-                stage.shown = Instant::now();
-                if matches!(self, Self::Plain(..)) {
-                    eprintln!("{}: {} of {} {} {note}", stage.name, stage.done, stage.total, stage.unit);
-                } else {
-                    let event = json!({"event": "progress", "stage": stage.name, "done": stage.done, "total": stage.total, "note": note});
-                    say!("{event}");
+                if let Some(stage) = lock(state).as_mut() {
+                    stage.done += steps;
+                    if !note.is_empty() {
+                        stage.note = note.into();
+                    }
+                    stage.tick(matches!(self, Self::Json(..)));
                 }
             }
         }
@@ -124,12 +183,12 @@ impl Progress for Console {
                     let seconds = bar.elapsed().as_secs_f64();
                     let (name, message) = (bar.prefix(), bar.message());
                     bar.finish_and_clear();
-                    eprintln!("{name:>12} {message}  {seconds:.1} s");
+                    tell!("{name:>12} {message}  {seconds:.1} s");
                 }
             }
             Self::Plain(state, _) => {
-                if let Some(stage) = lock(state).take() {
-                    eprintln!("{}: done in {:.1} s", stage.name, stage.start.elapsed().as_secs_f64());
+                if let Some(stage) = lock(state).take().filter(|stage| stage.announced) {
+                    tell!("{}: done in {:.1} s", stage.name, stage.start.elapsed().as_secs_f64());
                 }
             }
             Self::Json(state, _) => {
@@ -144,6 +203,7 @@ impl Progress for Console {
 
 impl Warnings for Console {
     fn warn(&self, warning: Warning) {
+        let warning = Warning { message: hinted(&warning.message), ..warning };
         let (Self::Bar(_, seen) | Self::Plain(_, seen) | Self::Json(_, seen)) = self;
         {
             let mut seen = lock(seen);
@@ -154,10 +214,10 @@ impl Warnings for Console {
         }
         match self {
             Self::Bar(bar, _) => match lock(bar).as_ref() {
-                Some(bar) => bar.suspend(|| eprintln!("warning: {warning}")),
-                None => eprintln!("warning: {warning}"),
+                Some(bar) => bar.suspend(|| tell!("warning: {warning}")),
+                None => tell!("warning: {warning}"),
             },
-            Self::Plain(..) => eprintln!("warning: {warning}"),
+            Self::Plain(..) => tell!("warning: {warning}"),
             Self::Json(..) => {
                 say!("{}", json!({"event": "warning", "place": warning.place, "message": warning.message}));
             }

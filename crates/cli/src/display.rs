@@ -11,7 +11,7 @@ use lumistack_plugin_panels::keep_panels;
 use serde_json::json;
 
 use crate::args::{Angles, Numbers, Size};
-use crate::console::say;
+use crate::console::{say, tell};
 
 /// What can be done with displays.
 #[derive(Debug, Subcommand)]
@@ -120,7 +120,7 @@ pub(crate) fn display_command(command: &DisplayCommand, json: bool) -> Result<()
             let mut questions = Questions { input: if asks { Some(&mut stdin) } else { None } };
             let outputs = system_outputs();
             if asks && outputs.is_empty() {
-                eprintln!("{NO_OUTPUTS}");
+                tell!("{NO_OUTPUTS}");
             }
             new_display(new, &outputs, &mut questions, json)
         }
@@ -187,7 +187,7 @@ impl Questions<'_> {
             match read(answer) {
                 Some(value) if !answer.is_empty() => return Ok(value),
                 _ if ended => return Err(PipelineError::value("display new", flag, question, "no answer")),
-                _ => eprintln!("  that is not one; try again"),
+                _ => tell!("  that is not one; try again"),
             }
         }
     }
@@ -207,7 +207,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     }
     for (name, [cols, rows], rate) in outputs {
         let rate = rate.map_or(String::new(), |rate| format!(", {rate:.2} Hz"));
-        eprintln!("found output {name}: {cols} × {rows} pixels{rate}");
+        tell!("found output {name}: {cols} × {rows} pixels{rate}");
     }
     let name = ask.value(
         "--name",
@@ -384,16 +384,16 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     );
     lumistack_field_io::atomic::write_bytes(&args.file, text.as_bytes()).map_err(PipelineError::Field)?;
     if let Some(warning) = display.flicker_warning() {
-        eprintln!("warning: {warning}");
+        tell!("warning: {warning}");
     }
     match json {
         true => say!("{}", json!({"event": "done", "display": args.file})),
         false => {
             say!("{}", args.file.display());
-            let file = args.file.display();
-            eprintln!("next: lumistack show {file} --pattern identify           which panel is which");
-            eprintln!("      lumistack run SCENE --display {file} -o runs/mine   patterns for it");
-            eprintln!("      lumistack show runs/mine");
+            let (file, program) = (args.file.display(), crate::program::name());
+            tell!("next: {program} show {file} --pattern identify           which panel is which");
+            tell!("      {program} run SCENE --display {file} -o runs/mine   patterns for it");
+            tell!("      {program} show runs/mine");
         }
     }
     Ok(())

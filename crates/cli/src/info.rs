@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use lumistack_core::Task;
+use lumistack_core::config::nearest;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
     ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field,
@@ -43,6 +44,12 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
     let name = path.to_string_lossy();
     if !path.exists() && presets::PRESETS.iter().any(|(preset, _)| *preset == name) {
         return Ok(display(&presets::load(&name)?));
+    }
+    if !path.exists() && path.components().count() == 1 && path.extension().is_none() {
+        let names = presets::PRESETS.iter().map(|(preset, _)| *preset);
+        let near = nearest(&name, names).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
+        let expected = "a file, a folder or a display preset (`lumistack displays` lists them)";
+        return Err(PipelineError::value(path, "input", expected, format!("none of this name{near}")));
     }
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match extension.as_str() {

@@ -10,15 +10,19 @@ mod console;
 mod display;
 mod info;
 mod preview;
+mod program;
 mod server;
 mod show;
 mod sweep;
+mod usage;
 
 use std::ffi::OsString;
 
-use clap::Parser;
+use clap::{CommandFactory, FromArgMatches};
 use lumistack_core::Cancel;
 use lumistack_pipeline::PipelineError;
+
+use crate::console::tell;
 
 pub use commands::DEFAULT_DISPLAY;
 pub use info::describe_path;
@@ -31,11 +35,12 @@ pub const PLUGIN_CHILD: &str = "__plugin";
 /// Runs a command line, of which the first word is the program's name, and gives its exit code. What it has to say goes to the process's standard output
 /// and standard error. Setting `cancel` stops it cleanly.
 pub fn run(words: &[OsString], cancel: &Cancel) -> u8 {
-    let args = match args::Args::try_parse_from(words) {
+    program::remember(words.first().map(OsString::as_os_str));
+    let matches = args::Args::command().bin_name(program::name()).try_get_matches_from(words);
+    let args = match matches.and_then(|matches| args::Args::from_arg_matches(&matches)) {
         Ok(args) => args,
         Err(error) => {
-            // a closed pipe is nobody's fault
-            let _ = error.print();
+            usage::print(&error);
             return u8::try_from(error.exit_code()).unwrap_or(2);
         }
     };
@@ -44,11 +49,11 @@ pub fn run(words: &[OsString], cancel: &Cancel) -> u8 {
     match commands::run(args, &format!("lumistack {}", words.join(" ")), cancel) {
         Ok(()) => 0,
         Err(error) => {
-            eprintln!("error: {error}");
+            tell!("error: {}", program::hinted(&error.to_string()));
             if verbose {
                 let mut source = std::error::Error::source(&error);
                 while let Some(cause) = source {
-                    eprintln!("  caused by: {cause}");
+                    tell!("  caused by: {cause}");
                     source = cause.source();
                 }
             }

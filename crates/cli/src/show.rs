@@ -89,7 +89,7 @@ mod with_windows {
     use serde_json::json;
 
     use super::Show;
-    use crate::console::say;
+    use crate::console::{say, tell};
 
     /// Viewing distance where the display names none: the paper's photographs were taken from here.
     const DISTANCE_MM: f64 = 2000.0;
@@ -314,7 +314,7 @@ mod with_windows {
                         return;
                     }
                 }
-                Err(error) => eprintln!("warning: {error}"),
+                Err(error) => tell!("warning: {error}"),
             }
         }
     }
@@ -367,7 +367,7 @@ mod with_windows {
             }
             Event::Warning(text) => match json {
                 true => say!("{}", json!({"event": "warning", "place": "show", "message": text})),
-                false => eprintln!("warning: {text}"),
+                false => tell!("warning: {text}"),
             },
             Event::Selected(shows, [right, down]) => match json {
                 true => say!("{}", json!({"event": "nudged", "panel": shows.to_string(), "nudge_px": [right, down]})),
@@ -381,7 +381,7 @@ mod with_windows {
                     (Err(error), true) => {
                         say!("{}", json!({"event": "warning", "place": "save", "message": error.to_string()}))
                     }
-                    (Err(error), false) => eprintln!("warning: {error}"),
+                    (Err(error), false) => tell!("warning: {error}"),
                 }
             }
             Event::Report(report) => print_report(report, json),

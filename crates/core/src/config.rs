@@ -28,6 +28,8 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
         let message = error.message().to_string();
         let span = error.span().unwrap_or(0..0);
         let before = &text[..span.start.min(text.len())];
+        let line = &before[before.rfind('\n').map_or(0, |end| end + 1)..];
+        let message = plain(&message, line.split_once('=').map_or("", |(key, _)| key.trim()));
         ConfigError {
             line: before.matches('\n').count() + 1,
             column: before.chars().rev().take_while(|&c| c != '\n').count() + 1,
@@ -37,6 +39,64 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
         }
     })
 }
+
+/// serde's sentence about a value of another type, in the words of the file; `key` names the value, and its ending the unit (`pitch_mm`). Other
+/// sentences stay as they are.
+pub fn plain(message: &str, key: &str) -> String {
+    let kinds = ["invalid type: ", "invalid value: ", "invalid length "];
+    let Some((kind, rest)) = kinds.iter().find_map(|kind| Some((*kind, message.strip_prefix(kind)?))) else {
+        return message.into();
+    };
+    let Some((found, expected)) = rest.rsplit_once(", expected ") else { return message.into() };
+    // JSON's place comes after it
+    let (expected, place) = expected.find(" at line ").map_or((expected, ""), |at| expected.split_at(at));
+    let unit = UNITS.iter().find(|(ending, _)| key.ends_with(ending)).map_or("", |(_, unit)| *unit);
+    let expected = match expected {
+        "f32" | "f64" => format!("a number{unit}"),
+        "u8" | "u16" | "u32" | "u64" | "usize" => format!("a whole number, 0 or more{unit}"),
+        "i8" | "i16" | "i32" | "i64" | "isize" => format!("a whole number{unit}"),
+        "a boolean" => "true or false".into(),
+        "a string" | "string" | "str" => "a text in quotes".into(),
+        "path string" => "a path in quotes".into(),
+        "a sequence" => "a list in [ ]".into(),
+        "a map" => "a table of keys and values".into(),
+        other if other.starts_with("struct ") => format!("a table of keys and values{}", table_of(key)),
+        other => match other.strip_prefix("an array of length ").or_else(|| other.strip_prefix("a tuple of size ")) {
+            Some(count) => format!("a list of {count} values{unit}"),
+            None => other.into(),
+        },
+    };
+    let found = match found.split_once(' ') {
+        _ if kind == "invalid length " => format!("{found} of them"),
+        Some(("string", text)) => format!("the text {text}"),
+        Some(("integer" | "boolean", value)) => value.replace('`', ""),
+        Some(("floating", value)) => value.trim_start_matches("point ").replace('`', ""),
+        None if found == "sequence" => "a list".into(),
+        None if found == "map" => "a table".into(),
+        None if found == "null" || found == "unit" => "nothing".into(),
+        _ => found.into(),
+    };
+    format!("expected {expected}, found {found}{place}")
+}
+
+/// How a table is written.
+fn table_of(key: &str) -> String {
+    if key.is_empty() { String::new() } else { format!(", [{key}]") }
+}
+
+/// Units by the endings of keys.
+const UNITS: [(&str, &str); 10] = [
+    ("_mm", " in millimetres"),
+    ("_um", " in micrometres"),
+    ("_deg", " in degrees"),
+    ("_hz", " in hertz"),
+    ("_s", " in seconds"),
+    ("_px", " in pixels"),
+    ("_ev", " of stops"),
+    ("_db", " in decibels"),
+    ("_nits", " in candela per square metre"),
+    ("_percent", " in per cent"),
+];
 
 /// Reads the unknown and the expected names out of serde's message and picks the expected one that is spelled most like the other.
 pub fn nearest_key(message: &str) -> Option<String> {
@@ -85,5 +145,42 @@ mod tests {
         let error = parse::<Settings>("samples = \"many\"").unwrap_err();
         assert_eq!((error.line, error.column, error.suggestion), (1, 11, None));
         assert!(parse::<Settings>("samples = ").is_err());
+        assert_eq!(error.message, "expected a whole number, 0 or more, found the text \"many\"");
+    }
+
+    #[test]
+    fn types_are_told_in_units() {
+        for (message, key, expected) in [
+            (
+                "invalid type: string \"wide\", expected f64",
+                "lens_deg",
+                "expected a number in degrees, found the text \"wide\"",
+            ),
+            (
+                "invalid type: floating point `2.5`, expected usize",
+                "frames",
+                "expected a whole number, 0 or more, found 2.5",
+            ),
+            ("invalid value: integer `-2`, expected u32", "frames", "expected a whole number, 0 or more, found -2"),
+            (
+                "invalid length 1, expected an array of length 2",
+                "size_mm",
+                "expected a list of 2 values in millimetres, found 1 of them",
+            ),
+            (
+                "invalid type: string \"a\", expected struct DisplayJob",
+                "display",
+                "expected a table of keys and values, [display], found the text \"a\"",
+            ),
+            ("invalid type: boolean `true`, expected path string", "scene", "expected a path in quotes, found true"),
+            (
+                "invalid type: string \"x\", expected f64 at line 2 column 18",
+                "pitch_mm",
+                "expected a number in millimetres, found the text \"x\" at line 2 column 18",
+            ),
+            ("unknown field `x`, expected `y`", "x", "unknown field `x`, expected `y`"),
+        ] {
+            assert_eq!(plain(message, key), expected);
+        }
     }
 }

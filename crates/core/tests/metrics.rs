@@ -1,7 +1,7 @@
 //! SSIM and FLIP against the reference tools, scikit-image and flip-evaluator: their figures as they were written down in
 //! `tests/metrics_reference.json`, and the tools themselves where a Python has them.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use lumistack_core::colour::srgb_decode;
@@ -24,7 +24,7 @@ fn ssim_and_flip_are_those_of_the_reference_tools() {
 
 #[test]
 fn the_reference_tools_give_the_figures_that_are_written_down() {
-    let Some(python) = python() else { return };
+    let Some(python) = lumistack_testkit::skip::python_with("skimage, flip_evaluator") else { return };
     let folder = tempfile::tempdir().unwrap();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/metrics_reference.py");
     let output = Command::new(python).arg(script).arg(folder.path()).output().unwrap();
@@ -108,17 +108,4 @@ fn cases(text: &str) -> Vec<Value> {
 
 fn number(value: &Value) -> f64 {
     value.as_f64().unwrap()
-}
-
-/// A Python with the reference tools: the one that `cargo xtask ci` made, or any that has them.
-fn python() -> Option<PathBuf> {
-    let candidates = [std::env::var_os("LUMISTACK_PYTHON").map(PathBuf::from), Some("python3".into())];
-    let found = candidates.into_iter().flatten().find(|python| {
-        let tools = Command::new(python).args(["-c", "import skimage, flip_evaluator"]).output();
-        tools.is_ok_and(|output| output.status.success())
-    });
-    if found.is_none() {
-        println!("skipped: no Python with scikit-image and flip-evaluator (`cargo xtask ci` makes one)");
-    }
-    found
 }

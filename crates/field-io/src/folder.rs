@@ -9,6 +9,7 @@
 //!
 //! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The index is written last.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
@@ -47,6 +48,9 @@ struct Index<'a> {
     distance_mm: Option<f64>,
     slope_x: &'a [f64],
     slope_y: &'a [f64],
+    /// Whether views are missing.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    partial: bool,
     info: &'a Map<String, Value>,
     views: Vec<ViewEntry>,
 }
@@ -68,6 +72,8 @@ struct Listing {
     version: u32,
     resolution: [usize; 2],
     views: Vec<ViewEntry>,
+    #[serde(default)]
+    partial: bool,
     #[serde(default)]
     info: Map<String, Value>,
 }
@@ -107,13 +113,66 @@ pub fn write_field(folder: &Path, field: &LightField, info: &Map<String, Value>)
 /// # Panics
 /// If `rgb` does not hold the geometry's number of values.
 pub fn write_view(folder: &Path, geometry: &FieldGeometry, view: [usize; 2], rgb: &[f32]) -> Result<(), FieldError> {
+    write_view_as(folder, geometry, view, rgb, Precision::Half)
+}
+
+fn write_view_as(
+    folder: &Path,
+    geometry: &FieldGeometry,
+    view: [usize; 2],
+    rgb: &[f32],
+    precision: Precision,
+) -> Result<(), FieldError> {
     let path = folder.join(view_file_name(geometry.grid.views(), view));
     if let Some(index) = rgb.iter().position(|value| !value.is_finite()) {
         let (row, col) = (index / 3 / geometry.cols, index / 3 % geometry.cols);
         let place = format!("[row, col, rgb] = [{row}, {col}, {}]", index % 3);
         return Err(FieldError::malformed(path, place, "a finite number", rgb[index].to_string()));
     }
-    write_exr(&path, [geometry.cols, geometry.rows], rgb, Precision::Half)
+    write_exr(&path, [geometry.cols, geometry.rows], rgb, precision)
+}
+
+/// [`write_field`] with some of the views only, [view_y, view_x], each once, in this precision. Their files are named as those of the whole field.
+///
+/// Views that make whole rows and columns are a light field of their own, and the index says so: it has their slopes only, and
+/// `info.part_of` tells which rows and columns of how many they are. Otherwise the index has the slopes of all views and `"partial": true`, and
+/// no reader takes the folder for a light field.
+///
+/// # Errors
+/// If a value is not finite, or the files cannot be written.
+pub fn write_views(
+    folder: &Path,
+    field: &LightField,
+    views: &[[usize; 2]],
+    precision: Precision,
+    info: &Map<String, Value>,
+) -> Result<(), FieldError> {
+    let geometry = field.geometry();
+    atomic::create_folder(folder)?;
+    atomic::remove(&folder.join(INDEX))?;
+    for &view in views {
+        write_view_as(folder, geometry, view, field.view(view), precision)?;
+    }
+    let all = geometry.grid.views();
+    if views.len() == all[0] * all[1] {
+        return write_index(folder, geometry, info);
+    }
+    let of_axis = |axis: usize| views.iter().map(|view| view[axis]).collect::<BTreeSet<_>>().into_iter().collect();
+    let [rows, cols]: [Vec<usize>; 2] = [of_axis(0), of_axis(1)];
+    let is_grid = rows.len() * cols.len() == views.len();
+    let mut info = info.clone();
+    let mut part = geometry.clone();
+    if is_grid {
+        part.grid.slope_x = cols.iter().map(|&col| geometry.grid.slope_x[col]).collect();
+        part.grid.slope_y = rows.iter().map(|&row| geometry.grid.slope_y[row]).collect();
+        info.insert("part_of".into(), serde_json::json!({ "views": all, "rows": rows, "columns": cols }));
+    }
+    let place = |axis: &[usize], index: usize| axis.iter().position(|&kept| kept == index).unwrap_or_default();
+    let entries = views.iter().map(|&view| {
+        let within = if is_grid { [place(&rows, view[0]), place(&cols, view[1])] } else { view };
+        (within, view_file_name(all, view))
+    });
+    write_index_of(folder, &part, entries, !is_grid, &info)
 }
 
 /// Writes the index of a folder whose views are complete.
@@ -121,15 +180,28 @@ pub fn write_view(folder: &Path, geometry: &FieldGeometry, view: [usize; 2], rgb
 /// # Errors
 /// If the file cannot be written.
 pub fn write_index(folder: &Path, geometry: &FieldGeometry, info: &Map<String, Value>) -> Result<(), FieldError> {
+    let views = geometry.grid.views();
+    let entries = geometry.grid.iter().map(|view| (view, view_file_name(views, view)));
+    write_index_of(folder, geometry, entries, false, info)
+}
+
+/// The index of a folder that holds these views of a geometry in these files.
+fn write_index_of(
+    folder: &Path,
+    geometry: &FieldGeometry,
+    entries: impl Iterator<Item = ([usize; 2], String)>,
+    partial: bool,
+    info: &Map<String, Value>,
+) -> Result<(), FieldError> {
     let grid = &geometry.grid;
     let distance_mm = match grid.projection {
         Projection::Oblique => None,
         Projection::Perspective { distance_mm } => Some(distance_mm),
     };
-    let entry = |view: [usize; 2]| {
+    let entry = |(view, file): ([usize; 2], String)| {
         let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
         ViewEntry {
-            file: view_file_name(grid.views(), view),
+            file,
             view,
             slope: Some(slope),
             eye_mm: distance_mm.map(|distance| [slope[0] * distance, slope[1] * distance, distance]),
@@ -146,8 +218,9 @@ pub fn write_index(folder: &Path, geometry: &FieldGeometry, info: &Map<String, V
         distance_mm,
         slope_x: &grid.slope_x,
         slope_y: &grid.slope_y,
+        partial,
         info,
-        views: grid.iter().map(entry).collect(),
+        views: entries.map(entry).collect(),
     };
     write_json(&folder.join(INDEX), &index)
 }
@@ -173,6 +246,12 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
     check_schema(&path, &listing.schema, SCHEMA, listing.version, VERSION)?;
     if geometry.linear == Some(false) {
         return Err(FieldError::malformed(&path, "linear", "true", "false"));
+    }
+    if listing.partial {
+        let count = |slopes: &Option<Vec<f64>>| slopes.as_ref().map_or(0, Vec::len);
+        let all = count(&geometry.slope_y) * count(&geometry.slope_x);
+        let expected = "all views of a light field, or whole rows and columns (`lumistack render` without --only-views renders the rest)";
+        return Err(FieldError::malformed(&path, "views", expected, format!("{} of {all}", listing.views.len())));
     }
     let missing = |key: &str| FieldError::malformed(&path, key, "a value", "none");
     let slope_x = geometry.slope_x.clone().ok_or_else(|| missing("slope_x"))?;
@@ -268,7 +347,12 @@ pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Fiel
 pub(crate) fn parse_json<'a, T: Deserialize<'a>>(path: &Path, text: &'a [u8]) -> Result<T, FieldError> {
     serde_json::from_slice(text).map_err(|error| {
         let place = format!("line {}, column {}", error.line(), error.column());
-        FieldError::malformed(path, place, "JSON of this kind", error.to_string())
+        let text = lumistack_core::config::plain(&error.to_string(), "");
+        let text = text.split(" at line ").next().unwrap_or_default();
+        match text.strip_prefix("expected ").and_then(|rest| rest.split_once(", found ")) {
+            Some((expected, found)) => FieldError::malformed(path, place, expected, found),
+            None => FieldError::malformed(path, place, "JSON of this kind", text),
+        }
     })
 }
 

@@ -166,6 +166,18 @@ pub(crate) fn resolve(
         None if !physical => ProjectionKind::Oblique,
         _ => ProjectionKind::Perspective,
     });
+    if let Some(own) = hints.projection.filter(|own| *own != kind) {
+        let name = |kind| if kind == ProjectionKind::Oblique { "oblique" } else { "perspective" };
+        task.warn(place(path), format!("its own {} views are taken as {} (--grid)", name(own), name(kind)));
+    }
+    if let Some((own_mm, given_mm)) =
+        hints.distance_mm.zip(flags.distance_mm).filter(|(own, given)| differ(*own, *given))
+    {
+        task.warn(
+            place(path),
+            format!("its own viewing distance of {own_mm} mm is replaced by {given_mm} mm (--distance-mm)"),
+        );
+    }
     let projection = match kind {
         ProjectionKind::Oblique => {
             if flags.distance_mm.is_some() {
@@ -201,11 +213,18 @@ fn pitch(
     task: Task<'_>,
 ) -> Result<f64, FieldError> {
     let cols = pixels.size[0] as f64;
+    let own_mm = hints.pitch_mm.map(|pitch_mm| pitch_mm * (pixels.window_cols / cols));
     if let Some(pitch_mm) = flags.pitch_mm {
+        if let Some(own_mm) = own_mm.filter(|own_mm| differ(*own_mm, pitch_mm)) {
+            task.warn(
+                place(path),
+                format!("its own pixel pitch of {own_mm:.4} mm is replaced by {pitch_mm} mm (--pitch-mm)"),
+            );
+        }
         return Ok(pitch_mm);
     }
-    if let Some(pitch_mm) = hints.pitch_mm {
-        return Ok(pitch_mm * (pixels.window_cols / cols));
+    if let Some(own_mm) = own_mm {
+        return Ok(own_mm);
     }
     let width_mm = defaults.width_mm.ok_or_else(|| FieldError::MissingGeometry {
         path: path.into(),
@@ -229,7 +248,24 @@ fn slopes(
     let counts = [picks[1].len(), picks[0].len()];
     let spread = |fov_deg: [f64; 2]| spread(path, fov_deg, hints, picks);
     if let Some(fov_deg) = flags.fov_deg {
-        return Ok((spread(fov_deg)?, false));
+        let slopes = spread(fov_deg)?;
+        let of_file = |axis: usize| {
+            let all = hints.slopes[axis].as_ref()?;
+            Some(picks[1 - axis].iter().map(|&view| all[view]).collect::<Vec<f64>>())
+        };
+        let own = of_file(0).zip(of_file(1)).map(|(x, y)| [x, y]);
+        let own = own.or_else(|| hints.fov_deg.and_then(|fov_deg| spread(fov_deg).ok())).or(own_slopes);
+        if let Some(own) = own {
+            let pairs = || own.iter().flatten().zip(slopes.iter().flatten());
+            if pairs().any(|(own, given)| differ(*own, *given)) {
+                let [own_x, own_y] = own.each_ref().map(|slopes| full_angle_deg(slopes));
+                let [x, y] = fov_deg;
+                let message =
+                    format!("its own angles of {own_x:.1}° × {own_y:.1}° are replaced by {x}° × {y}° (--fov)");
+                task.warn(place(path), message);
+            }
+        }
+        return Ok((slopes, false));
     }
     let explicit = [0, 1].map(|axis| {
         let all = hints.slopes[axis].as_ref()?;
@@ -292,6 +328,11 @@ fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> O
     (per_step > 0.0).then(|| {
         [0, 1].map(|axis| picks[1 - axis].iter().map(|&view| per_step * cameras.positions[axis][view]).collect())
     })
+}
+
+/// Whether what a flag says differs from what a file says by more than rounding.
+fn differ(own: f64, given: f64) -> bool {
+    (own - given).abs() > 1e-6 * own.abs().max(given.abs()) + 1e-9
 }
 
 /// Full angle that views cover, bins included; 0 for one view.

@@ -33,7 +33,7 @@ mod stack;
 pub use assemble::{open, open_for};
 pub use describe::{Description, describe};
 pub use error::FieldError;
-pub use folder::{read_field_folder, round_to_half, view_file_name, write_field, write_index, write_view};
+pub use folder::{read_field_folder, round_to_half, view_file_name, write_field, write_index, write_view, write_views};
 pub use geometry::{GeometryDefaults, GeometryFlags};
 pub use prefilter::Footprint;
 pub use source::Kind;

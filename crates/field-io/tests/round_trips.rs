@@ -270,11 +270,7 @@ fn a_stack_that_was_tampered_with_is_refused() {
 
 #[test]
 fn numpy_reads_stacks_without_an_adapter() {
-    let available = Command::new("python3").args(["-c", "import numpy"]).output().is_ok_and(|o| o.status.success());
-    if !available {
-        println!("skipped: python3 cannot import numpy");
-        return;
-    }
+    let Some(python) = lumistack_testkit::skip::python_with("numpy") else { return };
     let (display, stack) = stack();
     let folder = tempfile::tempdir().unwrap();
     write_stack(folder.path(), &display, &stack).unwrap();
@@ -287,7 +283,7 @@ assert e.dtype == np.float32 and e.shape == (2, 2, 3, 3, 4, 3), e.shape
 np.testing.assert_array_equal(a.ravel(), np.arange(210, dtype=np.float32) / np.float32(210))
 np.save("theirs.npy", a[:, ::-1].astype(">f8"))
 "#;
-    let output = Command::new("python3").args(["-c", script]).current_dir(folder.path()).output().unwrap();
+    let output = Command::new(python).args(["-c", script]).current_dir(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     // numpy keeps the memory order of a reversed copy; whatever it wrote, the values must agree or the order be refused
     let (shape, values) = npy::read(&folder.path().join("theirs.npy")).unwrap();

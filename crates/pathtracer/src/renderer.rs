@@ -24,6 +24,7 @@ use crate::tracer::{Tracer, traits};
 mod checks;
 mod depth;
 mod features;
+mod misses;
 
 #[cfg(test)]
 pub(crate) use checks::Check;
@@ -88,6 +89,16 @@ pub struct Memory {
     pub scene_bytes: usize,
     /// Bytes of the textures' coarser levels: up to a third of the images.
     pub texture_bytes: usize,
+}
+
+/// What the samples of a pixel say.
+struct PixelMean {
+    /// Mean radiance.
+    mean: Vec3,
+    /// Variance of the mean, from independent samples; NaN of fewer than two.
+    variance: Vec3,
+    /// Samples that were no finite numbers.
+    not_finite: u32,
 }
 
 /// A view that cannot be rendered.
@@ -210,6 +221,46 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<Tensor<3>, RenderError> {
+        self.view_of(window, geometry, view, settings, task, |pixel| pixel.mean.to_array())
+    }
+
+    /// [`render_view`](Self::render_view), and the variance of every mean, `[row][col][rgb]`: the variance of the samples over their number.
+    /// Samples are stratified, so the means scatter less than this says. NaN where fewer than two samples are finite numbers.
+    ///
+    /// # Errors
+    /// As [`render_view`](Self::render_view).
+    pub fn render_view_and_variance(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        view: [usize; 2],
+        settings: &Settings,
+        task: Task<'_>,
+    ) -> Result<(Tensor<3>, Tensor<3>), RenderError> {
+        let both = self.view_of(window, geometry, view, settings, task, |pixel| {
+            let ([r, g, b], [x, y, z]) = (pixel.mean.to_array(), pixel.variance.to_array());
+            [r, g, b, x, y, z]
+        })?;
+        let part = |first: usize| {
+            let mut part = Tensor::zeros(["row", "col", "rgb"], [geometry.rows, geometry.cols, 3]);
+            for (to, from) in part.data_mut().chunks_exact_mut(3).zip(both.data().chunks_exact(6)) {
+                to.copy_from_slice(&from[first..first + 3]);
+            }
+            part
+        };
+        Ok((part(0), part(3)))
+    }
+
+    /// `K` values of every pixel of a view, `[row][col][k]`; the first three are the radiance.
+    fn view_of<const K: usize>(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        view: [usize; 2],
+        settings: &Settings,
+        task: Task<'_>,
+        values: impl Fn(&PixelMean) -> [f32; K] + Sync,
+    ) -> Result<Tensor<3>, RenderError> {
         settings.check()?;
         let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
         let bank = SampleBank::new(settings.samples);
@@ -217,11 +268,11 @@ impl Renderer {
         let (lost, clamped) = (AtomicU64::new(0), Clamped::default());
         let radiance = self.by_tiles(geometry, task, ["row", "col", "rgb"], |row, col, stack| {
             let pixel_seed = seed::derive(view_seed, &[row as u64, col as u64]);
-            let (mean, not_finite) = self.pixel(&rays, row, col, &bank, pixel_seed, settings, &clamped, stack);
-            if not_finite > 0 {
-                lost.fetch_add(u64::from(not_finite), Ordering::Relaxed);
+            let pixel = self.pixel(&rays, row, col, &bank, pixel_seed, settings, &clamped, stack);
+            if pixel.not_finite > 0 {
+                lost.fetch_add(u64::from(pixel.not_finite), Ordering::Relaxed);
             }
-            mean.to_array()
+            values(&pixel)
         })?;
         let lost = lost.into_inner();
         if lost > 0 {
@@ -308,7 +359,7 @@ impl Renderer {
         }
     }
 
-    /// Mean radiance of a pixel, and how many samples were not finite.
+    /// Renders a pixel.
     fn pixel(
         &self,
         rays: &PrimaryRays<'_>,
@@ -319,10 +370,10 @@ impl Renderer {
         settings: &Settings,
         clamped: &Clamped,
         stack: &mut Stack,
-    ) -> (Vec3, u32) {
+    ) -> PixelMean {
         let tracer = self.tracer();
         let rays = rays.pixel(row, col);
-        let mut sum = [0.0f64; 3];
+        let (mut sum, mut squares) = ([0.0f64; 3], [0.0f64; 3]);
         let mut not_finite = 0;
         let mut beam = [Ray::ANY; BEAM];
         for first in (0..settings.samples).step_by(BEAM) {
@@ -334,14 +385,27 @@ impl Renderer {
             for &sample in &radiance[..beam.len()] {
                 let sample = settings.clamp.map_or(sample, |limit| clamped.dim(sample, limit));
                 if sample.is_finite() {
-                    (0..3).for_each(|c| sum[c] += f64::from(sample[c]));
+                    for (c, value) in sample.to_array().map(f64::from).into_iter().enumerate() {
+                        sum[c] += value;
+                        squares[c] += value * value;
+                    }
                 } else {
                     not_finite += 1;
                 }
             }
         }
-        let count = f64::from((settings.samples - not_finite).max(1));
-        (Vec3::from_array(sum.map(|s| (s / count) as f32)), not_finite)
+        let finite = settings.samples - not_finite;
+        let count = f64::from(finite.max(1));
+        let variance = |c: usize| match finite {
+            0 | 1 => f32::NAN,
+            // rounding may leave a little less than nothing of equal samples
+            _ => ((squares[c] - sum[c] * sum[c] / count).max(0.0) / (count * (count - 1.0))) as f32,
+        };
+        PixelMean {
+            mean: Vec3::from_array(sum.map(|s| (s / count) as f32)),
+            variance: Vec3::from_array([0, 1, 2].map(variance)),
+            not_finite,
+        }
     }
 
     /// Fills `[row][col][k]` tile by tile. Values depend only on the pixel, so threads do not matter.

@@ -19,6 +19,8 @@ pub struct Settings {
     /// Largest value, > 0, of any channel of a single path; brighter ones are dimmed to it, which loses light and is reported as a warning.
     /// Default `None`: the estimate stays unbiased.
     pub clamp: Option<f32>,
+    /// Rays that meet no surface at first see black instead of the environment, which lights the scene all the same. Default false.
+    pub hide_environment: bool,
 }
 
 /// Directions that a view averages.
@@ -58,6 +60,7 @@ impl Default for Settings {
             seed: 0,
             angular_filter: AngularFilter::Point,
             clamp: None,
+            hide_environment: false,
         }
     }
 }

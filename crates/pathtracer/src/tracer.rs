@@ -133,10 +133,8 @@ impl Tracer<'_> {
         stack: &mut Stack,
     ) -> [Vec3; BEAM] {
         let mut hits = [None; BEAM];
-        if in_bounds {
-            self.bvh.nearest_of_beam(rays, &mut hits, stack, |index, hit| self.is_there(hit, 0, draws, index));
-            hits.iter().flatten().for_each(|hit| self.geometry.prefetch(hit.triangle));
-        }
+        self.first_hits(rays, in_bounds, draws, stack, &mut hits);
+        hits.iter().flatten().for_each(|hit| self.geometry.prefetch(hit.triangle));
         let start = Path {
             radiance: Vec3::ZERO,
             throughput: Vec3::ONE,
@@ -173,6 +171,7 @@ impl Tracer<'_> {
                             &mut shadows,
                         )
                     }
+                    None if bounce == 0 && settings.hide_environment => None,
                     None => {
                         let (environment, light_pdf) = self.lights.infinite(rays[index].direction, draws.parts());
                         path.radiance +=
@@ -201,6 +200,28 @@ impl Tracer<'_> {
             }
         }
         paths.map(|path| path.radiance)
+    }
+
+    /// Number of rays among those of [`radiance`](Self::radiance) that meet no surface at first.
+    pub(crate) fn misses(&self, rays: &mut [Ray], in_bounds: bool, draws: &Draws<'_>, stack: &mut Stack) -> usize {
+        let mut hits = [None; BEAM];
+        self.first_hits(rays, in_bounds, draws, stack, &mut hits);
+        hits[..rays.len()].iter().filter(|hit| hit.is_none()).count()
+    }
+
+    /// The surfaces that rays of a pixel meet first.
+    #[inline]
+    fn first_hits(
+        &self,
+        rays: &mut [Ray],
+        in_bounds: bool,
+        draws: &Draws<'_>,
+        stack: &mut Stack,
+        hits: &mut [Option<Hit>; BEAM],
+    ) {
+        if in_bounds {
+            self.bvh.nearest_of_beam(rays, hits, stack, |index, hit| self.is_there(hit, 0, draws, index));
+        }
     }
 
     /// Directions around a normal for the paths that go on, in their order: worked out together, they are vectors.

@@ -27,7 +27,7 @@ use crate::render::{read_view, render_error, view_path};
 /// Changes whenever a denoiser gives other pixels or other figures.
 const VERSION: u32 = 1;
 /// Rays per pixel that the guides are averaged over.
-const FEATURE_SAMPLES: u32 = 16;
+pub(crate) const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
 const CHECK_FACTOR: u32 = 2;
 /// What the path tracer takes.
@@ -92,18 +92,24 @@ impl Traced<'_> {
         let noisy = |view| -> Result<NoisyView, PipelineError> {
             let features =
                 renderer.render_features(window, geometry, view, FEATURE_SAMPLES, settings.angular_filter, task);
-            Ok(NoisyView {
-                halves: [self.half(view, 0)?, self.half(view, 1)?],
-                features: features.map_err(render_error)?,
-            })
+            let halves = [self.half(view, 0)?, self.half(view, 1)?];
+            let noisy = NoisyView { halves, features: features.map_err(render_error)? };
+            task.progress.advance(1, "");
+            Ok(noisy)
         };
-        let views: Vec<NoisyView> = geometry.grid.iter().map(noisy).collect::<Result<_, _>>()?;
+        let count = geometry.grid.iter().count() as u64;
+        task.progress.begin("guides of the denoiser", count, "views");
+        let views: Result<Vec<NoisyView>, _> = geometry.grid.iter().map(noisy).collect();
+        task.progress.end();
+        let views = views?;
         let folder = finished(kind, self.folder);
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
         let filtered = run_filter(kind, geometry, &views, &folder, task)?;
         let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
         let mut told = Vec::new();
-        for ((view, noisy), picture) in geometry.grid.iter().zip(&views).zip(&filtered) {
+        let stage = if self.checked { "check the denoiser" } else { "write views" };
+        task.progress.begin(stage, count, "views");
+        let checked = geometry.grid.iter().zip(&views).zip(&filtered).try_for_each(|((view, noisy), picture)| {
             write_view(&view_path(&folder, view, None), picture)?;
             let checks = if self.checked {
                 renderer.render_checks(window, geometry, view, &of_checks, task).map_err(render_error)?
@@ -112,7 +118,11 @@ impl Traced<'_> {
             };
             let figures = denoise::figures(picture, noisy, &checks);
             told.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
-        }
+            task.progress.advance(1, "");
+            Ok::<_, PipelineError>(())
+        });
+        task.progress.end();
+        checked?;
         write_json(&figures_path(&folder), &told)
     }
 

@@ -87,9 +87,14 @@ impl Depths {
     ) -> Result<Self, PipelineError> {
         let geometry = probe(geometry, geometry.grid.clone(), MOST_COLS);
         let mut z_mm = Vec::new();
-        for view in geometry.grid.iter() {
+        task.progress.begin("depth", geometry.grid.iter().count() as u64, "views");
+        let traced = geometry.grid.iter().try_for_each(|view| {
             z_mm.extend_from_slice(renderer.depth(window, &geometry, view, task).map_err(render_error)?.data());
-        }
+            task.progress.advance(1, "");
+            Ok::<_, PipelineError>(())
+        });
+        task.progress.end();
+        traced?;
         let [view_rows, view_cols] = geometry.grid.views();
         let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
         if let Some(folder) = folder {

@@ -19,6 +19,7 @@ use crate::file_params;
 use crate::job::{ImporterJob, LightJob, PoseJob, WindowFrom, WindowJob};
 use crate::light;
 use crate::render::render_error;
+use crate::surround;
 
 /// Share of an automatic window that the scene should cover at least.
 const COVERAGE: f64 = 0.26;
@@ -55,7 +56,10 @@ impl Ingested {
         if let Some(renderer) = self.renderer.get() {
             return Ok(renderer);
         }
-        let renderer = Renderer::new(self.scene.clone(), task).map_err(render_error)?;
+        task.progress.begin("prepare scene", 1, "scene");
+        let renderer = Renderer::new(self.scene.clone(), task).map_err(render_error);
+        task.progress.end();
+        let renderer = renderer?;
         Ok(self.renderer.get_or_init(|| renderer))
     }
 
@@ -232,6 +236,7 @@ fn lit(
             Ok(())
         })?;
     }
+    let scene = surround::turned(scene, light_job, task)?;
     Ok(Ingested { scene: Arc::new(scene), files, pose: pose.clone(), known: None, renderer: OnceLock::new() })
 }
 
@@ -252,9 +257,15 @@ fn load_gltf(
         return Err(PipelineError::value(path, "pose.variants", expected, variants));
     }
     let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
-    let bytes = gltf_bytes(path, reader, importer, registry, &resolver, task)?;
     let options = LoadOptions { time_s, animation, variant, ..LoadOptions::default() };
-    let scene = lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?;
+    let read = || -> Result<Scene, PipelineError> {
+        let bytes = gltf_bytes(path, reader, importer, registry, &resolver, task)?;
+        Ok(lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?)
+    };
+    task.progress.begin("read scene", 1, "scene");
+    let scene = read();
+    task.progress.end();
+    let scene = scene?;
     let mut files = resolver.read.into_inner().unwrap_or_else(PoisonError::into_inner);
     if let Reader::Plugin(id) = reader {
         files.push((id.into(), plugin_key(registry, id, &importer.params)?));

@@ -3,6 +3,7 @@
 //! Every key has a default except the input and the display; `docs/JOB.md` lists them all. Relative paths are relative to the job file.
 //! One file per table, beside this one.
 
+mod background;
 mod display;
 mod factorize;
 mod graph;
@@ -19,6 +20,7 @@ use lumistack_display::{Display, LEAST_DIRECTIONS};
 use lumistack_field_io::GeometryFlags;
 use serde::{Deserialize, Serialize};
 
+pub use self::background::Background;
 pub use self::display::DisplayJob;
 pub use self::factorize::{EyeJob, FactorizeJob};
 pub use self::graph::{ImporterJob, NodeJob, OutputJob, SourceJob};
@@ -281,6 +283,10 @@ impl Job {
         self.render.check()?;
         self.window.check()?;
         self.light.check()?;
+        if self.render.engine == Engine::Blender && self.light.background != Background::Environment {
+            let expected = "`environment` where Blender renders: its own world is seen";
+            return fail("light.background", expected, "a colour".into());
+        }
         self.check_graph()?;
         self.sequence.as_ref().map_or(Ok(()), |sequence| sequence.check(self))
     }

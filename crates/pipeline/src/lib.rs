@@ -32,7 +32,9 @@ mod run;
 mod sequence;
 mod simulate;
 mod steps;
+mod surround;
 mod sweep;
+mod views;
 mod zone;
 
 pub use cache::{KeyBuilder, Stamps};
@@ -46,8 +48,9 @@ pub use graph::NodeSummary;
 pub use ingest::{Ingested, SceneContents, is_blend, is_usd, load_scene, place_window, scene_contents, take_scene};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
-    AngularFilter, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob,
-    OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone, WindowFrom, WindowJob,
+    AngularFilter, Background, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob,
+    NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone, WindowFrom,
+    WindowJob,
 };
 pub use look::automatic_look;
 #[cfg(feature = "dynamic")]
@@ -60,6 +63,7 @@ pub use steps::{
     ReportOn, Traced, WeightsFrom, factorize_field, open_field, render_field, weights_of, write_output, write_report_on,
 };
 pub use sweep::{SweepSummary, sweep};
+pub use views::{ViewLayer, ViewOptions, ViewPick};
 
 /// Sets the number of worker threads of the whole program; results do not depend on it. Call it before any work.
 ///

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
+use lumistack_core::tone::ToneCurve;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid};
 use lumistack_field_io::picture::Picture;
 use lumistack_pathtracer::{Renderer, Settings};
@@ -13,11 +14,13 @@ use crate::blender;
 use crate::cache::KeyBuilder;
 use crate::denoise::{self, Denoised, Traced};
 use crate::depth::Depths;
-use crate::error::PipelineError;
+use crate::error::{PipelineError, field_error};
 use crate::fit::Placement;
 use crate::ingest::Ingested;
-use crate::job::{AngularFilter, Denoise, Engine, Job};
+use crate::job::{AngularFilter, Background, Denoise, Engine, Job};
 use crate::look::Look;
+use crate::surround::expose_over;
+use crate::views::ViewOptions;
 
 /// Rays that decide about exposure and tone curve, at most.
 const MOST_RAYS: usize = 4_000_000;
@@ -42,6 +45,10 @@ pub struct Rendered {
     pub(crate) denoised: Option<Denoised>,
     /// Whether no view had to be traced.
     pub cached: bool,
+    /// How the target was traced, and where.
+    pub(crate) traced: FieldJob,
+    /// The views of the target that were wanted, [view_y, view_x]; the others are black.
+    pub(crate) views: Vec<[usize; 2]>,
 }
 
 /// Evenly spread in-between views: at most `per_axis` of the midpoints on each axis.
@@ -71,6 +78,25 @@ pub(crate) fn render(
     cache_dir: &Path,
     task: Task<'_>,
 ) -> Result<Rendered, PipelineError> {
+    render_views(job, ingested, placement, geometry, footprint, cache_dir, &ViewOptions::default(), task)
+}
+
+/// [`render`] with other views of the target than all, or without exposure.
+///
+/// # Errors
+/// As there, and when the options do not fit the job.
+pub(crate) fn render_views(
+    job: &Job,
+    ingested: &Ingested,
+    placement: &Placement,
+    geometry: &FieldGeometry,
+    footprint: [f64; 2],
+    cache_dir: &Path,
+    options: &ViewOptions,
+    task: Task<'_>,
+) -> Result<Rendered, PipelineError> {
+    options.check(job)?;
+    let views = options.chosen(geometry.grid.views())?;
     let window = &placement.window;
     let traced = |geometry: &FieldGeometry| geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
     let settings = Settings {
@@ -89,6 +115,7 @@ pub(crate) fn render(
                 lumistack_pathtracer::AngularFilter::Width(footprint.map(|width| placement.depth_scale * width))
             }
         },
+        hide_environment: job.light.background != Background::Environment,
         ..Settings::default()
     };
     // views for the report only average over directions as the target's do, however far apart they stand
@@ -133,11 +160,14 @@ pub(crate) fn render(
         }
         field.folder = cache_dir.join(format!("{}-{}", field.name, &key.finish()[..16]));
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
-        for view in field.geometry.grid.iter() {
+        let variance = options.variance() && i == 0;
+        for view in field.wanted(&views) {
             for &half in denoise::parts(kind) {
                 let path = view_path(&field.folder, view, half);
-                if read_view(&path, &field.geometry).is_none() {
-                    todo.push(Todo { field: i, view, half, path });
+                let variance = variance.then(|| variance_path(&field.folder, view, half));
+                let is_there = |path: &PathBuf| read_view(path, &field.geometry).is_some();
+                if !(is_there(&path) && variance.as_ref().is_none_or(is_there)) {
+                    todo.push(Todo { field: i, view, half, path, variance });
                 }
             }
         }
@@ -167,11 +197,37 @@ pub(crate) fn render(
             field.halves().filter(kind, ingested.renderer(task)?, window, task)?;
         }
     }
+    let all: usize = fields.iter().map(|field| field.geometry.grid.iter().count()).sum();
+    task.progress.begin("expose", all as u64, "views");
+    let exposed = expose(job, ingested, &fields, &views, &depths, window, options, task);
+    task.progress.end();
+    let (look, denoised, shown) = exposed?;
     let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
+    let mut exposed = shown.into_iter();
+    let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
+    let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
+    let (held_out, outside) = (other("held-out"), other("outside"));
+    let traced = fields.swap_remove(0);
+    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached, traced, views })
+}
+
+/// Reads the finished views of all fields and makes them display-referred, with one look for all, or leaves them as they are.
+fn expose(
+    job: &Job,
+    ingested: &Ingested,
+    fields: &[FieldJob],
+    views: &[[usize; 2]],
+    depths: &Depths,
+    window: &Window,
+    options: &ViewOptions,
+    task: Task<'_>,
+) -> Result<(Look, Option<Denoised>, Vec<LightField>), PipelineError> {
+    let kind = job.render.denoise;
     let mut radiance = Vec::new();
-    for FieldJob { geometry, folder, .. } in &fields {
+    for one in fields {
+        let FieldJob { geometry, folder, .. } = one;
         let mut field = LightField::black(geometry.clone())?;
-        for view in geometry.grid.iter() {
+        for view in one.wanted(views) {
             let path = view_path(&denoise::finished(kind, folder), view, None);
             let picture = read_view(&path, geometry).ok_or_else(|| {
                 PipelineError::value(&path, "cached view", "the picture just written", "another or none")
@@ -180,40 +236,54 @@ pub(crate) fn render(
         }
         radiance.push(field);
     }
-    let look = Look::choose(&job.light, &ingested.scene, &brightest(&radiance[0], &depths));
+    let look = if options.linear {
+        Look { exposure: 1.0, curve: ToneCurve::Linear }
+    } else {
+        Look::choose(&job.light, &ingested.scene, &brightest(&radiance[0], views, depths))
+    };
     let denoised = fields[0].halves().denoised(kind, look)?;
-    let mut exposed = radiance.into_iter().map(|mut field| {
-        look.apply(&mut field);
-        lumistack_field_io::round_to_half(&mut field);
-        field
-    });
-    let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
-    let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
-    let (held_out, outside) = (other("held-out"), other("outside"));
-    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached })
+    let mut shown = Vec::new();
+    for (field, mut radiance) in fields.iter().zip(radiance) {
+        if options.linear {
+            // neither exposed nor clipped nor rounded
+        } else if let Background::Colour(background) = job.light.background {
+            for view in field.wanted(views) {
+                let missed = field.missed(view, kind, || ingested.renderer(task), window, task)?;
+                expose_over(look, background, &missed, radiance.view_mut(view));
+            }
+            lumistack_field_io::round_to_half(&mut radiance);
+        } else {
+            look.apply(&mut radiance);
+            lumistack_field_io::round_to_half(&mut radiance);
+        }
+        task.progress.advance(field.geometry.grid.iter().count() as u64, "");
+        shown.push(radiance);
+    }
+    Ok((look, denoised, shown))
 }
 
 /// Key of what a view is before it is exposed, but for its geometry and its samples.
 pub(crate) fn shot_key(job: &Job, ingested: &Ingested, window: &Window) -> KeyBuilder {
     let mut key = KeyBuilder::new("render", RENDER_VERSION);
     ingested.add_to(&mut key);
-    key.add_json("light", &(job.light.environment_strength, job.light.automatic))
+    // of a view before it is exposed
+    key.add_json("light", &(job.light.environment_strength, job.light.automatic, job.light.environment_rotation_deg))
         .add("window", format!("{window:?}").as_bytes());
     key
 }
 
 /// One light field to render.
-struct FieldJob {
+pub(crate) struct FieldJob {
     name: &'static str,
     /// Of random numbers.
     stream: u64,
     /// Of the display.
     geometry: FieldGeometry,
     /// The same in the scene: with the slopes at which it is traced.
-    traced: FieldGeometry,
-    settings: Settings,
+    pub(crate) traced: FieldGeometry,
+    pub(crate) settings: Settings,
     /// Where its traced views lie.
-    folder: PathBuf,
+    pub(crate) folder: PathBuf,
 }
 
 impl FieldJob {
@@ -221,6 +291,68 @@ impl FieldJob {
     fn halves(&self) -> Traced<'_> {
         let Self { traced, folder, .. } = self;
         Traced { geometry: traced, settings: self.seeded(&[]), folder, checked: self.stream == 0 }
+    }
+
+    /// The views to render: of the target those that were chosen, else all.
+    fn wanted(&self, chosen: &[[usize; 2]]) -> Vec<[usize; 2]> {
+        if self.stream == 0 { chosen.to_vec() } else { self.geometry.grid.iter().collect() }
+    }
+
+    /// Settings with which a view is traced, or a half of its samples.
+    fn settings_of(&self, half: Option<usize>) -> Settings {
+        match half {
+            None => self.seeded(&[]),
+            Some(half) => Settings { samples: self.settings.samples.div_ceil(2), ..self.seeded(&[1 + half as u64]) },
+        }
+    }
+
+    /// Share of the samples of every pixel of a view that meet no surface, `[row][col]`; kept beside the view.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered, the file cannot be written, or when cancelled.
+    pub(crate) fn missed<'a>(
+        &self,
+        view: [usize; 2],
+        kind: Denoise,
+        renderer: impl Fn() -> Result<&'a Renderer, PipelineError>,
+        window: &Window,
+        task: Task<'_>,
+    ) -> Result<Vec<f32>, PipelineError> {
+        let path = self.folder.join(format!("missed_{:02}_{:02}.npy", view[0], view[1]));
+        let shape = [self.traced.rows, self.traced.cols];
+        if let Ok((found, missed)) = lumistack_field_io::npy::read(&path)
+            && found == shape
+        {
+            return Ok(missed);
+        }
+        let parts = denoise::parts(kind);
+        let mut missed = vec![0.0; shape[0] * shape[1]];
+        for &half in parts {
+            let settings = self.settings_of(half);
+            let of_part =
+                renderer()?.render_misses(window, &self.traced, view, &settings, task).map_err(render_error)?;
+            missed.iter_mut().zip(of_part.data()).for_each(|(sum, part)| *sum += part / parts.len() as f32);
+        }
+        lumistack_field_io::npy::write(&path, &shape, &missed).map_err(field_error)?;
+        Ok(missed)
+    }
+
+    /// Variance of every value of a view before it is filtered, `[row][col][rgb]`: of the mean of its halves, where it has halves.
+    ///
+    /// # Errors
+    /// When it was not rendered with the view.
+    pub(crate) fn variance(&self, view: [usize; 2], kind: Denoise) -> Result<Vec<f32>, PipelineError> {
+        let parts = denoise::parts(kind);
+        let mut variance = vec![0.0; 3 * self.traced.rows * self.traced.cols];
+        for &half in parts {
+            let path = variance_path(&self.folder, view, half);
+            let of_part = read_view(&path, &self.traced).ok_or_else(|| {
+                PipelineError::value(&path, "cached variance", "the picture just written", "another or none")
+            })?;
+            let share = 1.0 / (parts.len() * parts.len()) as f32;
+            variance.iter_mut().zip(of_part).for_each(|(sum, part)| *sum += share * part);
+        }
+        Ok(variance)
     }
 
     /// Settings with the seed of this field, and of a part of it.
@@ -237,6 +369,8 @@ struct Todo {
     /// Which half of the samples, or all of them.
     half: Option<usize>,
     path: PathBuf,
+    /// Where its variance is to be written, if it is wanted.
+    variance: Option<PathBuf>,
 }
 
 fn trace(
@@ -248,13 +382,18 @@ fn trace(
 ) -> Result<(), PipelineError> {
     let steps: u64 = todo.iter().map(|todo| Renderer::steps_per_view(&fields[todo.field].geometry)).sum();
     task.progress.begin("render", steps, "tiles");
-    let result = todo.iter().enumerate().try_for_each(|(number, Todo { field, view, half, path })| {
+    let result = todo.iter().enumerate().try_for_each(|(number, Todo { field, view, half, path, variance })| {
         let field = &fields[*field];
-        let settings = match half {
-            None => field.seeded(&[]),
-            Some(half) => Settings { samples: field.settings.samples.div_ceil(2), ..field.seeded(&[1 + *half as u64]) },
+        let settings = field.settings_of(*half);
+        let picture = match variance {
+            None => renderer.render_view(window, &field.traced, *view, &settings, task).map_err(render_error)?,
+            Some(path) => {
+                let both = renderer.render_view_and_variance(window, &field.traced, *view, &settings, task);
+                let (picture, variance) = both.map_err(render_error)?;
+                denoise::write_view(path, &variance)?;
+                picture
+            }
         };
-        let picture = renderer.render_view(window, &field.traced, *view, &settings, task).map_err(render_error)?;
         denoise::write_view(path, &picture)?;
         let of = if half.is_some() { "half view" } else { "view" };
         task.progress.advance(0, &format!("tiles, {of} {} of {}", number + 1, todo.len()));
@@ -277,20 +416,26 @@ pub(crate) fn view_path(folder: &Path, view: [usize; 2], half: Option<usize>) ->
     folder.join(format!("view_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
+/// The file of the variance of a view, or of a half of its samples.
+fn variance_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
+    let half = half.map_or("", |half| ["-a", "-b"][half]);
+    folder.join(format!("variance_{:02}_{:02}{half}.exr", view[0], view[1]))
+}
+
 /// Reads a view of the geometry's size.
 pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
     let picture = Picture::read(path).ok()?;
     (picture.size() == [geometry.cols, geometry.rows]).then(|| picture.into_linear())
 }
 
-/// The brightest channel of evenly spread rays of all views, and whether they meet a surface.
-fn brightest(field: &LightField, depths: &Depths) -> Vec<(f32, bool)> {
+/// The brightest channel of evenly spread rays of some views, and whether they meet a surface.
+fn brightest(field: &LightField, views: &[[usize; 2]], depths: &Depths) -> Vec<(f32, bool)> {
     let geometry = field.geometry();
-    let all = field.radiance().data().len() / 3;
-    let every = all.div_ceil(MOST_RAYS).max(1);
     let size = geometry.rows * geometry.cols;
+    let all = views.len() * size;
+    let every = all.div_ceil(MOST_RAYS).max(1);
     let mut rays = Vec::with_capacity(all / every + 1);
-    for (number, view) in geometry.grid.iter().enumerate() {
+    for (number, &view) in views.iter().enumerate() {
         // goes on in the next view where it left off
         let first = (every - number * size % every) % every;
         rays.extend(field.view(view).chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {

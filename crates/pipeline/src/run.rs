@@ -220,7 +220,8 @@ impl<'a> Run<'a> {
         task: Task<'_>,
     ) -> Result<Made, PipelineError> {
         let display = self.display.clone();
-        if let Some(message) = display.flicker_warning() {
+        // a preset is a design, of which report and `info` tell the rate; who has a display of his own has panels
+        if let Some(message) = display.flicker_warning().filter(|_| self.job.display.file.is_some()) {
             task.warn("display", message);
         }
         let weights = self.weights(&input.target)?;

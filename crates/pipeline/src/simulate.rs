@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::{Task, Tensor, colour};
-use lumistack_display::{Display, LayerStack, Simulator};
+use lumistack_display::{Display, LayerStack, ProjectionKind, Simulator};
 use lumistack_field_io::picture::{Precision, write_exr};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
 use serde_json::json;
@@ -74,6 +74,20 @@ impl RunFolder {
         report.and_then(|report| report["title"].as_str().map(str::to_owned)).unwrap_or_default()
     }
 
+    /// A sentence about a viewpoint from which some of the display is seen at angles that it is not made for.
+    pub fn beyond_zone(&self, viewpoint: Viewpoint) -> Option<String> {
+        let share = share_beyond_zone(&self.display, viewpoint)?;
+        let field = &self.display.field;
+        let [x, y] = field.fov_deg;
+        let part = if share > 0.999 { "all".into() } else { format!("{:.0} %", (100.0 * share).max(1.0)) };
+        let from = match field.distance_mm {
+            Some(distance_mm) if field.projection == ProjectionKind::Perspective => format!(" at {distance_mm} mm"),
+            _ => String::new(),
+        };
+        let zone = format!("±{}° × ±{}°{from}", round(0.5 * x), round(0.5 * y));
+        (share > 0.0).then(|| format!("from there {part} of the display is seen outside its viewing zone of {zone}, where nothing constrains what it shows"))
+    }
+
     /// [`picture_from`] the viewpoint.
     ///
     /// # Errors
@@ -122,6 +136,48 @@ pub fn picture_from(
     Ok(picture)
 }
 
+/// Share of the display, 0..1, that a viewpoint sees along rays beyond the target's views; none of those that ask for no single picture, or are
+/// refused.
+fn share_beyond_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
+    let field = &display.field;
+    let size_mm = display.field_pixels().size_mm();
+    let slope_of = |place: [f64; 2]| match viewpoint {
+        Viewpoint::Angle(degrees) if degrees.iter().all(|angle| angle.abs() < 90.0) => {
+            Some(degrees.map(|angle| angle.to_radians().tan()))
+        }
+        Viewpoint::Slope(slope) => Some(slope),
+        Viewpoint::Eye(eye) if eye[2] > 0.0 => Some([0, 1].map(|axis| (eye[axis] - place[axis]) / eye[2])),
+        _ => None,
+    };
+    let mut outside = 0;
+    for i in 0..PROBES * PROBES {
+        let place = [i % PROBES, i / PROBES].map(|i| (i as f64 + 0.5) / PROBES as f64 - 0.5);
+        let place = [place[0] * size_mm[0], place[1] * size_mm[1]];
+        let slope = slope_of(place)?;
+        let is_outside = |axis: usize| {
+            // where the eye of a perspective grid would stand; one view alone shows the same from everywhere
+            let seen = match field.distance_mm {
+                Some(distance_mm) if field.projection == ProjectionKind::Perspective => {
+                    place[axis] / distance_mm + slope[axis]
+                }
+                _ => slope[axis],
+            };
+            let limit = (0.5 * field.fov_deg[axis].to_radians()).tan();
+            field.views[axis] > 1 && seen.abs() > limit * (1.0 + 1e-9)
+        };
+        outside += usize::from(is_outside(0) || is_outside(1));
+    }
+    Some(outside as f64 / (PROBES * PROBES) as f64)
+}
+
+/// Places per axis at which the angle to the viewer is looked at.
+const PROBES: usize = 32;
+
+/// Degrees for people.
+fn round(degrees: f64) -> f64 {
+    (10.0 * degrees).round() / 10.0
+}
+
 fn strip(display: &Display, simulator: &Simulator<'_>, count: usize) -> Result<Tensor<3>, PipelineError> {
     if !(1..=64).contains(&count) {
         return Err(PipelineError::value("--sweep", "N", "1 to 64 views", count.to_string()));
@@ -166,5 +222,32 @@ pub fn simulate_to_file(picture: &Tensor<3>, path: &Path) -> Result<(), Pipeline
             write(path, bytes.get_ref())
         }
         other => Err(PipelineError::value(path, "extension", "png or exr", format!("`{other}`"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_zone_ends_where_the_outermost_views_do() {
+        // 475 mm wide, 20° × 20°
+        let display = presets::load("paper-three-layer").unwrap();
+        let share = |viewpoint| share_beyond_zone(&display, viewpoint).unwrap();
+        assert_eq!(share(Viewpoint::Angle([4.0, -2.0])), 0.0);
+        assert_eq!(share(Viewpoint::Angle([9.9, 0.0])), 0.0);
+        assert_eq!(share(Viewpoint::Angle([10.1, 0.0])), 1.0);
+        assert_eq!(share(Viewpoint::Angle([0.0, -30.0])), 1.0);
+        // the example of the command's help; from nearer the display's sides are seen too obliquely
+        assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 2000.0])), 0.0);
+        let near = share(Viewpoint::Eye([100.0, 0.0, 600.0]));
+        // |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
+        assert!((near - (1.0 - (211.6 / 475.0) * (211.6 / 296.9))).abs() < 0.05, "{near}");
+        assert_eq!(share_beyond_zone(&display, Viewpoint::Sweep(3)), None);
+        let mut perspective = display.clone();
+        (perspective.field.projection, perspective.field.distance_mm) = (ProjectionKind::Perspective, Some(600.0));
+        let share = |viewpoint| share_beyond_zone(&perspective, viewpoint).unwrap();
+        assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 600.0])), 0.0);
+        assert_eq!(share(Viewpoint::Eye([110.0, 0.0, 600.0])), 1.0);
     }
 }

@@ -12,17 +12,19 @@ use lumistack_display::{
     DirectionScore, Display, EyeBox, FieldGeometry, LEAST_SHARE, LayerStack, SeenView, Simulator, ViewGrid, Zone,
     ZoneScore,
 };
+use lumistack_field_io::npy;
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 use lumistack_report::{ZoneFigures, ZoneView};
 use lumistack_scene::Window;
 use rayon::prelude::*;
 
 use crate::denoise::write_view;
-use crate::error::PipelineError;
+use crate::error::{PipelineError, field_error};
 use crate::ingest::Ingested;
-use crate::job::{Engine, Job};
+use crate::job::{Background, Engine, Job};
 use crate::look::Look;
 use crate::render::{read_view, render_error, shot_key};
+use crate::surround::expose_over;
 
 /// Directions whose pictures have enough samples to be looked at: for SSIM, FLIP and the report's pictures.
 const CLEAN: usize = 8;
@@ -37,6 +39,7 @@ pub(crate) struct References {
     directions: Vec<ViewGrid>,
     folder: PathBuf,
     look: Look,
+    background: Background,
     /// Whether none had to be traced.
     pub(crate) cached: bool,
 }
@@ -77,11 +80,14 @@ impl References {
         let pixels = |direction: &ViewGrid| geometry.with_grid(direction.clone());
         let mut key = shot_key(job, shot.ingested, shot.window);
         key.add_json("zone", &(SAMPLES, job.render.max_bounces, job.seed))
+            .add_json("hidden", &(job.light.background != Background::Environment))
             .add("directions", format!("{directions:?} {depth_scale}").as_bytes());
         key.add("pixels", format!("{:?}", (geometry.rows, geometry.cols, geometry.pitch_mm)).as_bytes());
         let folder = cache_dir.join(format!("zone-{}", &key.finish()[..16]));
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
-        let references = Self { geometry: geometry.clone(), directions, folder, look: shot.look, cached: false };
+        let background = job.light.background;
+        let references =
+            Self { geometry: geometry.clone(), directions, folder, look: shot.look, background, cached: false };
         let all = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]);
         let todo: Vec<(usize, usize)> =
             all.filter(|&(i, half)| read_view(&references.path(i, half), geometry).is_none()).collect();
@@ -91,7 +97,7 @@ impl References {
         let renderer = shot.ingested.renderer(task)?;
         let steps = todo.len() as u64 * Renderer::steps_per_view(&pixels(&references.directions[0]));
         task.progress.begin("render for the score", steps, "tiles");
-        let result = todo.iter().try_for_each(|&(i, half)| {
+        let result = todo.iter().try_for_each(|&(i, half)| -> Result<(), PipelineError> {
             let settings = Settings {
                 samples: SAMPLES[usize::from(i >= CLEAN)] / 2,
                 max_bounces: job.render.max_bounces,
@@ -99,10 +105,16 @@ impl References {
                 clamp: None,
                 seed: seed::derive(job.seed, &[STREAM, i as u64, half as u64]),
                 angular_filter: AngularFilter::Point,
+                hide_environment: background != Background::Environment,
                 ..Settings::default()
             };
             let traced = pixels(&references.directions[i].scaled(depth_scale));
             let picture = renderer.render_view(shot.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
+            if background != Background::Environment {
+                let missed = renderer.render_misses(shot.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
+                let shape = [geometry.rows, geometry.cols];
+                npy::write(&references.missed(i, half), &shape, missed.data()).map_err(field_error)?;
+            }
             write_view(&references.path(i, half), &picture)
         });
         task.progress.end();
@@ -156,10 +168,21 @@ impl References {
             let mut picture = read_view(&path, &self.geometry).ok_or_else(|| {
                 PipelineError::value(&path, "cached picture", "the picture just written", "another or none")
             })?;
-            self.look.apply_to(&mut picture);
+            match self.background {
+                Background::Environment => self.look.apply_to(&mut picture),
+                Background::Colour(colour) => {
+                    let (_, missed) = npy::read(&self.missed(i, half)).map_err(field_error)?;
+                    expose_over(self.look, colour, &missed, &mut picture);
+                }
+            }
             Ok(picture)
         };
         Ok([one(0)?, one(1)?])
+    }
+
+    /// Share of every pixel where no surface is.
+    fn missed(&self, i: usize, half: usize) -> PathBuf {
+        self.path(i, half).with_extension("missed.npy")
     }
 
     fn path(&self, i: usize, half: usize) -> PathBuf {

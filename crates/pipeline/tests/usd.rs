@@ -55,7 +55,7 @@ fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
 fn gltf_and_usd_give_the_same_picture() {
     let python = std::env::var_os("LUMISTACK_PYTHON").unwrap_or_default();
     if !Command::new(python).args(["-c", "import pxr"]).output().is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: LUMISTACK_PYTHON names no Python with usd-core");
+        lumistack_testkit::skip::skipped("LUMISTACK_PYTHON names no Python with usd-core");
         return;
     }
     let gltf = blocks("still-life.gltf", 1);

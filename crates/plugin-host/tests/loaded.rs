@@ -26,7 +26,7 @@ const MTL: &[u8] = b"newmtl red\nKd 0.8 0.1 0.05\nNs 100\nmap_Kd a b.png\n";
 #[test]
 fn every_plugin_is_the_same_loaded_as_compiled_in() {
     let Some(folder) = std::env::var_os(FOLDER) else {
-        println!("skipped: {FOLDER} is not set; `cargo xtask plugins` builds the libraries and sets it");
+        lumistack_testkit::skip::runs_in("plugins");
         return;
     };
     let (compiled, loaded) = (Registry::built_in().unwrap(), load(vec![folder.into()]));

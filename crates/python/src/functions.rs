@@ -112,6 +112,7 @@ pub(crate) fn render(
     for (key, differs) in [
         ("environment", job.light.environment != scene.light.environment),
         ("environment_strength", job.light.environment_strength != scene.light.environment_strength),
+        ("environment_rotation_deg", job.light.environment_rotation_deg != scene.light.environment_rotation_deg),
         ("automatic", job.light.automatic != scene.light.automatic),
     ] {
         if differs {
@@ -400,11 +401,14 @@ pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
     lumistack_pipeline::set_threads(count).map_err(|error| setting(py, format!("set_threads: {error}")))
 }
 
-/// Runs the command `lumistack` with these arguments and gives its exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+/// Runs the command `lumistack` with these arguments and gives its exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted. Hints name the
+/// command as `program`.
 #[pyfunction]
-pub(crate) fn main(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<u8> {
+#[pyo3(signature = (arguments, program = None))]
+pub(crate) fn main(py: Python<'_>, arguments: Vec<OsString>, program: Option<OsString>) -> PyResult<u8> {
     set_launcher(py);
-    let words: Vec<OsString> = std::iter::once("lumistack".into()).chain(arguments).collect();
+    let program = program.unwrap_or_else(|| "lumistack".into());
+    let words: Vec<OsString> = std::iter::once(program).chain(arguments).collect();
     command(py, &words)
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use lumistack_core::config::nearest_key;
+use lumistack_core::config::{nearest_key, plain};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyMapping, PySequence, PyString};
@@ -34,7 +34,7 @@ pub(crate) fn table_of<T: DeserializeOwned>(place: &str, mapping: &Bound<'_, PyA
 pub(crate) fn numbers<T: DeserializeOwned>(place: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<T>> {
     let Some(value) = value.filter(|value| !value.is_none()) else { return Ok(None) };
     let numbers = serde_json::from_value(value_of(value)?);
-    numbers.map(Some).map_err(|error| setting(value.py(), format!("{place}: {error}")))
+    numbers.map(Some).map_err(|error| setting(value.py(), format!("{place}: {}", plain(&error.to_string(), place))))
 }
 
 /// Reads a table; a value that does not fit is told with its key.
@@ -48,9 +48,11 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
         let found = serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).err()?;
         (found.to_string() == error && !error.contains(&format!("`{key}`"))).then_some(key)
     };
-    let key = map.into_iter().find_map(alone).map_or(String::new(), |key| format!("{key}: "));
+    let key = map.into_iter().find_map(alone).unwrap_or_default();
+    let plainly = plain(&error, &key);
+    let key = if key.is_empty() { key } else { format!("{key}: ") };
     let near = nearest_key(&error).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
-    Err(setting(py, format!("{place}: {key}{error}{near}")))
+    Err(setting(py, format!("{place}: {key}{plainly}{near}")))
 }
 
 /// A mapping with names as keys.

@@ -333,7 +333,7 @@ mod tests {
         let python = Candidate { program: "python3".into(), from: "PATH", given: false };
         match ask_one_of(std::slice::from_ref(&python), &REQUEST, &Cancel::default()) {
             Err(UsdError::NoPython { tried, .. }) => match tried[0].contains("cannot be started") {
-                true => eprintln!("skipped: no python3 on PATH"),
+                true => lumistack_testkit::skip::skipped("no python3 on PATH"),
                 false => assert!(tried[0].contains("Python 3.") && tried[0].contains("OpenUSD"), "{tried:?}"),
             },
             Err(UsdError::Refused { message, .. }) => assert!(message.contains("scene.usda"), "{message}"),

@@ -2,7 +2,6 @@
 
 mod common;
 
-use std::ffi::OsString;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -38,22 +37,18 @@ struct Walked {
     packages: TempDir,
 }
 
-fn assets() -> Option<OsString> {
-    let found = std::env::var_os("LUMISTACK_ASSETS");
-    if found.is_none() {
-        eprintln!("skipped: LUMISTACK_ASSETS is not set");
-    }
-    found
+fn assets() -> Option<PathBuf> {
+    lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")
 }
 
 /// All USD files below a folder of the assets; `None` where something is missing.
 fn walk(folder: &str) -> Option<Walked> {
     let (assets, python) = (assets()?, common::python()?);
     let mut paths = Vec::new();
-    let mut folders = vec![Path::new(&assets).join(folder)];
+    let mut folders = vec![assets.join(folder)];
     while let Some(folder) = folders.pop() {
         let Ok(entries) = std::fs::read_dir(&folder) else {
-            eprintln!("skipped: no folder {}", folder.display());
+            lumistack_testkit::skip::skipped(&format!("no folder {}", folder.display()));
             return None;
         };
         for path in entries.map(|entry| entry.unwrap().path()) {

@@ -304,15 +304,7 @@ fn the_panel_behind_the_lenses_is_what_the_optics_ask_for() {
 
 /// What NumPy, Pillow and OpenEXR's own bindings read, as JSON; none where they are not installed.
 fn read_by_others(files: &Files) -> Option<Value> {
-    let candidates = [std::env::var("LUMISTACK_PYTHON").ok(), Some("python3".to_string())];
-    let python = candidates.into_iter().flatten().find(|python| {
-        let imports = Command::new(python).args(["-c", "import numpy, PIL, OpenEXR"]).output();
-        imports.is_ok_and(|output| output.status.success())
-    });
-    let Some(python) = python else {
-        println!("skipped: no Python with numpy, pillow and OpenEXR (`cargo xtask ci` makes one)");
-        return None;
-    };
+    let python = lumistack_testkit::skip::python_with("numpy, PIL, OpenEXR")?;
     let folder = tempfile::tempdir().unwrap();
     for (name, bytes) in files {
         let path = folder.path().join(name);

@@ -42,15 +42,7 @@ fn display() -> Display {
 }
 
 fn python() -> Option<PathBuf> {
-    let candidates = [std::env::var_os("LUMISTACK_PYTHON").map(PathBuf::from), Some("python3".into())];
-    let found = candidates.into_iter().flatten().find(|python| {
-        let imports = Command::new(python).args(["-c", "import numpy, PIL"]).output();
-        imports.is_ok_and(|output| output.status.success())
-    });
-    if found.is_none() {
-        println!("skipped: no Python with numpy and pillow (`cargo xtask ci` makes one)");
-    }
-    found
+    lumistack_testkit::skip::python_with("numpy, PIL")
 }
 
 fn tests(name: &str) -> PathBuf {

@@ -44,7 +44,7 @@ fn sample() -> (Display, LayerStack) {
 fn has_pdftoppm() -> bool {
     let found = Command::new("pdftoppm").arg("-v").output().is_ok();
     if !found {
-        println!("skipped: no pdftoppm (the Debian package poppler-utils has it)");
+        lumistack_testkit::skip::skipped("no pdftoppm (the Debian package poppler-utils has it)");
     }
     found
 }

@@ -1,7 +1,5 @@
 //! The published figures on the two light fields of the shared folder.
 
-use std::path::PathBuf;
-
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Missing, OutsideBins, Weights};
 
@@ -16,13 +14,10 @@ const WIDTH_MM: f64 = 473.76;
 /// Reads a light field of the shared folder, or says that it is not there.
 #[allow(clippy::disallowed_methods, reason = "a test may read files")]
 pub(super) fn light_field(name: &str, display: &Display) -> Option<LightField> {
-    let folder = std::env::var_os("LUMISTACK_LIGHTFIELDS").map_or_else(
-        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/lightfields")),
-        PathBuf::from,
-    );
+    let folder = lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")?;
     let path = folder.join(format!("{name}.npy"));
     let Ok(bytes) = std::fs::read(&path) else {
-        println!("skipped: {} is not there", path.display());
+        lumistack_testkit::skip::skipped(&format!("{} is not there", path.display()));
         return None;
     };
     let file = npyz::NpyFile::new(&bytes[..]).unwrap();

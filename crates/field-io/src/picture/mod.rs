@@ -12,7 +12,7 @@ use lumistack_core::colour;
 
 use crate::FieldError;
 
-pub use openexr::{MultiView, Precision, exr_bytes, write_exr};
+pub use openexr::{MultiView, Precision, exr_bytes, write_exr, write_exr_channels};
 
 /// Most pixels of one picture; a header that claims more is refused before memory is taken.
 pub(crate) const PIXEL_LIMIT: usize = 1 << 28;

@@ -81,6 +81,26 @@ fn channels(prefix: &str, size: [usize; 2], rgb: &[f32], precision: Precision) -
     })
 }
 
+/// Writes one picture of named channels in single floats, `[row][col]` each, `size` = [columns, rows]. The same values give the same bytes.
+///
+/// # Errors
+/// If writing fails.
+///
+/// # Panics
+/// If a channel does not hold the size's number of values, or there is none.
+pub fn write_exr_channels(path: &Path, size: [usize; 2], channels: &[(&str, &[f32])]) -> Result<(), FieldError> {
+    assert!(!channels.is_empty(), "a picture has channels");
+    let list: SmallVec<[AnyChannel<FlatSamples>; 4]> = channels
+        .iter()
+        .map(|(name, values)| {
+            assert_eq!(values.len(), size[0] * size[1], "values fill the picture");
+            AnyChannel::new(*name, FlatSamples::F32(values.to_vec()))
+        })
+        .collect();
+    let image = image(size, LayerAttributes::default(), AnyChannels::sort(list));
+    atomic::write(path, |writer| write_image(writer, &image))
+}
+
 fn image<'a, C: WritableChannels<'a> + 'a>(
     size: [usize; 2],
     attributes: LayerAttributes,

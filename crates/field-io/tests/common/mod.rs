@@ -48,15 +48,11 @@ pub fn defaults() -> GeometryDefaults {
 
 /// A folder of third-party files beside the workspace, or `None` after saying so.
 pub fn assets(variable: &str, default: &str, below: &str) -> Option<PathBuf> {
-    let root = std::env::var_os(variable).map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..").join("shared").join(default),
-        PathBuf::from,
-    );
-    let path = root.join(below);
+    let path = lumistack_testkit::skip::folder(variable, &format!("../shared/{default}"))?.join(below);
     if path.exists() {
         return Some(path);
     }
-    println!("skipped: {} is not here ({variable} names the folder)", path.display());
+    lumistack_testkit::skip::skipped(&format!("{} is not here ({variable} names the folder)", path.display()));
     None
 }
 

@@ -85,11 +85,9 @@ pub fn error(builder: &Builder) -> String {
 
 /// Third-party files; `None`, with a line that says so, where they are missing.
 pub fn assets(folder: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LUMISTACK_ASSETS").map(PathBuf::from);
-    let root = root.unwrap_or_else(|| workspace().join("../shared/scenes"));
-    let path = root.join(folder);
+    let path = lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")?.join(folder);
     if !path.is_dir() {
-        println!("skipped: {} is missing (set LUMISTACK_ASSETS)", path.display());
+        lumistack_testkit::skip::skipped(&format!("{} is missing (set LUMISTACK_ASSETS)", path.display()));
         return None;
     }
     Some(path)

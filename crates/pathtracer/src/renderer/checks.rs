@@ -61,7 +61,7 @@ impl Renderer {
             }
             let mut render = |half: u64| {
                 let pixel_seed = seed::derive(radiance, &[row as u64, col as u64, half]);
-                self.pixel(&rays, row, col, &bank, pixel_seed, settings, &clamped, stack).0.to_array()
+                self.pixel(&rays, row, col, &bank, pixel_seed, settings, &clamped, stack).mean.to_array()
             };
             let ([a, b, c], [d, e, f]) = (render(0), render(1));
             [a, b, c, d, e, f]

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use lumistack_core::tone::ToneCurve;
 use serde::{Deserialize, Serialize};
 
+use super::Background;
 use crate::error::PipelineError;
 
 /// Light and exposure.
@@ -16,6 +17,10 @@ pub struct LightJob {
     pub environment: Option<PathBuf>,
     /// Factor on the environment's radiance.
     pub environment_strength: f32,
+    /// Turn of the environment about the scene's up axis, degrees; above 0 what lies straight ahead moves to the left.
+    pub environment_rotation_deg: f64,
+    /// What is seen where no surface is; the light on surfaces does not depend on it.
+    pub background: Background,
     /// Whether a scene without any light gets the built-in studio light.
     pub automatic: bool,
     /// Exposure in stops added to the automatic one, or to scene radiance when `automatic_exposure` is off.
@@ -56,6 +61,8 @@ impl Default for LightJob {
         Self {
             environment: None,
             environment_strength: 1.0,
+            environment_rotation_deg: 0.0,
+            background: Background::default(),
             automatic: true,
             exposure_ev: 0.0,
             automatic_exposure: true,
@@ -73,6 +80,10 @@ impl LightJob {
         }
         if !(self.environment_strength.is_finite() && self.environment_strength >= 0.0) {
             return fail("light.environment_strength", "a number ≥ 0", self.environment_strength.to_string());
+        }
+        if !(self.environment_rotation_deg.is_finite() && self.environment_rotation_deg.abs() <= 360.0) {
+            let found = self.environment_rotation_deg.to_string();
+            return fail("light.environment_rotation_deg", "-360 to 360", found);
         }
         Ok(())
     }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, LightField};
+use lumistack_field_io::picture::Precision;
 use lumistack_plugin_host::{Registry, Time};
 use lumistack_report::DepthBudget;
 use serde::{Deserialize, Serialize};
@@ -21,6 +22,7 @@ use crate::job::{Job, SourceJob};
 use crate::look::Look;
 use crate::render;
 use crate::sequence;
+use crate::views::{self, ViewOptions};
 use crate::zone;
 
 /// What the input stage gives.
@@ -39,13 +41,14 @@ pub(crate) struct Input {
     pub(super) about: Option<serde_json::Value>,
 }
 
-/// Renders the views of a job's scene into `target_dir`, without factorizing; says what their depth asks of the display.
+/// Renders the views of a job's scene into `target_dir`, without factorizing, as `options` say; returns what their depth asks of the display.
 ///
 /// # Errors
 /// When ingest or rendering fails or is cancelled.
 pub fn render_only(
     job: &Job,
     target_dir: &Path,
+    options: &ViewOptions,
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<DepthBudget, PipelineError> {
@@ -53,18 +56,40 @@ pub fn render_only(
         return Err(PipelineError::value("job", "scene", "a scene to render", "none"));
     };
     let job = &file_params::resolved(job, registry)?;
+    job.check()?;
     check_folder(target_dir)?;
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    // found out before the first ray, not after
+    options.check(job)?;
+    options.chosen(geometry.grid.views())?;
     let cache = target_dir.join("cache");
     let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, Some(&cache), task)?;
     let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
-    let rendered = render::render(&job, &ingested, &placement, &geometry, display.angular_footprint(), &cache, task)?;
+    let footprint = display.angular_footprint();
+    let rendered = render::render_views(&job, &ingested, &placement, &geometry, footprint, &cache, options, task)?;
     let budget = rendered.depths.budget(&display, &geometry, &placement);
     warn_of_depth(&budget, task);
-    write_field(target_dir, &rendered.target, &field_info(&rendered, &placement))?;
+    let all = geometry.grid.iter().count();
+    if rendered.views.len() < all && !options.linear && job.light.automatic_exposure {
+        let count = rendered.views.len();
+        let message = format!(
+            "exposure is chosen from {count} of {all} views; for equal exposure of views that are rendered apart, set `light.automatic_exposure = false` or give --linear"
+        );
+        task.warn("exposure", message);
+    }
+    let mut info = field_info(&rendered, &placement);
+    if options.linear {
+        info.insert("tone".into(), "none".into());
+        info.insert("radiance".into(), "scene-linear, neither exposed nor clipped".into());
+    }
+    let layers = views::write_layers(target_dir, &job, options, &rendered, &ingested, &placement, task)?;
+    info.extend(layers.map(|layers| ("layers".to_owned(), layers)));
+    let precision = if options.linear { Precision::Float } else { Precision::Half };
+    lumistack_field_io::write_views(target_dir, &rendered.target, &rendered.views, precision, &info)
+        .map_err(field_error)?;
     Ok(budget)
 }
 
@@ -103,12 +128,18 @@ impl Run<'_> {
             Ok((rendered, cached))
         })?;
         let info = field_info(&rendered, &placement);
-        write_field_if_changed(&self.stamps, &self.dir, "target", &rendered.target, &info)?;
-        for (name, field) in [("held-out", &rendered.held_out), ("outside", &rendered.outside)] {
-            if let Some(field) = field {
-                write_field_if_changed(&self.stamps, &self.dir, name, field, &info)?;
-            }
-        }
+        let fields = [
+            ("target", Some(&rendered.target)),
+            ("held-out", rendered.held_out.as_ref()),
+            ("outside", rendered.outside.as_ref()),
+        ];
+        task.progress.begin("write light field", fields.len() as u64, "folders");
+        let written = fields.into_iter().try_for_each(|(name, field)| {
+            task.progress.advance(1, "");
+            field.map_or(Ok(()), |field| write_field_if_changed(&self.stamps, &self.dir, name, field, &info))
+        });
+        task.progress.end();
+        written?;
         let references = self.timed("render for the score", |run| {
             let zone = zone::zone_of(job, &run.display, &geometry);
             let shot = zone::Shot { ingested, window: &placement.window, look: rendered.look };

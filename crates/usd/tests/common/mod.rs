@@ -14,7 +14,7 @@ pub fn python() -> Option<OsString> {
         status.is_ok_and(|status| status.success()).then_some(python)
     });
     if found.is_none() {
-        eprintln!("skipped: LUMISTACK_PYTHON names no Python with usd-core");
+        lumistack_testkit::skip::skipped("LUMISTACK_PYTHON names no Python with usd-core");
     }
     found.clone()
 }

@@ -1,0 +1,85 @@
+//! Tests that need what a machine may not have: other people's files, Python packages, programs.
+//!
+//! Where the variable `CI` is set everything is expected to be there, and a test that is skipped fails instead.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// Names a file to which a line is added for every test that is skipped; `cargo xtask` sets it.
+const LIST: &str = "LUMISTACK_SKIPPED";
+
+/// Says that a test is not run, and why.
+///
+/// # Panics
+/// On CI: where the variable `CI` is set to anything but `false` and `0`.
+#[track_caller]
+pub fn skipped(why: &str) {
+    let is_ci = std::env::var("CI").is_ok_and(|value| !["", "0", "false"].contains(&value.as_str()));
+    let list = std::env::var_os(LIST).map(PathBuf::from);
+    if let Err(message) = account(why, std::thread::current().name(), is_ci, list.as_deref()) {
+        panic!("{message}");
+    }
+}
+
+/// Says that a test runs in another step of CI, `cargo xtask STEP`, which sets what it needs.
+pub fn runs_in(step: &str) {
+    println!("not here: `cargo xtask {step}` runs this test");
+}
+
+/// [`skipped`], in the test of this name.
+fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> Result<(), String> {
+    println!("skipped: {why}");
+    if let Some(list) = list {
+        let line = format!("test {}: {}\n", test.unwrap_or("?"), why.replace('\n', " "));
+        let file = std::fs::OpenOptions::new().create(true).append(true).open(list);
+        // one write, since tests run side by side
+        if let Err(error) = file.and_then(|mut file| file.write_all(line.as_bytes())) {
+            println!("{}: {error}", list.display());
+        }
+    }
+    if is_ci { Err(format!("skipped on CI, where every test must run: {why}")) } else { Ok(()) }
+}
+
+/// A folder of third-party files that `variable` names, or `default` beside the workspace (`../shared/...`); skips the test where it is missing.
+#[track_caller]
+pub fn folder(variable: &str, default: &str) -> Option<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let folder = std::env::var_os(variable).map_or_else(|| root.join(default), PathBuf::from);
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    skipped(&format!("{} is missing ({variable} names the folder)", folder.display()));
+    None
+}
+
+/// The Python that `LUMISTACK_PYTHON` names, or `python3`, if it has these modules ("numpy, PIL"); skips the test where neither has.
+#[track_caller]
+pub fn python_with(modules: &str) -> Option<PathBuf> {
+    let candidates = [std::env::var_os("LUMISTACK_PYTHON").map(PathBuf::from), Some("python3".into())];
+    let imports = |python: &PathBuf| {
+        let mut check = Command::new(python);
+        let status = check.args(["-c", &format!("import {modules}")]).stdout(Stdio::null()).stderr(Stdio::null());
+        status.status().is_ok_and(|status| status.success())
+    };
+    let found = candidates.into_iter().flatten().find(imports);
+    if found.is_none() {
+        skipped(&format!("no Python with {modules} (`cargo xtask ci` makes one)"));
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_skipped_test_fails_on_ci_and_is_listed_everywhere() {
+        let list = std::env::temp_dir().join(format!("lumistack-skipped-{}", std::process::id()));
+        assert_eq!(account("no files", Some("a::b"), false, Some(&list)), Ok(()));
+        assert!(account("no Python", Some("c"), true, Some(&list)).unwrap_err().ends_with("no Python"));
+        let text = std::fs::read_to_string(&list).unwrap();
+        std::fs::remove_file(&list).unwrap();
+        assert_eq!(text, "test a::b: no files\ntest c: no Python\n");
+    }
+}

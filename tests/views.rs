@@ -1,0 +1,188 @@
+//! `lumistack render` for other purposes than a display: scene-linear views, layers, some views only, the environment turned, and a background.
+
+mod common;
+#[path = "common/triangle.rs"]
+mod triangle;
+
+use std::path::Path;
+use std::process::Command;
+
+use common::{fail, files, lumistack, root, succeed};
+use exr::prelude::{FlatSamples, ReadChannels, ReadLayers, read};
+use lumistack_field_io::picture::Picture;
+use serde_json::Value;
+use triangle::write_triangle;
+
+const SMALL: [&str; 6] = ["--resolution", "30x18", "--samples", "4", "--max-bounces", "2"];
+
+fn render(scene: &Path, folder: &Path, options: &[&str]) -> Command {
+    let mut command = lumistack();
+    command.arg("render").arg(scene).arg("-o").arg(folder).args(SMALL).args(options);
+    command
+}
+
+fn still_life(folder: &Path, options: &[&str]) -> Command {
+    render(&root().join("scenes/still-life/still-life.gltf"), folder, options)
+}
+
+fn index(folder: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(folder.join("lightfield.json")).unwrap()).unwrap()
+}
+
+fn view(folder: &Path, name: &str) -> Vec<f32> {
+    Picture::read(&folder.join(name)).unwrap().into_linear()
+}
+
+/// A channel of a layers file.
+fn channel(file: &Path, name: &str) -> Vec<f32> {
+    let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
+    let image = image.all_attributes().from_file(file).unwrap();
+    let list = image.layer_data.channel_data.list;
+    let found = list.iter().find(|channel| channel.name.to_string() == name);
+    let found = found.unwrap_or_else(|| panic!("no channel {name}"));
+    match &found.sample_data {
+        FlatSamples::F32(values) => values.clone(),
+        _ => panic!("{name} is no single float"),
+    }
+}
+
+#[test]
+fn linear_views_are_what_exposed_views_are_made_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let (shown, linear) = (folder.path().join("shown"), folder.path().join("linear"));
+    succeed(&mut still_life(&shown, &["--tone", "linear", "--exposure-ev", "1"]));
+    succeed(&mut still_life(&linear, &["--linear"]));
+    let exposure = index(&shown)["info"]["exposure"].as_f64().unwrap();
+    assert_eq!(
+        (index(&linear)["info"]["tone"].as_str(), index(&linear)["info"]["exposure"].as_f64()),
+        (Some("none"), Some(1.0))
+    );
+    let (mut brightest, mut clipped) = (0.0f32, 0);
+    for name in ["view_00_00.exr", "view_02_03.exr"] {
+        for (shown, radiance) in view(&shown, name).iter().zip(view(&linear, name)) {
+            let expected = (f64::from(radiance) * exposure).clamp(0.0, 1.0) as f32;
+            // half floats have eleven bits
+            assert!((shown - expected).abs() <= 1e-3 * expected + 1e-6, "{shown} is not {expected}");
+            brightest = brightest.max(radiance * exposure as f32);
+            clipped += usize::from(f64::from(radiance) * exposure > 1.0);
+        }
+    }
+    assert!(clipped > 0 && brightest > 1.01, "nothing was clipped: {brightest}");
+    let text = String::from_utf8(still_life(&linear, &["--linear", "--tone", "agx"]).output().unwrap().stderr).unwrap();
+    assert!(text.contains("cannot be used with"), "{text}");
+}
+
+#[test]
+fn layers_say_what_views_see() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = write_triangle(folder.path());
+    let views = folder.path().join("views");
+    let layers = "depth,normal,albedo,variance,coverage";
+    succeed(&mut render(&scene, &views, &["--linear", "--layers", layers]));
+    let about = &index(&views)["info"]["layers"];
+    assert_eq!((about["depth"]["unit"].as_str(), about["variance"]["unit"].as_str()), (Some("mm"), Some("radiance²")));
+    assert!(about["scene_units_per_mm"].as_f64().unwrap() > 0.0);
+    let file = views.join("layers_01_03.exr");
+    let of = |name: &str| channel(&file, name);
+    let (coverage, depth, normal) = (of("coverage.A"), of("depth.Z"), of("normal.Z"));
+    let full = |i: &usize| coverage[*i] == 1.0;
+    assert!((0..coverage.len()).filter(full).count() > 20 && coverage.contains(&0.0));
+    for i in 0..coverage.len() {
+        if coverage[i] == 1.0 {
+            // the window stands in the triangle's plane or parallel to it
+            assert!(depth[i].is_finite() && (normal[i] - 1.0).abs() < 1e-5, "{} {}", depth[i], normal[i]);
+            assert!((of("albedo.G")[i] - 1.0).abs() < 1e-5);
+        } else if coverage[i] == 0.0 {
+            assert!(depth[i].is_nan() && normal[i] == 0.0 && of("albedo.R")[i] == 0.0);
+        }
+    }
+    let flat: Vec<f32> = depth.iter().copied().filter(|z| z.is_finite()).collect();
+    assert!(flat.iter().all(|z| (z - flat[0]).abs() < 0.1), "the triangle faces the display");
+    let variance = of("variance.R");
+    assert!(variance.iter().all(|value| *value >= 0.0) && variance.iter().any(|value| *value > 0.0));
+    // more samples, less variance: a fourth of the first at four times as many
+    let mean = |folder: &Path| -> f64 {
+        let values = channel(&folder.join("layers_01_03.exr"), "variance.R");
+        values.iter().map(|value| f64::from(*value)).sum()
+    };
+    let more = folder.path().join("more");
+    succeed(&mut render(&scene, &more, &["--layers", "variance", "--samples", "64"]));
+    let ratio = mean(&more) / mean(&views);
+    assert!((0.03..0.12).contains(&ratio), "a sixteenth: {ratio}");
+    let text = fail(&mut render(&scene, &more, &["--layers", "variance", "--samples", "1"]));
+    assert!(text.contains("--layers: expected at least 2 samples"), "{text}");
+}
+
+#[test]
+fn some_views_are_those_of_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    succeed(&mut still_life(&at("all"), &["--linear"]));
+    succeed(&mut still_life(&at("row"), &["--linear", "--only-views", "2,*"]));
+    let list = |name: &str| -> Vec<String> {
+        let names = files(&at(name)).into_iter().map(|(path, _)| path.display().to_string());
+        names.filter(|name| name.starts_with("view_")).collect()
+    };
+    assert_eq!(list("row"), (0..5).map(|x| format!("view_02_{x:02}.exr")).collect::<Vec<_>>());
+    for name in list("row") {
+        assert!(view(&at("row"), &name) == view(&at("all"), &name), "{name} is another picture");
+    }
+    // whole rows are a light field of their own
+    let row = index(&at("row"));
+    assert_eq!((&row["slope_x"], row["slope_y"].as_array().unwrap().len()), (&index(&at("all"))["slope_x"], 1));
+    assert_eq!(row["info"]["part_of"]["rows"], serde_json::json!([2]));
+    let text = succeed(lumistack().arg("info").arg(at("row")));
+    assert!(text.contains("views: [5, 1]"), "{text}");
+    // others say that they are none
+    succeed(&mut still_life(&at("two"), &["--linear", "--only-views", "0,0", "--only-views", "2,3..4"]));
+    assert_eq!((list("two").len(), index(&at("two"))["partial"].as_bool()), (3, Some(true)));
+    let text = fail(lumistack().arg("factorize").arg(at("two")).arg("-o").arg(at("run")));
+    assert!(text.contains("expected all views of a light field") && text.contains("found 3 of 25"), "{text}");
+    // and become one when the rest is rendered
+    succeed(&mut still_life(&at("two"), &["--linear"]));
+    assert!(files(&at("two")) == files(&at("all")));
+    let text = fail(&mut still_life(&at("two"), &["--only-views", "5,0"]));
+    assert!(text.contains("--only-views: expected a row of 0 to 4, of 5 rows × 5 columns, found 5"), "{text}");
+    let text = fail(&mut still_life(&at("two"), &["--only-views", "0,0", "--denoise", "guided"]));
+    assert!(text.contains("`--denoise off`"), "{text}");
+}
+
+#[test]
+fn the_environment_turns_and_hides() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = write_triangle(folder.path());
+    let of = |name: &str, options: &[&str]| {
+        let views = folder.path().join(name);
+        succeed(&mut render(&scene, &views, &[&["--layers", "coverage"], options].concat()));
+        let shown = view(&views, "view_02_02.exr");
+        let coverage = channel(&views.join("layers_02_02.exr"), "coverage.A");
+        (shown, coverage, index(&views)["info"]["exposure"].as_f64().unwrap())
+    };
+    let lit = of("lit", &[]);
+    let turned = of("turned", &["--environment-rotation", "120", "--linear"]);
+    let straight = of("straight", &["--linear"]);
+    let dim = of("dim", &["--environment-strength", "0.5", "--linear"]);
+    assert!(turned.0 != straight.0, "the studio light turns");
+    for (dim, straight) in dim.0.iter().zip(&straight.0) {
+        assert!((dim - 0.5 * straight).abs() < 1e-5 * straight.max(1.0), "{dim} is not half of {straight}");
+    }
+    let ground = of("ground", &["--background", "#204060"]);
+    let other = of("other", &["--background", "#ffffff"]);
+    assert_eq!(ground.2, other.2, "exposure does not see the background");
+    let codes = |rgb: &[f32]| [0, 1, 2].map(|c| lumistack_core::colour::srgb_code(rgb[c]));
+    let (mut free, mut surface) = (0, 0);
+    for i in 0..ground.1.len() {
+        let [here, there, before] = [&ground.0, &other.0, &lit.0].map(|view| &view[3 * i..3 * i + 3]);
+        if ground.1[i] == 0.0 {
+            assert_eq!((codes(here), codes(there)), ([0x20, 0x40, 0x60], [255; 3]));
+            assert!(codes(before) != [0x20, 0x40, 0x60]);
+            free += 1;
+        } else if ground.1[i] == 1.0 {
+            assert_eq!(here, there, "light does not come from the background");
+            surface += 1;
+        }
+    }
+    assert!(free > 20 && surface > 20, "{free} {surface}");
+    let text = String::from_utf8(render(&scene, folder.path(), &["--background", "sky"]).output().unwrap().stderr);
+    assert!(text.unwrap().contains("a colour such as `#202028`"));
+}

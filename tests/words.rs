@@ -1,0 +1,203 @@
+//! What the command says: hints that work, warnings about flags that replace or leave something, errors in units, progress, and closed pipes.
+
+mod common;
+#[path = "common/triangle.rs"]
+mod triangle;
+
+use std::io::Read;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use common::{fail, lumistack, report, succeed};
+use triangle::write_triangle;
+
+const SMALL: [&str; 10] =
+    ["--resolution", "24x15", "--samples", "2", "--max-bounces", "2", "--frames", "2", "--iterations", "3"];
+
+/// What a command that succeeds says on standard error.
+fn said(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{command:?}\n{text}");
+    text
+}
+
+fn run(scene: &Path, folder: &Path) -> Command {
+    let mut command = lumistack();
+    // cargo tells tests about their package as it tells programs that it runs
+    command.env_remove("CARGO").arg("run").arg(scene).arg("-o").arg(folder).args(SMALL);
+    command
+}
+
+#[test]
+fn a_scene_alone_becomes_a_preview_and_the_hint_works() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = write_triangle(folder.path());
+    let out = folder.path().join("run");
+    let text = succeed(&mut run(&scene, &out));
+    // as the test started it: by its path
+    let program = env!("CARGO_BIN_EXE_lumistack");
+    assert!(text.contains(&format!("Look into the display: {program} preview {}", out.display())), "{text}");
+    let single = out.join("outputs/tensor-display/preview/preview.html");
+    assert!(single.is_file() && text.contains(&format!("or open {} by a double click", single.display())), "{text}");
+    let messages = report(&out)["warnings"].to_string();
+    assert!(!messages.contains("flicker"), "nobody chose these frames for panels: {messages}");
+    // cargo runs the program by the alias of the repository
+    let by_cargo = |command: &mut Command| {
+        command.env("CARGO", "cargo").env("CARGO_PKG_NAME", "lumistack-cli");
+        String::from_utf8(command.output().unwrap().stdout).unwrap()
+    };
+    let text = by_cargo(&mut run(&scene, &out));
+    assert!(text.contains("Look into the display: cargo lumistack preview "), "{text}");
+    let help = by_cargo(lumistack().args(["run", "--help"]));
+    assert!(
+        help.contains("Usage: cargo lumistack run ") && help.contains("\n  cargo lumistack run model.glb"),
+        "{help}"
+    );
+    let text = fail(lumistack().env("CARGO", "cargo").env("CARGO_PKG_NAME", "lumistack-cli").args([
+        "run",
+        "a.glb",
+        "--display",
+        "papr",
+    ]));
+    assert!(text.contains("`cargo lumistack displays`"), "{text}");
+}
+
+#[test]
+fn the_pair_of_the_readme_works_and_replaces_nothing_unsaid() {
+    let readme = std::fs::read_to_string(common::root().join("README.md")).unwrap();
+    let line = |start: &str| {
+        let line = readme.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("no {start}"));
+        line.split("   ").next().unwrap().split_whitespace().skip(1).map(str::to_owned).collect::<Vec<_>>()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::rename(write_triangle(folder.path()), folder.path().join("model.gltf")).unwrap();
+    let mut render = line("lumistack render model.glb -o views");
+    render[1] = "model.gltf".into();
+    succeed(lumistack().current_dir(&folder).args(render).args(&SMALL[..6]));
+    let factorize = line("lumistack factorize views -o");
+    let text = said(lumistack().current_dir(&folder).args(&factorize).args(&SMALL[6..]));
+    assert!(!text.contains("pitch") && !text.contains("angles"), "its own geometry is kept: {text}");
+    let flags = ["--pitch-mm", "3", "--fov", "30x30", "--grid", "perspective", "--distance-mm", "900"];
+    let text = said(lumistack().current_dir(&folder).args(&factorize).args(&SMALL[6..]).args(flags));
+    for expected in [
+        "its own pixel pitch of 19.7925 mm is replaced by 3 mm (--pitch-mm)",
+        "its own angles of 20.0° × 20.0° are replaced by 30° × 30° (--fov)",
+        "its own oblique views are taken as perspective (--grid)",
+    ] {
+        assert!(text.contains(expected), "{expected}: {text}");
+    }
+    // the same values replace nothing
+    let text = said(lumistack().current_dir(&folder).args(&factorize).args(&SMALL[6..]).args(["--fov", "20x20"]));
+    assert!(!text.contains("replaced"), "{text}");
+}
+
+#[test]
+fn viewpoints_outside_the_zone_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    succeed(&mut run(&write_triangle(folder.path()), &out));
+    let picture = folder.path().join("a.png");
+    let from = |flags: [&str; 2]| said(lumistack().arg("simulate").arg(&out).args(flags).arg("-o").arg(&picture));
+    let text = from(["--view", "14,0"]);
+    assert!(
+        text.contains("--view: from there all of the display is seen outside its viewing zone of ±10° × ±10°"),
+        "{text}"
+    );
+    assert!(from(["--eye", "100,0,600"]).contains("--eye: from there "));
+    // the examples of the help
+    let help = succeed(lumistack().args(["simulate", "--help"]));
+    for flags in [["--view", "4,-2"], ["--eye", "100,0,2000"]] {
+        assert!(help.contains(&flags.join(" ")), "{help}");
+        assert_eq!(from(flags), "");
+    }
+}
+
+#[test]
+fn types_and_places_are_told_in_the_words_of_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    write_triangle(folder.path());
+    let job = folder.path().join("a.toml");
+    let error = |text: &str| {
+        std::fs::write(&job, format!("scene = \"triangle.gltf\"\n{text}")).unwrap();
+        fail(lumistack().arg("run").arg(&job).arg("-o").arg(folder.path().join("out")))
+    };
+    let display = "[display]\npreset = \"paper-three-layer\"\n";
+    for (text, expected) in [
+        (
+            "display = \"paper-three-layer\"".into(),
+            "line 2, column 11: expected a table of keys and values, [display], found the text",
+        ),
+        (format!("{display}frames = 2.5"), "line 4, column 10: expected a whole number, 0 or more, found 2.5"),
+        (format!("{display}resolution = [420]"), "expected a list of 2 values, found 1 of them"),
+        (format!("{display}[render]\nlens_deg = \"wide\""), "expected a number in degrees, found the text \"wide\""),
+        (format!("{display}[render]\nsamples = 0"), "a.toml: render.samples: expected 1 to 65536, found 0"),
+        (format!("{display}[light]\nbackground = \"blue\""), "expected `environment`, a colour such as `#202028`"),
+        (
+            format!("{display}[light]\nenvironment_rotation_deg = 400"),
+            "light.environment_rotation_deg: expected -360 to 360",
+        ),
+    ] {
+        let found = error(&text);
+        assert!(found.contains(expected), "{expected}: {found}");
+    }
+    let text = fail(lumistack().arg("run").arg(folder.path()));
+    assert!(text.contains("expected a scene") && text.contains("found a folder"), "{text}");
+    let text = fail(lumistack().args(["info", "paper-three-layr"]));
+    assert!(text.contains("did you mean `paper-three-layer`"), "{text}");
+    let text = succeed(lumistack().arg("plugins"));
+    assert!(!text.contains("Text {") && !text.contains("[File"), "{text}");
+}
+
+#[test]
+fn every_part_of_a_run_shows_progress() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let text =
+        succeed(run(&write_triangle(folder.path()), &out).args(["--denoise", "guided", "--samples", "4", "--json"]));
+    let events: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let begun: Vec<&str> =
+        events.iter().filter(|event| event["event"] == "begin").filter_map(|event| event["stage"].as_str()).collect();
+    for stage in [
+        "read scene",
+        "prepare scene",
+        "depth",
+        "render",
+        "guides of the denoiser",
+        "denoise",
+        "check the denoiser",
+        "expose",
+        "factorize",
+        "report",
+    ] {
+        assert!(begun.contains(&stage), "{stage} shows no progress: {begun:?}");
+    }
+    let ended = events.iter().filter(|event| event["event"] == "end").count();
+    assert_eq!(ended, begun.len(), "stages follow one another");
+}
+
+/// Nobody reads any more: no panic, no word.
+#[test]
+fn a_closed_pipe_ends_quietly() {
+    for arguments in
+        [&["plugins"][..], &["displays"], &["completions", "bash"], &["run", "--help"], &["info", "paper-three-layer"]]
+    {
+        let mut child = lumistack().args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let mut said = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        let status = child.wait().unwrap();
+        assert!(said.is_empty() && status.success(), "{arguments:?}: {status} {said}");
+    }
+    // a run whose messages nobody reads goes on
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let mut child =
+        run(&write_triangle(folder.path()), &out).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stderr.take());
+    assert!(child.wait().unwrap().success() && out.join("report.html").is_file());
+    // and wrong usage ends with its own code
+    let mut child = lumistack().arg("rum").stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stderr.take());
+    assert_eq!(child.wait().unwrap().code(), Some(2));
+}
