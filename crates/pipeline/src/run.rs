@@ -34,6 +34,7 @@ use crate::sequence::{self, SequenceSummary};
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
     /// The report.
+    #[serde(serialize_with = "crate::path_text::told")]
     pub report: PathBuf,
     /// PSNR of L̃/β against L, dB.
     pub psnr_view: f64,
