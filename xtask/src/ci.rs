@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use crate::blender;
+use crate::deny;
 use crate::layers::{self, PORTABLE};
 use crate::panels;
 use crate::plugins;
@@ -22,6 +23,7 @@ pub fn run_steps(full: bool) -> Outcome {
     }
     step("format", || cargo(&["fmt", "--all", "--check"]))?;
     step("layers", layers::check)?;
+    step("dependencies", deny::in_ci)?;
     step("clippy", || {
         let mut arguments = [&["clippy", "--all-targets", "--quiet"], &EVERYTHING[..]].concat();
         if strict {
