@@ -64,6 +64,117 @@ fn scenes() {
     assert!(text.contains("expected a file .gltf, .glb") && text.contains("`stl`"), "{text}");
 }
 
+/// A scene that comes from somebody else reads regular files beside it and nothing else, unless the user lets it.
+#[cfg(unix)]
+#[test]
+fn a_scene_reads_no_files_elsewhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let inner = folder.path().join("scene");
+    std::fs::create_dir(&inner).unwrap();
+    let mut bytes = Vec::new();
+    for value in [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0] {
+        bytes.extend(value.to_le_bytes());
+    }
+    std::fs::write(folder.path().join("a.bin"), &bytes).unwrap();
+    std::fs::write(inner.join("a.bin"), &bytes).unwrap();
+    std::os::unix::fs::symlink(folder.path().join("a.bin"), inner.join("link.bin")).unwrap();
+    let pipe = inner.join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let file = inner.join("scene.gltf");
+    let info = |uri: &str, flags: &[&str]| {
+        let text = triangle("", "");
+        let (start, _) = text.split_once("data:application").unwrap();
+        std::fs::write(&file, format!("{start}{uri}\"}}]}}")).unwrap();
+        let mut command = lumistack();
+        command.arg("info").arg(&file).args(flags);
+        command
+    };
+    succeed(&mut info("a.bin", &[]));
+    succeed(&mut info("../scene/a.bin", &[]));
+    let outside = folder.path().join("a.bin");
+    for uri in ["../a.bin", "link.bin", outside.to_str().unwrap()] {
+        let text = fail(&mut info(uri, &[]));
+        let names_all =
+            text.contains("scene.gltf: /buffers/0/uri: ") && text.contains(uri) && text.contains("--allow-outside");
+        assert!(names_all && text.contains("outside of the folder"), "{text}");
+        succeed(&mut info(uri, &["--allow-outside"]));
+    }
+    // no device and no pipe, even so; without the check these would never end
+    for (uri, found) in [("/dev/zero", "a device"), ("pipe", "a pipe"), ("/", "a folder")] {
+        let text = fail(&mut info(uri, &["--allow-outside"]));
+        assert!(text.contains(&format!("expected a regular file, found {found}")), "{text}");
+    }
+    // a job lets its scene read elsewhere by a key; its own paths are the user's, but must be regular files too
+    let job = folder.path().join("job.toml");
+    let text = "scene = \"scene/scene.gltf\"\n[display]\npreset = \"paper-three-layer\"\n[importer]\nallow_outside = ";
+    for (allowed, expected) in [("false", Some("importer.allow_outside = true")), ("true", None)] {
+        info("../a.bin", &[]);
+        std::fs::write(&job, format!("{text}{allowed}\n")).unwrap();
+        let mut command = lumistack();
+        command.arg("info").arg(&job).args(["--display", "paper-three-layer"]);
+        match expected {
+            Some(expected) => assert!(fail(&mut command).contains(expected)),
+            None => _ = succeed(&mut command),
+        }
+    }
+    for (key, name) in [("light_field", "zero.npy"), ("scene", "zero.glb"), ("scene", "zero.obj")] {
+        std::os::unix::fs::symlink("/dev/zero", folder.path().join(name)).unwrap();
+        let text = format!("{key} = \"{name}\"\n[display]\npreset = \"paper-three-layer\"\n");
+        std::fs::write(&job, text).unwrap();
+        let run = folder.path().join("run");
+        let text = fail(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
+        assert!(text.contains(name) && text.contains("expected a regular file, found a device"), "{text}");
+    }
+}
+
+/// Names on Linux are bytes: a scene, its folder, a display and the run folder may have any.
+#[cfg(target_os = "linux")]
+#[test]
+fn names_that_are_not_text() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let inner = folder.path().join(OsStr::from_bytes(b"sc\xE8ne"));
+    std::fs::create_dir(&inner).unwrap();
+    let scene = inner.join(OsStr::from_bytes(b"mod\xE8le.gltf"));
+    std::fs::write(&scene, format!("{}}}", triangle("", ""))).unwrap();
+    let obj = inner.join(OsStr::from_bytes(b"mod\xE8le.obj"));
+    std::fs::write(&obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    let display = inner.join(OsStr::from_bytes(b"\xE9cran.toml"));
+    let preset = root().join("scenes/displays/paper-three-layer.toml");
+    std::fs::copy(preset, &display).unwrap();
+    for scene in [&scene, &obj] {
+        succeed(lumistack().arg("info").arg(scene));
+        succeed(lumistack().arg("info").arg(scene).arg("--json"));
+    }
+    succeed(lumistack().arg("info").arg(&display));
+    let run = inner.join(OsStr::from_bytes(b"r\xFCn"));
+    let small = ["--resolution", "20x12", "--samples", "1", "--iterations", "1"];
+    succeed(
+        lumistack().arg("run").arg(&scene).arg("--display").arg(&display).arg("-o").arg(&run).args(small).arg("--json"),
+    );
+    // the job that was written leads to the same scene
+    succeed(lumistack().arg("run").arg(run.join("job.toml")).arg("-o").arg(&run));
+    succeed(lumistack().arg("info").arg(&run));
+    let views = inner.join(OsStr::from_bytes(b"v\xFCes"));
+    succeed(lumistack().arg("render").arg(&scene).arg("-o").arg(&views).args([
+        "--resolution",
+        "20x12",
+        "--samples",
+        "1",
+    ]));
+    succeed(lumistack().arg("info").arg(&views));
+    // a folder that is listed
+    let numbered = inner.join("numbered");
+    std::fs::create_dir(&numbered).unwrap();
+    let picture = image::RgbImage::from_pixel(4, 3, image::Rgb([9, 9, 9]));
+    for name in [&b"vue\xE9_00_00.png"[..], b"vue\xE9_00_01.png"] {
+        picture.save(numbered.join(OsStr::from_bytes(name))).unwrap();
+    }
+    succeed(lumistack().arg("info").arg(&numbered).args(["--fov", "20x20", "--pitch-mm", "0.5"]));
+}
+
 #[test]
 fn a_truncated_glb() {
     let Some(assets) = common::assets() else { return };

@@ -14,7 +14,7 @@ const MAX_DECODED_BYTES: u64 = 64 << 20;
 struct Content<'a>(&'a [u8]);
 
 impl AssetResolver for Content<'_> {
-    fn read(&self, _uri: &str) -> Result<Vec<u8>, String> {
+    fn read(&self, _uri: &str, _max_bytes: u64) -> Result<Vec<u8>, String> {
         Ok(self.0.to_vec())
     }
 }
@@ -67,7 +67,12 @@ fn load(file: &[u8], content: &[u8]) {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
     let resolver = Content(content);
-    let options = LoadOptions { time_s: Some(0.5), max_decoded_bytes: MAX_DECODED_BYTES, ..LoadOptions::default() };
+    let options = LoadOptions {
+        time_s: Some(0.5),
+        max_decoded_bytes: MAX_DECODED_BYTES,
+        max_picture_bytes: MAX_DECODED_BYTES,
+        ..LoadOptions::default()
+    };
     if let Err(error) = load_with("fuzz.gltf", file, &resolver, &options, task) {
         assert!(!error.to_string().is_empty());
     }

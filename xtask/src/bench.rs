@@ -40,9 +40,11 @@ cargo xtask bench [what]
                 again, which must end with the same bytes (a minute or two)
   web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
                 and per frame, through WebGL2 and on the processor
-  fuzz          random changes to glTF files, whole and packed, from the corpora of others; anything but a scene or
-                a message is a failure. Needs a nightly compiler and a C++ compiler; fetches cargo-fuzz
-      --minutes N    default 10
+  fuzz          random changes to files of every kind that is read, whole and packed, from our own and the corpora of
+                others; anything but a value or a message is a failure. Needs a nightly compiler and a C++ compiler; fetches
+                cargo-fuzz
+      --minutes N    for each target, default 10
+      --target NAME  one only: load (glTF and its pictures), light_field, quilt, npy, picture, obj, display, job, stack, calibration
 
 NumPy and PyTorch are fetched into target/python-bench at the first `factorize` (on x86-64 Linux 3 GB to fetch and
 6 GB on disk, since PyTorch's package brings its GPU libraries along); where they cannot be had, the bench says so
@@ -71,14 +73,26 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["big", options @ ..] => bench_render::big(options)?,
         ["design"] => example("lumistack-pipeline", "bench_design", &[]),
         ["web"] => web::bench(),
-        ["fuzz"] => fuzz::run(10),
-        ["fuzz", "--minutes", minutes] => fuzz::run(minutes.parse().ok()?),
+        ["fuzz", options @ ..] => fuzzing(options)?,
         ["--help" | "-h"] => {
             print!("{USAGE}");
             Ok(())
         }
         _ => return None,
     })
+}
+
+fn fuzzing(options: &[&str]) -> Option<Outcome> {
+    let (mut minutes, mut only) = (10.0, None);
+    let mut words = options.iter();
+    while let Some(word) = words.next() {
+        match *word {
+            "--minutes" => minutes = words.next()?.parse().ok()?,
+            "--target" => only = Some(*words.next()?),
+            _ => return None,
+        }
+    }
+    Some(fuzz::run(minutes, only))
 }
 
 fn factorize(options: &[&str]) -> Option<Outcome> {

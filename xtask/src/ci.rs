@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use crate::blender;
+use crate::deny;
 use crate::layers::{self, PORTABLE};
 use crate::panels;
 use crate::plugins;
@@ -30,6 +31,7 @@ fn run_steps(full: bool, times: &mut Vec<(&'static str, f64)>) -> Outcome {
     }
     step("format", &mut || cargo(&["fmt", "--all", "--check"]))?;
     step("layers", &mut layers::check)?;
+    step("dependencies", &mut deny::in_ci)?;
     step("clippy", &mut || {
         let mut arguments = [&["clippy", "--all-targets", "--quiet"], &EVERYTHING[..]].concat();
         if strict {

@@ -1,4 +1,4 @@
-//! Fuzzing of glTF ingest with cargo-fuzz, from the corpora of others as seeds.
+//! Fuzzing of every reader with cargo-fuzz, from the repository's own files and the corpora of others as seeds.
 
 use std::path::{Path, PathBuf};
 
@@ -7,8 +7,44 @@ use crate::tools::{self, Outcome, command, output_of};
 /// Largest file that becomes a seed: small ones are mutated fastest.
 const MAX_SEED_BYTES: u64 = 64 << 10;
 
-/// Runs the fuzzer for some minutes; an input that breaks ingest is an error.
-pub fn run(minutes: u64) -> Outcome {
+/// A target in `fuzz/fuzz_targets`, and where its seeds are besides `fuzz/seeds/NAME`: folders of the repository, folders of the assets, extensions.
+struct Target {
+    name: &'static str,
+    own: &'static [&'static str],
+    assets: &'static [&'static str],
+    extensions: &'static [&'static str],
+}
+
+const TARGETS: [Target; 10] = [
+    Target {
+        name: "load",
+        own: &["crates/gltf/tests/data"],
+        assets: &["gltf", "hostile/gltf"],
+        extensions: &["gltf", "glb", "ktx2", "png", "jpg", "webp", "hdr"],
+    },
+    Target { name: "light_field", own: &[], assets: &[], extensions: &[] },
+    Target { name: "quilt", own: &[], assets: &[], extensions: &[] },
+    Target { name: "npy", own: &[], assets: &[], extensions: &[] },
+    Target {
+        name: "picture",
+        own: &["scenes"],
+        assets: &["gltf", "usd"],
+        extensions: &["png", "jpg", "webp", "hdr", "exr"],
+    },
+    Target { name: "obj", own: &[], assets: &[], extensions: &["obj"] },
+    Target { name: "display", own: &["scenes/displays"], assets: &[], extensions: &["toml"] },
+    Target { name: "job", own: &["scenes", "tests/cases"], assets: &[], extensions: &["toml"] },
+    Target { name: "stack", own: &[], assets: &[], extensions: &[] },
+    Target { name: "calibration", own: &[], assets: &[], extensions: &[] },
+];
+
+/// Fuzzes every target, or the one that is named, for some minutes each; an input that breaks a reader is an error, after the other targets.
+pub fn run(minutes: f64, only: Option<&str>) -> Outcome {
+    let targets: Vec<&Target> = TARGETS.iter().filter(|target| only.is_none_or(|only| target.name == only)).collect();
+    if targets.is_empty() {
+        let known = TARGETS.each_ref().map(|target| target.name).join(", ");
+        return Err(format!("expected a target ({known}), found {}", only.unwrap_or_default()));
+    }
     if output_of(command("rustup").args(["run", "nightly", "cargo", "--version"])).is_none() {
         println!("bench: nothing is fuzzed: there is no nightly compiler (`rustup toolchain install nightly`)");
         return Ok(());
@@ -17,7 +53,19 @@ pub fn run(minutes: u64) -> Outcome {
         println!("bench: nothing is fuzzed: there is no cargo-fuzz, and it could not be installed");
         return Ok(());
     };
-    let work = tools::root().join("target/fuzz");
+    let mut broken = Vec::new();
+    for target in targets {
+        if let Err(error) = fuzz(target, minutes, &cargo_fuzz) {
+            println!("bench: {}: {error}", target.name);
+            broken.push(target.name);
+        }
+    }
+    if broken.is_empty() { Ok(()) } else { Err(format!("inputs that break {} are in target/fuzz", broken.join(", "))) }
+}
+
+fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path) -> Outcome {
+    let build = tools::root().join("target/fuzz");
+    let work = build.join("targets").join(target.name);
     let (seeds, corpus, found) = (work.join("seeds"), work.join("corpus"), work.join("found"));
     let make =
         |folder: &Path| std::fs::create_dir_all(folder).map_err(|error| format!("{}: {error}", folder.display()));
@@ -26,11 +74,11 @@ pub fn run(minutes: u64) -> Outcome {
     }
     let assets = std::env::var_os("LUMISTACK_ASSETS").map(PathBuf::from);
     let assets = assets.unwrap_or_else(|| tools::root().join("../shared/scenes"));
-    let mut count = 0;
-    for folder in [tools::root().join("crates/gltf/tests/data"), assets.join("gltf"), assets.join("hostile/gltf")] {
-        count += copy_seeds(&folder, &seeds);
-    }
-    println!("bench: {count} seeds, {minutes} minutes");
+    let own = target.own.iter().map(|folder| tools::root().join(folder));
+    let folders = own.chain(target.assets.iter().map(|folder| assets.join(folder)));
+    let mut count: usize = folders.map(|folder| copy_seeds(&folder, &seeds, target.extensions)).sum();
+    count += copy_seeds(&tools::root().join("fuzz/seeds").join(target.name), &seeds, &["seed"]);
+    println!("bench: {}: {count} seeds, {minutes} minutes", target.name);
     let mut fuzzer = command("rustup");
     // the toolchain that runs this task must not be the one that builds the fuzzer
     for variable in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN", "RUSTFLAGS", "CARGO_TARGET_DIR"] {
@@ -41,11 +89,14 @@ pub fn run(minutes: u64) -> Outcome {
         .args(["run", "nightly"])
         .arg(cargo_fuzz)
         .args(["run", "-O", "--sanitizer", "none", "--target-dir"])
-        .arg(&work);
-    fuzzer.arg("load").arg(&corpus).arg(&seeds).arg("--");
-    fuzzer.arg(format!("-max_total_time={}", 60 * minutes)).arg(format!("-artifact_prefix={}/", found.display()));
-    // a file of this size takes milliseconds, and may take 64 MiB
-    fuzzer.args(["-timeout=10", "-rss_limit_mb=1024", "-max_len=65536", "-print_final_stats=1", "-verbosity=1"]);
+        .arg(&build);
+    fuzzer.arg(target.name).arg(&corpus).arg(&seeds).arg("--");
+    let seconds = (60.0 * minutes).ceil().max(1.0);
+    fuzzer.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", found.display()));
+    // an input of this size takes milliseconds. Scenes may take 64 MiB there, pictures what their headers claim within the limits of the readers.
+    let memory_mib = if target.name == "load" { 1024 } else { 8192 };
+    fuzzer.args(["-timeout=25", "-max_len=65536", "-print_final_stats=1", "-verbosity=1"]);
+    fuzzer.arg(format!("-rss_limit_mb={memory_mib}"));
     tools::run(&mut fuzzer)
 }
 
@@ -59,7 +110,7 @@ fn cargo_fuzz() -> Option<PathBuf> {
     let root = tools::root().join("target/fuzz-tools");
     let own = root.join("bin/cargo-fuzz");
     if !works(&own) {
-        println!("\nfetching: cargo-fuzz, in target/fuzz-tools (used only to fuzz glTF ingest)");
+        println!("\nfetching: cargo-fuzz, in target/fuzz-tools (used only to fuzz readers)");
         let mut install = command("cargo");
         install.args(["install", "cargo-fuzz", "--locked", "--root"]).arg(&root);
         tools::run(&mut install).ok()?;
@@ -68,16 +119,14 @@ fn cargo_fuzz() -> Option<PathBuf> {
 }
 
 /// Copies what can be a seed, flat, and returns how many files that were.
-fn copy_seeds(folder: &Path, seeds: &Path) -> usize {
+fn copy_seeds(folder: &Path, seeds: &Path, extensions: &[&str]) -> usize {
     let mut count = 0;
     let mut open = vec![folder.to_owned()];
     while let Some(directory) = open.pop() {
         for entry in std::fs::read_dir(directory).into_iter().flatten().flatten() {
             let path = entry.path();
             let is_small = entry.metadata().is_ok_and(|meta| meta.is_file() && meta.len() <= MAX_SEED_BYTES);
-            let is_input = path.extension().is_some_and(|extension| {
-                ["gltf", "glb", "ktx2", "png", "jpg", "webp", "hdr"].iter().any(|known| extension == *known)
-            });
+            let is_input = path.extension().is_some_and(|found| extensions.iter().any(|known| found == *known));
             if path.is_dir() {
                 open.push(path);
             } else if is_small && is_input {

@@ -4,6 +4,7 @@ mod bench;
 mod bench_render;
 mod blender;
 mod ci;
+mod deny;
 mod fuzz;
 mod gallery;
 mod layers;
@@ -22,6 +23,7 @@ cargo xtask <task>
   ci [--full]   format, lints, docs, layer check, wasm32 check, tests, end-to-end cases;
                 --full adds the slow ones; with CI=true a check that is skipped is a failure, here and in every other task
   layers        the layer and forbidden-edge check alone
+  deny          licences, bans, sources and, where their database can be fetched, advisories of all dependencies; installs cargo-deny
   machines      the vector kernels of ARM under emulation and of WebAssembly in Node.js, against their oracles
   panels [--full]
                 build the windows of `lumistack show` and test them on compositors without hardware;
@@ -52,6 +54,7 @@ fn main() -> ExitCode {
         ["ci"] => ci::run_ci(false),
         ["ci", "--full"] => ci::run_ci(true),
         ["layers"] => layers::check(),
+        ["deny"] => deny::check(),
         ["machines"] => machines::check(),
         ["panels"] => panels::check(false),
         ["panels", "--full"] => panels::check(true),

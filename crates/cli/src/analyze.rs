@@ -10,7 +10,8 @@ use lumistack_display::{Display, Variation};
 use lumistack_pipeline::{PipelineError, Registry, RunFolder, outlook_on, presets};
 use serde_json::json;
 
-use crate::commands::job_or_scene;
+use crate::args::FileArgs;
+use crate::commands::{change_importer, job_or_scene};
 use crate::console::say;
 
 pub(crate) const EXAMPLES: &str = "\
@@ -35,6 +36,8 @@ pub(crate) struct Analyze {
     /// A finished run whose scene's depth is taken
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
+    #[command(flatten)]
+    files: FileArgs,
     /// Depth up to which the bound is worked out, millimetres [default: what display and scene need]
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
@@ -91,7 +94,7 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
         let is_run = folder.join("display.toml").is_file();
         let display = load(which, is_run.then_some(folder))?;
         let scene = match (&args.scene, &args.run) {
-            (Some(scene), _) => Some(looked_at(scene, &display, registry, task)?),
+            (Some(scene), _) => Some(looked_at(scene, &args.files, &display, registry, task)?),
             (None, Some(run)) => Some(of_run(run)?),
             (None, None) if is_run => of_run(folder).ok(),
             (None, None) => None,
@@ -159,8 +162,16 @@ fn load(which: &Which, run: Option<&Path>) -> Result<Display, PipelineError> {
 }
 
 /// Places a display in a scene.
-fn looked_at(scene: &Path, display: &Display, registry: &Registry, task: Task<'_>) -> Result<Scene, PipelineError> {
-    let depth = outlook_on(&job_or_scene(scene)?, display, registry, task)?.depth;
+fn looked_at(
+    scene: &Path,
+    files: &FileArgs,
+    display: &Display,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<Scene, PipelineError> {
+    let mut job = job_or_scene(scene)?;
+    change_importer(&mut job.importer, files);
+    let depth = outlook_on(&job, display, registry, task)?.depth;
     Ok(Scene::from_budget(&depth.to_json(), depth.sentence()))
 }
 
@@ -168,7 +179,7 @@ fn looked_at(scene: &Path, display: &Display, registry: &Registry, task: Task<'_
 fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
     RunFolder::open(folder)?;
     let path = folder.join("report.json");
-    let bytes = std::fs::read(&path).map_err(|source| PipelineError::Read { path: path.clone(), source })?;
+    let bytes = lumistack_files::read(&path).map_err(|source| PipelineError::Read { path: path.clone(), source })?;
     let report: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
     let budget = &report["depth"];
     if budget["depth_histogram"].is_null() {

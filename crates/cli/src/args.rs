@@ -1,5 +1,6 @@
 //! The command line.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -114,7 +115,7 @@ pub(crate) enum Setup {
 pub(crate) struct DisplayArgs {
     /// A preset (see `lumistack displays`) or a display file
     #[arg(long, value_name = "NAME|FILE")]
-    pub(crate) display: Option<String>,
+    pub(crate) display: Option<OsString>,
     /// Columns and rows of the light field; masks scale along
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
@@ -185,6 +186,19 @@ pub(crate) struct RenderArgs {
     /// Seed of all random streams
     #[arg(long)]
     pub(crate) seed: Option<u64>,
+    #[command(flatten)]
+    pub(crate) files: FileArgs,
+}
+
+/// Which files a scene may read, and how much memory its pictures may take.
+#[derive(Clone, Debug, Default, ClapArgs)]
+pub(crate) struct FileArgs {
+    /// Let a glTF or OBJ scene read files outside of its own folder
+    #[arg(long, help_heading = "Scene files")]
+    pub(crate) allow_outside: bool,
+    /// Memory for the decoded pictures of a glTF or OBJ scene, MiB [default: 8192]
+    #[arg(long, value_name = "MIB", help_heading = "Scene files", value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
+    pub(crate) picture_budget: Option<u64>,
 }
 
 /// Changes to the factorization.
@@ -298,7 +312,7 @@ pub(crate) struct Factorize {
 pub(crate) struct FactorizeDisplayArgs {
     /// A preset (see `lumistack displays`) or a display file; takes the light field's resolution and views
     #[arg(long, value_name = "NAME|FILE", default_value = "paper-three-layer")]
-    pub(crate) display: String,
+    pub(crate) display: OsString,
     /// Time-multiplexed frames M
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
@@ -388,13 +402,15 @@ pub(crate) struct Info {
     pub(crate) file: PathBuf,
     /// For a scene or a job: how its depth fits this display, a preset or a display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Depth")]
-    pub(crate) display: Option<String>,
+    pub(crate) display: Option<OsString>,
     /// Name or number of the camera whose plane of focus the display takes
     #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
     pub(crate) camera: Option<String>,
     /// Bring the scene into the display's depth of field: move the window, or compress depth as well
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
+    #[command(flatten)]
+    pub(crate) files: FileArgs,
     #[command(flatten)]
     pub(crate) geometry: GeometryArgs,
 }

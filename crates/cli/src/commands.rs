@@ -6,14 +6,14 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, FitDepth, Job, OutputJob, PipelineError, Registry, RunFolder, SequenceJob, Tone, ViewOptions,
-    Viewpoint, is_usd, plugins, presets, render_only, run as run_job, set_threads, simulate_to_file,
+    DisplayJob, FitDepth, ImporterJob, Job, OutputJob, PipelineError, Registry, RunFolder, SequenceJob, Tone,
+    ViewOptions, Viewpoint, is_usd, plugins, presets, render_only, run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
 use crate::args::{
-    Args, Command, DisplayArgs, Factorize, FactorizeArgs, GeometryArgs, Render, RenderArgs, Run, SequenceArgs, Setup,
-    Simulate,
+    Args, Command, DisplayArgs, Factorize, FactorizeArgs, FileArgs, GeometryArgs, Render, RenderArgs, Run,
+    SequenceArgs, Setup, Simulate,
 };
 use crate::console::{Console, say};
 use crate::info;
@@ -169,7 +169,7 @@ fn render_command(args: &Render, registry: &Registry, json: bool, task: Task<'_>
         render_only(&job, &args.output, &options, registry, task).map_err(|error| in_place(error, &args.scene))?;
     let index = args.output.join("lightfield.json");
     if json {
-        say!("{}", json!({"event": "done", "light_field": index, "depth": depth.to_json()}));
+        say!("{}", json!({"event": "done", "light_field": index.to_string_lossy(), "depth": depth.to_json()}));
     } else {
         say!("Depth: {}", depth.sentence());
         say!("{}", index.display());
@@ -190,7 +190,7 @@ fn simulate_command(args: &Simulate, json: bool, task: Task<'_>) -> Result<(), P
     let picture = run.picture(viewpoint, args.raw)?;
     simulate_to_file(&picture, &args.output)?;
     if json {
-        say!("{}", json!({"event": "done", "picture": args.output}));
+        say!("{}", json!({"event": "done", "picture": args.output.to_string_lossy()}));
     } else {
         say!("{}", args.output.display());
     }
@@ -265,6 +265,7 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
         Some(_) => job.window.fit_depth = FitDepth::Off,
         None => {}
     }
+    change_importer(&mut job.importer, &args.files);
     if args.camera.is_some() {
         job.window.camera = args.camera.clone();
     }
@@ -285,6 +286,12 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     } else if let Some(variant) = args.variant.last() {
         job.pose.variant = Some(variant.clone());
     }
+}
+
+/// What the command line says of the scene's files.
+pub(crate) fn change_importer(importer: &mut ImporterJob, args: &FileArgs) {
+    importer.allow_outside |= args.allow_outside;
+    importer.picture_mib = args.picture_budget.unwrap_or(importer.picture_mib);
 }
 
 pub(crate) fn change_factorize(job: &mut Job, args: &FactorizeArgs) {

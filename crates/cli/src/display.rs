@@ -387,7 +387,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         tell!("warning: {warning}");
     }
     match json {
-        true => say!("{}", json!({"event": "done", "display": args.file})),
+        true => say!("{}", json!({"event": "done", "display": args.file.to_string_lossy()})),
         false => {
             say!("{}", args.file.display());
             let (file, program) = (args.file.display(), crate::program::name());
@@ -445,7 +445,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
     if args.dry_run {
         return Ok(());
     }
-    let read = std::fs::read_to_string(&args.file);
+    let read = lumistack_files::read_text(&args.file);
     let text = read.map_err(|source| PipelineError::Read { path: args.file.clone(), source })?;
     let text = keep_panels(&text, &display).map_err(PipelineError::command)?;
     lumistack_field_io::atomic::write_bytes(&args.file, text.as_bytes()).map_err(PipelineError::Field)

@@ -12,8 +12,8 @@ use lumistack_pipeline::{
 use lumistack_usd::VariantSet;
 use serde_json::{Value, json};
 
-use crate::args::{DisplayArgs, GeometryArgs, Info, RenderArgs};
-use crate::commands::{change_display, change_render, geometry, job_or_scene};
+use crate::args::{DisplayArgs, FileArgs, GeometryArgs, Info, RenderArgs};
+use crate::commands::{change_display, change_importer, change_render, geometry, job_or_scene};
 use crate::console::say;
 
 pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<'_>) -> Result<(), PipelineError> {
@@ -34,8 +34,8 @@ pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<
 /// # Errors
 /// When it cannot be read, or is none of these.
 pub fn describe_path(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
-    let args =
-        Info { file: path.to_owned(), display: None, camera: None, fit_depth: None, geometry: GeometryArgs::default() };
+    let (files, geometry) = (FileArgs::default(), GeometryArgs::default());
+    let args = Info { file: path.to_owned(), display: None, camera: None, fit_depth: None, files, geometry };
     describe(&args, registry, task)
 }
 
@@ -53,9 +53,9 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
     }
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match extension.as_str() {
-        "gltf" | "glb" => scene(path, registry, task),
-        _ if is_usd(path) || is_blend(path) => scene(path, registry, task),
-        other if registry.importer_of(other).is_some() => scene(path, registry, task),
+        "gltf" | "glb" => scene(args, registry, task),
+        _ if is_usd(path) || is_blend(path) => scene(args, registry, task),
+        other if registry.importer_of(other).is_some() => scene(args, registry, task),
         "toml" => toml(path),
         _ if path.join("layers/stack.json").is_file() => run_folder(path),
         _ if path.join("stack.json").is_file() => stack(path),
@@ -66,17 +66,19 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
     }
 }
 
-fn scene(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
+fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
+    let path = args.file.as_path();
     // without the studio light: what the file itself has
     let light = LightJob { automatic: false, ..LightJob::default() };
-    let importer = ImporterJob::default();
+    let mut importer = ImporterJob::default();
+    change_importer(&mut importer, &args.files);
     let ingested = load_scene(path, &PoseJob::default(), &importer, registry, &light, None, task)?;
     let contents = ingested.contents(path, &importer, registry, task)?;
     let scene = &ingested.scene;
     let bounds = scene.bounds();
     let texels: usize = scene.images.iter().map(|image| image.width * image.height).sum();
     let mut value = json!({ "scene": {
-        "file": path,
+        "file": path.to_string_lossy(),
         "triangles": scene.triangle_count(),
         "meshes": scene.meshes.len(),
         "instances": scene.instances.len(),
@@ -140,7 +142,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     let display = DisplayArgs { display: args.display.clone(), ..DisplayArgs::default() };
     change_display(&mut job, &display);
     let (camera, fit_depth) = (args.camera.clone(), args.fit_depth.clone());
-    change_render(&mut job, &RenderArgs { camera, fit_depth, ..RenderArgs::default() });
+    change_render(&mut job, &RenderArgs { camera, fit_depth, files: args.files.clone(), ..RenderArgs::default() });
     let Outlook { depth, coverage, memory } = outlook(&job, registry, task)?;
     let mut figures = depth.to_json();
     if let Some(figures) = figures.as_object_mut() {
@@ -149,7 +151,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     }
     let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);
     Ok(json!({
-        "display": args.display,
+        "display": args.display.as_ref().map(|display| display.to_string_lossy()),
         "depth budget": depth.sentence(),
         "advice": depth.advice(),
         "depth": figures,
@@ -174,7 +176,7 @@ fn toml(path: &Path) -> Result<Value, PipelineError> {
             return match presets::load_file(path) {
                 Ok(found) => Ok(display(&found)),
                 Err(display_error) => {
-                    let text = std::fs::read_to_string(path).unwrap_or_default();
+                    let text = lumistack_files::read_text(path).unwrap_or_default();
                     Err(if text.contains("[[layers]]") { display_error } else { job_error })
                 }
             };

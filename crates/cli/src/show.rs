@@ -160,7 +160,7 @@ mod with_windows {
             let run = RunFolder::open(dir)?;
             Subject { display: run.display, stack: Some(run.stack), file: Some(dir.join("display.toml")) }
         } else if args.pattern.is_some() || args.full_resolution_2d.is_some() {
-            match presets::by_name_or_path(&dir.to_string_lossy()).file {
+            match presets::by_name_or_path(dir).file {
                 Some(file) => Subject { display: presets::load_file(&file)?, stack: None, file: Some(file) },
                 None => Subject { display: presets::load(&dir.to_string_lossy())?, stack: None, file: None },
             }
@@ -376,7 +376,7 @@ mod with_windows {
             Event::Save(display) => {
                 let kept = save(display, file);
                 match (kept, json) {
-                    (Ok(path), true) => say!("{}", json!({"event": "saved", "file": path})),
+                    (Ok(path), true) => say!("{}", json!({"event": "saved", "file": path.to_string_lossy()})),
                     (Ok(path), false) => say!("saved: {}", path.display()),
                     (Err(error), true) => {
                         say!("{}", json!({"event": "warning", "place": "save", "message": error.to_string()}))
@@ -398,7 +398,7 @@ mod with_windows {
             )
         })?;
         let text =
-            std::fs::read_to_string(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
+            lumistack_files::read_text(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
         let text = keep_panels(&text, display).map_err(PipelineError::command)?;
         lumistack_field_io::atomic::write_bytes(path, text.as_bytes()).map_err(PipelineError::Field)?;
         Ok(path.to_owned())

@@ -38,7 +38,7 @@ pub(crate) struct Sweep {
     search: Search,
     /// Display to vary, a preset (see `lumistack displays`) or a display file, instead of the job's
     #[arg(long, value_name = "NAME|FILE", help_heading = "Display")]
-    display: Option<String>,
+    display: Option<std::ffi::OsString>,
     /// Columns and rows of the light field; masks scale along
     #[arg(long, value_name = "CxR", help_heading = "Display")]
     resolution: Option<Size>,

@@ -3,13 +3,12 @@
 //! Floats are linear light. Integers are taken to be pictures' sRGB code values and decoded, with a warning, unless the JSON says
 //! `"linear": true`; floats are decoded if it says `"linear": false`.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use lumistack_core::{Task, colour};
 
 use crate::FieldError;
-use crate::folder::parse_json;
+use crate::folder::{parse_json, read_index};
 use crate::geometry::{GeometryJson, Hints, place};
 use crate::npy::{NpyFile, zeros};
 use crate::source::{Kind, Source, Views};
@@ -40,7 +39,7 @@ pub(crate) fn source(path: &Path, task: Task<'_>) -> Result<Source, FieldError> 
     let mut linear = None;
     let mut hints = Hints::default();
     if json.is_file() {
-        let text = fs::read(&json).map_err(FieldError::io(&json, "read"))?;
+        let text = read_index(&json)?;
         let geometry: GeometryJson = parse_json(&json, &text)?;
         linear = geometry.linear;
         hints = geometry.into_hints(&json, views)?;

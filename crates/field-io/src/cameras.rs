@@ -89,8 +89,9 @@ struct CameraName {
 pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, FieldError> {
     let mut cameras = Vec::new();
     for file in pictures(folder)? {
-        let stem = file.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-        if let Some(name) = parse_name(stem) {
+        // the numbers count; what is no text in a prefix may be anything
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        if let Some(name) = parse_name(&stem) {
             cameras.push((name, file));
         }
     }

@@ -10,12 +10,12 @@
 //! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The index is written last.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Component, Path, PathBuf};
 
 use exr::prelude::f16;
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{FieldGeometry, LightField, Projection, ProjectionKind};
+use lumistack_files::{Folder, MAX_TEXT_BYTES, Refusal};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -240,7 +240,7 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
 /// Opens a light field's folder without reading its pictures.
 pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
     let path = folder.join(INDEX);
-    let text = fs::read(&path).map_err(FieldError::io(&path, "read"))?;
+    let text = read_index(&path)?;
     let listing: Listing = parse_json(&path, &text)?;
     let geometry: GeometryJson = parse_json(&path, &text)?;
     check_schema(&path, &listing.schema, SCHEMA, listing.version, VERSION)?;
@@ -305,6 +305,7 @@ fn listed_files(
         let expected = format!("{cols} × {rows} views, one per slope");
         return Err(FieldError::malformed(index, "views", expected, entries.len().to_string()));
     }
+    let inside = Folder::around(index).map_err(FieldError::io(index, "read"))?;
     let mut files = vec![None; rows * cols];
     for (i, entry) in entries.iter().enumerate() {
         let bad = |key: &str, expected: String, found: String| {
@@ -328,6 +329,10 @@ fn listed_files(
         if !plain || entry.file.is_empty() {
             return bad("file", "a name inside the folder".into(), entry.file.clone());
         }
+        // a link may still lead out; a file that is missing is an error when it is read
+        if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(name) {
+            return bad("file", "a name inside the folder".into(), format!("{}: {refusal}", entry.file));
+        }
         let slot = &mut files[view_y * cols + view_x];
         if slot.is_some() {
             return bad("view", "each view once".into(), format!("[{view_y}, {view_x}] again"));
@@ -335,6 +340,11 @@ fn listed_files(
         *slot = Some(folder.join(name));
     }
     Ok(files.into_iter().flatten().collect())
+}
+
+/// The text of an index.
+pub(crate) fn read_index(path: &Path) -> Result<Vec<u8>, FieldError> {
+    lumistack_files::read_at_most(path, MAX_TEXT_BYTES).map_err(FieldError::io(path, "read"))
 }
 
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), FieldError> {

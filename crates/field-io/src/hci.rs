@@ -4,13 +4,13 @@
 //! pictures are shifted so that the plane at `focus_distance_m` has no disparity: one step to the side is the slope b / focus distance.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
 
 use crate::FieldError;
 use crate::cameras::{PictureGrid, pictures};
+use crate::folder::read_index;
 use crate::geometry::{Cameras, Hints, place};
 use crate::source::{Kind, Source};
 
@@ -20,7 +20,7 @@ const PARAMETERS: &str = "parameters.cfg";
 pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, FieldError> {
     let mut numbered = BTreeMap::<usize, PathBuf>::new();
     for file in pictures(folder)? {
-        let stem = file.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy();
         let number = stem.strip_prefix("input_Cam").and_then(|digits| digits.parse().ok());
         if let Some(number) = number
             && let Some(other) = numbered.insert(number, file.clone())
@@ -35,7 +35,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     let path = folder.join(PARAMETERS);
     let parameters = if path.is_file() {
         // Names and notes in the file may be in any encoding; only numbers are used.
-        let bytes = fs::read(&path).map_err(FieldError::io(&path, "read"))?;
+        let bytes = read_index(&path)?;
         Parameters { path, values: parse(&String::from_utf8_lossy(&bytes)) }
     } else {
         Parameters { path, values: BTreeMap::new() }

@@ -96,7 +96,7 @@ impl NpyFile {
     /// # Errors
     /// On a malformed header, Fortran order, other types of values, and a file that is too short.
     pub fn open(path: &Path) -> Result<Self, FieldError> {
-        let mut file = BufReader::new(File::open(path).map_err(FieldError::io(path, "read"))?);
+        let mut file = BufReader::new(lumistack_files::open(path).map_err(FieldError::io(path, "read"))?);
         let file_length = file.get_ref().metadata().map_err(FieldError::io(path, "read"))?.len();
         let (header, data_start) = read_header(path, &mut file)?;
         let (scalar, big_endian) = scalar_type(path, &header.dtype())?;

@@ -26,7 +26,7 @@ pub(crate) struct Layout {
 
 /// Reads `_qs<columns>x<rows>[a<aspect>]` in a name.
 pub(crate) fn layout_of(path: &Path) -> Option<Layout> {
-    let stem = path.file_stem()?.to_str()?;
+    let stem = path.file_stem()?.to_string_lossy();
     let text = &stem[stem.rfind("_qs")? + 3..];
     let (columns, text) = leading_number(text)?;
     let (rows, text) = leading_number(text.strip_prefix('x')?)?;

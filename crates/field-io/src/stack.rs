@@ -1,14 +1,14 @@
 //! Layer stacks: `stack.json`, `layer_L.npy` (`float32`, `[frame][row][col][rgb]`, layer 0 rearmost) and, for a directional backlight,
 //! `emission.npy` (`[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`). All values are linear, 0..1. The index is written last.
 
-use std::fs;
 use std::path::Path;
 
 use lumistack_core::Tensor;
 use lumistack_display::{Backlight, Display, LayerStack};
+use lumistack_files::{Folder, Refusal};
 use serde::{Deserialize, Serialize};
 
-use crate::folder::{check_schema, parse_json, write_json};
+use crate::folder::{check_schema, parse_json, read_index, write_json};
 use crate::{FieldError, atomic, npy};
 
 const INDEX: &str = "stack.json";
@@ -105,7 +105,7 @@ pub fn write_stack(folder: &Path, display: &Display, stack: &LayerStack) -> Resu
 /// If it is missing or malformed.
 pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     let path = folder.join(INDEX);
-    let text = fs::read(&path).map_err(FieldError::io(&path, "read"))?;
+    let text = read_index(&path)?;
     let index: StackIndex = parse_json(&path, &text)?;
     check_schema(&path, &index.schema, SCHEMA, index.version, VERSION)?;
     let check = |ok: bool, place: &str, expected: &str, found: String| {
@@ -124,9 +124,14 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     let brightness_ok = index.brightness > 0.0 && index.brightness <= 1.0;
     check(brightness_ok, "brightness", "above 0, at most 1", index.brightness.to_string())?;
     let files = index.layers.iter().map(|layer| &layer.file).chain(index.backlight.iter().map(|b| &b.file));
+    let inside = Folder::around(&path).map_err(FieldError::io(&path, "read"))?;
     for file in files {
         let plain = Path::new(file).file_name().is_some_and(|name| name.to_str() == Some(file));
         check(plain, "file", "a name inside the folder", file.clone())?;
+        // a link may still lead out; a file that is missing is an error when it is read
+        if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(file) {
+            check(false, "file", "a name inside the folder", format!("{file}: {refusal}"))?;
+        }
     }
     Ok(index)
 }

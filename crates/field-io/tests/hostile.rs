@@ -68,6 +68,51 @@ fn truncated_arrays_and_stacks_are_errors() {
     truncate(&layers.join("layer_0.npy"), 0, || read_stack(&layers).map(drop).map_err(|e| e.to_string()));
 }
 
+/// An index names files of its own folder; links that lead out, devices and pipes are refused before they are opened.
+#[cfg(unix)]
+#[test]
+fn files_that_an_index_names_are_regular_and_inside() {
+    use std::os::unix::fs::symlink;
+
+    let outer = tempfile::tempdir().unwrap();
+    let folder = outer.path().join("field");
+    write_field(&folder, &random_field([2, 1], [3, 2], Projection::Oblique, 1), &Map::new()).unwrap();
+    let view = folder.join("view_00_00.exr");
+    let replace = |target: &Path| {
+        std::fs::remove_file(&view).unwrap();
+        symlink(target, &view).unwrap();
+        plain_error(&folder)
+    };
+    let elsewhere = outer.path().join("elsewhere.exr");
+    std::fs::copy(&view, &elsewhere).unwrap();
+    let error = replace(&elsewhere);
+    assert!(
+        error.contains("views[0].file: expected a name inside the folder, found view_00_00.exr: it leads to"),
+        "{error}"
+    );
+    let error = replace(Path::new("/dev/zero"));
+    assert!(error.contains("/dev/zero, outside of the folder"), "{error}");
+    std::fs::remove_file(&view).unwrap();
+    assert!(std::process::Command::new("mkfifo").arg(&view).status().unwrap().success());
+    let error = plain_error(&folder);
+    assert!(error.contains("view_00_00.exr: cannot read: expected a regular file, found a pipe"), "{error}");
+
+    let display = Display::uniform([4, 3], 1.0, [1, 1], [9.0, 9.0], &[0.0], 2);
+    let layers = outer.path().join("layers");
+    write_stack(&layers, &display, &LayerStack::filled(&display, 0.5)).unwrap();
+    let layer = layers.join("layer_0.npy");
+    std::fs::rename(&layer, outer.path().join("layer.npy")).unwrap();
+    symlink(outer.path().join("layer.npy"), &layer).unwrap();
+    let error = read_stack(&layers).unwrap_err().to_string();
+    assert!(error.contains("file: expected a name inside the folder, found layer_0.npy: it leads to"), "{error}");
+    for name in ["zero.npy", "zero.exr", "zero_qs2x2.png", "lightfield.json"] {
+        let path = outer.path().join(name);
+        symlink("/dev/zero", &path).unwrap();
+        let error = plain_error(&path);
+        assert!(error.contains("cannot read: expected a regular file, found a device"), "{error}");
+    }
+}
+
 #[test]
 fn truncated_pictures_are_errors() {
     // a PNG ends with the checksum of an empty chunk

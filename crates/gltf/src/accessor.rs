@@ -238,13 +238,25 @@ impl<'a> Elements<'a> {
         may_stride: bool,
     ) -> Result<Self, Fault> {
         let view = document.view(view, &format!("{place}/bufferView"))?;
-        let stride = view.stride.unwrap_or(size);
-        if stride < size || (view.stride.is_some() && !may_stride) {
-            let expected =
-                if may_stride { format!("at least {size}, an element of {place}") } else { "no stride".to_owned() };
+        let length = view.bytes.len();
+        let mut stride = view.stride.unwrap_or(size);
+        if stride != size && !may_stride {
+            // glTF has no stride here. Most readers follow one that leaves room for the elements, and so does this one; others mean nothing.
+            let room = (length as u64).saturating_sub(offset);
+            let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
+            let followed = stride > size && needed <= room;
+            let message = if followed {
+                format!("expected no stride, found {stride}, which {place} follows")
+            } else {
+                format!("expected no stride, found {stride}; {place} is read without one")
+            };
+            document.task.warn(format!("{}/byteStride", view.place), message);
+            stride = if followed { stride } else { size };
+        }
+        if stride < size {
+            let expected = format!("at least {size}, an element of {place}");
             return Err(Fault::new(format!("{}/byteStride", view.place), expected, stride));
         }
-        let length = view.bytes.len();
         let Some(bytes) = usize::try_from(offset).ok().and_then(|offset| view.bytes.get(offset..)) else {
             let expected = format!("at most {length}, the length of {}", view.place);
             return Err(Fault::new(format!("{place}/byteOffset"), expected, offset));

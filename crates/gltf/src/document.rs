@@ -1,7 +1,8 @@
 //! The opened file: checked look-ups, the bytes of buffers and files, and the memory that may still be spent on it.
 
 use std::borrow::Cow;
-use std::cell::{Cell, OnceCell};
+use std::cell::{Cell, OnceCell, RefCell};
+use std::collections::HashMap;
 
 use base64::Engine;
 use base64::alphabet::STANDARD;
@@ -14,7 +15,7 @@ use serde_json::Value;
 
 use crate::container::Container;
 use crate::error::{Fault, contained};
-use crate::{AssetResolver, meshopt};
+use crate::{AssetResolver, LoadOptions, meshopt};
 
 /// Longest quotation from the file in a message.
 const MAX_QUOTE_CHARS: usize = 60;
@@ -27,12 +28,21 @@ pub(crate) struct Document<'a> {
     pub(crate) variant: Option<usize>,
     raw: Value,
     bin: Option<&'a [u8]>,
+    /// Whole content of every buffer's file or data URI, kept with the first buffer of equal URI.
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
+    /// Of every buffer the first one with the same URI.
+    first_buffer: Vec<usize>,
+    /// Of every image the first one with the same URI.
+    pub(crate) first_image: Vec<usize>,
     /// Content of buffer views that the file holds compressed.
     unpacked_views: Vec<OnceCell<Vec<u8>>>,
     resolver: &'a dyn AssetResolver,
     max_decoded_bytes: u64,
     decoded_bytes: Cell<u64>,
+    max_picture_bytes: u64,
+    picture_bytes: Cell<u64>,
+    /// Primitives that were left out: the first reason with its place, and how many there are.
+    pub(crate) left_out: RefCell<(Option<String>, usize)>,
 }
 
 /// The bytes of a buffer view.
@@ -46,10 +56,12 @@ impl<'a> Document<'a> {
     pub(crate) fn new(
         container: Container<'a>,
         resolver: &'a dyn AssetResolver,
-        max_decoded_bytes: u64,
+        options: &LoadOptions,
         task: Task<'a>,
     ) -> Self {
         let Container { raw, root, bin } = container;
+        let first_buffer = firsts(root.buffers.iter().map(|buffer| buffer.uri.as_deref()));
+        let first_image = firsts(root.images.iter().map(|image| image.uri.as_deref()));
         let buffers = root.buffers.iter().map(|_| OnceCell::new()).collect();
         let unpacked_views = root.buffer_views.iter().map(|_| OnceCell::new()).collect();
         Self {
@@ -59,10 +71,15 @@ impl<'a> Document<'a> {
             raw,
             bin,
             buffers,
+            first_buffer,
+            first_image,
             unpacked_views,
             resolver,
-            max_decoded_bytes,
+            max_decoded_bytes: options.max_decoded_bytes,
             decoded_bytes: Cell::new(0),
+            max_picture_bytes: options.max_picture_bytes,
+            picture_bytes: Cell::new(0),
+            left_out: RefCell::default(),
         }
     }
 
@@ -84,7 +101,8 @@ impl<'a> Document<'a> {
         // the typed reader keeps 32 bits only, so the number as written is compared too
         let written = self.json(place).and_then(Value::as_u64);
         match self.root.get(index) {
-            Some(item) if written == Some(index.value() as u64) => Ok(item),
+            // a place that holds no number is that of the object itself
+            Some(item) if written.is_none_or(|written| written == index.value() as u64) => Ok(item),
             _ => {
                 let count = AsRef::<[T]>::as_ref(&self.root).len();
                 Err(Fault::new(place, format!("an index below {count}"), self.quote(place)))
@@ -102,6 +120,28 @@ impl<'a> Document<'a> {
         }
         self.decoded_bytes.set(total);
         Ok(())
+    }
+
+    /// Counts bytes that a picture will take when it is decoded; `size` describes it.
+    pub(crate) fn spend_on_picture(&self, place: &str, bytes: u64, size: &str) -> Result<(), Fault> {
+        let before = self.picture_bytes.get();
+        let total = before.saturating_add(bytes);
+        if total > self.max_picture_bytes {
+            let most = self.max_picture_bytes >> 20;
+            let expected = format!("pictures that decode to at most {most} MiB together (the picture budget)");
+            let found = format!("{size}, {} MiB more after {} MiB", bytes.div_ceil(1 << 20), before >> 20);
+            return Err(Fault::new(place, expected, found));
+        }
+        self.picture_bytes.set(total);
+        Ok(())
+    }
+
+    /// Warns that a primitive is left out, and remembers why.
+    pub(crate) fn leave_out(&self, place: &str, reason: String) {
+        let mut left_out = self.left_out.borrow_mut();
+        left_out.0.get_or_insert_with(|| format!("{place}: {reason}"));
+        left_out.1 += 1;
+        self.task.warn(place, reason);
     }
 
     /// Bytes that may still be allocated.
@@ -150,38 +190,33 @@ impl<'a> Document<'a> {
     }
 
     /// The bytes of a buffer, read on first use.
-    fn buffer(&self, index: json::Index<json::Buffer>, place: &str) -> Result<&[u8], Fault> {
+    pub(crate) fn buffer(&self, index: json::Index<json::Buffer>, place: &str) -> Result<&[u8], Fault> {
         let buffer = self.get(index, place)?;
-        let cell = &self.buffers[index.value()];
-        if let Some(bytes) = cell.get() {
-            return Ok(bytes);
-        }
+        let cell = &self.buffers[self.first_buffer[index.value()]];
         let place = format!("/buffers/{}", index.value());
-        let bytes = match (&buffer.uri, self.bin) {
-            (Some(uri), _) => Cow::Owned(self.read_uri(uri, &format!("{place}/uri"))?),
-            (None, Some(bin)) if index.value() == 0 => Cow::Borrowed(bin),
-            (None, _) => {
+        let bytes = match (cell.get(), &buffer.uri, self.bin) {
+            (Some(bytes), ..) => bytes,
+            (None, Some(uri), _) => {
+                let place = format!("{place}/uri");
+                let bytes = self.read_uri(uri, &place, self.affordable_bytes())?;
+                self.spend(&place, bytes.len(), 1)?;
+                cell.get_or_init(|| Cow::Owned(bytes))
+            }
+            (None, None, Some(bin)) if index.value() == 0 => cell.get_or_init(|| Cow::Borrowed(bin)),
+            (None, None, _) => {
                 let expected = "a file, a data URI or the binary chunk of a .glb";
                 return Err(Fault::new(format!("{place}/uri"), expected, "none"));
             }
         };
         // the binary chunk is padded, files may be longer
-        let Some(length) = usize::try_from(buffer.byte_length.0).ok().filter(|&length| length <= bytes.len()) else {
+        usize::try_from(buffer.byte_length.0).ok().and_then(|length| bytes.get(..length)).ok_or_else(|| {
             let expected = format!("at most {} bytes, which the buffer's data has", bytes.len());
-            return Err(Fault::new(format!("{place}/byteLength"), expected, buffer.byte_length.0));
-        };
-        let bytes = match bytes {
-            Cow::Borrowed(bytes) => Cow::Borrowed(&bytes[..length]),
-            Cow::Owned(mut bytes) => {
-                bytes.truncate(length);
-                Cow::Owned(bytes)
-            }
-        };
-        Ok(cell.get_or_init(|| bytes))
+            Fault::new(format!("{place}/byteLength"), expected, buffer.byte_length.0)
+        })
     }
 
     /// What a URI stands for: a data URI's own content, or a file beside the glTF file.
-    pub(crate) fn read_uri(&self, uri: &str, place: &str) -> Result<Vec<u8>, Fault> {
+    pub(crate) fn read_uri(&self, uri: &str, place: &str, max_bytes: u64) -> Result<Vec<u8>, Fault> {
         self.task.cancel.check()?;
         if let Some(data) = uri.strip_prefix("data:") {
             return decode_data_uri(data, place);
@@ -195,9 +230,15 @@ impl<'a> Document<'a> {
         }
         let path = percent_decode_str(uri).decode_utf8();
         let path = path.map_err(|_| Fault::new(place, "percent-encoded UTF-8", shorten(uri)))?;
-        let read = self.resolver.read(&path);
+        let read = self.resolver.read(&path, max_bytes);
         read.map_err(|reason| Fault::new(place, "a readable file", format!("{path}: {reason}")))
     }
+}
+
+/// Of every entry the position of the first one with the same URI; entries without one are their own.
+fn firsts<'u>(uris: impl Iterator<Item = Option<&'u str>>) -> Vec<usize> {
+    let mut known = HashMap::new();
+    uris.enumerate().map(|(i, uri)| uri.map_or(i, |uri| *known.entry(uri).or_insert(i))).collect()
 }
 
 /// Padding is optional: some writers leave it out.

@@ -6,7 +6,7 @@
 //! channel is 1 − glossinessFactor · alpha, since no factor on a roughness texture can say the same.
 
 use glam::{Vec3, Vec4};
-use lumistack_scene::{Image, Material, Pixels, Texture};
+use lumistack_scene::{Material, Pixels, Texture};
 
 use crate::error::Fault;
 use crate::fields::Fields;
@@ -44,11 +44,7 @@ fn roughness_texture(loader: &mut Loader<'_, '_>, glossy: usize, factor: f32, pl
     let image = match loader.roughness_images.get(&key) {
         Some(&image) => image,
         None => {
-            let from = &loader.images.decoded[source.image];
-            loader.document.spend(place, from.pixels.len(), size_of::<[u8; 4]>())?;
-            let made = roughness_image(from, factor);
-            loader.images.decoded.push(made);
-            let image = loader.images.decoded.len() - 1;
+            let image = loader.images.roughness(loader.document, source.image, factor, place)?;
             loader.roughness_images.insert(key, image);
             image
         }
@@ -57,14 +53,14 @@ fn roughness_texture(loader: &mut Loader<'_, '_>, glossy: usize, factor: f32, pl
     Ok(loader.textures.len() - 1)
 }
 
-fn roughness_image(glossy: &Image, factor: f32) -> Image {
+/// Pixels whose green channel is 1 − `factor` · alpha.
+pub(crate) fn roughness(glossy: &Pixels, factor: f32) -> Pixels {
     let rough = |alpha: f32| ((1.0 - factor * alpha) * 255.0).round() as u8;
     let texel = |roughness: u8| [0, roughness, 0, 255];
-    let pixels = match &glossy.pixels {
+    let pixels = match glossy {
         Pixels::Rgba8(texels) => texels.iter().map(|&[.., alpha]| texel(rough(f32::from(alpha) / 255.0))).collect(),
         Pixels::Rgba16(texels) => texels.iter().map(|&[.., alpha]| texel(rough(f32::from(alpha) / 65535.0))).collect(),
         Pixels::RgbF32(texels) => vec![texel(rough(1.0)); texels.len()],
     };
-    let name = format!("{} as roughness", glossy.name);
-    Image { name, width: glossy.width, height: glossy.height, pixels: Pixels::Rgba8(pixels) }
+    Pixels::Rgba8(pixels)
 }

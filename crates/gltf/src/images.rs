@@ -1,4 +1,4 @@
-//! Pictures: textures' images, each decoded once, and the environment map.
+//! Pictures: textures' images, each read and decoded once, and the environment map.
 //!
 //! The content decides the format; names and MIME types are often wrong. Colour profiles and orientation tags are ignored, as
 //! glTF asks for (2.0, section 3.8.3).
@@ -12,73 +12,159 @@ use lumistack_scene::{Image, Pixels};
 
 use crate::document::Document;
 use crate::error::{Fault, contained};
-use crate::ktx2;
+use crate::{glossiness, ktx2};
 
 /// Largest side of a picture in texels.
 pub(crate) const MAX_SIDE: u32 = 1 << 15;
 
-/// Memory that decoding one picture may take.
-const MAX_IMAGE_BYTES: u64 = 2 << 30;
+/// Memory that a decoder may take besides the picture itself: rows, tables, and a copy in another format.
+const DECODER_BYTES: u64 = 64 << 20;
 
-/// Decoded images in the order of first use.
+/// Images in the order of first use. Their headers are read as they are asked for, and all are decoded at the end, so that a scene whose pictures
+/// are too large together is refused before the first is decoded.
 #[derive(Default)]
 pub(crate) struct Images {
+    /// Sizes, and after [`decode`](Self::decode) pixels.
     pub(crate) decoded: Vec<Image>,
     /// From the file's image number to a position in `decoded`.
     position: HashMap<usize, usize>,
+    /// What makes the images that have no pixels yet, in the order of `decoded`.
+    waiting: Vec<Waiting>,
+}
+
+/// What an image is made from.
+enum Waiting {
+    /// A picture in a format.
+    Picture { content: Content, place: String, format: Format },
+    /// Roughness from the alpha of the image at a position, which holds glossiness, times a factor.
+    Roughness { from: usize, factor: f32 },
+}
+
+/// Where the bytes of a picture are.
+enum Content {
+    Own(Vec<u8>),
+    View(json::Index<json::buffer::View>),
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Ktx2,
+    Codes,
+    Hdr,
 }
 
 impl Images {
-    /// Position of an image of the file, which is decoded on first use.
+    /// Position of an image of the file, whose header is read on first use.
     pub(crate) fn texture(
         &mut self,
         document: &Document<'_>,
         index: json::Index<json::Image>,
         used_at: &str,
     ) -> Result<usize, Fault> {
-        let image = document.get(index, used_at)?;
-        if let Some(&position) = self.position.get(&index.value()) {
+        document.get(index, used_at)?;
+        let number = document.first_image[index.value()];
+        if let Some(&position) = self.position.get(&number) {
             return Ok(position);
         }
-        let place = format!("/images/{}", index.value());
-        let owned;
-        let (bytes, place, uri) = match (&image.uri, image.buffer_view) {
+        let image = &document.root.images[number];
+        let place = format!("/images/{number}");
+        let (content, place, uri) = match (&image.uri, image.buffer_view) {
             (Some(uri), _) => {
                 let place = format!("{place}/uri");
-                owned = document.read_uri(uri, &place)?;
-                (owned.as_slice(), place, Some(uri).filter(|uri| !uri.starts_with("data:")))
+                let bytes = read(document, uri, &place)?;
+                (Content::Own(bytes), place, Some(uri).filter(|uri| !uri.starts_with("data:")))
             }
-            (None, Some(view)) => {
-                let place = format!("{place}/bufferView");
-                (document.view(view, &place)?.bytes, place, None)
-            }
+            (None, Some(view)) => (Content::View(view), format!("{place}/bufferView"), None),
             (None, None) => return Err(Fault::new(place, "a uri or a bufferView", "neither")),
         };
-        let number = index.value();
         let name = uri.or(image.name.as_ref());
         let name = name.map_or(format!("/images/{number}"), |name| format!("/images/{number} ({name})"));
-        let decoded = contained(&place, "a sound picture", || match bytes.starts_with(ktx2::MAGIC) {
-            true => ktx2::decode(document, bytes, &place, name),
-            false => codes(document, bytes, &place, name),
-        })?;
-        self.position.insert(number, self.decoded.len());
-        self.decoded.push(decoded);
+        let bytes = content.bytes(document, &place)?;
+        let (format, [width, height]) =
+            contained(&place, "a sound picture", || match bytes.starts_with(ktx2::MAGIC) {
+                true => Ok((Format::Ktx2, ktx2::size(document, bytes, &place)?)),
+                false => Ok((Format::Codes, codes_size(document, bytes, &place)?)),
+            })?;
+        self.push(name, [width, height], Waiting::Picture { content, place, format });
+        self.position.insert(number, self.decoded.len() - 1);
         Ok(self.decoded.len() - 1)
     }
 
-    /// Reads the environment map at a URI and returns its position.
+    /// Reads the header of the environment map at a URI and returns its position.
     pub(crate) fn environment(&mut self, document: &Document<'_>, uri: &str, place: &str) -> Result<usize, Fault> {
-        let bytes = document.read_uri(uri, place)?;
-        let (format, decoder) = open(document, &bytes, place, &[ImageFormat::Hdr])?;
+        let bytes = read(document, uri, place)?;
+        let (_, decoder) = open(document, &bytes, place, &[ImageFormat::Hdr])?;
         let (width, height) = decoder.dimensions();
-        let (width, height) = (width as usize, height as usize);
-        document.spend(place, width * height, size_of::<[f32; 3]>())?;
-        let decoded = DynamicImage::from_decoder(decoder).map_err(|error| unreadable(place, format, error))?;
-        let values = decoded.into_rgb32f().into_raw();
-        let texels = values.as_chunks::<3>().0.to_vec();
-        self.decoded.push(Image { name: place.to_owned(), width, height, pixels: Pixels::RgbF32(texels) });
+        drop(decoder);
+        spend(document, place, [width as usize, height as usize], size_of::<[f32; 3]>())?;
+        let waiting = Waiting::Picture { content: Content::Own(bytes), place: place.to_owned(), format: Format::Hdr };
+        self.push(place.to_owned(), [width as usize, height as usize], waiting);
         Ok(self.decoded.len() - 1)
     }
+
+    /// Position of an image that has 1 − `factor` · alpha of the image at `from` in its green channel.
+    pub(crate) fn roughness(
+        &mut self,
+        document: &Document<'_>,
+        from: usize,
+        factor: f32,
+        place: &str,
+    ) -> Result<usize, Fault> {
+        let Image { width, height, ref name, .. } = self.decoded[from];
+        let name = format!("{name} as roughness");
+        spend(document, place, [width, height], size_of::<[u8; 4]>())?;
+        self.push(name, [width, height], Waiting::Roughness { from, factor });
+        Ok(self.decoded.len() - 1)
+    }
+
+    fn push(&mut self, name: String, [width, height]: [usize; 2], waiting: Waiting) {
+        self.decoded.push(Image { name, width, height, pixels: Pixels::Rgba8(Vec::new()) });
+        self.waiting.push(waiting);
+    }
+
+    /// Decodes every image, in the order in which they were asked for.
+    pub(crate) fn decode(&mut self, document: &Document<'_>) -> Result<(), Fault> {
+        let first = self.decoded.len() - self.waiting.len();
+        for (i, waiting) in std::mem::take(&mut self.waiting).into_iter().enumerate() {
+            document.task.cancel.check()?;
+            let at = first + i;
+            self.decoded[at].pixels = match waiting {
+                Waiting::Roughness { from, factor } => glossiness::roughness(&self.decoded[from].pixels, factor),
+                Waiting::Picture { content, place, format } => {
+                    let bytes = content.bytes(document, &place)?;
+                    contained(&place, "a sound picture", || match format {
+                        Format::Ktx2 => ktx2::decode(bytes, &place),
+                        Format::Codes => codes(document, bytes, &place),
+                        Format::Hdr => radiance(document, bytes, &place),
+                    })?
+                }
+            };
+        }
+        Ok(())
+    }
+}
+
+impl Content {
+    fn bytes<'a>(&'a self, document: &'a Document<'_>, place: &str) -> Result<&'a [u8], Fault> {
+        match self {
+            Self::Own(bytes) => Ok(bytes),
+            Self::View(view) => Ok(document.view(*view, place)?.bytes),
+        }
+    }
+}
+
+/// The bytes of a file or data URI, which are held until its picture is decoded.
+fn read(document: &Document<'_>, uri: &str, place: &str) -> Result<Vec<u8>, Fault> {
+    let bytes = document.read_uri(uri, place, document.affordable_bytes())?;
+    document.spend(place, bytes.len(), 1)?;
+    Ok(bytes)
+}
+
+/// Counts the memory of a picture before it is decoded.
+fn spend(document: &Document<'_>, place: &str, size: [usize; 2], texel_bytes: usize) -> Result<(), Fault> {
+    let [width, height] = size;
+    let bytes = width as u64 * height as u64 * texel_bytes as u64;
+    document.spend_on_picture(place, bytes, &format!("{width} × {height} texels"))
 }
 
 const TEXTURE_FORMATS: [ImageFormat; 3] = [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::WebP];
@@ -101,19 +187,20 @@ fn open<'b>(
             return Err(Fault::new(place, expected, format!("{} bytes that start \"{start}\"", bytes.len())));
         }
     };
-    let most_bytes = document.affordable_bytes().min(MAX_IMAGE_BYTES);
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE);
     limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(most_bytes);
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-    reader.limits(limits);
-    let decoder = reader.into_decoder().map_err(|error| unreadable(place, format, error))?;
+    reader.limits(limits.clone());
+    let mut decoder = reader.into_decoder().map_err(|error| unreadable(place, format, error))?;
     let (width, height) = decoder.dimensions();
-    if decoder.total_bytes() > most_bytes || width > MAX_SIDE || height > MAX_SIDE {
-        let expected = format!("at most {MAX_SIDE} texels a side and {} MiB", most_bytes >> 20);
+    if width > MAX_SIDE || height > MAX_SIDE {
+        let expected = format!("at most {MAX_SIDE} texels a side");
         return Err(Fault::new(place, expected, format!("{width} × {height} texels of {:?}", decoder.color_type())));
     }
+    // the picture itself is in the budget before it is decoded
+    limits.max_alloc = Some(decoder.total_bytes().saturating_mul(2).saturating_add(DECODER_BYTES));
+    decoder.set_limits(limits).map_err(|error| unreadable(place, format, error))?;
     Ok((format, decoder))
 }
 
@@ -121,36 +208,52 @@ fn unreadable(place: &str, format: ImageFormat, error: ImageError) -> Fault {
     Fault::new(place, format!("a readable {format:?} picture of at most {MAX_SIDE} texels a side"), error)
 }
 
+/// Whether the codes have 16 bits.
+fn is_deep(decoder: &impl ImageDecoder) -> bool {
+    let color = decoder.color_type();
+    color.bytes_per_pixel() / color.channel_count() > 1
+}
+
+/// Size of a picture of codes, whose texels are counted.
+fn codes_size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
+    let (_, decoder) = open(document, bytes, place, &TEXTURE_FORMATS)?;
+    let (width, height) = decoder.dimensions();
+    let size = [width as usize, height as usize];
+    spend(document, place, size, if is_deep(&decoder) { 8 } else { 4 })?;
+    Ok(size)
+}
+
 /// Codes with four channels; 16 bits where the file has them.
-fn codes(document: &Document<'_>, bytes: &[u8], place: &str, name: String) -> Result<Image, Fault> {
+fn codes(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
     let (format, decoder) = open(document, bytes, place, &TEXTURE_FORMATS)?;
     let (width, height) = decoder.dimensions();
-    let (width, height) = (width as usize, height as usize);
-    let color = decoder.color_type();
-    let is_deep = color.bytes_per_pixel() / color.channel_count() > 1;
-    document.spend(place, width * height, if is_deep { 8 } else { 4 })?;
     let fault = |error| unreadable(place, format, error);
-    let pixels = if is_deep {
+    if is_deep(&decoder) {
         let decoded = DynamicImage::from_decoder(decoder).map_err(fault)?;
-        Pixels::Rgba16(decoded.into_rgba16().into_raw().as_chunks::<4>().0.to_vec())
-    } else {
-        // large pictures are not held twice: decoded at the end of their texels, then spread out from the start, which never catches up
-        let (count, channels) = (width * height, usize::from(color.channel_count()));
-        let mut texels = vec![[0; 4]; count];
-        let start = (4 - channels) * count;
-        decoder.read_image(&mut texels.as_flattened_mut()[start..]).map_err(fault)?;
-        let values = texels.as_flattened_mut();
-        for texel in 0..count {
-            let at = start + channels * texel;
-            let rgba = match values[at..at + channels] {
-                [grey] => [grey, grey, grey, 255],
-                [grey, alpha] => [grey, grey, grey, alpha],
-                [r, g, b] => [r, g, b, 255],
-                _ => break,
-            };
-            values[4 * texel..][..4].copy_from_slice(&rgba);
-        }
-        Pixels::Rgba8(texels)
-    };
-    Ok(Image { name, width, height, pixels })
+        return Ok(Pixels::Rgba16(decoded.into_rgba16().into_raw().as_chunks::<4>().0.to_vec()));
+    }
+    // large pictures are not held twice: decoded at the end of their texels, then spread out from the start, which never catches up
+    let (count, channels) = (width as usize * height as usize, usize::from(decoder.color_type().channel_count()));
+    let mut texels = vec![[0; 4]; count];
+    let start = (4 - channels) * count;
+    decoder.read_image(&mut texels.as_flattened_mut()[start..]).map_err(fault)?;
+    let values = texels.as_flattened_mut();
+    for texel in 0..count {
+        let at = start + channels * texel;
+        let rgba = match values[at..at + channels] {
+            [grey] => [grey, grey, grey, 255],
+            [grey, alpha] => [grey, grey, grey, alpha],
+            [r, g, b] => [r, g, b, 255],
+            _ => break,
+        };
+        values[4 * texel..][..4].copy_from_slice(&rgba);
+    }
+    Ok(Pixels::Rgba8(texels))
+}
+
+/// The values of a Radiance picture.
+fn radiance(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
+    let (format, decoder) = open(document, bytes, place, &[ImageFormat::Hdr])?;
+    let decoded = DynamicImage::from_decoder(decoder).map_err(|error| unreadable(place, format, error))?;
+    Ok(Pixels::RgbF32(decoded.into_rgb32f().into_raw().as_chunks::<3>().0.to_vec()))
 }

@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use basisu::{DecodeFlags, TargetFormat, Transcoder};
-use lumistack_scene::{Image, Pixels};
+use lumistack_scene::Pixels;
 
 use crate::document::Document;
 use crate::error::Fault;
@@ -43,11 +43,17 @@ struct Header {
     channels: Channels,
 }
 
+/// Width and height of the largest level, whose texels are counted.
+pub(crate) fn size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
+    let Header { width, height, .. } = Header::read(bytes, place)?;
+    let texels = format!("{width} × {height} texels");
+    document.spend_on_picture(place, u64::from(width) * u64::from(height) * 4, &texels)?;
+    Ok([width as usize, height as usize])
+}
+
 /// Decodes the largest level.
-pub(crate) fn decode(document: &Document<'_>, bytes: &[u8], place: &str, name: String) -> Result<Image, Fault> {
-    document.task.cancel.check()?;
+pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
     let Header { width, height, channels } = Header::read(bytes, place)?;
-    document.spend(place, width as usize * height as usize, size_of::<[u8; 4]>())?;
     let broken = |error| Fault::new(place, "a sound Basis Universal picture", format!("{error:?}"));
     // notes on the file say nothing about its texels, and the decoder trusts the length of the last one
     let mut noteless = bytes.to_vec();
@@ -63,7 +69,7 @@ pub(crate) fn decode(document: &Document<'_>, bytes: &[u8], place: &str, name: S
             Channels::RedGreen => [texel[0], texel[1], 0, 255],
         };
     }
-    Ok(Image { name, width: width as usize, height: height as usize, pixels: Pixels::Rgba8(texels) })
+    Ok(Pixels::Rgba8(texels))
 }
 
 impl Header {

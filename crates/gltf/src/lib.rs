@@ -16,8 +16,13 @@
 //! struct Folder(std::path::PathBuf);
 //!
 //! impl AssetResolver for Folder {
-//!     fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
-//!         std::fs::read(self.0.join(uri)).map_err(|error| error.to_string())
+//!     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
+//!         let path = self.0.join(uri);
+//!         let length = path.metadata().map_err(|error| error.to_string())?.len();
+//!         if length > max_bytes {
+//!             return Err(format!("{length} bytes"));
+//!         }
+//!         std::fs::read(path).map_err(|error| error.to_string())
 //!     }
 //! }
 //!
@@ -30,6 +35,7 @@
 
 mod accessor;
 mod animation;
+mod cause;
 mod container;
 mod document;
 mod draco;
@@ -56,9 +62,11 @@ pub use options::LoadOptions;
 
 /// Reads the files that a glTF file refers to.
 pub trait AssetResolver {
-    /// The content of the file at `uri`, which is relative to the glTF file and already percent-decoded.
+    /// The content of the file at `uri`, which is relative to the glTF file and already percent-decoded. The file is not trusted: `uri` may
+    /// lead anywhere (`../../secret`, `/dev/zero`), and the resolver decides where it may.
     ///
     /// # Errors
-    /// The reason in a few words, for the user ("No such file").
-    fn read(&self, uri: &str) -> Result<Vec<u8>, String>;
+    /// The reason in a few words, for the user ("No such file"); also where the file is larger than `max_bytes`, which is to be known before it
+    /// is read.
+    fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
 }

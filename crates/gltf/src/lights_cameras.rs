@@ -109,7 +109,7 @@ fn focus_distance(extras: &Value, camera_place: &str) -> Result<Option<f32>, Fau
     }
 }
 
-fn projection(document: &Document<'_>, source: &json::Camera, place: &str) -> Result<Projection, Fault> {
+pub(crate) fn projection(document: &Document<'_>, source: &json::Camera, place: &str) -> Result<Projection, Fault> {
     let positive = |value: f32, most: f32, field: &str| {
         if value > 0.0 && value < most {
             return Ok(value);

@@ -16,7 +16,9 @@ use crate::material::Materials;
 use crate::nodes::Nodes;
 use crate::options::{LoadOptions, choose};
 use crate::skin::Pose;
-use crate::{AssetResolver, GltfError, animation, extensions, lights_cameras, material, mesh, nodes, skin, variants};
+use crate::{
+    AssetResolver, GltfError, animation, cause, extensions, lights_cameras, material, mesh, nodes, skin, variants,
+};
 
 /// Loads a `.gltf` or `.glb` file.
 ///
@@ -63,8 +65,7 @@ pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Ta
     let warnings = InFile { name, inner: task.warnings };
     let task = Task { warnings: &warnings, ..task };
     let list = || -> Result<Contents, Fault> {
-        let limit = LoadOptions::default().max_decoded_bytes;
-        let document = Document::new(Container::open(bytes)?, resolver, limit, task);
+        let document = Document::new(Container::open(bytes)?, resolver, &LoadOptions::default(), task);
         let named = |names: Vec<Option<&str>>| -> Vec<String> {
             names.iter().enumerate().map(|(i, name)| name.map_or_else(|| i.to_string(), str::to_owned)).collect()
         };
@@ -96,7 +97,7 @@ fn load_scene(
     options: &LoadOptions,
     task: Task<'_>,
 ) -> Result<Scene, Fault> {
-    let mut document = Document::new(Container::open(bytes)?, resolver, options.max_decoded_bytes, task);
+    let mut document = Document::new(Container::open(bytes)?, resolver, options, task);
     extensions::check(&document)?;
     if let Some(variant) = &options.variant {
         document.variant = Some(choose("material variant", variant, &variants::names(&document))?);
@@ -113,14 +114,20 @@ fn load_scene(
         ..SceneParts::default()
     };
     place_meshes(&document, &nodes, &mut materials, &mut parts)?;
+    if parts.instances.is_empty() {
+        // there is nothing to validate, and more to say
+        return Err(cause::nothing_to_show(&document, &nodes));
+    }
+    materials.images.decode(&document)?;
     let Materials { materials, textures, images, .. } = materials;
     (parts.materials, parts.textures, parts.images) = (materials, textures, images.decoded);
     task.cancel.check()?;
-    let scene_place = nodes.scene_place.unwrap_or_else(|| "/nodes".to_owned());
+    let triangles: usize = parts.meshes.iter().map(|mesh| mesh.triangles.len()).sum();
     parts.validate(task).map_err(|mut error| {
         // the validator speaks of the whole scene by its name, which the message begins with anyway
         if error.place == name {
-            error.place = scene_place;
+            error.place = nodes.place();
+            error.found = cause::no_area(&document, &error.found, triangles);
         }
         error.into()
     })

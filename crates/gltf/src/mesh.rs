@@ -74,13 +74,13 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         return Err(Fault::new(place, "a primitive mode (0 to 6)", found));
     };
     if matches!(mode, Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
-        document.task.warn(place, format!("a primitive of mode {mode:?} has no surface and is left out"));
+        document.leave_out(place, format!("a primitive of mode {mode:?} has no surface and is left out"));
         return Ok(None);
     }
     let decoded = draco::decode(document, place)?;
     let attributes = Attributes { document, request, decoded: decoded.as_ref() };
     let Some(positions) = attributes.open(Semantic::Positions, &POSITION, None)? else {
-        document.task.warn(place, "a primitive without POSITION is left out");
+        document.leave_out(place, "a primitive without POSITION is left out".into());
         return Ok(None);
     };
     let count = positions.count;

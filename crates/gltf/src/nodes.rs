@@ -29,10 +29,16 @@ pub(crate) struct Nodes {
     pub(crate) poses: HashMap<usize, NodePose>,
 }
 
+impl Nodes {
+    /// JSON pointer to what says which nodes are shown.
+    pub(crate) fn place(&self) -> String {
+        self.scene_place.clone().unwrap_or_else(|| "/nodes".to_owned())
+    }
+}
+
 /// Reads the hierarchy of the default scene: the file's choice, or its first scene, or, without scenes, all nodes.
 pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> Result<Nodes, Fault> {
-    let parents = parents(document)?;
-    let scene_from_node = placements(document, &parents, &poses)?;
+    let mut parents = parents(document)?;
     let root = &document.root;
     let scene = match root.scene {
         Some(scene) => Some((document.get(scene, "/scene")?, scene.value())),
@@ -41,55 +47,96 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
     let mut roots = Vec::new();
     match scene {
         Some((scene, number)) => {
+            let place = |i: usize| format!("/scenes/{number}/nodes/{i}");
             let mut listed = vec![false; root.nodes.len()];
             for (i, &node) in scene.nodes.iter().enumerate() {
-                let place = format!("/scenes/{number}/nodes/{i}");
-                document.get(node, &place)?;
+                document.get(node, &place(i))?;
                 if std::mem::replace(&mut listed[node.value()], true) {
-                    return Err(Fault::new(place, "every node once", format!("node {} again", node.value())));
+                    let found =
+                        format!("expected every node once, found node {} again; it is shown once", node.value());
+                    document.task.warn(place(i), found);
+                } else {
+                    roots.push((node.value(), place(i)));
                 }
-                if let Some(parent) = parents[node.value()] {
-                    let expected = "a node without a parent";
-                    return Err(Fault::new(
-                        place,
-                        expected,
-                        format!("node {}, a child of node {parent}", node.value()),
-                    ));
-                }
-                roots.push(node.value());
             }
+            let mut known = vec![None; root.nodes.len()];
+            roots.retain(|(node, place)| adopt(document, *node, place, &listed, &mut known, &mut parents));
         }
-        None => roots.extend((0..root.nodes.len()).filter(|&node| parents[node].is_none())),
+        None => {
+            let orphans = (0..root.nodes.len()).filter(|&node| parents[node].is_none());
+            roots.extend(orphans.map(|node| (node, String::new())));
+        }
     }
-    // no node has two parents, so every node is met once
+    let scene_from_node = placements(document, &parents, &poses)?;
     let mut shown = Vec::new();
-    let mut open: Vec<usize> = roots.into_iter().rev().collect();
+    let mut seen = vec![false; root.nodes.len()];
+    let mut open: Vec<usize> = roots.into_iter().rev().map(|(node, _)| node).collect();
     while let Some(node) = open.pop() {
         let visible = format!("/nodes/{node}/extensions/KHR_node_visibility/visible");
-        if document.json(&visible).and_then(Value::as_bool) == Some(false) {
+        if document.json(&visible).and_then(Value::as_bool) == Some(false) || std::mem::replace(&mut seen[node], true) {
             continue;
         }
         shown.push(node);
-        open.extend(children(&root.nodes[node]).iter().rev().map(json::Index::value));
+        let children = children(&root.nodes[node]).iter().rev().map(json::Index::value);
+        open.extend(children.filter(|&child| parents[child] == Some(node)));
     }
     let scene_place = scene.map(|(_, number)| format!("/scenes/{number}"));
     Ok(Nodes { scene_place, shown, scene_from_node, poses })
+}
+
+/// Whether a node that the scene lists is a root of what it shows. A child is not meant to be listed, but many readers show it: where the scene
+/// shows an ancestor too, it stands there; otherwise it stands alone, without its parents. `known` keeps what was found about ancestors.
+fn adopt(
+    document: &Document<'_>,
+    node: usize,
+    place: &str,
+    listed: &[bool],
+    known: &mut [Option<bool>],
+    parents: &mut [Option<usize>],
+) -> bool {
+    let Some(parent) = parents[node] else { return true };
+    let found = format!("expected a node without a parent, found node {node}, a child of node {parent}");
+    let (mut path, mut at, mut shown) = (Vec::new(), Some(parent), false);
+    while let Some(ancestor) = at {
+        // a path longer than the number of nodes is a circle, which is refused later
+        if listed[ancestor] || path.len() > parents.len() {
+            shown = true;
+            break;
+        }
+        if let Some(known) = known[ancestor] {
+            shown = known;
+            break;
+        }
+        path.push(ancestor);
+        at = parents[ancestor];
+    }
+    path.into_iter().for_each(|ancestor| known[ancestor] = Some(shown));
+    if shown {
+        document.task.warn(place, format!("{found}; it is shown there"));
+        return false;
+    }
+    document.task.warn(place, format!("{found}, which the scene does not show; it is shown without its parent"));
+    parents[node] = None;
+    true
 }
 
 fn children(node: &json::Node) -> &[json::Index<json::Node>] {
     node.children.as_deref().unwrap_or_default()
 }
 
-/// The parent of every node; refuses second parents.
+/// The parent of every node; of several parents the first, with a warning.
 fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
     let mut parents = vec![None; document.root.nodes.len()];
     for (parent, node) in document.root.nodes.iter().enumerate() {
         for (i, &child) in children(node).iter().enumerate() {
             let place = format!("/nodes/{parent}/children/{i}");
             document.get(child, &place)?;
-            if let Some(first) = parents[child.value()].replace(parent) {
-                let found = format!("node {}, which is also a child of node {first}", child.value());
-                return Err(Fault::new(place, "nodes with one parent", found));
+            match parents[child.value()] {
+                None => parents[child.value()] = Some(parent),
+                Some(first) => {
+                    let found = format!("node {}, which is a child of node {first}", child.value());
+                    document.task.warn(place, format!("expected nodes with one parent, found {found}; it stays there"));
+                }
             }
         }
     }

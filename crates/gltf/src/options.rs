@@ -12,14 +12,17 @@ pub struct LoadOptions {
     pub animation: Option<String>,
     /// Name or number of the material variant (`KHR_materials_variants`). `None`: the default materials.
     pub variant: Option<String>,
-    /// Bytes that the scene may decode to. Small files can ask for any amount (many primitives over one accessor, pictures of one
+    /// Bytes that the scene without its pictures may decode to. Small files can ask for any amount (many primitives over one accessor, pictures of one
     /// colour); past this they are refused instead of exhausting the machine. 8 GiB.
     pub max_decoded_bytes: u64,
+    /// Bytes that the decoded pictures of the scene may take together, beside `max_decoded_bytes`. The sizes in all headers are added up before
+    /// the first picture is decoded. 8 GiB.
+    pub max_picture_bytes: u64,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { time_s: None, animation: None, variant: None, max_decoded_bytes: 8 << 30 }
+        Self { time_s: None, animation: None, variant: None, max_decoded_bytes: 8 << 30, max_picture_bytes: 8 << 30 }
     }
 }
 

@@ -3,9 +3,9 @@
 mod support;
 
 use lumistack_core::{Cancel, Cancelled, Collector, Task};
-use lumistack_gltf::GltfError;
+use lumistack_gltf::{GltfError, LoadOptions};
 use serde_json::json;
-use support::{Builder, F32, Memory, U8, U16, U32, error, load, load_with, png};
+use support::{Builder, F32, Memory, U8, U16, U32, error, load, load_choosing, load_with, png};
 
 /// Asserts the message without the file's name, which all begin with.
 fn assert_error(builder: &Builder, expected: &str) {
@@ -195,13 +195,41 @@ fn numbers_that_are_not_finite() {
 #[test]
 fn scenes_with_nothing_to_see() {
     let nothing = "expected at least one triangle with area, found none";
-    assert_error(&Builder::new(), &format!("/nodes: {nothing}"));
+    assert_error(&Builder::new(), &format!("/nodes: {nothing}: the file has no nodes, and the file has no meshes"));
     let b = triangle_with(|b| _ = b.set("/scenes/0/nodes", json!([])));
-    assert_error(&b, &format!("/scenes/0: {nothing}"));
+    let reason = "the scene lists none of the file's 1 nodes, and nothing shows the file's mesh";
+    assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
+    let b = triangle_with(|b| _ = b.set("/nodes/0", json!({"camera": 0})).push("cameras", json!({})));
+    assert!(error(&b).contains("/cameras/0"), "{}", error(&b));
+    let b = triangle_with(|b| _ = b.remove("/nodes/0/mesh"));
+    let reason = "of 1 nodes none has a mesh, and nothing shows the file's mesh";
+    assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
+    let hidden = json!({"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": false}}});
+    let b = triangle_with(|b| _ = b.set("/nodes/0", hidden));
+    assert!(error(&b).contains("every node that the scene lists is hidden"), "{}", error(&b));
+    let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", json!([])));
+    assert_error(&b, &format!("/scenes/0: {nothing}: /meshes/0 has no primitives"));
+    // the first reason of several
+    let primitives = json!([{"attributes": {"POSITION": 0}, "mode": 1}, {"attributes": {}}]);
+    let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", primitives));
+    let reason =
+        "/meshes/0/primitives/0: a primitive of mode Lines has no surface and is left out (and 1 more are left out)";
+    assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
+    // what nothing shows is broken as well
+    let b = triangle_with(|b| {
+        b.set("/nodes/0", json!({}));
+        b.set("/accessors/0/count", json!(4));
+    });
+    let reason = "of 1 nodes none has a mesh, and nothing shows the file's mesh; the file is also broken where nothing shows it: \
+                  /accessors/0/count: expected at most 3, which /bufferViews/0 holds, found 4";
+    assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     let mut flat = Builder::triangle();
     flat.bin.fill(0);
     let (result, warnings) = load(&flat.glb());
-    assert_eq!(result.unwrap_err().to_string(), format!("test.gltf: /scenes/0: {nothing}"));
+    assert_eq!(
+        result.unwrap_err().to_string(),
+        format!("test.gltf: /scenes/0: {nothing}: the one triangle has no area")
+    );
     assert_eq!(warnings, ["test.gltf: /meshes/0/primitives/0: 1 of 1 triangles have no area and are left out"]);
 }
 
@@ -214,14 +242,32 @@ fn hierarchies_that_are_no_trees() {
     assert_error(&b, "/nodes/1: expected a tree of nodes, found a node among its own ancestors");
     let b = triangle_with(|b| _ = b.set("/nodes/0/children", json!([0])));
     assert_error(&b, "/nodes/0: expected a tree of nodes, found a node among its own ancestors");
-    let b = triangle_with(|b| {
-        b.push("nodes", json!({"children": [0]}));
-        b.push("nodes", json!({"children": [0]}));
-    });
-    let expected = "/nodes/2/children/0: expected nodes with one parent, found node 0, which is also a child of node 1";
-    assert_error(&b, expected);
-    let b = triangle_with(|b| _ = b.set("/scenes/0/nodes", json!([0, 0])));
-    assert_error(&b, "/scenes/0/nodes/1: expected every node once, found node 0 again");
+}
+
+/// Sums up to more than the budget: nothing is decoded, although every picture alone would fit.
+#[test]
+fn pictures_are_counted_before_the_first_is_decoded() {
+    let mut b = Builder::triangle();
+    let sky = png(64, &[[7; 4]; 64 * 64]);
+    let (first, second) = (b.view(&sky), b.view(&sky));
+    // the first is cut off in its pixels, which nobody gets to see
+    b.set(&format!("/bufferViews/{first}/byteLength"), json!(60));
+    for view in [first, second] {
+        b.push("images", json!({"bufferView": view}));
+    }
+    b.push("textures", json!({"source": 0}));
+    b.push("textures", json!({"source": 1}));
+    let both = json!({"emissiveTexture": {"index": 0}, "pbrMetallicRoughness": {"baseColorTexture": {"index": 1}}});
+    b.push("materials", both);
+    b.set("/meshes/0/primitives/0/material", json!(0));
+    let load = |max_picture_bytes: u64| {
+        let options = LoadOptions { max_picture_bytes, ..LoadOptions::default() };
+        load_choosing(&b.glb(), &options).0.unwrap_err().to_string()
+    };
+    let expected = "test.gltf: /images/0/bufferView: expected pictures that decode to at most 0 MiB together (the picture budget), \
+                    found 64 × 64 texels, 1 MiB more after 0 MiB";
+    assert_eq!(load(2 * 64 * 64 * 4 - 1), expected);
+    assert!(load(2 * 64 * 64 * 4).contains("/images/0/bufferView: expected a readable Png picture"));
 }
 
 #[test]

@@ -5,8 +5,9 @@ mod support;
 use std::f32::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
 use glam::{Affine2, Quat, Vec2, Vec3, Vec4};
+use lumistack_gltf::AssetResolver;
 use lumistack_scene::{AlphaMode, Filter, Light, LightKind, Pixels, Projection, TextureUse, Wrap};
-use serde_json::json;
+use serde_json::{Value, json};
 use support::{Builder, F32, I8, I16, Memory, U8, U16, U32, load, load_with, png, scene};
 
 /// A few roundings in 32 bits at the size of these scenes.
@@ -503,6 +504,95 @@ fn whole_numbers_may_be_written_as_floats() {
     let text =
         text.replace("\"count\":3", "\"count\":3.0").replace("\"componentType\":5126", "\"componentType\":5.126e3");
     assert!(text.contains("3.0") && load(text.as_bytes()).0.is_ok());
+}
+
+/// A scene that lists a child, a node twice or a node of two parents is no tree of nodes, but others show it.
+#[test]
+fn scenes_that_list_children_are_shown() {
+    let corner = |b: &Builder| {
+        let (scene, warnings) = load(&b.glb());
+        let scene = scene.unwrap();
+        let corners = scene.instances.iter().map(|instance| instance.scene_from_mesh.translation.x);
+        (
+            corners.collect::<Vec<_>>(),
+            warnings.iter().map(|text| text.replacen("test.gltf: ", "", 1)).collect::<Vec<_>>(),
+        )
+    };
+    let under = |roots: Value| {
+        let mut b = Builder::triangle();
+        b.push("nodes", json!({"children": [0], "translation": [3, 0, 0]}));
+        b.set("/scenes/0/nodes", roots);
+        b
+    };
+    let child = "expected a node without a parent, found node 0, a child of node 1";
+    let shown_there = format!("{child}; it is shown there");
+    assert_eq!(corner(&under(json!([0, 1]))), (vec![3.0], vec![format!("/scenes/0/nodes/0: {shown_there}")]));
+    assert_eq!(corner(&under(json!([1, 0]))), (vec![3.0], vec![format!("/scenes/0/nodes/1: {shown_there}")]));
+    let alone = format!("/scenes/0/nodes/0: {child}, which the scene does not show; it is shown without its parent");
+    assert_eq!(corner(&under(json!([0]))), (vec![0.0], vec![alone]));
+    let again = "/scenes/0/nodes/1: expected every node once, found node 1 again; it is shown once";
+    assert_eq!(corner(&under(json!([1, 1]))), (vec![3.0], vec![again.into()]));
+    // of two parents the first
+    let mut b = under(json!([1, 2]));
+    b.push("nodes", json!({"children": [0, 0], "translation": [5, 0, 0]}));
+    let (places, warnings) = corner(&b);
+    assert_eq!((places, warnings.len()), (vec![3.0], 2));
+    let expected =
+        "/nodes/2/children/0: expected nodes with one parent, found node 0, which is a child of node 1; it stays there";
+    assert_eq!(warnings[0], expected);
+}
+
+/// glTF has strides for vertices only. One on indices is followed where the indices lie so, as others do, and has no effect otherwise.
+#[test]
+fn strides_where_none_belong_are_said() {
+    for (bytes, stride, expected) in [
+        (&[0u8, 0, 1, 0, 2, 0][..], 2, None),
+        (&[0, 0, 9, 9, 1, 0, 9, 9, 2, 0], 4, Some("found 4, which /accessors/1 follows")),
+        (&[0, 0, 1, 0, 2, 0], 12, Some("found 12; /accessors/1 is read without one")),
+        (&[0, 0, 1, 0, 2, 0], 1, Some("found 1; /accessors/1 is read without one")),
+    ] {
+        let mut b = Builder::triangle();
+        let indices = b.accessor(U16, "SCALAR", 3, bytes);
+        b.set("/bufferViews/1/byteStride", json!(stride));
+        b.set("/meshes/0/primitives/0/indices", json!(indices));
+        let (scene, warnings) = load(&b.glb());
+        assert_eq!(scene.unwrap().meshes[0].triangles, [[0, 1, 2]], "stride {stride}");
+        let expected = expected.map(|text| format!("test.gltf: /bufferViews/1/byteStride: expected no stride, {text}"));
+        assert_eq!(warnings, expected.into_iter().collect::<Vec<_>>(), "stride {stride}");
+    }
+}
+
+/// Two buffers, and two images, of equal URI are one.
+#[test]
+fn equal_uris_are_read_and_decoded_once() {
+    struct Counted(Memory, std::cell::RefCell<Vec<String>>);
+    impl AssetResolver for Counted {
+        fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
+            self.1.borrow_mut().push(uri.to_owned());
+            self.0.read(uri, max_bytes)
+        }
+    }
+    let mut b = Builder::triangle();
+    let uvs = b.floats("VEC2", &[0.0; 6]);
+    b.set("/bufferViews/1/buffer", json!(1));
+    b.set("/meshes/0/primitives/0/attributes/TEXCOORD_0", json!(uvs));
+    for _ in 0..2 {
+        let image = b.push("images", json!({"uri": "a.png"}));
+        b.push("textures", json!({"source": image}));
+    }
+    let both = json!({"emissiveTexture": {"index": 0}, "pbrMetallicRoughness": {"baseColorTexture": {"index": 1}}});
+    b.push("materials", both);
+    b.set("/meshes/0/primitives/0/material", json!(0));
+    b.set("/buffers", json!([])).set("/asset", json!({"version": "2.0"}));
+    for _ in 0..2 {
+        b.push("buffers", json!({"byteLength": b.bin.len(), "uri": "a.bin"}));
+    }
+    let files = Memory(vec![("a.bin", b.bin.clone()), ("a.png", png(1, &[[1, 2, 3, 255]]))]);
+    let files = Counted(files, Default::default());
+    let (scene, warnings) = load_with(b.json.to_string().as_bytes(), &files);
+    assert_eq!(warnings, Vec::<String>::new());
+    assert_eq!(scene.unwrap().images.len(), 1);
+    assert_eq!(*files.1.borrow(), ["a.png", "a.bin"]);
 }
 
 #[test]

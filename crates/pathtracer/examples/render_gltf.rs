@@ -28,7 +28,7 @@ const FOV_DEG: f64 = 20.0;
 struct Folder(PathBuf);
 
 impl AssetResolver for Folder {
-    fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
+    fn read(&self, uri: &str, _max_bytes: u64) -> Result<Vec<u8>, String> {
         std::fs::read(self.0.join(uri)).map_err(|error| error.to_string())
     }
 }

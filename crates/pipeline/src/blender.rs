@@ -83,7 +83,7 @@ impl Kept {
 }
 
 fn content_of(path: &Path) -> Option<String> {
-    std::fs::read(path).ok().map(|bytes| hash(&bytes))
+    lumistack_files::read(path).ok().map(|bytes| hash(&bytes))
 }
 
 /// The scene of a `.blend` file at a time. With a folder it is kept there, and Blender is not asked again while the file, what it reads, Blender itself and

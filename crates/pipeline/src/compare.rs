@@ -43,6 +43,7 @@ pub struct RunComparison {
     /// The second against the first.
     pub between: Likeness,
     /// Pictures that were written.
+    #[serde(serialize_with = "crate::path_text::told_each")]
     pub pictures: Vec<PathBuf>,
 }
 

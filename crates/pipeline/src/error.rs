@@ -212,20 +212,20 @@ pub(crate) fn field_error(error: lumistack_field_io::FieldError) -> PipelineErro
     }
 }
 
-/// Reads a whole file.
+/// Reads a whole regular file.
 ///
 /// # Errors
 /// When it cannot be read.
 pub fn read(path: &Path) -> Result<Vec<u8>, PipelineError> {
-    std::fs::read(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
+    lumistack_files::read(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
 }
 
-/// Reads a whole UTF-8 file.
+/// Reads a whole regular file of UTF-8 text.
 ///
 /// # Errors
 /// When it cannot be read or is not UTF-8.
 pub fn read_to_string(path: &Path) -> Result<String, PipelineError> {
-    std::fs::read_to_string(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
+    lumistack_files::read_text(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
 }
 
 /// The line of the error with a mark under the place.

@@ -39,13 +39,24 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
         let found: Vec<(String, String)> = of(registry, id, params).map(|(n, p)| (n.into(), p.into())).collect();
         for (name, given) in found {
             let path = folder.join(&given);
-            if let Err(error) = std::fs::read(&path) {
+            if let Err(error) = lumistack_files::open(&path) {
                 let (key, found) = (format!("{place}.params.{name}"), format!("{}: {error}", path.display()));
                 let expected = "a readable file, or its text, which begins with {";
                 return Err(PipelineError::value("job", key, expected, found));
             }
             let absolute = std::path::absolute(&path).unwrap_or(path);
-            params.insert(name, absolute.to_string_lossy().into_owned().into());
+            let value = match absolute.to_str() {
+                Some(text) => text.to_owned(),
+                // parameters are JSON, which holds no such path: the content stands for it where that is a text of its own
+                None => lumistack_files::read_text(&absolute)
+                    .ok()
+                    .filter(|text| text.trim_start().starts_with('{'))
+                    .ok_or_else(|| {
+                        let (key, found) = (format!("{place}.params.{name}"), absolute.display().to_string());
+                        PipelineError::value("job", key, "a path in UTF-8, or a file whose text begins with {", found)
+                    })?,
+            };
+            params.insert(name, value.into());
         }
     }
     Ok(job)

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use glam::{DVec3, Vec3};
 use lumistack_core::{Task, Tensor};
 use lumistack_display::{FieldGeometry, ViewGrid};
+use lumistack_files::{Folder, MAX_FILE_BYTES, Refusal};
 use lumistack_gltf::{AssetResolver, LoadOptions};
 use lumistack_pathtracer::Renderer;
 use lumistack_plugin_host::{Origin, PluginError, PluginKind, Registry};
@@ -114,7 +115,7 @@ pub fn scene_contents(
     if reader == Reader::Blend {
         return Ok(SceneContents::Blend(lumistack_usd::blend_contents(path, task)?));
     }
-    let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
+    let resolver = Files::beside(path, importer.allow_outside)?;
     let bytes = gltf_bytes(path, &reader, importer, registry, &resolver, task)?;
     Ok(SceneContents::Gltf(lumistack_gltf::contents(&path.display().to_string(), &bytes, &resolver, task)?))
 }
@@ -125,21 +126,25 @@ fn gltf_bytes(
     reader: &Reader,
     importer: &ImporterJob,
     registry: &Registry,
-    resolver: &Files<'_>,
+    resolver: &Files,
     task: Task<'_>,
 ) -> Result<Vec<u8>, PipelineError> {
     let Reader::Plugin(id) = reader else {
-        let bytes = read(path)?;
-        resolver.remember(path.to_owned(), &bytes);
-        return Ok(bytes);
+        return Ok(resolver.keep(path.to_owned(), read(path)?));
     };
     // so that a missing file is told like any other
-    std::fs::metadata(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
+    lumistack_files::open(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
+    // its own name may be one that the boundary's texts cannot hold
+    let own = |name: &str| name == file && file.contains(char::REPLACEMENT_CHARACTER);
     let read = |name: &str| {
-        resolver
-            .read(name)
-            .map_err(|error| PluginError::Failed(format!("{}: {error}", resolver.base.join(name).display())))
+        let bytes = match own(name) {
+            true => lumistack_files::read(path)
+                .map(|bytes| resolver.keep(path.to_owned(), bytes))
+                .map_err(|e| e.to_string()),
+            false => resolver.read(name, MAX_FILE_BYTES),
+        };
+        bytes.map_err(|error| PluginError::Failed(format!("{}: {error}", resolver.folder.path_of(name).display())))
     };
     let params = importer.params.clone().into();
     lumistack_plugin_host::import_scene(registry, id, &params, &file, &read, task).map_err(host_error)
@@ -163,7 +168,7 @@ pub fn load_scene(
     let (scene, files) = match reader_of(path, importer, registry)? {
         Reader::Usd => load_usd(path, pose, task)?,
         Reader::Blend => {
-            let (read, contents) = load_blend(path, pose, cache_dir, task)?;
+            let (read, contents) = load_blend(path, pose, importer, cache_dir, task)?;
             known = Some(SceneContents::Blend(contents));
             read
         }
@@ -256,8 +261,9 @@ fn load_gltf(
         let expected = "none, since only USD has variant sets; glTF's material variants are `pose.variant`";
         return Err(PipelineError::value(path, "pose.variants", expected, variants));
     }
-    let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
-    let options = LoadOptions { time_s, animation, variant, ..LoadOptions::default() };
+    let resolver = Files::beside(path, importer.allow_outside)?;
+    let max_picture_bytes = importer.picture_mib.saturating_mul(1 << 20);
+    let options = LoadOptions { time_s, animation, variant, max_picture_bytes, ..LoadOptions::default() };
     let read = || -> Result<Scene, PipelineError> {
         let bytes = gltf_bytes(path, reader, importer, registry, &resolver, task)?;
         Ok(lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?)
@@ -294,6 +300,7 @@ fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, Pipelin
 fn load_blend(
     path: &Path,
     pose: &PoseJob,
+    importer: &ImporterJob,
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<(Read, BlendContents), PipelineError> {
@@ -304,8 +311,10 @@ fn load_blend(
         return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
     }
     let HandedOver { glb, account } = blender::hand_over(path, time_s, cache_dir, task)?;
-    let resolver = Files { base: path.parent().unwrap_or(Path::new("")), read: Mutex::default() };
-    let options = LoadOptions::default();
+    // Blender packs pictures into what it hands over, wherever they were
+    let resolver = Files::beside(path, false)?;
+    let max_picture_bytes = importer.picture_mib.saturating_mul(1 << 20);
+    let options = LoadOptions { max_picture_bytes, ..LoadOptions::default() };
     let scene = lumistack_gltf::load_with(&path.display().to_string(), &glb, &resolver, &options, task)?;
     let mut files = hashed(&[&[path.to_owned()], &account.files[..]].concat())?;
     files.push(("blender".into(), account.blender));
@@ -555,29 +564,45 @@ pub(crate) fn plugin_key(
 }
 
 /// Reads what a scene's file refers to, and remembers it.
-struct Files<'a> {
-    base: &'a Path,
+struct Files {
+    folder: Folder,
     read: Mutex<Vec<(PathBuf, String)>>,
 }
 
-impl Files<'_> {
-    fn remember(&self, path: PathBuf, bytes: &[u8]) {
+impl Files {
+    /// What the scene at `path` refers to: regular files in its own folder, or anywhere.
+    fn beside(path: &Path, allow_outside: bool) -> Result<Self, PipelineError> {
+        let io = |source| PipelineError::Read { path: path.to_owned(), source };
+        let folder = if allow_outside { Folder::anywhere(path) } else { Folder::around(path).map_err(io)? };
+        Ok(Self { folder, read: Mutex::default() })
+    }
+
+    /// Remembers what was read, and gives it back.
+    fn keep(&self, path: PathBuf, bytes: Vec<u8>) -> Vec<u8> {
         let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
-        let entry = (path, hash(bytes));
+        let entry = (path, hash(&bytes));
         if !read.contains(&entry) {
             read.push(entry);
         }
+        bytes
     }
 }
 
-impl AssetResolver for Files<'_> {
-    fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
-        let path = self.base.join(uri);
-        let bytes = std::fs::read(&path).map_err(|error| error.to_string())?;
-        self.remember(path, &bytes);
-        Ok(bytes)
+impl AssetResolver for Files {
+    fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
+        let bytes = self.folder.read(uri, max_bytes).map_err(|refusal| match refusal {
+            Refusal::Io(error) => error.to_string(),
+            Refusal::Outside { .. } => {
+                format!("{refusal}; {OUTSIDE_ADVICE}")
+            }
+        })?;
+        Ok(self.keep(self.folder.path_of(uri), bytes))
     }
 }
+
+/// The way out where a scene is known to be harmless.
+const OUTSIDE_ADVICE: &str =
+    "--allow-outside (in a job `importer.allow_outside = true`) lets a scene read files that lie elsewhere";
 
 pub(crate) fn hash(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()

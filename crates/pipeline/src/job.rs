@@ -45,10 +45,10 @@ pub struct Job {
     #[serde(default)]
     pub name: String,
     /// Scene to render: `.gltf`, `.glb`, USD, or what an importer takes. Either this, `light_field` or `source`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
     pub scene: Option<PathBuf>,
     /// Light field that somebody else rendered: a folder, `.npy`, a quilt.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
     pub light_field: Option<PathBuf>,
     /// Seed of all random streams.
     #[serde(default = "default_seed")]
@@ -82,7 +82,7 @@ pub struct Job {
     /// Report.
     #[serde(default)]
     pub report: ReportJob,
-    /// Importer of a scene that is not glTF, and its parameters.
+    /// How the scene's files are read: by which plugin, from where, with how much memory.
     #[serde(default, skip_serializing_if = "is_default")]
     pub importer: ImporterJob,
     /// Plugin that makes the light field.
@@ -279,6 +279,9 @@ impl Job {
         }
         if let Some(time_s) = self.pose.time_s.filter(|time_s| !time_s.is_finite()) {
             return fail("pose.time_s", "a finite time", time_s.to_string());
+        }
+        if !(1..=1 << 20).contains(&self.importer.picture_mib) {
+            return fail("importer.picture_mib", "1 to 1048576 MiB", self.importer.picture_mib.to_string());
         }
         self.render.check()?;
         self.window.check()?;

@@ -26,6 +26,7 @@ mod job;
 mod light;
 mod look;
 mod oidn;
+mod path_text;
 pub mod presets;
 mod render;
 mod run;

@@ -1,6 +1,7 @@
 //! Displays that come with the program: the paper's prototypes and figures.
 
-use std::path::{Path, PathBuf};
+use std::ffi::OsStr;
+use std::path::Path;
 
 use lumistack_core::config::nearest;
 use lumistack_display::Display;
@@ -54,12 +55,14 @@ pub fn load_file(path: &Path) -> Result<Display, PipelineError> {
 }
 
 /// What a user typed: the name of a preset or the path of a file.
-pub fn by_name_or_path(text: &str) -> crate::DisplayJob {
-    let is_path = text.ends_with(".toml") || text.contains(['/', '\\']);
-    if is_path {
-        crate::DisplayJob { file: Some(PathBuf::from(text)), ..Default::default() }
-    } else {
-        crate::DisplayJob { preset: Some(text.into()), ..Default::default() }
+pub fn by_name_or_path(text: impl AsRef<OsStr>) -> crate::DisplayJob {
+    let path = Path::new(text.as_ref());
+    match path.to_str() {
+        Some(name) if !(name.ends_with(".toml") || name.contains(['/', '\\'])) => {
+            crate::DisplayJob { preset: Some(name.into()), ..Default::default() }
+        }
+        // the names of presets are UTF-8
+        _ => crate::DisplayJob { file: Some(path.to_owned()), ..Default::default() },
     }
 }
 

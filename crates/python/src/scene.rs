@@ -15,7 +15,7 @@ use crate::work::long;
 ///
 /// path: the file, or a stage (pxr.Usd.Stage), which is read as it stands in memory; time: seconds at which its animations are sampled (without it as its nodes
 /// stand); animation, variant: name or number, of glTF; variants: of USD, a list of "set=variant" for every prim or "/prim{set=variant}" for one; light: a mapping with the keys of a job's [light], of which environment (a Radiance HDR or OpenEXR file), environment_strength, environment_rotation_deg and automatic (whether a scene without light gets
-/// the studio light) belong to the scene, and the others are what render() takes unless it is told otherwise; importer: a mapping {"plugin": ..., "params":
+/// the studio light) belong to the scene, and the others are what render() takes unless it is told otherwise; importer: a mapping {"plugin": ..., "allow_outside": ..., "picture_mib": ..., "params":
 /// {...}}. `callback(stage, fraction)` hears of progress.
 ///
 /// The file is read once, and what is made of it for rendering is kept: render() may be called many times.

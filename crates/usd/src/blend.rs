@@ -196,7 +196,7 @@ struct Request<'a> {
 impl<'a> Request<'a> {
     fn new(path: &Path, time_s: Option<f64>, contents_only: bool) -> Result<Self, UsdError> {
         let io = |source| UsdError::Io { place: path.display().to_string(), source };
-        std::fs::metadata(path).map_err(io)?;
+        lumistack_files::open(path).map_err(io)?;
         let absolute = std::path::absolute(path).map_err(io)?;
         let Some(path) = absolute.to_str() else {
             let message = "expected a name in UTF-8, as Blender needs it";

@@ -93,7 +93,7 @@ pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
 
 /// The name, once the file is known to be there.
 fn file_name(path: &Path) -> Result<&str, UsdError> {
-    std::fs::metadata(path).map_err(|source| UsdError::Io { place: path.display().to_string(), source })?;
+    lumistack_files::open(path).map_err(|source| UsdError::Io { place: path.display().to_string(), source })?;
     path.to_str().ok_or_else(|| {
         let source = std::io::Error::new(std::io::ErrorKind::InvalidInput, "expected a name in UTF-8, as USD needs it");
         UsdError::Io { place: path.display().to_string(), source }

@@ -6,6 +6,7 @@
 //! and raw elsewhere.
 
 use std::collections::HashMap;
+use std::path::Path;
 use std::rc::Rc;
 
 use glam::{Affine2, Vec2};
@@ -126,7 +127,7 @@ impl<'a> Textures<'a> {
         let entry = self.package.header.images.get(image).cloned();
         let entry: Entry = entry.and_then(|entry| serde_json::from_value(entry).ok()).unwrap_or_default();
         let read = match (&entry.path, &entry.bytes) {
-            (Some(path), _) => std::fs::read(path)
+            (Some(path), _) => lumistack_files::read(Path::new(path))
                 .map_err(|error| format!("not readable ({error})"))
                 .and_then(|bytes| Picture::decode(path, &bytes)),
             (None, Some(array)) => match self.package.buffers.get(array.buffer) {

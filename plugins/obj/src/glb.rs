@@ -4,8 +4,9 @@ use std::path::Path;
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::serde_json::{self, Value, json};
-use tobj::{Material, Mesh, Model};
+use tobj::{Mesh, Model};
 
+use crate::mtl::{Look, Map};
 use crate::{Up, forward};
 
 /// glTF's numbers for what a component is and what a buffer is for.
@@ -48,7 +49,7 @@ impl Arrays {
 }
 
 /// The document of all meshes under one node that turns and scales them.
-pub(crate) fn document(models: &[Model], materials: &[Material], up: Up, scale: f64) -> Result<Vec<u8>, PluginError> {
+pub(crate) fn document(models: &[Model], materials: &[Look], up: Up, scale: f64) -> Result<Vec<u8>, PluginError> {
     let mut arrays = Arrays::default();
     let meshes: Vec<Value> = models
         .iter()
@@ -105,31 +106,28 @@ fn bounds(positions: &[f32]) -> ([f32; 3], [f32; 3]) {
     (min, max)
 }
 
-fn add_materials(root: &mut Value, materials: &[Material]) {
+fn add_materials(root: &mut Value, materials: &[Look]) {
     if materials.is_empty() {
         return;
     }
-    let (mut textures, mut images) = (Vec::new(), Vec::new());
+    let mut pictures = Pictures::default();
     let list: Vec<Value> = materials
         .iter()
         .map(|material| {
-            let number = |name: &str| material.unknown_param.get(name).and_then(|text| text.trim().parse::<f32>().ok());
             let shiny = material.shininess.map(|ns| 1.0 - (ns / 1000.0).clamp(0.0, 1.0).sqrt());
             let [r, g, b] = material.diffuse.unwrap_or([0.8; 3]).map(|value| value.clamp(0.0, 1.0));
-            let alpha = material.dissolve.unwrap_or(1.0).clamp(0.0, 1.0);
+            let alpha = material.alpha.unwrap_or(1.0).clamp(0.0, 1.0);
             let mut surface = json!({
                 "baseColorFactor": [r, g, b, alpha],
-                "metallicFactor": number("Pm").unwrap_or(0.0).clamp(0.0, 1.0),
-                "roughnessFactor": number("Pr").or(shiny).unwrap_or(1.0).clamp(0.0, 1.0),
+                "metallicFactor": material.metallic.unwrap_or(0.0).clamp(0.0, 1.0),
+                "roughnessFactor": material.roughness.or(shiny).unwrap_or(1.0).clamp(0.0, 1.0),
             });
-            if let Some(path) = &material.diffuse_texture {
-                images.push(json!({"uri": percent_encoded(&forward(Path::new(path)))}));
-                textures.push(json!({"source": images.len() - 1}));
-                surface["baseColorTexture"] = json!({"index": textures.len() - 1});
+            if let Some(map) = &material.diffuse_map {
+                surface["baseColorTexture"] = pictures.reference(map);
             }
             let mut material_json =
                 json!({"name": material.name, "pbrMetallicRoughness": surface, "doubleSided": true});
-            if let Some(emission) = material.emissive.filter(|emission| *emission != [0.0; 3]) {
+            if let Some(emission) = material.emission.filter(|emission| *emission != [0.0; 3]) {
                 emit(&mut material_json, emission);
             }
             if alpha < 1.0 {
@@ -138,14 +136,53 @@ fn add_materials(root: &mut Value, materials: &[Material]) {
             material_json
         })
         .collect();
-    if list.iter().any(|material| material["extensions"].is_object()) {
-        root["extensionsUsed"] = json!([EMISSIVE_STRENGTH]);
+    let emits = list.iter().any(|material| material["extensions"].is_object());
+    let used = [(emits, EMISSIVE_STRENGTH), (pictures.transformed, TEXTURE_TRANSFORM)];
+    let used: Vec<&str> = used.into_iter().filter_map(|(used, name)| used.then_some(name)).collect();
+    if !used.is_empty() {
+        root["extensionsUsed"] = json!(used);
     }
     root["materials"] = list.into();
-    if !textures.is_empty() {
-        (root["textures"], root["images"]) = (textures.into(), images.into());
+    if !pictures.textures.is_empty() {
+        (root["textures"], root["images"]) = (pictures.textures.into(), pictures.images.into());
+        root["samplers"] = json!([{}, {"wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}]);
     }
 }
+
+/// Pictures and textures, each once.
+#[derive(Default)]
+struct Pictures {
+    images: Vec<Value>,
+    textures: Vec<Value>,
+    transformed: bool,
+}
+
+impl Pictures {
+    /// A material's reference to the texture of a map.
+    fn reference(&mut self, map: &Map) -> Value {
+        fn place(list: &mut Vec<Value>, value: Value) -> usize {
+            list.iter().position(|known| *known == value).unwrap_or_else(|| {
+                list.push(value);
+                list.len() - 1
+            })
+        }
+        let source = place(&mut self.images, json!({"uri": percent_encoded(&forward(Path::new(&map.file)))}));
+        let texture = json!({"source": source, "sampler": usize::from(map.clamp)});
+        let mut reference = json!({"index": place(&mut self.textures, texture)});
+        let ([s_u, s_v], [o_u, o_v]) = (map.scale, map.offset);
+        if (map.scale, map.offset) != ([1.0; 2], [0.0; 2]) {
+            self.transformed = true;
+            // v points downwards here: 1 − (s (1 − v) + o) = s v + (1 − s − o)
+            let transform = json!({"scale": [s_u, s_v], "offset": [o_u, 1.0 - s_v - o_v]});
+            reference["extensions"] = json!({TEXTURE_TRANSFORM: transform});
+        }
+        reference
+    }
+}
+
+const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
+/// glTF's number for the wrapping mode.
+const CLAMP_TO_EDGE: u32 = 33071;
 
 const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
 

@@ -2,24 +2,29 @@
 //!
 //! | OBJ, MTL | glTF |
 //! |---|---|
-//! | `v`, `vn`, `vt` | positions, normals, texture coordinates (v turned downwards) |
+//! | `v`, `vn`, `vt` | positions, normals, texture coordinates (v turned downwards, 0 where there is none) |
 //! | `f` | triangles; polygons as fans |
 //! | `o`, `g`, `usemtl` | one mesh per object or group and material |
-//! | `Kd`, `map_Kd`, `d` | base colour (linear), its texture, alpha |
+//! | `Kd`, `map_Kd`, `d` | base colour (linear), its texture with scale `-s`, offset `-o` and `-clamp`, alpha |
 //! | `Ke` | emission |
 //! | `Ns` | roughness = 1 − √(Ns / 1000), as Blender writes it |
 //! | `Pr`, `Pm` | roughness and metallic, where the file has them |
 //!
-//! Lines, points, curves and other maps are left out. OBJ has no unit and no agreed upward axis: `scale` and `up` say them.
+//! Lines, points and curves are left out; other maps too, with a warning. OBJ has no unit and no agreed upward axis: `scale` and `up` say them.
 
 mod glb;
+mod mtl;
+mod text;
 
-use std::io::BufReader;
+use std::cell::RefCell;
+use std::collections::HashMap;
 use std::path::Path;
 
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema, export_plugin};
-use tobj::{LoadError, LoadOptions};
+use tobj::{LoadOptions, Material};
+
+use crate::mtl::Look;
 
 /// The plugin.
 pub struct Obj;
@@ -60,28 +65,56 @@ impl ImporterPlugin for Obj {
         let bytes = assets.read(file)?;
         host.check_cancelled()?;
         let options = LoadOptions { triangulate: true, single_index: true, ignore_points: true, ignore_lines: true };
-        let (models, materials) = tobj::load_obj_buf(&mut BufReader::new(&*bytes), &options, |path| {
-            let path = forward(path);
-            let bytes = assets.read(&path).map_err(|error| {
-                host.warn(&format!("{file}: without its materials: {error}"));
-                LoadError::OpenFileFailed
-            })?;
-            tobj::load_mtl_buf(&mut BufReader::new(&*bytes))
-        })
-        .map_err(|error| PluginError::Failed(format!("{file}: {error}")))?;
+        let content = text::decode(&bytes);
+        let mut shapes = text::Shapes::of(&content);
+        let line = shapes.line();
+        let looks = RefCell::new(Vec::new());
+        let library = |path: &Path| {
+            let found = materials(host, assets, file, &forward(path));
+            // the reader of shapes only finds materials by their names
+            let known = found.iter().enumerate().map(|(i, look)| (look.name.clone(), i)).collect::<HashMap<_, _>>();
+            let nameless = vec![Material::default(); found.len()];
+            looks.borrow_mut().extend(found);
+            Ok((nameless, known))
+        };
+        let (models, _) = tobj::load_obj_buf(&mut shapes, &options, library).map_err(|error| {
+            // faces are looked at where their object ends
+            PluginError::Failed(format!("{file}: up to line {}: {error}", line.get()))
+        })?;
         host.check_cancelled()?;
-        let materials = materials.unwrap_or_else(|error| {
-            if error != LoadError::OpenFileFailed {
-                host.warn(&format!("{file}: without its materials: {error}"));
-            }
-            Vec::new()
-        });
+        let looks = looks.into_inner();
         let models: Vec<_> = models.into_iter().filter(|model| !model.mesh.indices.is_empty()).collect();
         if models.is_empty() {
             return Err(PluginError::Failed(format!("{file}: expected faces, found none")));
         }
-        glb::document(&models, &materials, params.up, params.scale)
+        glb::document(&models, &looks, params.up, params.scale)
     }
+}
+
+/// The materials of a library, or of several whose names stand in one line. A file that is missing is a warning.
+fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<Look> {
+    let read = |name: &str| {
+        let bytes = assets.read(name)?;
+        let mut warn = |line: usize, message: String| host.warn(&format!("{name}: line {line}: {message}"));
+        Ok::<_, PluginError>(mtl::parse(&text::decode(&bytes), &mut warn))
+    };
+    let warn = |error: PluginError| host.warn(&format!("{file}: without its materials: {error}"));
+    let error = match read(names) {
+        Ok(looks) => return looks,
+        Err(error) => error,
+    };
+    // a name may contain spaces, and several names are separated by them
+    if !names.contains(char::is_whitespace) {
+        warn(error);
+        return Vec::new();
+    }
+    let each = names.split_whitespace().map(|name| {
+        read(name).unwrap_or_else(|error| {
+            warn(error);
+            Vec::new()
+        })
+    });
+    each.flatten().collect()
 }
 
 /// A path of an OBJ or MTL file, which may come from Windows.

@@ -18,7 +18,7 @@ const MTL: &str = "newmtl red\nKd 0.5 0.25 0.125\nNs 250\nnewmtl lamp\nKd 0 0 0\
 struct Files(BTreeMap<&'static str, &'static str>);
 
 impl AssetResolver for Files {
-    fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
+    fn read(&self, uri: &str, _max_bytes: u64) -> Result<Vec<u8>, String> {
         self.0.get(uri).map(|text| text.as_bytes().to_vec()).ok_or_else(|| "no such file".into())
     }
 }
@@ -29,7 +29,7 @@ fn files() -> Files {
 
 fn document(files: &Files, params: &Value, host: &MemoryHost) -> Result<Vec<u8>, PluginError> {
     let plugin = Plugin::compiled_in(&PLUGIN).unwrap();
-    let read = |path: &str| files.read(path).map_err(|error| PluginError::Failed(format!("{path}: {error}")));
+    let read = |path: &str| files.read(path, u64::MAX).map_err(|error| PluginError::Failed(format!("{path}: {error}")));
     import(&plugin, host, &resolved(&plugin, params)?, "a.obj", &read)
 }
 
@@ -83,11 +83,56 @@ fn a_missing_material_file_is_a_warning() {
 
 #[test]
 fn files_that_make_no_sense_are_named() {
-    for (text, expected) in [("", "expected faces, found none"), ("v 1 2\nf 1 2 3\n", "a.obj"), ("f 1 2 3\n", "a.obj")]
-    {
+    for (text, expected) in [
+        ("", "expected faces, found none"),
+        ("v 1 2\nf 1 2 3\n", "a.obj: up to line 1: "),
+        ("f 1 2 3\n", "a.obj: up to line 1: "),
+    ] {
         let error = document(&Files(BTreeMap::from([("a.obj", text)])), &json!({}), &MemoryHost::new()).unwrap_err();
         assert!(matches!(&error, PluginError::Failed(message) if message.contains(expected)), "{text:?}: {error:?}");
     }
     let error = document(&Files(BTreeMap::new()), &json!({}), &MemoryHost::new()).unwrap_err();
     assert_eq!(error.to_string(), "a.obj: no such file");
+}
+
+/// What other readers take: one value for a grey, one texture coordinate, options before a picture's name, a line that goes on in the next, notes after
+/// numbers, several libraries in one line, and bytes that are not UTF-8.
+#[test]
+fn legal_files_of_other_programs_load() {
+    let obj = b"# \xE4\nmtllib one.mtl two.mtl\no K\xE4se\nv 0 0 0 # corner\nv 1 0 0\nv 0 1 0\nvt 0.5\nvt 1\nvt 0\n\
+        usemtl grey\nf 1/1 2/2 \\\n3/3\nusemtl placed\nf 1/1 2/2 3/3\n";
+    let placed = b"newmtl placed\nmap_Kd -s 2 3 1 -o 0.25 0.5 a picture.png\nmap_Bump b.png\n";
+    let png = {
+        let mut bytes = Vec::new();
+        let picture = image::RgbImage::from_pixel(1, 1, image::Rgb([255, 0, 0]));
+        picture.write_to(&mut std::io::Cursor::new(&mut bytes), image::ImageFormat::Png).unwrap();
+        bytes
+    };
+    let read = |path: &str| match path {
+        "a.obj" => Ok(obj.to_vec()),
+        "one.mtl" => Ok(b"newmtl grey\nKd 0.5\n".to_vec()),
+        "two.mtl" => Ok(placed.to_vec()),
+        "a picture.png" => Ok(png.clone()),
+        _ => Err(PluginError::Failed(format!("{path}: no such file"))),
+    };
+    struct Of<F>(F);
+    impl<F: Fn(&str) -> Result<Vec<u8>, PluginError>> AssetResolver for Of<F> {
+        fn read(&self, uri: &str, _max_bytes: u64) -> Result<Vec<u8>, String> {
+            self.0(uri).map_err(|error| error.to_string())
+        }
+    }
+    let (plugin, host) = (Plugin::compiled_in(&PLUGIN).unwrap(), MemoryHost::new());
+    let bytes = import(&plugin, &host, &resolved(&plugin, &json!({})).unwrap(), "a.obj", &read).unwrap();
+    assert_eq!(host.messages(), [(LogLevel::Warn, "two.mtl: line 3: `map_Bump` is not read".into())]);
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let scene = lumistack_gltf::load("a.glb", &bytes, &Of(read), Task::quiet(&warnings, &cancel)).unwrap();
+    assert!(warnings.take().is_empty());
+    assert_eq!(scene.triangle_count(), 2);
+    assert_eq!(scene.materials[0].base_color.to_array(), [0.5, 0.5, 0.5, 1.0]);
+    // the corner at u = 0.5, v = 0: u' = 2 · 0.5 + 0.25, v' = 3 · 0 + 0.5, which is 0.5 from the top as well
+    let texture = scene.materials[1].base_color_texture.expect("a picture");
+    let mesh = scene.meshes.iter().find(|mesh| mesh.material == 1).unwrap();
+    let corner = mesh.positions.iter().position(|position| position.to_array() == [0.0; 3]).unwrap();
+    let at = texture.texture_from_mesh.transform_point2(mesh.uvs[texture.uv_set][corner]);
+    assert!((at.x - 1.25).abs() < 1e-6 && (at.y - 0.5).abs() < 1e-6, "{at}");
 }

@@ -1,7 +1,7 @@
 //! OpenEXR pictures: one RGB picture per file, linear light.
 
-use std::fs::File;
 use std::io::{self, BufReader};
+use std::panic::AssertUnwindSafe;
 use std::path::Path;
 
 use exr::image::write::channels::WritableChannels;
@@ -165,7 +165,7 @@ impl MultiView {
 
 /// [columns, rows] of the first layer, after checking that the file can hold what its header claims.
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
-    let file = File::open(path).map_err(FieldError::io(path, "read"))?;
+    let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let length = file.metadata().map_err(FieldError::io(path, "read"))?.len();
     let meta = MetaData::read_from_buffered(BufReader::new(file), false).map_err(|error| damaged(path, &error))?;
     let header = meta
@@ -195,10 +195,11 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
 
 pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
     let [cols, rows] = size(path)?;
-    let decode = || {
+    let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
+    let decode = AssertUnwindSafe(|| {
         let layer = read_exr().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
-        layer.all_attributes().non_parallel().from_file(path)
-    };
+        layer.all_attributes().non_parallel().from_buffered(BufReader::new(file))
+    });
     // On some damaged files the decoder's own checks of its arithmetic fail by panicking.
     let decoded = std::panic::catch_unwind(decode).map_err(|_| {
         FieldError::malformed(path, "content", "a complete OpenEXR picture", "damaged blocks of pixels")

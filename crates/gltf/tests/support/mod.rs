@@ -24,7 +24,7 @@ impl Folder {
 }
 
 impl AssetResolver for Folder {
-    fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
+    fn read(&self, uri: &str, _max_bytes: u64) -> Result<Vec<u8>, String> {
         self.read.borrow_mut().push(uri.to_owned());
         std::fs::read(self.root.join(uri)).map_err(|error| error.to_string())
     }
@@ -34,7 +34,7 @@ impl AssetResolver for Folder {
 pub struct Memory(pub Vec<(&'static str, Vec<u8>)>);
 
 impl AssetResolver for Memory {
-    fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
+    fn read(&self, uri: &str, _max_bytes: u64) -> Result<Vec<u8>, String> {
         let found = self.0.iter().find(|(name, _)| *name == uri);
         found.map(|(_, bytes)| bytes.clone()).ok_or_else(|| "No such file".to_owned())
     }

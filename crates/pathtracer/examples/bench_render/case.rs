@@ -41,7 +41,7 @@ pub struct Case {
 struct Folder<'a>(&'a Path);
 
 impl AssetResolver for Folder<'_> {
-    fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
+    fn read(&self, uri: &str, _max_bytes: u64) -> Result<Vec<u8>, String> {
         std::fs::read(self.0.join(uri)).map_err(|error| error.to_string())
     }
 }

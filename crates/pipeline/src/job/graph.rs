@@ -5,16 +5,32 @@ use serde::{Deserialize, Serialize};
 use super::{DisplayJob, FactorizeJob, Job, is_default};
 use crate::error::PipelineError;
 
-/// Which plugin reads the scene.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// How the scene's files are read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImporterJob {
+    /// Whether glTF and OBJ files may name files outside of their own folder.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub allow_outside: bool,
+    /// Memory for the decoded pictures of a glTF or OBJ scene, MiB: 1 to 1048576.
+    #[serde(default = "default_picture_mib")]
+    pub picture_mib: u64,
     /// Id of the plugin; default: the one that takes files of this extension.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plugin: Option<String>,
     /// Its parameters.
     #[serde(default)]
     pub params: serde_json::Map<String, serde_json::Value>,
+}
+
+impl Default for ImporterJob {
+    fn default() -> Self {
+        Self { allow_outside: false, picture_mib: default_picture_mib(), plugin: None, params: Default::default() }
+    }
+}
+
+fn default_picture_mib() -> u64 {
+    lumistack_gltf::LoadOptions::default().max_picture_bytes >> 20
 }
 
 /// Which plugin makes the light field.

@@ -13,7 +13,7 @@ use crate::error::PipelineError;
 #[serde(default, deny_unknown_fields)]
 pub struct LightJob {
     /// Radiance HDR or EXR environment map that replaces the scene's.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
     pub environment: Option<PathBuf>,
     /// Factor on the environment's radiance.
     pub environment_strength: f32,

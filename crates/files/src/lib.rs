@@ -1,0 +1,264 @@
+//! Reading of files that the user or another file names.
+//!
+//! A name may stand for anything: a device that never ends, a pipe that nobody writes to, a file of terabytes, a secret somewhere else. Here only
+//! regular files are opened, their size is compared with a limit before the first byte is read, and a [`Folder`] keeps the names that a file
+//! contains inside the folder of that file. Every reader of the workspace that has a path goes through this crate.
+
+use std::fmt;
+use std::fs::{File, FileType};
+use std::io::{self, ErrorKind, Read};
+use std::path::{Path, PathBuf};
+
+/// Largest file that is read whole, bytes: 16 GiB.
+pub const MAX_FILE_BYTES: u64 = 16 << 30;
+/// Largest text (job, display, index) that is read whole, bytes: 64 MiB.
+pub const MAX_TEXT_BYTES: u64 = 64 << 20;
+
+/// Opens a regular file for reading.
+///
+/// # Errors
+/// As [`File::open`], and when the path leads to anything but a regular file.
+pub fn open(path: &Path) -> io::Result<File> {
+    // before it is opened: to open a pipe waits for a writer, to open a device may already do something
+    check_kind(std::fs::metadata(path)?.file_type())?;
+    let file = File::open(path)?;
+    // the path may lead elsewhere by now
+    check_kind(file.metadata()?.file_type())?;
+    Ok(file)
+}
+
+/// Reads a regular file of at most [`MAX_FILE_BYTES`].
+///
+/// # Errors
+/// As [`read_at_most`].
+pub fn read(path: &Path) -> io::Result<Vec<u8>> {
+    read_at_most(path, MAX_FILE_BYTES)
+}
+
+/// Reads a regular file of at most `most` bytes.
+///
+/// # Errors
+/// As [`open`], when the file is larger than `most`, and when it cannot be read or held in memory.
+pub fn read_at_most(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let length = file.metadata()?.len();
+    let too_large = |length: u64| {
+        let message = format!("expected a file of at most {most} bytes, found {length}");
+        io::Error::new(ErrorKind::FileTooLarge, message)
+    };
+    if length > most {
+        return Err(too_large(length));
+    }
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(usize::try_from(length).map_err(|_| too_large(length))?)?;
+    // files of the system state no length, and others grow meanwhile
+    file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most { Err(too_large(bytes.len() as u64)) } else { Ok(bytes) }
+}
+
+/// Reads a regular UTF-8 file of at most [`MAX_TEXT_BYTES`].
+///
+/// # Errors
+/// As [`read_at_most`], and when the content is not UTF-8.
+pub fn read_text(path: &Path) -> io::Result<String> {
+    let bytes = read_at_most(path, MAX_TEXT_BYTES)?;
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        io::Error::new(ErrorKind::InvalidData, format!("expected text in UTF-8, found another byte at {at}"))
+    })
+}
+
+fn check_kind(kind: FileType) -> io::Result<()> {
+    if kind.is_file() {
+        return Ok(());
+    }
+    let (error, found) =
+        if kind.is_dir() { (ErrorKind::IsADirectory, "a folder") } else { (ErrorKind::InvalidInput, special(kind)) };
+    Err(io::Error::new(error, format!("expected a regular file, found {found}")))
+}
+
+#[cfg(unix)]
+fn special(kind: FileType) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    match kind {
+        _ if kind.is_fifo() => "a pipe",
+        _ if kind.is_char_device() || kind.is_block_device() => "a device",
+        _ if kind.is_socket() => "a socket",
+        _ => "something else",
+    }
+}
+
+#[cfg(not(unix))]
+fn special(_kind: FileType) -> &'static str {
+    "something else"
+}
+
+/// The folder of a file, in which the names that the file contains are looked up.
+#[derive(Clone, Debug)]
+pub struct Folder {
+    base: PathBuf,
+    /// Folders of the file and of the file that it is a link to, without links; empty: names may lead anywhere.
+    inside: Vec<PathBuf>,
+}
+
+/// A name that cannot be followed.
+#[derive(Debug)]
+pub enum Refusal {
+    /// The operating system refused, or it is no regular file.
+    Io(io::Error),
+    /// It leads out of the folder.
+    Outside {
+        /// Where it leads, without links.
+        found: PathBuf,
+        /// The folder.
+        folder: PathBuf,
+    },
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Io(error) => error.fmt(f),
+            Self::Outside { found, folder } => {
+                write!(f, "it leads to {}, outside of the folder {}", found.display(), folder.display())
+            }
+        }
+    }
+}
+
+impl std::error::Error for Refusal {}
+
+impl From<io::Error> for Refusal {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+impl Folder {
+    /// The folder of `file`, which names may leave.
+    pub fn anywhere(file: &Path) -> Self {
+        Self { base: file.parent().unwrap_or(Path::new("")).to_owned(), inside: Vec::new() }
+    }
+
+    /// The folder of `file`, which names may not leave, neither by `..` nor by a link. Of a file that is a link, the folder of its target
+    /// counts too.
+    ///
+    /// # Errors
+    /// When the file is not there.
+    pub fn around(file: &Path) -> io::Result<Self> {
+        let anywhere = Self::anywhere(file);
+        let here = if anywhere.base.as_os_str().is_empty() { Path::new(".") } else { &anywhere.base };
+        let mut inside = vec![here.canonicalize()?];
+        if let Some(target) = file.canonicalize()?.parent()
+            && !inside.iter().any(|folder| target.starts_with(folder))
+        {
+            inside.push(target.to_owned());
+        }
+        Ok(Self { inside, ..anywhere })
+    }
+
+    /// Where a name is looked up.
+    pub fn path_of(&self, name: impl AsRef<Path>) -> PathBuf {
+        self.base.join(name)
+    }
+
+    /// The path of a name, once it is known not to leave the folder.
+    ///
+    /// # Errors
+    /// When it leads out of the folder, or to nothing.
+    pub fn resolve(&self, name: impl AsRef<Path>) -> Result<PathBuf, Refusal> {
+        let path = self.path_of(name);
+        if let Some(folder) = self.inside.first() {
+            let found = path.canonicalize()?;
+            if !self.inside.iter().any(|folder| found.starts_with(folder)) {
+                return Err(Refusal::Outside { found, folder: folder.clone() });
+            }
+        }
+        Ok(path)
+    }
+
+    /// Reads the regular file of a name, of at most `most` bytes.
+    ///
+    /// # Errors
+    /// As [`resolve`](Self::resolve) and [`read_at_most`].
+    pub fn read(&self, name: impl AsRef<Path>, most: u64) -> Result<Vec<u8>, Refusal> {
+        Ok(read_at_most(&self.resolve(name)?, most)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_regular_files_within_the_limit_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        std::fs::write(&path, b"12345").unwrap();
+        assert_eq!(read(&path).unwrap(), b"12345");
+        assert_eq!(read_at_most(&path, 5).unwrap(), b"12345");
+        let error = read_at_most(&path, 4).unwrap_err().to_string();
+        assert_eq!(error, "expected a file of at most 4 bytes, found 5");
+        let error = read(folder.path()).unwrap_err().to_string();
+        assert_eq!(error, "expected a regular file, found a folder");
+        std::fs::write(&path, b"a\xE9").unwrap();
+        let error = read_text(&path).unwrap_err().to_string();
+        assert_eq!(error, "expected text in UTF-8, found another byte at 1");
+    }
+
+    /// Without the check before the file is opened, the pipe would block this test for ever, and the device would fill memory.
+    #[cfg(unix)]
+    #[test]
+    fn devices_and_pipes_are_refused_at_once() {
+        let error = read(Path::new("/dev/zero")).unwrap_err().to_string();
+        assert_eq!(error, "expected a regular file, found a device");
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        if std::process::Command::new("mkfifo").arg(&pipe).status().is_ok_and(|status| status.success()) {
+            assert_eq!(open(&pipe).unwrap_err().to_string(), "expected a regular file, found a pipe");
+        }
+        let socket = folder.path().join("socket");
+        let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        assert_eq!(open(&socket).unwrap_err().to_string(), "expected a regular file, found a socket");
+    }
+
+    /// A file without a stated length is still bounded.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_file_of_the_system_that_states_no_length_is_cut_off() {
+        let path = Path::new("/proc/self/maps");
+        assert_eq!(std::fs::metadata(path).unwrap().len(), 0);
+        assert!(read_at_most(path, 16).unwrap_err().to_string().starts_with("expected a file of at most 16 bytes"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn names_do_not_leave_the_folder() {
+        use std::os::unix::fs::symlink;
+
+        let outer = tempfile::tempdir().unwrap();
+        let root = outer.path().join("scene");
+        std::fs::create_dir_all(root.join("textures")).unwrap();
+        for name in ["secret", "scene/a.gltf", "scene/textures/b.png"] {
+            std::fs::write(outer.path().join(name), b"x").unwrap();
+        }
+        symlink(outer.path().join("secret"), root.join("link.png")).unwrap();
+        symlink(root.join("textures/b.png"), root.join("inner.png")).unwrap();
+        let scene = root.join("a.gltf");
+        let folder = Folder::around(&scene).unwrap();
+        for name in ["textures/b.png", "textures/../a.gltf", "./textures/b.png", "inner.png"] {
+            assert_eq!(folder.read(name, 1).unwrap(), b"x", "{name}");
+        }
+        let absolute = outer.path().join("secret");
+        for name in ["../secret", "link.png", "textures/../../secret", absolute.to_str().unwrap()] {
+            let refusal = folder.read(name, 1).unwrap_err();
+            assert!(matches!(refusal, Refusal::Outside { .. }), "{name}: {refusal}");
+            assert_eq!(Folder::anywhere(&scene).read(name, 1).unwrap(), b"x", "{name}");
+        }
+        assert!(matches!(folder.read("none.png", 1).unwrap_err(), Refusal::Io(_)));
+        // a scene that is itself a link to where its files are
+        symlink(&scene, outer.path().join("alias.gltf")).unwrap();
+        let folder = Folder::around(&outer.path().join("alias.gltf")).unwrap();
+        assert!(folder.resolve(absolute).is_ok() && folder.resolve(root.join("textures/b.png")).is_ok());
+    }
+}

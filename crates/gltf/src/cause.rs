@@ -1,0 +1,161 @@
+//! Why a file shows nothing: the first reason that its structure gives, and the first defect in what nothing shows.
+//!
+//! A file that breaks off early, or whose scene lost its nodes, is sound as far as it is read. A reader who has to find out why the scene is empty
+//! is helped by a look at the rest, which takes no more memory than any scene may.
+
+use std::collections::HashSet;
+
+use gltf::json;
+use gltf::json::accessor::{ComponentType, Type};
+use lumistack_scene::Material;
+
+use crate::accessor::{Accessor, Format};
+use crate::document::Document;
+use crate::error::Fault;
+use crate::images::Images;
+use crate::mesh;
+use crate::nodes::Nodes;
+use crate::skin::Pose;
+use crate::{animation, lights_cameras, options};
+
+/// What every scene needs.
+const EXPECTED: &str = "at least one triangle with area";
+
+/// An accessor of any use.
+const ANY: Format = Format {
+    types: &[Type::Scalar, Type::Vec2, Type::Vec3, Type::Vec4, Type::Mat2, Type::Mat3, Type::Mat4],
+    components: &[
+        ComponentType::I8,
+        ComponentType::U8,
+        ComponentType::I16,
+        ComponentType::U16,
+        ComponentType::U32,
+        ComponentType::F32,
+    ],
+    text: "a type and a component type of glTF 2.0",
+};
+
+/// The error of a file in whose scene no mesh stands.
+pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
+    let found = format!("none: {}", structure(document, nodes));
+    let defect = match defect(document, nodes) {
+        Ok(()) => String::new(),
+        Err(Fault::Malformed { place, expected, found }) => {
+            format!("; the file is also broken where nothing shows it: {place}: expected {expected}, found {found}")
+        }
+        Err(other) => return other,
+    };
+    Fault::new(nodes.place(), EXPECTED, format!("{found}{defect}"))
+}
+
+/// How the error of a scene goes on whose triangles have no area.
+pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) -> String {
+    let left_out = left_out(document).map(|reason| format!("; {reason}")).unwrap_or_default();
+    match triangles {
+        0 => format!("{found}: the meshes that are shown make no triangles{left_out}"),
+        1 => format!("{found}: the one triangle has no area{left_out}"),
+        _ => format!("{found}: none of {triangles} triangles has an area{left_out}"),
+    }
+}
+
+/// The first primitive that was left out, and the number of the others.
+fn left_out(document: &Document<'_>) -> Option<String> {
+    let (first, count) = &*document.left_out.borrow();
+    let first = first.as_ref()?;
+    Some(if *count > 1 { format!("{first} (and {} more are left out)", count - 1) } else { first.clone() })
+}
+
+/// The reason that the scene's structure gives.
+fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
+    let root = &document.root;
+    let meshes = root.meshes.len();
+    let unseen = match meshes {
+        0 => "the file has no meshes".to_owned(),
+        1 => "nothing shows the file's mesh".to_owned(),
+        _ => format!("nothing shows the file's {meshes} meshes"),
+    };
+    let listed = match &nodes.scene_place {
+        Some(place) => document.json(&format!("{place}/nodes")).and_then(|nodes| nodes.as_array()).map_or(0, Vec::len),
+        None => root.nodes.len(),
+    };
+    if root.nodes.is_empty() {
+        return format!("the file has no nodes, and {unseen}");
+    }
+    if listed == 0 {
+        return format!("the scene lists none of the file's {} nodes, and {unseen}", root.nodes.len());
+    }
+    if nodes.shown.is_empty() {
+        return format!("every node that the scene lists is hidden (KHR_node_visibility), and {unseen}");
+    }
+    let mut shown = nodes.shown.iter().filter_map(|&node| root.nodes[node].mesh).peekable();
+    if shown.peek().is_none() {
+        return format!("of {} nodes none has a mesh, and {unseen}", nodes.shown.len());
+    }
+    if let Some(mesh) = shown.find(|mesh| root.get(*mesh).is_some_and(|mesh| mesh.primitives.is_empty())) {
+        return format!("/meshes/{} has no primitives", mesh.value());
+    }
+    left_out(document).unwrap_or_else(|| "no mesh has a copy to show".to_owned())
+}
+
+/// Reads everything in the file, in the order of what depends on what, up to the first defect.
+fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
+    let root = &document.root;
+    for i in 0..root.buffers.len() {
+        // without data it may be a placeholder for an extension
+        if root.buffers[i].uri.is_some() {
+            document.buffer(json::Index::new(i as u32), &format!("/buffers/{i}"))?;
+        }
+    }
+    for i in 0..root.buffer_views.len() {
+        let place = format!("/bufferViews/{i}");
+        document.get(root.buffer_views[i].buffer, &format!("{place}/buffer"))?;
+        document.view(json::Index::new(i as u32), &place)?;
+    }
+    for i in 0..root.accessors.len() {
+        let index = json::Index::new(i as u32);
+        Accessor::open(document, index, &format!("/accessors/{i}"), &ANY)?;
+    }
+    let mut images = Images::default();
+    for i in 0..root.images.len() {
+        images.texture(document, json::Index::new(i as u32), &format!("/images/{i}"))?;
+    }
+    let appearance = Material::default();
+    let read: HashSet<usize> = nodes.shown.iter().filter_map(|&node| Some(root.nodes[node].mesh?.value())).collect();
+    for (i, mesh) in root.meshes.iter().enumerate().filter(|(i, _)| !read.contains(i)) {
+        for (j, primitive) in mesh.primitives.iter().enumerate() {
+            let request = mesh::Request {
+                place: format!("/meshes/{i}/primitives/{j}"),
+                primitive,
+                material: 0,
+                appearance: &appearance,
+                uv_sets: [0, 1],
+                weights: mesh.weights.as_deref().unwrap_or_default(),
+                pose: None,
+            };
+            mesh::load(document, &request)?;
+        }
+    }
+    for i in 0..root.skins.len() {
+        let place = format!("/skins/{i}");
+        Pose::load(document, json::Index::new(i as u32), &place, &nodes.scene_from_node)?;
+    }
+    for (i, camera) in root.cameras.iter().enumerate() {
+        lights_cameras::projection(document, camera, &format!("/cameras/{i}"))?;
+    }
+    for (i, node) in root.nodes.iter().enumerate() {
+        if let Some(mesh) = node.mesh {
+            document.get(mesh, &format!("/nodes/{i}/mesh"))?;
+        }
+        if let Some(skin) = node.skin {
+            document.get(skin, &format!("/nodes/{i}/skin"))?;
+        }
+        if let Some(camera) = node.camera {
+            document.get(camera, &format!("/nodes/{i}/camera"))?;
+        }
+    }
+    for i in 0..animation::names(document).len() {
+        let options = options::LoadOptions { time_s: Some(0.0), animation: Some(i.to_string()), ..Default::default() };
+        animation::sample(document, &options)?;
+    }
+    Ok(())
+}

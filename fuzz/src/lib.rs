@@ -1,0 +1,49 @@
+//! What the fuzz targets share: one input as several files, in a folder in memory.
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use lumistack_core::{Cancel, Collector, Task};
+
+/// Stands between the parts of an input that are files of their own.
+pub const SEPARATOR: &[u8] = b"\n====\n";
+
+/// The parts of an input; those that are missing are empty.
+pub fn parts<const N: usize>(mut data: &[u8]) -> [&[u8]; N] {
+    std::array::from_fn(|i| {
+        let at = data.windows(SEPARATOR.len()).position(|window| window == SEPARATOR).filter(|_| i + 1 < N);
+        let (part, rest) = at.map_or((data, &data[data.len()..]), |at| (&data[..at], &data[at + SEPARATOR.len()..]));
+        data = rest;
+        part
+    })
+}
+
+/// A folder of this process, in memory where the system has that, with these files and no others.
+pub fn folder(files: &[(&str, &[u8])]) -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    let folder = FOLDER.get_or_init(|| {
+        let memory = Path::new("/dev/shm");
+        let base = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
+        base.join(format!("lumistack-fuzz-{}", std::process::id()))
+    });
+    std::fs::create_dir_all(folder).expect("the folder can be made");
+    for entry in std::fs::read_dir(folder).expect("the folder can be listed").flatten() {
+        _ = std::fs::remove_file(entry.path());
+    }
+    for (name, bytes) in files {
+        std::fs::write(folder.join(name), bytes).expect("the file can be written");
+    }
+    folder
+}
+
+/// Runs a reader quietly; its error must say something.
+pub fn reads<T, E: std::fmt::Display>(work: impl FnOnce(Task<'_>) -> Result<T, E>) -> Option<T> {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    match work(Task::quiet(&warnings, &cancel)) {
+        Ok(value) => Some(value),
+        Err(error) => {
+            assert!(!error.to_string().is_empty());
+            None
+        }
+    }
+}

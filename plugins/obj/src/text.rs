@@ -1,0 +1,120 @@
+//! The lines of OBJ and MTL files, as any program writes them, in the way that the reader of shapes takes them.
+//!
+//! A line goes on after a backslash at its end, `#` begins a note, names and notes may be in any encoding, and `vt` may have one coordinate.
+
+use std::borrow::Cow;
+use std::cell::Cell;
+use std::io::{self, BufRead, Read};
+use std::rc::Rc;
+
+/// The text of a file. What is not UTF-8 is taken for Latin-1, line by line: names then still differ where their bytes do.
+pub(crate) fn decode(bytes: &[u8]) -> Cow<'_, str> {
+    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
+    if let Ok(text) = std::str::from_utf8(bytes) {
+        return Cow::Borrowed(text);
+    }
+    let line = |line: &[u8]| match std::str::from_utf8(line) {
+        Ok(text) => text.to_owned(),
+        Err(_) => line.iter().map(|&byte| char::from(byte)).collect(),
+    };
+    Cow::Owned(bytes.split_inclusive(|&byte| byte == b'\n').map(line).collect())
+}
+
+/// Lines with what follows them after a backslash, and the number of the first of each.
+pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
+    let mut lines = text.lines().enumerate();
+    std::iter::from_fn(move || {
+        let (number, line) = lines.next()?;
+        let mut line = Cow::Borrowed(line);
+        while let Some(before) = line.trim_end().strip_suffix('\\') {
+            let Some((_, next)) = lines.next() else { break };
+            line = Cow::Owned(format!("{before} {next}"));
+        }
+        Some((number + 1, line))
+    })
+}
+
+/// The shapes of an OBJ file, line by line, for a reader that is stricter than the format. Where it stopped, [`line`](Self::line) says.
+pub(crate) struct Shapes<'a> {
+    lines: Box<dyn Iterator<Item = (usize, Cow<'a, str>)> + 'a>,
+    current: Vec<u8>,
+    at: usize,
+    line: Rc<Cell<usize>>,
+}
+
+impl<'a> Shapes<'a> {
+    pub(crate) fn of(text: &'a str) -> Self {
+        Self { lines: Box::new(joined(text)), current: Vec::new(), at: 0, line: Rc::default() }
+    }
+
+    /// Number of the line that was taken last.
+    pub(crate) fn line(&self) -> Rc<Cell<usize>> {
+        self.line.clone()
+    }
+}
+
+impl Read for Shapes<'_> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let count = self.fill_buf()?.read(out)?;
+        self.consume(count);
+        Ok(count)
+    }
+}
+
+impl BufRead for Shapes<'_> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        if self.at == self.current.len() {
+            self.current.clear();
+            self.at = 0;
+            if let Some((number, line)) = self.lines.next() {
+                self.line.set(number);
+                write_shape(&line, &mut self.current);
+                self.current.push(b'\n');
+            }
+        }
+        Ok(&self.current[self.at..])
+    }
+
+    fn consume(&mut self, count: usize) {
+        self.at += count;
+    }
+}
+
+fn write_shape(line: &str, out: &mut Vec<u8>) {
+    let line = line.trim();
+    let (key, rest) = line.split_once(|c: char| c.is_whitespace()).unwrap_or((line, ""));
+    match key {
+        "v" | "vt" | "vn" | "f" | "l" | "p" => {
+            // names may contain the mark of notes, numbers do not
+            let numbers = rest.split('#').next().unwrap_or_default().trim();
+            out.extend(key.bytes());
+            out.push(b' ');
+            out.extend(numbers.bytes());
+            if key == "vt" && numbers.split_whitespace().count() == 1 {
+                out.extend(b" 0");
+            }
+        }
+        _ => {
+            out.extend(key.bytes());
+            out.push(b' ');
+            out.extend(rest.trim().bytes());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_brought_into_one_form() {
+        let bytes = b"\xEF\xBB\xBFvt 0.5\nvt 0.5 1 # a note\nf 1/1 2/2 \\\n 3/3\nusemtl\tn\xE4me #1\nv 1 2 3\n";
+        let text = decode(bytes);
+        let mut shapes = Shapes::of(&text);
+        let line = shapes.line();
+        let mut found = String::new();
+        shapes.read_to_string(&mut found).unwrap();
+        assert_eq!(found, "vt 0.5 0\nvt 0.5 1\nf 1/1 2/2   3/3\nusemtl n\u{e4}me #1\nv 1 2 3\n");
+        assert_eq!(line.get(), 6);
+    }
+}
