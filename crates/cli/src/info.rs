@@ -33,8 +33,14 @@ pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<
 /// # Errors
 /// When it cannot be read, or is none of these.
 pub fn describe_path(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
-    let args =
-        Info { file: path.to_owned(), display: None, camera: None, fit_depth: None, geometry: GeometryArgs::default() };
+    let args = Info {
+        file: path.to_owned(),
+        display: None,
+        camera: None,
+        look_from: None,
+        fit_depth: None,
+        geometry: GeometryArgs::default(),
+    };
     describe(&args, registry, task)
 }
 
@@ -133,7 +139,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     let display = DisplayArgs { display: args.display.clone(), ..DisplayArgs::default() };
     change_display(&mut job, &display);
     let (camera, fit_depth) = (args.camera.clone(), args.fit_depth.clone());
-    change_render(&mut job, &RenderArgs { camera, fit_depth, ..RenderArgs::default() });
+    change_render(&mut job, &RenderArgs { camera, fit_depth, look_from: args.look_from, ..RenderArgs::default() });
     let Outlook { depth, coverage, memory } = outlook(&job, registry, task)?;
     let mut figures = depth.to_json();
     if let Some(figures) = figures.as_object_mut() {

@@ -30,6 +30,7 @@ pub mod presets;
 mod render;
 mod run;
 mod sequence;
+mod side;
 mod simulate;
 mod steps;
 mod sweep;
@@ -45,8 +46,9 @@ pub use graph::NodeSummary;
 pub use ingest::{Ingested, SceneContents, is_blend, is_usd, load_scene, place_window, scene_contents, take_scene};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
-    AngularFilter, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, NodeJob,
-    OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone, WindowFrom, WindowJob,
+    AngularFilter, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob, Near,
+    NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone, WindowFrom,
+    WindowJob,
 };
 pub use look::automatic_look;
 pub use lumistack_plugin_host::{OutputData, Registry};

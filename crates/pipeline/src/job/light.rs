@@ -18,6 +18,9 @@ pub struct LightJob {
     pub environment_strength: f32,
     /// Whether a scene without any light gets the built-in studio light.
     pub automatic: bool,
+    /// Whether the file's light sources that have a surface are seen as such; without it as the file says, and where it says nothing they are not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub visible: Option<bool>,
     /// Exposure in stops added to the automatic one, or to scene radiance when `automatic_exposure` is off.
     pub exposure_ev: f64,
     /// Whether exposure follows the brightness of all views together.
@@ -57,6 +60,7 @@ impl Default for LightJob {
             environment: None,
             environment_strength: 1.0,
             automatic: true,
+            visible: None,
             exposure_ev: 0.0,
             automatic_exposure: true,
             tone: Tone::Auto,
