@@ -77,7 +77,7 @@ fn depth_that_is_fitted_is_shown_better() {
         succeed(lumistack().arg("run").arg(&job).arg("-o").arg(&run).args(SMALL).args(flags));
         report(&run)
     };
-    let off = run("off", &[]);
+    let off = run("off", &["--fit-depth=off"]);
     let moved = run("moved", &["--fit-depth"]);
     let compressed = run("compressed", &["--fit-depth=compress"]);
     let inside = |report: &Value| number(&report["depth"], "inside");

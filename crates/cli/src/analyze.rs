@@ -7,7 +7,7 @@ use lumistack_core::Task;
 use lumistack_design::contrast::{self, Achieved, Contrast, ContrastError, FactorizeError, Gratings};
 use lumistack_design::{Analysis, Scene, plot};
 use lumistack_display::{Display, Variation};
-use lumistack_pipeline::{PipelineError, Registry, RunFolder, outlook_on, presets};
+use lumistack_pipeline::{FitDepth, PipelineError, Registry, RunFolder, outlook_on, presets};
 use serde_json::json;
 
 use crate::args::FileArgs;
@@ -171,6 +171,10 @@ fn looked_at(
 ) -> Result<Scene, PipelineError> {
     let mut job = job_or_scene(scene)?;
     change_importer(&mut job.importer, files);
+    // what the scene asks, not what is left of it on this display
+    if job.window.fit_depth == FitDepth::Auto {
+        job.window.fit_depth = FitDepth::Off;
+    }
     let depth = outlook_on(&job, display, registry, task)?.depth;
     Ok(Scene::from_budget(&depth.to_json(), depth.sentence()))
 }

@@ -146,6 +146,16 @@ pub(crate) struct RenderArgs {
     /// Name or number of the camera whose plane of focus the display takes
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
+    /// Frames the scene from this azimuth (0 the front, +z; above 0 to its right, +x) and elevation, degrees, even where the file has a camera [default: the
+    /// front, or where that shows next to nothing, from where more is seen]
+    #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
+    pub(crate) look_from: Option<Numbers<2>>,
+    /// Nothing nearer to the viewer is seen: auto (a camera's near plane, or what the display can show), off, or a distance before the window, scene units
+    #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
+    pub(crate) near: Option<lumistack_pipeline::Near>,
+    /// Whether light sources with a surface are seen as such [default: as the file says, else not]
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub(crate) lights_visible: Option<bool>,
     /// Time at which the scene's animations are sampled, seconds; without it the scene as its nodes stand, in USD the first time code
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
@@ -174,8 +184,8 @@ pub(crate) struct RenderArgs {
     /// Tone curve of all views: auto, linear, khronos-neutral or agx
     #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
-    /// Bring the scene into the display's depth of field: move the window, or compress depth as well
-    #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["off", "move", "compress"])]
+    /// Bring the scene into the display's depth of field: auto (where it does not fit), off, move the window, or compress depth as well
+    #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor on parallax between views, and so on depth
     #[arg(long, value_name = "K")]
@@ -406,8 +416,11 @@ pub(crate) struct Info {
     /// Name or number of the camera whose plane of focus the display takes
     #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
     pub(crate) camera: Option<String>,
-    /// Bring the scene into the display's depth of field: move the window, or compress depth as well
-    #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["off", "move", "compress"], requires = "display", help_heading = "Depth")]
+    /// Azimuth and elevation from which the scene is framed, degrees
+    #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true, requires = "display", help_heading = "Depth")]
+    pub(crate) look_from: Option<Numbers<2>>,
+    /// Bring the scene into the display's depth of field: auto (where it does not fit), off, move the window, or compress depth as well
+    #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]
     pub(crate) files: FileArgs,

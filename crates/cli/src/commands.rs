@@ -7,7 +7,8 @@ use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
     DisplayJob, FitDepth, ImporterJob, Job, OutputJob, PipelineError, Registry, RunFolder, SequenceJob, Tone,
-    ViewOptions, Viewpoint, is_usd, plugins, presets, render_only, run as run_job, set_threads, simulate_to_file,
+    ViewOptions, Viewpoint, WindowFrom, is_usd, plugins, presets, render_only, run as run_job, set_threads,
+    simulate_to_file,
 };
 use serde_json::json;
 
@@ -262,13 +263,24 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     match args.fit_depth.as_deref() {
         Some("move") => job.window.fit_depth = FitDepth::Move,
         Some("compress") => job.window.fit_depth = FitDepth::Compress,
-        Some(_) => job.window.fit_depth = FitDepth::Off,
+        Some("off") => job.window.fit_depth = FitDepth::Off,
+        Some(_) => job.window.fit_depth = FitDepth::Auto,
         None => {}
     }
     change_importer(&mut job.importer, &args.files);
+    // what stands on the command line goes before what the job says
     if args.camera.is_some() {
         job.window.camera = args.camera.clone();
+        job.window.look_from = None;
     }
+    if let Some(look_from) = args.look_from {
+        job.window.look_from = Some(look_from.0);
+        if args.camera.is_none() {
+            (job.window.from, job.window.camera) = (WindowFrom::Bounds, None);
+        }
+    }
+    job.window.near = args.near.unwrap_or(job.window.near);
+    job.light.visible = args.lights_visible.or(job.light.visible);
     if args.environment.is_some() {
         job.light.environment = args.environment.clone();
     }

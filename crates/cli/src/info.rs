@@ -34,8 +34,15 @@ pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<
 /// # Errors
 /// When it cannot be read, or is none of these.
 pub fn describe_path(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
-    let (files, geometry) = (FileArgs::default(), GeometryArgs::default());
-    let args = Info { file: path.to_owned(), display: None, camera: None, fit_depth: None, files, geometry };
+    let args = Info {
+        file: path.to_owned(),
+        display: None,
+        camera: None,
+        look_from: None,
+        fit_depth: None,
+        files: FileArgs::default(),
+        geometry: GeometryArgs::default(),
+    };
     describe(&args, registry, task)
 }
 
@@ -142,7 +149,9 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     let display = DisplayArgs { display: args.display.clone(), ..DisplayArgs::default() };
     change_display(&mut job, &display);
     let (camera, fit_depth) = (args.camera.clone(), args.fit_depth.clone());
-    change_render(&mut job, &RenderArgs { camera, fit_depth, files: args.files.clone(), ..RenderArgs::default() });
+    let look_from = args.look_from;
+    let files = args.files.clone();
+    change_render(&mut job, &RenderArgs { camera, fit_depth, look_from, files, ..RenderArgs::default() });
     let Outlook { depth, coverage, memory } = outlook(&job, registry, task)?;
     let mut figures = depth.to_json();
     if let Some(figures) = figures.as_object_mut() {

@@ -90,11 +90,21 @@ pub(crate) fn cameras(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Came
             scene_from_camera: affine(&nodes.scene_from_node[node]),
             projection: projection(document, source, &place)?,
             focus_distance,
+            near: near(source),
         };
         cameras.push((index.value(), camera));
     }
     cameras.sort_by_key(|&(number, _)| number);
     Ok(cameras.into_iter().map(|(_, camera)| camera).collect())
+}
+
+/// Distance of the near plane.
+fn near(source: &json::Camera) -> Option<f32> {
+    match (&source.perspective, &source.orthographic) {
+        (Some(perspective), _) => Some(perspective.znear),
+        (None, Some(orthographic)) => Some(orthographic.znear),
+        (None, None) => None,
+    }
 }
 
 fn focus_distance(extras: &Value, camera_place: &str) -> Result<Option<f32>, Fault> {

@@ -10,13 +10,14 @@ use gltf::json;
 use gltf::json::extensions::texture::TextureTransform;
 use gltf::json::validation::Checked;
 use lumistack_core::Task;
-use lumistack_scene::{AlphaMode, Filter, Material, Texture, TextureUse, Wrap};
+use lumistack_scene::{AlphaMode, Filter, Lamp, Material, Texture, TextureUse, Wrap};
 use serde_json::Value;
 
 use crate::document::{Document, quote};
 use crate::error::Fault;
 use crate::fields::Fields;
 use crate::images::Images;
+use crate::nodes::extras;
 use crate::{glossiness, material_extensions};
 
 /// Materials in the file's order, with what they need.
@@ -90,6 +91,7 @@ impl Loader<'_, '_> {
             double_sided: source.double_sided,
             unlit: extensions.unlit.is_some(),
             ior: extensions.ior.map_or(1.5, |ior| ior.ior.0),
+            lamp: self.lamp(place)?,
             ..Material::default()
         };
         if let Some(volume) = &extensions.volume {
@@ -127,6 +129,18 @@ impl Loader<'_, '_> {
         glossiness::convert(self, &mut material, place)?;
         let sets = fit_uv_sets(&mut material, place, self.document.task);
         Ok((material, sets))
+    }
+
+    /// Our own note on a surface that stands for a light source: `extras.lumistack.lamp`.
+    fn lamp(&self, place: &str) -> Result<Lamp, Fault> {
+        let Some(lamp) = extras(self.document, place, &["lamp"]).and_then(|extras| extras.get("lamp")) else {
+            return Ok(Lamp::No);
+        };
+        match lamp.as_str() {
+            Some("seen") => Ok(Lamp::Seen),
+            Some("unseen") => Ok(Lamp::Unseen),
+            _ => Err(Fault::new(format!("{place}/extras/lumistack/lamp"), "\"seen\" or \"unseen\"", quote(Some(lamp)))),
+        }
     }
 
     fn alpha_mode(&self, source: &json::Material, place: &str) -> Result<AlphaMode, Fault> {

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! from τ₀ in front of the scene's bounds in oblique views, so that what stands in front of the display plane is seen too, and from
-//! no nearer than the eye in perspective ones. Start and direction are linear in the offsets of a sample from the centre of its pixel and of
+//! no nearer than the eye in perspective ones; where the window has a near plane, no nearer than that. Start and direction are linear in the offsets of a sample from the centre of its pixel and of
 //! its slopes, so a pixel's central ray is made in f64, and its samples in f32 from that.
 
 use glam::{DVec3, Vec3};
@@ -95,6 +95,7 @@ impl<'a> PrimaryRays<'a> {
             Projection::Oblique => centre - reach,
             Projection::Perspective { distance_mm } => (centre - reach).max(-distance_mm),
         };
+        let start = window.near_mm.map_or(start, |near| start.max(-near));
         let deepest = start.abs().max((centre + reach).abs());
         Self { geometry, view, slope_width, round, origin, axes, millimetre, half_size, start, deepest }
     }
@@ -264,7 +265,8 @@ mod tests {
             let projection = [Projection::Oblique, Projection::Perspective { distance_mm }][round % 2];
             let grid = ViewGrid { projection, slope_x: vec![next(), next()], slope_y: vec![0.3 * next()] };
             let geometry = FieldGeometry { rows: 20, cols: 30, pitch_mm: 7.0 + next(), grid };
-            let window = Window { scene_from_display: map, size_mm: geometry.size_mm() };
+            let near_mm = (round % 5 == 4).then(|| 400.0 * next());
+            let window = Window { scene_from_display: map, size_mm: geometry.size_mm(), near_mm };
             let (view, slope_width) = ([0, 1], [[0.0; 2], [0.2, 0.1]][round / 2 % 2]);
             let rays = PrimaryRays::new(&window, &geometry, view, space, slope_width, false);
             for _ in 0..40 {
@@ -305,6 +307,7 @@ mod tests {
                         Projection::Oblique => f64::INFINITY,
                         Projection::Perspective { distance_mm } => distance_mm,
                     };
+                    let eye = window.near_mm.map_or(eye, |near| eye.min(near));
                     assert!(map.inverse_point(at).z.min(eye) < z + rounded, "a corner is before the start");
                 }
             }

@@ -71,6 +71,7 @@ pub struct Renderer {
     materials: Materials,
     lights: Lights,
     traits: Vec<u8>,
+    backdrop: Option<Vec3>,
     memory: Memory,
 }
 
@@ -184,7 +185,7 @@ impl Renderer {
             texture_bytes: materials.bytes(),
         };
         let traits = scene.materials.iter().map(traits).collect();
-        Ok(Self { geometry, bvh, materials, lights, traits, memory })
+        Ok(Self { geometry, bvh, materials, lights, traits, backdrop: scene.backdrop, memory })
     }
 
     /// What the prepared scene occupies.
@@ -197,6 +198,13 @@ impl Renderer {
     #[must_use]
     pub fn single_scattering(mut self) -> Self {
         self.materials.without_compensation();
+        self
+    }
+
+    /// Shows the environment past the scene whatever the scene's backdrop, for comparisons with renderers that have none.
+    #[must_use]
+    pub fn without_backdrop(mut self) -> Self {
+        self.backdrop = None;
         self
     }
 
@@ -356,6 +364,7 @@ impl Renderer {
             materials: &self.materials,
             lights: &self.lights,
             traits: &self.traits,
+            backdrop: self.backdrop,
         }
     }
 

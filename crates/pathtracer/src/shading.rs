@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use glam::{Vec2, Vec3, Vec4};
-use lumistack_scene::{AlphaMode, Material, Scene, TextureUse};
+use lumistack_scene::{AlphaMode, Lamp, Material, Scene, TextureUse};
 
 use crate::bsdf::{self, Film, MIRROR_ALPHA, Wave};
 use crate::bvh;
@@ -187,7 +187,8 @@ impl Materials {
         if !(material.double_sided || is_solid(material)) {
             flags |= bvh::CULL_BACK;
         }
-        if material.alpha_mode != AlphaMode::Opaque {
+        // lamps that are not seen are asked about by first hits
+        if material.alpha_mode != AlphaMode::Opaque || material.lamp == Lamp::Unseen {
             flags |= bvh::ALPHA;
         }
         if is_clear_wall(material) {

@@ -125,6 +125,7 @@ impl Depths {
         let first = (views[0] / 2 * views[1] + views[1] / 2) * size;
         let mut budget = DepthBudget::measure(display, shown, &z_mm, &z_mm[first..first + size]);
         (budget.moved_back_mm, budget.depth_scale) = (placement.moved_back_mm, placement.depth_scale);
+        budget.fitted = placement.fitted;
         budget
     }
 

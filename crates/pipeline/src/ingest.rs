@@ -10,30 +10,27 @@ use lumistack_files::{Folder, MAX_FILE_BYTES, Refusal};
 use lumistack_gltf::{AssetResolver, LoadOptions};
 use lumistack_pathtracer::Renderer;
 use lumistack_plugin_host::{Origin, PluginError, PluginKind, Registry};
-use lumistack_scene::{Camera, Scene, Similarity, Window};
+use lumistack_scene::{Camera, Lamp, Scene, Window};
 use lumistack_usd::{BlendContents, HandedOver};
 
 use crate::blender;
 use crate::cache::{KeyBuilder, remembered};
 use crate::error::{PipelineError, host_error, read};
 use crate::file_params;
-use crate::job::{ImporterJob, LightJob, PoseJob, WindowFrom, WindowJob};
+use crate::job::{ImporterJob, LightJob, Near, PoseJob, WindowFrom, WindowJob};
 use crate::light;
 use crate::render::render_error;
+use crate::side;
 use crate::surround;
 
-/// Share of an automatic window that the scene should cover at least.
-const COVERAGE: f64 = 0.26;
-/// Least width of an automatic window relative to one that holds all of the scene.
-const CLOSEST: f64 = 0.58;
-/// Largest share of what is seen that may leave an automatic window at the bottom.
-const FOOT: f64 = 0.5;
-/// Width of what its lower edge may cut through, over the widest of what is seen above it.
-const SLENDER: f64 = 0.3;
-/// What stays free on each side of what an automatic window shows whole, as a share of it.
+/// What stays free on each side of what an automatic window shows, as a share of it.
 const MARGIN: f64 = 0.03;
-/// Columns of the straight view by which coverage is measured.
-const PROBE_COLS: usize = 168;
+/// Share of a camera's view that the scene should cover, where nobody asked for the camera.
+const COVERAGE: f64 = 0.26;
+/// Least width of a window relative to the view of such a camera.
+const CLOSEST: f64 = 0.58;
+/// Columns of the straight view by which it is found out where the scene is seen.
+const PROBE_COLS: usize = 336;
 
 /// A loaded scene and what it was made from.
 pub struct Ingested {
@@ -43,6 +40,8 @@ pub struct Ingested {
     pub files: Vec<(PathBuf, String)>,
     /// What was taken of them.
     pub pose: PoseJob,
+    /// Whether it got the built-in studio light.
+    pub(crate) studio: bool,
     /// What it offers to choose from, where that came with it.
     known: Option<SceneContents>,
     renderer: OnceLock<Renderer>,
@@ -84,6 +83,9 @@ impl Ingested {
             key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
         }
         key.add_json("pose", &self.pose);
+        // whether light sources are seen depends on the job
+        let lamps: Vec<u8> = self.scene.materials.iter().map(|material| material.lamp as u8).collect();
+        key.add("lamps", &lamps);
     }
 }
 
@@ -222,27 +224,48 @@ fn lit(
             Ok(())
         })?;
     }
-    let mut dark = !scene.is_lit();
-    if light_job.automatic && !dark {
-        let shared = Arc::new(scene);
-        dark = light::leaves_dark(&shared, task)?;
-        if dark {
-            let message = "the surfaces that glow leave most of what is seen dark, so the studio light is added; `light.automatic = false` does without";
-            task.warn(&shared.name, message);
+    if let Some(visible) = light_job.visible {
+        let wanted = if visible { Lamp::Seen } else { Lamp::Unseen };
+        if scene.materials.iter().any(|material| material.lamp != Lamp::No && material.lamp != wanted) {
+            scene = light::edited(scene, task, |parts| {
+                let lamps = parts.materials.iter_mut().filter(|material| material.lamp != Lamp::No);
+                lamps.for_each(|material| material.lamp = wanted);
+                Ok(())
+            })?;
         }
-        scene = Arc::unwrap_or_clone(shared);
     }
-    if light_job.automatic && dark {
-        scene = light::edited(scene, task, |parts| {
+    let has_environment = scene.environment.is_some();
+    if has_environment {
+        scene = surround::turned(scene, light_job, task)?;
+    }
+    let mut studio = light_job.automatic && !scene.is_lit();
+    let renderer = OnceLock::new();
+    let mut scene = Arc::new(scene);
+    if light_job.automatic
+        && !studio
+        && let Some((message, probed)) = light::probe(&scene, task)?
+    {
+        if let Some(message) = message {
+            task.warn(&scene.name, message);
+            studio = true;
+        } else {
+            // what it was probed with serves for the views
+            let _ = renderer.set(probed);
+        }
+    }
+    if studio {
+        let lit = light::edited(Arc::unwrap_or_clone(scene), task, |parts| {
             light::add_studio_light(parts);
             if let Some(environment) = &mut parts.environment {
                 environment.strength = Vec3::splat(light_job.environment_strength);
             }
             Ok(())
         })?;
+        scene = Arc::new(surround::turned(lit, light_job, task)?);
+    } else if !has_environment {
+        surround::warn_of_unused(&scene, light_job, task);
     }
-    let scene = surround::turned(scene, light_job, task)?;
-    Ok(Ingested { scene: Arc::new(scene), files, pose: pose.clone(), known: None, renderer: OnceLock::new() })
+    Ok(Ingested { scene, files, pose: pose.clone(), studio, known: None, renderer })
 }
 
 /// What was loaded, and every file that was read, with a hash of its content.
@@ -326,9 +349,20 @@ fn hashed(files: &[PathBuf]) -> Result<Vec<(PathBuf, String)>, PipelineError> {
     files.iter().map(|file| Ok((file.clone(), hash(&read(file)?)))).collect()
 }
 
+/// A window as it is found, before depth is fitted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Found {
+    pub(crate) window: Window,
+    /// Whether somebody chose the depth at which it stands: by numbers or by a focus distance.
+    pub(crate) chosen: bool,
+    /// Azimuth and elevation from which the scene was framed, degrees.
+    pub(crate) looked_from_deg: Option<[f64; 2]>,
+}
+
 /// Places the display in the scene.
 ///
-/// A window that nobody asked for (no camera named, no focus distance, no numbers) is moved closer until the scene covers a quarter of it.
+/// Without a camera the scene is framed from the front, or, where that shows next to nothing, from where more of it is seen. The frame is moved
+/// to what is seen, all of which it holds. A camera that nobody asked for and that has no focus is moved closer as long as nothing is cut off.
 ///
 /// # Errors
 /// When the job names a camera that does not exist or gives numbers that make no rectangle.
@@ -339,6 +373,36 @@ pub fn place_window(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Window, PipelineError> {
+    find_window(ingested, job, geometry, cache_dir, task).map(|found| found.window)
+}
+
+/// [`place_window`], and how the window was found.
+///
+/// # Errors
+/// As there.
+pub(crate) fn find_window(
+    ingested: &Ingested,
+    job: &WindowJob,
+    geometry: &FieldGeometry,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<Found, PipelineError> {
+    let mut found = unlimited_window(ingested, job, geometry, cache_dir, task)?;
+    match job.near {
+        Near::Auto => {}
+        Near::Off => found.window.near_mm = None,
+        Near::At(near) => found.window.near_mm = Some(near / found.window.scene_from_display.scale),
+    }
+    Ok(found)
+}
+
+fn unlimited_window(
+    ingested: &Ingested,
+    job: &WindowJob,
+    geometry: &FieldGeometry,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<Found, PipelineError> {
     let scene = &*ingested.scene;
     let size_mm = geometry.size_mm();
     let error = |source| PipelineError::Window { name: scene.name.clone(), source };
@@ -349,34 +413,51 @@ pub fn place_window(
         let vector = |key: &str, value: Option<[f64; 3]>| value.map(DVec3::from_array).ok_or_else(|| missing(key));
         let (centre, forward) = (vector("centre", job.centre)?, vector("forward", job.forward)?);
         let (up, width) = (vector("up", job.up)?, job.width.ok_or_else(|| missing("width"))?);
-        return Window::given(centre, forward, up, width, size_mm).map_err(error);
+        let window = Window::given(centre, forward, up, width, size_mm).map_err(error)?;
+        return Ok(Found { window, chosen: true, looked_from_deg: None });
     }
     let camera = match (job.from, &job.camera) {
         (WindowFrom::Bounds, _) => None,
         (_, Some(wanted)) => Some(find_camera(scene, wanted)?),
+        // a direction that somebody asked for goes before a camera that nobody asked for
+        (_, None) if job.look_from.is_some() => None,
         (_, None) => scene.cameras.first(),
     };
     if job.from == WindowFrom::Camera && camera.is_none() {
         return Err(PipelineError::value(&scene.name, "window.from", "a camera in the scene", "none"));
     }
-    let Some(camera) = camera else {
-        let framed = Window::framing(scene.bounds(), size_mm).map_err(error)?;
-        return close_up(ingested, framed, geometry, true, cache_dir, task);
+    let framed = || -> Result<Found, PipelineError> {
+        let from_deg = match job.look_from {
+            Some(from_deg) => from_deg,
+            None => {
+                let mut key = KeyBuilder::new("side", 1);
+                ingested.add_to(&mut key);
+                let key = key.add("size", format!("{size_mm:?}").as_bytes()).finish();
+                remembered(cache_dir, &format!("side-{}.json", &key[..16]), || {
+                    side::choose(ingested.renderer(task)?, scene, size_mm, task)
+                })?
+            }
+        };
+        let window = side::framed(scene, from_deg, size_mm).map_err(error)?;
+        let window = close_up(ingested, window, geometry, true, cache_dir, task)?;
+        Ok(Found { window, chosen: false, looked_from_deg: Some(from_deg) })
     };
+    let Some(camera) = camera else { return framed() };
     let focus_distance = job.focus_distance.or(camera.focus_distance);
-    match Window::from_camera(&Camera { focus_distance, ..camera.clone() }, scene.bounds(), size_mm) {
-        Ok(window) if focus_distance.is_some() || job.from == WindowFrom::Camera || job.camera.is_some() => Ok(window),
-        Ok(window) => close_up(ingested, window, geometry, false, cache_dir, task),
-        // a camera that nobody asked for must not stand in the way
-        Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => {
-            Window::framing(scene.bounds(), size_mm).map_err(error)
+    let found = |window| Found { window, chosen: focus_distance.is_some(), looked_from_deg: None };
+    match Window::from_camera(&Camera { focus_distance, ..camera.clone() }, scene.seen_bounds(), size_mm) {
+        Ok(window) if focus_distance.is_some() || job.from == WindowFrom::Camera || job.camera.is_some() => {
+            Ok(found(window))
         }
+        Ok(window) => close_up(ingested, window, geometry, false, cache_dir, task).map(found),
+        // a camera that nobody asked for must not stand in the way
+        Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => framed(),
         Err(source) => Err(error(source)),
     }
 }
 
-/// Moves an automatic window closer until the scene covers [`COVERAGE`] of it, by no more than [`CLOSEST`]. With `recentre` it also
-/// moves to where the scene is seen, and nothing leaves it but a foot below a slender neck: the stand of a bust, but no animal's paws or ears.
+/// Moves a window to what is seen of the scene, with `recentre`; without, closer along its axis, until the scene covers [`COVERAGE`] of it. Nothing that the
+/// window shows is cut off.
 fn close_up(
     ingested: &Ingested,
     window: Window,
@@ -385,102 +466,62 @@ fn close_up(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Window, PipelineError> {
-    let mut key = KeyBuilder::new("window", 4);
+    let mut key = KeyBuilder::new("window", 5);
     ingested.add_to(&mut key);
     let key = key.add("window", format!("{window:?} {recentre}").as_bytes()).finish();
-    let (centre, scale): ([f64; 3], f64) = remembered(cache_dir, &format!("window-{}.json", &key[..16]), || {
+    let (place, factor): ([f64; 2], f64) = remembered(cache_dir, &format!("window-{}.json", &key[..16]), || {
         let renderer = ingested.renderer(task)?;
-        // a coarse straight view is enough to measure an area
+        // a coarse straight view is enough to find out where the scene is
         let cols = geometry.cols.min(PROBE_COLS);
         let pitch_mm = window.size_mm[0] / cols as f64;
         let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
         let grid = ViewGrid::single(geometry.grid.projection, [0.0, 0.0]);
         let probe = FieldGeometry { rows, cols, pitch_mm, grid };
         let mask = renderer.hit_mask(&window, &probe, [0, 0], task).map_err(render_error)?;
-        let (factor, [row, col]) = best_crop(&mask, recentre);
+        let (factor, [row, col]) = if recentre { whole(&mask) } else { closer(&mask) };
         let half = 0.5 * pitch_mm;
-        let place = [probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm];
-        let map = window.scaled_about(place, factor).scene_from_display;
-        Ok((map.translation.to_array(), map.scale))
+        Ok(([probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm], factor))
     })?;
-    let map = Similarity { translation: centre.into(), scale, ..window.scene_from_display };
-    Ok(Window { scene_from_display: map, ..window })
+    Ok(window.scaled_about(place, factor))
 }
 
-/// The largest part of a picture, as a factor on its size and its centre [row, column] in pixels, of which [`COVERAGE`] is set in the mask. Where even
-/// [`CLOSEST`] is not enough, that. With `recentre` what is seen stays whole, but for a foot below a slender neck; where less than [`COVERAGE`] is to
-/// be had, it keeps a [margin](MARGIN).
-fn best_crop(mask: &Tensor<2>, recentre: bool) -> (f64, [f64; 2]) {
+/// First and end of the rows and of the columns where the mask is set.
+fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
     let [rows, cols] = mask.shape();
-    let per_row: Vec<f64> = (0..rows).map(|row| mask.block([row]).iter().map(|&hit| f64::from(hit)).sum()).collect();
-    let middle = [rows as f64 / 2.0, cols as f64 / 2.0];
-    let seen = |axis: usize| {
-        let hit = |i: usize| match axis {
-            0 => per_row[i] > 0.0,
-            _ => (0..rows).any(|row| mask.get([row, i]) > 0.0),
-        };
-        let count = [rows, cols][axis];
-        Some([(0..count).find(|&i| hit(i))?, (0..count).rfind(|&i| hit(i))? + 1])
+    let is_hit = |row: usize, col: usize| mask.get([row, col]) > 0.0;
+    let hit = |axis: usize, i: usize| match axis {
+        0 => (0..cols).any(|col| is_hit(i, col)),
+        _ => (0..rows).any(|row| is_hit(row, i)),
     };
-    let (Some([first_row, end_row]), Some([first_col, end_col])) = (seen(0), seen(1)) else { return (1.0, middle) };
-    // where a window of `size` goes of `count` pixels, so that it stands as near to `wanted` as it can
-    let place =
-        |wanted: f64, size: usize, count: usize| wanted.clamp(0.5 * size as f64, count as f64 - 0.5 * size as f64);
-    let framed = |count: usize, seen: usize| (1.0 + 2.0 * MARGIN) * seen as f64 / count as f64;
-    let whole = framed(rows, end_row - first_row).max(framed(cols, end_col - first_col)).max(CLOSEST);
-    let mut best = if recentre {
-        (whole, [0.5 * (first_row + end_row) as f64, 0.5 * (first_col + end_col) as f64])
-    } else {
-        (1.0, middle)
+    let seen = |axis: usize, count: usize| {
+        Some([(0..count).find(|&i| hit(axis, i))?, (0..count).rfind(|&i| hit(axis, i))? + 1])
     };
-    let mut factor = 1.0;
-    loop {
-        let [height, width] = [rows, cols].map(|n| ((n as f64 * factor).round() as usize).max(1));
-        let centre = if recentre {
-            if width < end_col - first_col {
-                return best;
-            }
-            // all of it in the middle, or its top at the top
-            let row = if height >= end_row - first_row { first_row + end_row } else { 2 * first_row + height };
-            let col = first_col + end_col;
-            [place(0.5 * row as f64, height, rows), place(0.5 * col as f64, width, cols)]
-        } else {
-            middle
-        };
-        let [top, left] =
-            [centre[0] - 0.5 * height as f64, centre[1] - 0.5 * width as f64].map(|edge| edge.round() as usize);
-        let (bottom, right) = ((top + height).min(rows), (left + width).min(cols));
-        let shown: f64 = (top..bottom)
-            .map(|row| mask.block([row])[left..right].iter().map(|&hit| f64::from(hit)).sum::<f64>())
-            .sum();
-        let enough = shown >= COVERAGE * (height * width) as f64;
-        let is_fine = if !recentre {
-            true
-        } else if bottom < end_row {
-            cuts_through_a_neck(&per_row[..end_row], bottom)
-        } else {
-            enough
-        };
-        if is_fine {
-            best = (factor, centre);
-            if enough {
-                return best;
-            }
-        }
-        if factor <= CLOSEST {
-            return best;
-        }
-        factor = (factor - 0.02).max(CLOSEST);
-    }
+    Some([seen(0, rows)?, seen(1, cols)?])
 }
 
-/// Whether a window that ends before row `bottom` cuts off a foot below a slender neck.
-fn cuts_through_a_neck(per_row: &[f64], bottom: usize) -> bool {
-    let cut = per_row[bottom];
-    let foot: f64 = per_row[bottom..].iter().sum();
-    // of what stays: a piece of chess is widest at its foot, and that is no stand
-    let widest = per_row[..bottom].iter().copied().fold(0.0, f64::max);
-    cut <= SLENDER * widest && foot <= FOOT * per_row.iter().sum::<f64>()
+/// The part of a picture that holds all that is set in the mask and a [margin](MARGIN), as a factor on its size and its centre [row, column] in pixels.
+fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
+    let size = mask.shape();
+    let Some(seen) = extents(mask) else { return (1.0, size.map(|count| 0.5 * count as f64)) };
+    // one pixel more, since what is seen may end anywhere in its last one
+    let share = |axis: usize| (seen[axis][1] - seen[axis][0] + 1) as f64 / size[axis] as f64;
+    let factor = (1.0 + 2.0 * MARGIN) * share(0).max(share(1));
+    (factor, seen.map(|[first, end]| 0.5 * (first + end) as f64))
+}
+
+/// The middle of a picture of which [`COVERAGE`] is set in the mask, or as much of it as holds all that is set; no smaller than [`CLOSEST`].
+fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
+    let [rows, cols] = mask.shape();
+    let middle = [rows, cols].map(|count| 0.5 * count as f64);
+    let Some(seen) = extents(mask) else { return (1.0, middle) };
+    let reach = |axis: usize| {
+        let [first, end] = seen[axis].map(|edge| (edge as f64 - middle[axis]).abs());
+        (1.0 + 2.0 * MARGIN) * first.max(end) / middle[axis]
+    };
+    let least = reach(0).max(reach(1)).max(CLOSEST);
+    // nothing is cut off, so the same pixels cover more of a smaller picture
+    let covered = mask.data().iter().map(|&hit| f64::from(hit)).sum::<f64>() / (rows * cols) as f64;
+    ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
 }
 
 fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, PipelineError> {
@@ -612,72 +653,60 @@ pub(crate) fn hash(bytes: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_slender_figure_is_framed_where_it_is_widest() {
-        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
-        for row in 0..100 {
-            // a head above a thin stand
-            let half = if row < 40 { 22 } else { 3 };
-            (80 - half..80 + half).for_each(|col| *mask.at_mut([row, col]) = 1.0);
+    fn mask(rows: usize, cols: usize, is_set: impl Fn(usize, usize) -> bool) -> Tensor<2> {
+        let mut mask = Tensor::zeros(["row", "col"], [rows, cols]);
+        for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+            *mask.at_mut([row, col]) = f32::from(u8::from(is_set(row, col)));
         }
-        let (factor, [row, col]) = best_crop(&mask, true);
-        assert!(factor < 0.9 && factor > CLOSEST, "{factor}");
-        assert!((row - 50.0 * factor).abs() < 3.0, "the head stays whole: {row} at {factor}");
-        assert!((col - 80.0).abs() < 2.0);
-        let (_, [row, _]) = best_crop(&mask, false);
-        assert!((row - 50.0).abs() <= 1.0, "a camera's axis stays in the middle");
+        mask
+    }
+
+    /// Edges of the part that is kept: top, bottom, left, right.
+    fn edges(mask: &Tensor<2>, (factor, [row, col]): (f64, [f64; 2])) -> [f64; 4] {
+        let [height, width] = mask.shape().map(|count| 0.5 * factor * count as f64);
+        [row - height, row + height, col - width, col + width]
     }
 
     #[test]
-    fn what_covers_enough_stays_as_it_is() {
-        let full = Tensor::filled(["row", "col"], [10, 16], 1.0);
-        assert_eq!(best_crop(&full, true), (1.0, [5.0, 8.0]));
-        let empty = Tensor::zeros(["row", "col"], [10, 16]);
-        assert_eq!(best_crop(&empty, true), (1.0, [5.0, 8.0]));
-        assert_eq!(best_crop(&empty, false), (1.0, [5.0, 8.0]));
+    fn what_is_framed_is_shown_whole() {
+        // a head above a thin stand; a slender animal; a wide row of small things; a speck in a corner; all there is
+        let cases: [(&str, Box<dyn Fn(usize, usize) -> bool>); 5] = [
+            ("bust", Box::new(|row, col| col.abs_diff(80) < if row < 40 { 22 } else { 3 })),
+            ("animal", Box::new(|row, col| (2..98).contains(&row) && col.abs_diff(80) < 9)),
+            ("row", Box::new(|row, col| (60..68).contains(&row) && (10..150).contains(&col))),
+            ("speck", Box::new(|row, col| row < 3 && col > 150)),
+            ("all", Box::new(|_, _| true)),
+        ];
+        for (name, is_set) in cases {
+            let mask = mask(100, 160, &is_set);
+            let [[top, bottom], [left, right]] = extents(&mask).unwrap().map(|ends| ends.map(|end| end as f64));
+            let kept = edges(&mask, whole(&mask));
+            assert!(kept[0] < top && kept[1] > bottom && kept[2] < left && kept[3] > right, "{name}: {kept:?}");
+            // no larger than it must be: a margin on both sides of the longer axis
+            let spare = ((kept[1] - kept[0]) / (bottom - top + 1.0)).min((kept[3] - kept[2]) / (right - left + 1.0));
+            assert!((spare - 1.06).abs() < 1e-9, "{name}: {spare}");
+        }
+        let empty = mask(10, 16, |_, _| false);
+        assert_eq!(whole(&empty), (1.0, [5.0, 8.0]));
+        assert_eq!(closer(&empty), (1.0, [5.0, 8.0]));
     }
 
-    /// Ears, a body, legs, all about as wide: closer would cut some of it off.
     #[test]
-    fn a_slender_animal_stays_whole() {
-        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
-        for row in 2..98 {
-            let half = if row < 12 { 4 } else { 9 };
-            (80 - half..80 + half).for_each(|col| *mask.at_mut([row, col]) = 1.0);
-        }
-        let (factor, [row, col]) = best_crop(&mask, true);
-        assert!(factor >= 0.96, "{factor}");
-        assert!((row - 50.0).abs() <= 2.0 && (col - 80.0).abs() <= 1.0);
-        // one that does not fill the window's height is framed with a margin above and below
-        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
-        (15..85).for_each(|row| (70..90).for_each(|col| *mask.at_mut([row, col]) = 1.0));
-        let (factor, [row, _]) = best_crop(&mask, true);
-        let [top, bottom] = [row - 50.0 * factor, row + 50.0 * factor];
-        assert!((11.0..13.5).contains(&top) && (86.5..89.0).contains(&bottom), "{top} to {bottom}");
-        // one that covers enough is not moved away for it
-        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
-        (15..85).for_each(|row| (54..84).for_each(|col| *mask.at_mut([row, col]) = 1.0));
-        let (factor, _) = best_crop(&mask, true);
-        assert!((0.68..0.72).contains(&factor), "{factor}");
-        // nor does a piece of chess lose its foot: a head, a stem that is slender beside the foot, and the foot
-        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
-        for row in 2..98 {
-            let half = if row < 30 {
-                14
-            } else if row < 70 {
-                6
-            } else {
-                24
-            };
-            (80 - half..80 + half).for_each(|col| *mask.at_mut([row, col]) = 1.0);
-        }
-        let (factor, _) = best_crop(&mask, true);
-        assert!(factor >= 0.96, "{factor}");
-        // a wide row of small things is not cut at its ends
-        let mut mask = Tensor::zeros(["row", "col"], [100, 160]);
-        (10..150).for_each(|col| (60..68).for_each(|row| *mask.at_mut([row, col]) = 1.0));
-        let (factor, [row, _]) = best_crop(&mask, true);
-        assert!((0.92..0.94).contains(&factor), "{factor}, with a margin at both ends");
-        assert!((row - 55.0).abs() < 10.0, "it stands in the middle as far as that goes: {row}");
+    fn a_camera_comes_closer_but_cuts_nothing_off() {
+        // half of the height, beside the middle: it would cover enough at 0.7, but would lose its right edge
+        let beside = mask(100, 160, |row, col| (25..75).contains(&row) && (80..150).contains(&col));
+        let (factor, centre) = closer(&beside);
+        assert_eq!(centre, [50.0, 80.0], "a camera's axis stays in the middle");
+        assert!(edges(&beside, (factor, centre))[3] >= 150.0, "{factor}");
+        // a small thing in the middle comes as close as it may
+        let small = mask(100, 160, |row, col| row.abs_diff(50) < 5 && col.abs_diff(80) < 5);
+        assert_eq!(closer(&small).0, CLOSEST);
+        // one that covers a seventh is moved until it covers a quarter
+        let seventh = mask(100, 160, |row, col| row.abs_diff(50) < 24 && col.abs_diff(80) < 24);
+        let factor = closer(&seventh).0;
+        let covered = seventh.data().iter().sum::<f32>() / 16000.0;
+        assert!((f64::from(covered) / factor.powi(2) - COVERAGE).abs() < 1e-6, "{factor}");
+        // what runs out of the picture stays as it is
+        assert_eq!(closer(&mask(100, 160, |row, _| row > 90)).0, 1.0);
     }
 }

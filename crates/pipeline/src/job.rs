@@ -28,7 +28,7 @@ pub use self::light::{LightJob, Tone};
 pub use self::render::{AngularFilter, Denoise, Engine, RenderJob};
 pub use self::sequence::SequenceJob;
 pub use self::sweep::{SearchJob, SweepJob};
-pub use self::window::{FitDepth, WindowFrom, WindowJob};
+pub use self::window::{FitDepth, Near, WindowFrom, WindowJob};
 use crate::error::{PipelineError, read_to_string};
 
 /// A job, as its file says.

@@ -31,6 +31,7 @@ pub mod presets;
 mod render;
 mod run;
 mod sequence;
+mod side;
 mod simulate;
 mod steps;
 mod surround;
@@ -50,6 +51,7 @@ pub use ingest::{Ingested, SceneContents, is_blend, is_usd, load_scene, place_wi
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
     AngularFilter, Background, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob,
+    Near,
     NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone, WindowFrom,
     WindowJob,
 };

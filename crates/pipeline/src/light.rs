@@ -8,54 +8,75 @@ use lumistack_core::{NoProgress, Task};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_field_io::picture::Picture;
 use lumistack_pathtracer::{Renderer, Settings};
-use lumistack_scene::{Environment, Image, Pixels, Scene, SceneError, SceneParts, Window};
+use lumistack_scene::{Environment, Image, Lamp, Pixels, Scene, SceneError, SceneParts, Window};
 
 use crate::error::{PipelineError, field_error, read};
 use crate::look::automatic_look;
 use crate::render::render_error;
+use crate::side;
 
 /// Size of the studio map; it is smooth.
 const STUDIO: [usize; 2] = [128, 64];
 /// Pixels and paths by which it is found out whether lamps light a scene.
 const PROBE: [usize; 2] = [96, 60];
 const PROBE_SAMPLES: u32 = 16;
-/// Half of the surfaces shown darker than this after exposure are not lit.
+/// Surfaces shown darker than this after exposure are not lit.
 const DARK: f64 = 0.02;
+/// Share of what is seen that glowing objects must light, and that light sources must: a spot in a dark room is what its author wanted.
+const LIT_BY_GLOW: f64 = 0.5;
+const LIT_BY_LAMPS: f64 = 0.05;
+/// Radiance that is seen past a scene in the studio light: a dark neutral ground.
+const GROUND: f32 = 0.035;
 
-/// Whether a scene whose only light is that of glowing surfaces stays dark: an engine that glows lights no hangar.
+/// Why a scene that has lamps of its own but no environment gets the studio light as well: an engine that glows lights no hangar, and lamps may shine past what is seen. The
+/// renderer, by which it was found out, comes along.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.
-pub(crate) fn leaves_dark(scene: &Arc<Scene>, task: Task<'_>) -> Result<bool, PipelineError> {
-    if scene.environment.is_some() || !scene.lights.is_empty() {
-        return Ok(false);
+pub(crate) fn probe(
+    scene: &Arc<Scene>,
+    task: Task<'_>,
+) -> Result<Option<(Option<&'static str>, Renderer)>, PipelineError> {
+    if scene.environment.is_some() {
+        return Ok(None);
     }
     let [cols, rows] = PROBE;
     let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
     let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
     let size_mm = geometry.size_mm();
-    let seen_by = |camera| Window::from_camera(camera, scene.bounds(), size_mm).ok();
-    let framed = || Window::framing(scene.bounds(), size_mm);
+    let quiet = Task { progress: &NoProgress, ..task };
+    let renderer = Renderer::new(scene.clone(), quiet).map_err(render_error)?;
+    let seen_by = |camera| Window::from_camera(camera, scene.seen_bounds(), size_mm).ok();
     let window = match scene.cameras.first().and_then(seen_by) {
         Some(window) => window,
-        None => framed().map_err(|source| PipelineError::Window { name: scene.name.clone(), source })?,
+        None => side::framed(scene, side::choose(&renderer, scene, size_mm, quiet)?, size_mm)
+            .map_err(|source| PipelineError::Window { name: scene.name.clone(), source })?,
     };
-    let task = Task { progress: &NoProgress, ..task };
-    let renderer = Renderer::new(scene.clone(), task).map_err(render_error)?;
     let settings = Settings { samples: PROBE_SAMPLES, ..Settings::default() };
-    let radiance = renderer.render_view(&window, &geometry, [0, 0], &settings, task).map_err(render_error)?;
-    let mask = renderer.hit_mask(&window, &geometry, [0, 0], task).map_err(render_error)?;
+    let radiance = renderer.render_view(&window, &geometry, [0, 0], &settings, quiet).map_err(render_error)?;
+    let mask = renderer.hit_mask(&window, &geometry, [0, 0], quiet).map_err(render_error)?;
     let brightest = radiance.data().chunks_exact(3).map(|rgb| rgb[0].max(rgb[1]).max(rgb[2]));
     let rays: Vec<(f32, bool)> = brightest.zip(mask.data().iter().map(|&hit| hit > 0.5)).collect();
     let (exposure, curve) = automatic_look(scene, &rays);
-    let dark = |value: f32| curve.apply([(f64::from(value) * exposure) as f32; 3])[1] < DARK as f32;
+    let is_lit = |value: f32| curve.apply([(f64::from(value) * exposure) as f32; 3])[1] >= DARK as f32;
     let surfaces = rays.iter().filter(|(_, surface)| *surface);
-    let count = surfaces.clone().count();
-    Ok(2 * surfaces.filter(|(value, _)| dark(*value)).count() > count)
+    let count = surfaces.clone().count() as f64;
+    let lit = surfaces.filter(|(value, _)| is_lit(*value)).count() as f64;
+    let has_lamps = !scene.lights.is_empty() || scene.materials.iter().any(|material| material.lamp != Lamp::No);
+    let message = if has_lamps {
+        (lit < LIT_BY_LAMPS * count).then_some(
+            "its lamps leave what is seen black, so the studio light is added; `light.automatic = false` does without",
+        )
+    } else {
+        (lit < LIT_BY_GLOW * count).then_some(
+            "the surfaces that glow leave most of what is seen dark, so the studio light is added; `light.automatic = false` does without",
+        )
+    };
+    Ok(Some((message, renderer)))
 }
 
 /// Gives the scene the built-in studio light: a soft grey surround, darker below, a large key light above to the left in front of the
-/// scene and a weaker fill to the right. Radiance is about 1 where it is brightest outside the lamps.
+/// scene and a weaker fill to the right. Radiance is about 1 where it is brightest outside the lamps. What is seen past the scene is a dark ground instead.
 pub fn add_studio_light(parts: &mut SceneParts) {
     let [width, height] = STUDIO;
     let mut texels = Vec::with_capacity(width * height);
@@ -78,6 +99,7 @@ pub fn add_studio_light(parts: &mut SceneParts) {
     }
     let image = Image { name: "studio light".into(), width, height, pixels: Pixels::RgbF32(texels) };
     set_environment(parts, image, Vec3::ONE, Quat::IDENTITY);
+    parts.backdrop = Some(Vec3::splat(GROUND));
 }
 
 /// Replaces the scene's environment by a Radiance HDR or EXR file.

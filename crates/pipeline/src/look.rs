@@ -37,7 +37,11 @@ impl Look {
     pub(crate) fn choose(job: &LightJob, scene: &Scene, brightest: &[(f32, bool)]) -> Self {
         let stops = 2f64.powf(job.exposure_ev);
         let exposure = |curve| {
-            if !job.automatic_exposure || is_unlit(scene) { stops } else { stops * exposure_of(brightest, curve) }
+            if !job.automatic_exposure || is_unlit(scene) {
+                stops
+            } else {
+                stops * exposure_of(brightest, scene.backdrop.is_some(), curve)
+            }
         };
         let fixed = |curve| Self { exposure: exposure(curve), curve };
         match job.tone {
@@ -89,10 +93,11 @@ fn is_unlit(scene: &Scene) -> bool {
 
 /// Factor that brings the brightest hundredth of the surfaces to [`WHITE`]. Where that leaves most of them dark, half of them are brought above
 /// [`MIDDLE`] instead, as long as no more than a twentieth is shown above [`WHITE`]. Percentiles leave single bright samples out, and what is
-/// seen past the scene does not count.
-fn exposure_of(brightest: &[(f32, bool)], curve: ToneCurve) -> f64 {
+/// seen past the scene does not count, least of all where it is a ground of our own (`on_ground`).
+fn exposure_of(brightest: &[(f32, bool)], on_ground: bool, curve: ToneCurve) -> f64 {
     let surfaces = brightest.iter().filter(|(_, surface)| *surface).count();
-    let of_surfaces = surfaces as f64 >= LEAST_SURFACE * brightest.len() as f64;
+    let least = if on_ground { f64::MIN_POSITIVE } else { LEAST_SURFACE * brightest.len() as f64 };
+    let of_surfaces = surfaces as f64 >= least;
     let chosen = brightest.iter().filter(|(_, surface)| *surface || !of_surfaces);
     let mut values: Vec<f32> = chosen.map(|(value, _)| *value).filter(|value| value.is_finite()).collect();
     let [p50, p95, p99] = [0.50, 0.95, 0.99].map(|share| f64::from(percentile(&mut values, share)));
@@ -132,7 +137,7 @@ mod tests {
     #[test]
     fn exposure_brings_the_brightest_percent_to_white() {
         let values: Vec<f32> = (0..10_000).map(|i| i as f32 / 100.0).collect();
-        let factor = exposure_of(&surfaces(&values), ToneCurve::Linear);
+        let factor = exposure_of(&surfaces(&values), false, ToneCurve::Linear);
         assert!((factor * 99.0 - 0.95).abs() < 0.01, "{factor}");
     }
 
@@ -141,7 +146,7 @@ mod tests {
         let mut values = vec![0.5f32; 9_700];
         values.extend([100.0; 300]);
         for (_, curve) in ToneCurve::ALL {
-            let shown = curve.apply([(exposure_of(&surfaces(&values), curve) * 0.5) as f32; 3]);
+            let shown = curve.apply([(exposure_of(&surfaces(&values), false, curve) * 0.5) as f32; 3]);
             assert!((shown[1] - 0.22).abs() < 0.01, "{curve:?}: {shown:?}");
         }
     }
@@ -149,23 +154,24 @@ mod tests {
     #[test]
     fn neither_fireflies_nor_a_bright_sky_change_the_exposure() {
         let values: Vec<f32> = (0..10_000).map(|i| i as f32 / 10_000.0).collect();
-        let plain = exposure_of(&surfaces(&values), ToneCurve::Linear);
+        let plain = exposure_of(&surfaces(&values), false, ToneCurve::Linear);
         let mut with = surfaces(&values);
         with.extend([(1e6, true); 3]);
-        assert!((exposure_of(&with, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
+        assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
         with.extend(vec![(50.0, false); 40_000]);
-        assert!((exposure_of(&with, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
-        // a speck before the sky does not decide
+        assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
+        // a speck before the sky does not decide, but one before our own ground does
         let mut speck = surfaces(&[0.01; 10]);
         speck.extend(vec![(2.0, false); 10_000]);
-        assert!((exposure_of(&speck, ToneCurve::Linear) * 2.0 - 0.95).abs() < 1e-3);
+        assert!((exposure_of(&speck, false, ToneCurve::Linear) * 2.0 - 0.95).abs() < 1e-3);
+        assert!((exposure_of(&speck, true, ToneCurve::Linear) * 0.01 - 0.95).abs() < 1e-3);
     }
 
     #[test]
     fn black_pictures_get_a_finite_factor() {
         for (_, curve) in ToneCurve::ALL {
             for values in [vec![0.0; 10], Vec::new(), vec![f32::NAN; 3], vec![f32::INFINITY]] {
-                assert_eq!(exposure_of(&surfaces(&values), curve), 1.0);
+                assert_eq!(exposure_of(&surfaces(&values), false, curve), 1.0);
             }
         }
     }

@@ -25,7 +25,7 @@ use crate::views::ViewOptions;
 /// Rays that decide about exposure and tone curve, at most.
 const MOST_RAYS: usize = 4_000_000;
 /// Changes whenever the path tracer gives other pixels.
-const RENDER_VERSION: u32 = 3;
+const RENDER_VERSION: u32 = 4;
 
 /// The rendered light fields of a run.
 pub struct Rendered {

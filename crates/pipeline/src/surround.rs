@@ -15,21 +15,22 @@ use crate::job::LightJob;
 use crate::light::edited;
 use crate::look::Look;
 
-/// Turns the environment as the job says, the studio light like any other; warns where a key about it changes nothing.
+/// Warns where a key about the environment changes nothing, since the scene has none.
+pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
+    let changed = [
+        ("light.environment_strength", job.environment_strength != 1.0),
+        ("light.environment_rotation_deg", job.environment_rotation_deg != 0.0),
+    ];
+    for (key, _) in changed.into_iter().filter(|(_, changed)| *changed) {
+        task.warn(&scene.name, format!("`{key}` changes nothing, since the scene has no environment"));
+    }
+}
+
+/// Turns the environment as the job says, the studio light like any other.
 ///
 /// # Errors
 /// When the changed scene is not valid.
 pub(crate) fn turned(scene: Scene, job: &LightJob, task: Task<'_>) -> Result<Scene, PipelineError> {
-    if scene.environment.is_none() {
-        let changed = [
-            ("light.environment_strength", job.environment_strength != 1.0),
-            ("light.environment_rotation_deg", job.environment_rotation_deg != 0.0),
-        ];
-        for (key, _) in changed.into_iter().filter(|(_, changed)| *changed) {
-            task.warn(&scene.name, format!("`{key}` changes nothing, since the scene has no environment"));
-        }
-        return Ok(scene);
-    }
     if job.environment_rotation_deg == 0.0 {
         return Ok(scene);
     }

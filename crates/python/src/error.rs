@@ -53,9 +53,12 @@ fn class_of(error: &PipelineError) -> &'static str {
 }
 
 /// Flags of the command line under the names that they have here.
-const FLAGS: [(&str, &str); 20] = [
+const FLAGS: [(&str, &str); 23] = [
     ("--fit-depth=compress", "fit_depth=\"compress\""),
     ("--fit-depth", "fit_depth=\"move\""),
+    ("--look-from AZ,EL", "look_from"),
+    ("--near=off", "window={\"near\": \"off\"}"),
+    ("--camera", "camera"),
     ("--pitch-mm 0.5", "pitch_mm=0.5"),
     ("--fov 20x20", "fov_deg=(20, 20)"),
     ("--distance-mm 600", "distance_mm=600"),

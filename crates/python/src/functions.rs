@@ -44,7 +44,8 @@ pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
 ///
 /// * samples: paths per pixel and view, 1 to 65536; max_bounces: bounces after the first hit, 0 to 1024; clamp: largest value of a single path
 /// * denoise: "off", "guided" or "oidn"; angular_filter: "point", "bin" or "display"; lens_deg: angle of a lens, degrees, 0 to 90
-/// * camera: name or number of the camera whose plane of focus the display takes; fit_depth: "off", "move" or "compress"; depth_scale: factor on parallax,
+/// * camera: name or number of the camera whose plane of focus the display takes; look_from: (azimuth, elevation) from which a scene is framed, degrees;
+///   fit_depth: "auto", "off", "move" or "compress"; depth_scale: factor on parallax,
 ///   0.001 to 10; window: a mapping with the other keys of [window], such as {"from": "bounds"}
 /// * exposure_ev: stops added to the automatic exposure; tone: "auto", "linear", "khronos-neutral" or "agx"; light: a mapping with other keys of [light]
 /// * seed: of all random streams; the same seed gives the same values on any number of threads
@@ -54,7 +55,7 @@ pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
 /// Gives a LightField that is ready for factorize(). Ctrl-C stops it.
 #[pyfunction]
 #[pyo3(signature = (
-    scene, display=None, *, samples=None, max_bounces=None, clamp=None, denoise=None, angular_filter=None, lens_deg=None, camera=None, fit_depth=None,
+    scene, display=None, *, samples=None, max_bounces=None, clamp=None, denoise=None, angular_filter=None, lens_deg=None, camera=None, look_from=None, fit_depth=None,
     depth_scale=None, window=None, exposure_ev=None, tone=None, light=None, seed=None, cache=None, callback=None
 ))]
 pub(crate) fn render(
@@ -68,6 +69,7 @@ pub(crate) fn render(
     angular_filter: Option<&Bound<'_, PyAny>>,
     lens_deg: Option<&Bound<'_, PyAny>>,
     camera: Option<&Bound<'_, PyAny>>,
+    look_from: Option<&Bound<'_, PyAny>>,
     fit_depth: Option<&Bound<'_, PyAny>>,
     depth_scale: Option<&Bound<'_, PyAny>>,
     window: Option<&Bound<'_, PyAny>>,
@@ -91,7 +93,8 @@ pub(crate) fn render(
         ],
     )?;
     let camera = camera.map(|camera| camera.str()).transpose()?.map(Bound::into_any);
-    let fit = [("camera", camera.as_ref()), ("fit_depth", fit_depth), ("depth_scale", depth_scale)];
+    let fit =
+        [("camera", camera.as_ref()), ("look_from", look_from), ("fit_depth", fit_depth), ("depth_scale", depth_scale)];
     let window: WindowJob = parsed(py, "window", merged("window", window, &fit)?)?;
     let loaded;
     let scene = match scene.cast::<Scene>() {
@@ -114,6 +117,7 @@ pub(crate) fn render(
         ("environment_strength", job.light.environment_strength != scene.light.environment_strength),
         ("environment_rotation_deg", job.light.environment_rotation_deg != scene.light.environment_rotation_deg),
         ("automatic", job.light.automatic != scene.light.automatic),
+        ("visible", job.light.visible != scene.light.visible),
     ] {
         if differs {
             let message = format!("light.{key}: expected it from the Scene, whose light it is, found another here");

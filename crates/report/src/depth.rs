@@ -35,6 +35,8 @@ pub struct DepthBudget {
     pub moved_back_mm: f64,
     /// Factor on parallax; 1 for the scene as it is.
     pub depth_scale: f64,
+    /// Whether either was changed so that the scene fits.
+    pub fitted: bool,
     /// Shares of rays by depth, and by displacement in pixels.
     pub(crate) by_depth: Histogram,
     pub(crate) by_disparity: Histogram,
@@ -90,6 +92,7 @@ impl DepthBudget {
             beyond_a_pixel: share(&all, &|z| moves(z) > 1.0),
             moved_back_mm: 0.0,
             depth_scale: 1.0,
+            fitted: false,
             by_depth: Histogram::of(&all, low, high),
             by_disparity: Histogram::of(&moved, 0.0, most),
             bound: bound.collect(),
@@ -98,7 +101,7 @@ impl DepthBudget {
     }
 
     /// Whether any surface is seen.
-    pub(crate) fn is_seen(&self) -> bool {
+    pub fn is_seen(&self) -> bool {
         !self.inside.is_nan()
     }
 
@@ -118,7 +121,22 @@ impl DepthBudget {
                 )
             }
         };
-        format!("{lies}; between neighbouring views it moves by up to {most} px (98 %), {largest} px at most")
+        let fitted = if self.fitted { self.fitting() } else { String::new() };
+        format!("{lies}{fitted}; between neighbouring views it moves by up to {most} px (98 %), {largest} px at most")
+    }
+
+    /// How the scene was made to fit.
+    fn fitting(&self) -> String {
+        let moved = self.moved_back_mm;
+        let mut done = Vec::new();
+        if moved != 0.0 {
+            let way = if moved > 0.0 { "back" } else { "forward" };
+            done.push(format!("the window was moved {way} by {} mm", format::number(moved.abs().round())));
+        }
+        if self.depth_scale != 1.0 {
+            done.push(format!("depth was compressed to {}", format::percent(self.depth_scale)));
+        }
+        format!(", for which {} (`fit_depth = \"off\"` leaves it)", done.join(" and "))
     }
 
     /// What to do about a scene that does not fit.

@@ -21,6 +21,12 @@ impl Bounds {
         self.max = self.max.max(point);
     }
 
+    /// Grows the box to hold another.
+    pub fn join(&mut self, other: Self) {
+        self.min = self.min.min(other.min);
+        self.max = self.max.max(other.max);
+    }
+
     /// Whether the box holds nothing.
     pub fn is_empty(&self) -> bool {
         !(self.min.cmple(self.max)).all()

@@ -12,7 +12,8 @@ mod window;
 
 pub use bounds::Bounds;
 pub use material::{
-    AlphaMode, Anisotropy, Clearcoat, Filter, Image, Iridescence, Material, Pixels, Sheen, Texture, TextureUse, Wrap,
+    AlphaMode, Anisotropy, Clearcoat, Filter, Image, Iridescence, Lamp, Material, Pixels, Sheen, Texture, TextureUse,
+    Wrap,
 };
 pub use parts::{Camera, Environment, Instance, Light, LightKind, Mesh, Projection, SceneParts};
 pub use validate::{Scene, SceneError};

@@ -32,6 +32,8 @@ pub struct Material {
     pub double_sided: bool,
     /// Shown with its base colour whatever the light (`KHR_materials_unlit`).
     pub unlit: bool,
+    /// Whether the surface stands for a light source of the file, and if so whether the viewer sees it.
+    pub lamp: Lamp,
     /// Index of refraction (`KHR_materials_ior`), ≥ 1; or 0, which says that dielectric reflection has no angular dependence and
     /// [`specular_color`](Self::specular_color) alone sets its colour (the specular-glossiness workflow).
     pub ior: f32,
@@ -127,6 +129,18 @@ pub struct Anisotropy {
     pub texture: Option<TextureUse>,
 }
 
+/// Whether a surface stands for a light source. Glowing objects are none: they are geometry.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Lamp {
+    /// A surface like any other.
+    #[default]
+    No,
+    /// A light source that first hits pass as if it were not there. Mirrors, panes and shadows know it.
+    Unseen,
+    /// A light source that is seen.
+    Seen,
+}
+
 impl Default for Material {
     /// glTF's default material: white, metallic 1, roughness 1.
     fn default() -> Self {
@@ -144,6 +158,7 @@ impl Default for Material {
             alpha_mode: AlphaMode::Opaque,
             double_sided: false,
             unlit: false,
+            lamp: Lamp::No,
             ior: 1.5,
             specular: 1.0,
             specular_texture: None,

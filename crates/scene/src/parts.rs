@@ -25,6 +25,8 @@ pub struct SceneParts {
     pub cameras: Vec<Camera>,
     /// Light from infinity; `None` is black.
     pub environment: Option<Environment>,
+    /// Linear radiance ≥ 0 that the viewer sees past the scene instead of the environment. Mirrors and bent light show the environment.
+    pub backdrop: Option<Vec3>,
 }
 
 /// An indexed triangle mesh. Front faces wind counter-clockwise.
@@ -104,6 +106,8 @@ pub struct Camera {
     pub projection: Projection,
     /// Distance of the plane of focus, scene units, where the file gives one.
     pub focus_distance: Option<f32>,
+    /// Distance of the near plane ≥ 0, scene units, where the file gives one: nothing before it is seen.
+    pub near: Option<f32>,
 }
 
 /// Projection of a [`Camera`].

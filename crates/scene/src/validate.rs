@@ -7,13 +7,14 @@ use glam::{Affine3A, Mat3A, Vec2, Vec3, Vec3A};
 use lumistack_core::Task;
 use thiserror::Error;
 
-use crate::{AlphaMode, Bounds, LightKind, Mesh, Pixels, SceneParts};
+use crate::{AlphaMode, Bounds, Lamp, LightKind, Mesh, Pixels, SceneParts};
 
 /// A scene whose indices, numbers and transforms have been checked. Read it like [`SceneParts`].
 #[derive(Clone, Debug)]
 pub struct Scene {
     parts: SceneParts,
     bounds: Bounds,
+    seen_bounds: Bounds,
 }
 
 impl Deref for Scene {
@@ -28,6 +29,16 @@ impl Scene {
     /// Bounds of all placed triangles; never empty.
     pub fn bounds(&self) -> Bounds {
         self.bounds
+    }
+
+    /// Bounds of the placed triangles that the viewer sees: all but [unseen lamps](Lamp::Unseen). Those of everything where nothing else is there.
+    pub fn seen_bounds(&self) -> Bounds {
+        self.seen_bounds
+    }
+
+    /// Whether the viewer sees an instance, if it stands in view: it is no [unseen lamp](Lamp::Unseen).
+    pub fn is_seen(&self, instance: &crate::Instance) -> bool {
+        self.materials[self.meshes[instance.mesh].material].lamp != Lamp::Unseen
     }
 
     /// Number of triangles with instances counted.
@@ -110,11 +121,16 @@ impl SceneParts {
         }
         self.check_instances(task)?;
         self.check_lights_and_cameras()?;
-        let mut bounds = Bounds::EMPTY;
+        let (mut bounds, mut seen_bounds) = (Bounds::EMPTY, Bounds::EMPTY);
         for instance in &self.instances {
             let mesh = &self.meshes[instance.mesh];
+            let mut own = Bounds::EMPTY;
             for &index in mesh.triangles.iter().flatten() {
-                bounds.include(instance.scene_from_mesh.transform_point3(mesh.positions[index as usize]));
+                own.include(instance.scene_from_mesh.transform_point3(mesh.positions[index as usize]));
+            }
+            bounds.join(own);
+            if self.materials[mesh.material].lamp != Lamp::Unseen {
+                seen_bounds.join(own);
             }
         }
         if bounds.is_empty() {
@@ -123,7 +139,8 @@ impl SceneParts {
         if !(bounds.min.is_finite() && bounds.max.is_finite()) {
             return Err(SceneError::new(self.name, "bounds that a 32-bit float can hold", format!("{bounds:?}")));
         }
-        Ok(Scene { parts: self, bounds })
+        let seen_bounds = if seen_bounds.is_empty() { bounds } else { seen_bounds };
+        Ok(Scene { parts: self, bounds, seen_bounds })
     }
 
     fn check_images(&self) -> Result<(), SceneError> {
@@ -142,6 +159,11 @@ impl SceneParts {
         }
         for (i, texture) in self.textures.iter().enumerate() {
             index(&format!("/textures/{i}/source"), texture.image, self.images.len(), "image")?;
+        }
+        if let Some(backdrop) = self.backdrop
+            && !(backdrop.is_finite() && backdrop.min_element() >= 0.0)
+        {
+            return Err(SceneError::new("backdrop", "finite radiance ≥ 0", backdrop.to_string()));
         }
         if let Some(environment) = &self.environment {
             index("environment image", environment.image, self.images.len(), "image")?;
@@ -290,6 +312,8 @@ impl SceneParts {
             {
                 return Err(SceneError::new(place, "a focus distance above 0", distance.to_string()));
             }
+            // a near plane that makes no sense limits nothing
+            camera.near = camera.near.filter(|near| near.is_finite() && *near >= 0.0);
         }
         Ok(())
     }

@@ -43,6 +43,8 @@ pub struct Window {
     pub scene_from_display: Similarity,
     /// Width and height of the light field's rectangle in millimetres, both > 0.
     pub size_mm: [f64; 2],
+    /// z in display space of the plane, before which nothing is seen: first rays start there. `None` sees all that stands before the window.
+    pub near_mm: Option<f64>,
 }
 
 /// A window that cannot be placed.
@@ -73,7 +75,7 @@ const FRAMING_MARGIN: f64 = 0.02;
 
 impl Window {
     /// The camera's plane of focus, as wide as its frustum there. Without a focus distance the plane goes through the centre of
-    /// the scene's bounds.
+    /// the scene's bounds. Nothing before the camera's near plane is seen.
     ///
     /// # Errors
     /// If that rectangle is empty, infinite or behind the camera.
@@ -104,7 +106,8 @@ impl Window {
             });
         }
         let translation = position + distance * forward;
-        Ok(Self { scene_from_display: Similarity { rotation, scale, translation }, size_mm })
+        let near_mm = camera.near.map(|near| (distance - f64::from(near)) / scale);
+        Ok(Self { scene_from_display: Similarity { rotation, scale, translation }, size_mm, near_mm })
     }
 
     /// A window at `centre` that looks along `forward` with `up` upwards and is `width` scene units wide.
@@ -127,6 +130,7 @@ impl Window {
         Ok(Self {
             scene_from_display: Similarity { rotation, scale: width / size_mm[0], translation: centre },
             size_mm,
+            near_mm: None,
         })
     }
 
@@ -136,7 +140,7 @@ impl Window {
         let map = self.scene_from_display;
         let translation = map.point(DVec3::new(point_mm[0], point_mm[1], 0.0));
         let scene_from_display = Similarity { scale: map.scale * factor, translation, ..map };
-        Self { scene_from_display, size_mm: self.size_mm }
+        Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| near / factor) }
     }
 
     /// The window moved back along its normal by `by_mm`, so that what was at depth −`by_mm` lies in its plane. What is seen straight on stays: a window
@@ -147,7 +151,31 @@ impl Window {
         let factor = eye_mm.map_or(1.0, |eye| (eye + by_mm) / eye);
         let translation = map.point(DVec3::new(0.0, 0.0, -by_mm));
         let scene_from_display = Similarity { scale: map.scale * factor, translation, ..map };
-        Self { scene_from_display, size_mm: self.size_mm }
+        // the near plane stays where it is in the scene
+        Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| (near + by_mm) / factor) }
+    }
+
+    /// Frames points as seen along `forward`: the plane goes through the centre of their extents and just holds their width and height.
+    ///
+    /// # Errors
+    /// If there are no points, they are one point, or the directions are zero or parallel.
+    pub fn framing_points(
+        points: impl Iterator<Item = DVec3>,
+        forward: DVec3,
+        up: DVec3,
+        size_mm: [f64; 2],
+    ) -> Result<Self, WindowError> {
+        let turned = Self::given(DVec3::ZERO, forward, up, 1.0, size_mm)?.scene_from_display.rotation;
+        let back = turned.inverse();
+        let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for point in points {
+            let point = back * point;
+            (min, max) = (min.min(point), max.max(point));
+        }
+        let size = if min.cmple(max).all() { max - min } else { DVec3::ZERO };
+        let fit = (size.x / size_mm[0]).max(size.y / size_mm[1]) * (1.0 + FRAMING_MARGIN);
+        let scale = if fit > 0.0 { fit } else { size.z / size_mm[0] };
+        Self::given(turned * (0.5 * (min + max)), forward, up, scale * size_mm[0], size_mm)
     }
 
     /// Frames the bounds from the front (looking along −z, glTF's front of an asset): the plane goes through their centre and just
@@ -181,6 +209,7 @@ mod tests {
             ),
             projection: Projection::Perspective { vertical_fov_rad: std::f32::consts::FRAC_PI_2, aspect: Some(1.6) },
             focus_distance: Some(2.0),
+            near: Some(0.5),
         };
         let window = Window::from_camera(&camera, Bounds::EMPTY, SIZE_MM).unwrap();
         let map = window.scene_from_display;
@@ -188,6 +217,8 @@ mod tests {
         assert!((map.point(DVec3::ZERO) - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-6);
         assert!((map.point(DVec3::new(200.0, 0.0, 0.0)) - DVec3::new(1.0, 1.0, -3.2)).length() < 1e-6);
         assert!((map.point(DVec3::new(0.0, 0.0, 1.0)) - DVec3::new(1.016, 1.0, 0.0)).length() < 1e-6);
+        // a near plane half a unit before the camera lies 1.5 units before the window, 16 thousandths of a unit per millimetre
+        assert!((window.near_mm.unwrap() - 1.5 / 0.016).abs() < 1e-3);
         assert!(
             (map.inverse_point(map.point(DVec3::new(1.0, -2.0, 3.0))) - DVec3::new(1.0, -2.0, 3.0)).length() < 1e-9
         );
@@ -195,7 +226,8 @@ mod tests {
 
     #[test]
     fn a_window_that_moves_back_shows_the_same_straight_on() {
-        let window = Window::given(DVec3::new(1.0, 2.0, 3.0), DVec3::X, DVec3::Y, 4.0, SIZE_MM).unwrap();
+        let mut window = Window::given(DVec3::new(1.0, 2.0, 3.0), DVec3::X, DVec3::Y, 4.0, SIZE_MM).unwrap();
+        window.near_mm = Some(120.0);
         let (map, corner) = (window.scene_from_display, DVec3::new(80.0, -50.0, 0.0));
         let oblique = window.moved_back(30.0, None).scene_from_display;
         assert!((oblique.point(corner) - map.point(corner - 30.0 * DVec3::Z)).length() < 1e-12);
@@ -206,6 +238,14 @@ mod tests {
         let along = (map.point(corner) - map.point(eye)).normalize();
         assert!((perspective.point(corner) - map.point(eye)).normalize().distance(along) < 1e-12);
         assert!((perspective.inverse_point(map.point(-30.0 * DVec3::Z))).length() < 1e-9);
+        // the near plane stays in the scene
+        let near = map.point(120.0 * DVec3::Z);
+        for moved in
+            [window.moved_back(30.0, None), window.moved_back(30.0, Some(600.0)), window.scaled_about([0.0; 2], 0.5)]
+        {
+            let kept = moved.scene_from_display.point(moved.near_mm.unwrap() * DVec3::Z);
+            assert!((kept - near).length() < 1e-9, "{kept} {near}");
+        }
     }
 
     #[test]
@@ -215,6 +255,16 @@ mod tests {
         let top = window.scene_from_display.inverse_point(DVec3::new(0.0, 4.0, 0.0));
         assert!(top.y > 0.95 * 125.0 && top.y < 125.0, "{top}");
         assert!(Window::framing(Bounds::EMPTY, SIZE_MM).is_err());
+        // its corners, seen from the front, make the same window
+        let corners = || bounds.corners().into_iter().map(|corner| corner.as_dvec3());
+        let framed = Window::framing_points(corners(), DVec3::NEG_Z, DVec3::Y, SIZE_MM).unwrap();
+        assert!((framed.scene_from_display.scale / window.scene_from_display.scale - 1.0).abs() < 1e-6);
+        assert!((framed.scene_from_display.translation - window.scene_from_display.translation).length() < 1e-6);
+        // from above the depth of 10 units stands upright
+        let above = Window::framing_points(corners(), DVec3::NEG_Y, DVec3::NEG_Z, SIZE_MM).unwrap();
+        let edge = above.scene_from_display.inverse_point(DVec3::new(1.0, 4.0, -5.0));
+        assert!((edge.y - 125.0 / 1.02).abs() < 1e-6 && edge.x > 0.0 && edge.z > 0.0, "{edge}");
+        assert!(Window::framing_points(std::iter::empty(), DVec3::NEG_Z, DVec3::Y, SIZE_MM).is_err());
         assert!(Window::given(DVec3::ZERO, DVec3::Y, DVec3::Y, 1.0, SIZE_MM).is_err());
     }
 }

@@ -418,4 +418,6 @@ def camera(prim, time):
         "aperture": [values.horizontalAperture, values.verticalAperture],
         "aperture_offset": [values.horizontalApertureOffset, values.verticalApertureOffset],
         "focus_distance": values.focusDistance,
+        # the schema's own default of one unit is nobody's wish
+        "near": values.clippingRange.min if source.GetClippingRangeAttr().HasAuthoredValue() else None,
     }

@@ -1,7 +1,7 @@
 //! Lights of a package (UsdLux).
 //!
 //! A light with a surface has one radiance L = intensity · 2^exposure · colour · colour temperature on it, divided by its area in the scene if it is
-//! normalized, and becomes a black emitting mesh. A distant light of angle 2θ has that radiance in a cone, hence the irradiance L π sin²θ; normalized, L.
+//! normalized, and becomes a black emitting mesh, which is not seen unless asked for. A distant light of angle 2θ has that radiance in a cone, hence the irradiance L π sin²θ; normalized, L.
 //! A sphere as a point has the intensity L π r²; a disc or rectangle with a cone is a spot of the intensity L · area. A dome is the environment; the centre
 //! of its picture is +z and its right edge lies towards −x (as OpenEXR has it), where the scene's centre is −z. Source: UsdLux schemas of OpenUSD 25.
 
@@ -9,7 +9,7 @@ use std::f32::consts::{FRAC_PI_2, PI};
 
 use glam::{Affine3A, DAffine3, DMat3, DMat4, DQuat, DVec3, Quat, Vec2, Vec3, Vec4};
 use lumistack_core::Task;
-use lumistack_scene::{Environment, Image, Light, LightKind, Material, Pixels};
+use lumistack_scene::{Environment, Image, Lamp, Light, LightKind, Material, Pixels};
 use serde::Deserialize;
 
 use crate::curves::ball;
@@ -210,6 +210,7 @@ impl Lights {
             roughness: 1.0,
             specular: 0.0,
             emission: radiance,
+            lamp: Lamp::Unseen,
             ..Material::default()
         };
         if let Some(image) = entry.image {

@@ -288,6 +288,9 @@ pub(crate) struct CameraEntry {
     pub(crate) aperture: [f64; 2],
     pub(crate) aperture_offset: [f64; 2],
     pub(crate) focus_distance: f64,
+    /// Distance of the near plane, where one is authored.
+    #[serde(default)]
+    pub(crate) near: Option<f64>,
     /// USD's row vectors.
     pub(crate) matrix: [f64; 16],
 }

@@ -486,6 +486,7 @@ fn camera(entry: &CameraEntry, all: &[CameraEntry], scene_from_stage: &DAffine3)
         scene_from_camera,
         projection,
         focus_distance: (focus.is_finite() && focus > 0.0).then_some(focus as f32),
+        near: entry.near.map(|near| near as f32),
     })
 }
 

@@ -91,7 +91,7 @@ mod tests {
         for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 300.0 }] {
             let grid = ViewGrid { projection, slope_x: vec![-0.1, 0.0, 0.2], slope_y: vec![0.1, 0.0] };
             let geometry = FieldGeometry { rows: 11, cols: 21, pitch_mm: 6.0, grid };
-            let window = Window { scene_from_display: map, size_mm: geometry.size_mm() };
+            let window = Window { scene_from_display: map, size_mm: geometry.size_mm(), near_mm: None };
             let (mut met, mut missed) = (0, 0);
             for view in geometry.grid.iter() {
                 let depth = renderer.depth(&window, &geometry, view, task).unwrap();

@@ -112,7 +112,7 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
     let window = turned(&window, options.turn_deg);
     let scene = &ingested.scene;
     let environment = write_environment(scene, folder)?;
-    let renderer = Renderer::new(scene.clone(), task).map_err(text)?;
+    let renderer = Renderer::new(scene.clone(), task).map_err(text)?.without_backdrop();
     let seconds_load = start.elapsed().as_secs_f64();
 
     let start = Instant::now();

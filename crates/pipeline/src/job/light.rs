@@ -23,6 +23,9 @@ pub struct LightJob {
     pub background: Background,
     /// Whether a scene without any light gets the built-in studio light.
     pub automatic: bool,
+    /// Whether the file's light sources that have a surface are seen as such; without it as the file says, and where it says nothing they are not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub visible: Option<bool>,
     /// Exposure in stops added to the automatic one, or to scene radiance when `automatic_exposure` is off.
     pub exposure_ev: f64,
     /// Whether exposure follows the brightness of all views together.
@@ -64,6 +67,7 @@ impl Default for LightJob {
             environment_rotation_deg: 0.0,
             background: Background::default(),
             automatic: true,
+            visible: None,
             exposure_ev: 0.0,
             automatic_exposure: true,
             tone: Tone::Auto,

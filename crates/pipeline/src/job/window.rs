@@ -13,6 +13,11 @@ pub struct WindowJob {
     /// Name or number of the camera.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<String>,
+    /// Azimuth and elevation from which a scene is framed, degrees: [0, 0] from the front, +z; azimuth goes to the viewer's right, elevation up.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub look_from: Option<[f64; 2]>,
+    /// Where what is seen begins.
+    pub near: Near,
     /// Distance of the camera's plane of focus, scene units, instead of the file's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub focus_distance: Option<f32>,
@@ -38,13 +43,69 @@ pub struct WindowJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
-    /// The window stays where it is.
+    /// Nothing where the scene fits. Else as [`Compress`](Self::Compress), but a window whose place somebody chose stays there and depth is compressed about it;
+    /// with a depth scale that somebody chose the window moves alone.
     #[default]
+    Auto,
+    /// The window stays where it is, and depth as it is.
     Off,
     /// The window moves along its normal.
     Move,
     /// It moves, and depth is compressed where it still does not fit.
     Compress,
+}
+
+/// Where what is seen begins: nothing nearer to the viewer is seen, nor counts for framing or exposure.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Near {
+    /// A camera's near plane; before the four keys of a place, where the display can show next to nothing any more; else everything that is framed is seen.
+    #[default]
+    Auto,
+    /// Everything before the window is seen.
+    Off,
+    /// This far before the window, scene units; below 0 behind it.
+    At(f64),
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum NearText {
+    At(f64),
+    Word(String),
+}
+
+impl std::str::FromStr for Near {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match (text, text.parse::<f64>()) {
+            ("auto", _) => Ok(Self::Auto),
+            ("off", _) => Ok(Self::Off),
+            (_, Ok(near)) if near.is_finite() => Ok(Self::At(near)),
+            _ => Err(format!("expected auto, off or a distance in scene units, found {text}")),
+        }
+    }
+}
+
+impl Serialize for Near {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Auto => NearText::Word("auto".into()),
+            Self::Off => NearText::Word("off".into()),
+            Self::At(near) => NearText::At(*near),
+        }
+        .serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Near {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        match NearText::deserialize(deserializer) {
+            Ok(NearText::At(near)) => Ok(Self::At(near)),
+            Ok(NearText::Word(word)) => word.parse().map_err(serde::de::Error::custom),
+            Err(_) => Err(serde::de::Error::custom("expected \"auto\", \"off\" or a distance in scene units")),
+        }
+    }
 }
 
 /// How the window is found.
@@ -56,7 +117,7 @@ pub enum WindowFrom {
     Auto,
     /// A camera.
     Camera,
-    /// The scene's bounds, seen from the front.
+    /// The scene's bounds, seen from `look_from`, else from the front or, where that shows next to nothing, from where more is seen.
     Bounds,
     /// `centre`, `forward`, `up`, `width`.
     Given,
@@ -67,12 +128,14 @@ impl Default for WindowJob {
         Self {
             from: WindowFrom::Auto,
             camera: None,
+            look_from: None,
+            near: Near::Auto,
             focus_distance: None,
             centre: None,
             forward: None,
             up: None,
             width: None,
-            fit_depth: FitDepth::Off,
+            fit_depth: FitDepth::Auto,
             depth_scale: 1.0,
         }
     }
@@ -84,6 +147,25 @@ impl WindowJob {
         if !(1e-3..=10.0).contains(&self.depth_scale) {
             let found = self.depth_scale.to_string();
             return Err(PipelineError::value("job", "window.depth_scale", "0.001 to 10", found));
+        }
+        if let Near::At(near) = self.near
+            && !near.is_finite()
+        {
+            return Err(PipelineError::value("job", "window.near", "a finite distance", near.to_string()));
+        }
+        if let Some([azimuth, elevation]) = self.look_from {
+            let fail =
+                |expected: &str, found: String| Err(PipelineError::value("job", "window.look_from", expected, found));
+            if !((-360.0..=360.0).contains(&azimuth) && (-90.0..=90.0).contains(&elevation)) {
+                let expected = "an azimuth of -360 to 360 and an elevation of -90 to 90 degrees";
+                return fail(expected, format!("{azimuth} and {elevation}"));
+            }
+            if self.camera.is_some() {
+                return fail("either `look_from` or `camera`", "both".into());
+            }
+            if !matches!(self.from, WindowFrom::Auto | WindowFrom::Bounds) {
+                return fail("`from` \"auto\" or \"bounds\", which frame the scene", "another".into());
+            }
         }
         Ok(())
     }

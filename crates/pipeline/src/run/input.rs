@@ -240,6 +240,11 @@ impl Run<'_> {
 }
 
 pub(crate) fn warn_of_depth(budget: &DepthBudget, task: Task<'_>) {
+    if !budget.is_seen() {
+        let message = "no surface is seen: the picture is empty. --look-from AZ,EL frames the scene from another side, --camera takes another \
+                       camera, --near=off shows what stands before the near limit";
+        task.warn("window", message);
+    }
     if let Some(advice) = budget.advice() {
         task.warn("depth", advice);
     }
@@ -270,6 +275,8 @@ fn about_scene(
         "scene units per millimetre": map.scale,
         "window moved back to fit (mm)": placement.moved_back_mm,
         "depth scale": placement.depth_scale,
+        "framed from azimuth and elevation (degrees)": placement.looked_from_deg,
+        "near limit before the window (mm)": placement.window.near_mm,
         "exposure": rendered.look.exposure,
         "tone curve": rendered.look.curve.name(),
         // shares of the window and of the range 0..1: whether framing, light and exposure fit the scene
@@ -284,6 +291,9 @@ fn field_info(rendered: &render::Rendered, placement: &Placement) -> Map<String,
     info.insert("exposure".into(), rendered.look.exposure.into());
     info.insert("tone".into(), rendered.look.curve.name().into());
     info.insert("depth_scale".into(), placement.depth_scale.into());
+    if let Some(from_deg) = placement.looked_from_deg {
+        info.insert("look_from_deg".into(), from_deg.to_vec().into());
+    }
     info
 }
 

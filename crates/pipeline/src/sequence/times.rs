@@ -14,7 +14,7 @@ use super::{Last, name};
 use crate::error::{PipelineError, display_error};
 use crate::fit::{self, Placement};
 use crate::ingest::{self, Ingested};
-use crate::job::{FactorizeJob, Job, PoseJob, SequenceJob, SourceJob, WindowFrom, WindowJob};
+use crate::job::{FactorizeJob, FitDepth, Job, Near, PoseJob, SequenceJob, SourceJob, WindowFrom, WindowJob};
 
 /// What `auto` takes after the first time. Extrapolating along a few iterations from patterns of another target overshoots. Measured with content that moves
 /// 2 pixels a time (3 layers, 6 frames, 160 × 100, 5 × 5 views, 5 iterations): block-exact reaches 49.9 dB and flicker 48.8 dB at β = 0.2, extrapolated 47.8 and 46.6 dB; 45.3 dB both
@@ -33,7 +33,7 @@ enum Source<'a> {
     /// One light field per time.
     Fields(Vec<PathBuf>),
     /// The scene and its placement at the first time, and how many times there are.
-    Scene { ingested: Box<Ingested>, placement: Placement, count: usize },
+    Scene { ingested: Box<Ingested>, placement: Placement, studio: bool, count: usize },
     /// The plugin at the first time, and how many times there are.
     Plugin { first: &'a SourceJob, count: usize },
 }
@@ -58,7 +58,8 @@ impl<'a> Times<'a> {
                 let ingested =
                     ingest::load_scene(scene, &pose, &job.importer, registry, &job.light, Some(cache_dir), task)?;
                 let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(cache_dir), task)?;
-                Source::Scene { ingested: Box::new(ingested), placement, count: sequence.times.unwrap_or(1) }
+                let (studio, count) = (ingested.studio, sequence.times.unwrap_or(1));
+                Source::Scene { ingested: Box::new(ingested), placement, studio, count }
             }
             (None, Some(folder), _) => Source::Fields(light_fields(folder, sequence.times)?),
             (None, None, Some(first)) => Source::Plugin { first, count: sequence.times.unwrap_or(1) },
@@ -88,10 +89,12 @@ impl<'a> Times<'a> {
         match &self.source {
             Source::Fields(paths) => job.light_field = Some(paths[time].clone()),
             Source::Plugin { first, .. } => job.source = Some(self.source_at(first, time)),
-            Source::Scene { placement, .. } => {
+            Source::Scene { placement, studio, .. } => {
                 let window = moved(&placement.window, self.sequence, self.share(time));
                 job.window = WindowJob { depth_scale: placement.depth_scale, ..given(&window) };
                 job.pose = pose_at(self.job, self.sequence, self.share(time));
+                // light that the first time needed none of must not come up on the way
+                job.light.automatic &= *studio;
                 if !self.sequence.reports {
                     // only reports show them
                     (job.render.held_out, job.render.outside, job.report.zone_directions) = (0, 0, 0);
@@ -177,6 +180,9 @@ fn given(window: &Window) -> WindowJob {
         forward: Some((map.rotation * DVec3::NEG_Z).to_array()),
         up: Some((map.rotation * DVec3::Y).to_array()),
         width: Some(map.scale * window.size_mm[0]),
+        near: window.near_mm.map_or(Near::Off, |near| Near::At(near * map.scale)),
+        // all times are fitted as the first one is
+        fit_depth: FitDepth::Off,
         ..WindowJob::default()
     }
 }

@@ -6,7 +6,7 @@ use lumistack_design::table::Design;
 use lumistack_display::{Display, Variation};
 
 use crate::error::{PipelineError, display_error};
-use crate::job::{DisplayJob, Job, SweepJob};
+use crate::job::{DisplayJob, FitDepth, Job, SweepJob};
 use crate::presets;
 
 /// A design to solve.
@@ -52,6 +52,10 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
                         DisplayJob { fov_deg: variation.fov_deg.or(display_job.fov_deg), ..display_job.clone() };
                     let mut of = Job { display: shown, sweep: None, outputs: Vec::new(), ..job.clone() };
                     of.render.outside = 0;
+                    // designs are compared by what the scene asks of them, not by what one of them could show of it
+                    if of.window.fit_depth == FitDepth::Auto {
+                        of.window.fit_depth = FitDepth::Off;
+                    }
                     fields.push((display.clone(), of));
                     fields.len() - 1
                 }
@@ -127,6 +131,7 @@ mod tests {
         let (found, fields) = all(&job(sweep.clone()), &sweep).unwrap();
         assert_eq!((found.len(), fields.len()), (4, 2));
         assert_eq!(fields[1].display.fov_deg, Some([40.0, 20.0]));
+        assert!(fields.iter().all(|field| field.window.fit_depth == FitDepth::Off), "depth as it is, for all alike");
         let read = Job { scene: None, light_field: Some("a.npy".into()), ..job(sweep.clone()) };
         let error = all(&read, &sweep).unwrap_err().to_string();
         assert!(error.contains("sweep.fov_deg"), "{error}");

@@ -72,9 +72,15 @@ class Glb:
         self.add_node(name, matrix, extensions={LIGHTS: {"light": len(lights) - 1}})
 
     def add_glow(
-        self, name: str, matrix: Sequence[Sequence[float]], positions: Sequence[Sequence[float]], triangles: Sequence[Sequence[int]], radiance: Sequence[float]
+        self,
+        name: str,
+        matrix: Sequence[Sequence[float]],
+        positions: Sequence[Sequence[float]],
+        triangles: Sequence[Sequence[int]],
+        radiance: Sequence[float],
+        seen: bool = True,
     ) -> None:
-        """A black surface that shines from its front with this radiance."""
+        """A black surface that shines from its front with this radiance; seen: whether cameras see it."""
         strength = max(max(radiance), 1e-30)
         self._use(STRENGTH)
         material = self._append(
@@ -84,6 +90,7 @@ class Glb:
                 "pbrMetallicRoughness": {"baseColorFactor": [0.0, 0.0, 0.0, 1.0], "metallicFactor": 0.0, "roughnessFactor": 1.0},
                 "emissiveFactor": [value / strength for value in radiance],
                 "extensions": {STRENGTH: {"emissiveStrength": strength}, "KHR_materials_specular": {"specularFactor": 0.0}},
+                "extras": {"lumistack": {"lamp": "seen" if seen else "unseen"}},
             },
         )
         self._use("KHR_materials_specular")

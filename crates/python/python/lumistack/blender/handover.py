@@ -9,7 +9,7 @@ in which Cycles sees it: watts W become
     area A          W / (pi A) of radiance                a surface that shines from its front
     world           its radiance                          environment
 
-Cameras come with their plane of focus, the scene's own first. What cannot be handed over is a warning.
+Whether cameras see a lamp is noted with it, as its ray visibility says. Cameras come with their plane of focus, the scene's own first. What cannot be handed over is a warning.
 """
 
 from __future__ import annotations
@@ -172,12 +172,12 @@ def _add_light(held: Any, matrix: Any, file: Glb, warn: Warn) -> None:
         outer = min(light.spot_size / 2, math.pi / 2)
         cone = {"outerConeAngle": outer, "innerConeAngle": outer * (1.0 - light.spot_blend)}
         file.add_light(name, y_up(matrix), {"type": "spot", "spot": cone, **_strength(power, 4 * math.pi)})
-    elif light.type == "POINT" and (light.shadow_soft_size <= 0.0 or not seen):
+    elif light.type == "POINT" and light.shadow_soft_size <= 0.0:
         file.add_light(name, y_up(matrix), {"type": "point", **_strength(power, 4 * math.pi)})
     elif light.type == "POINT":
         radius = light.shadow_soft_size
         positions, triangles = ball(radius)
-        file.add_glow(name, y_up(_without_scale(matrix)), positions, triangles, [value / (2 * math.pi * radius) ** 2 for value in power])
+        file.add_glow(name, y_up(_without_scale(matrix)), positions, triangles, [value / (2 * math.pi * radius) ** 2 for value in power], seen)
     elif light.type == "AREA":
         width = light.size
         height = light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else width
@@ -189,7 +189,7 @@ def _add_light(held: Any, matrix: Any, file: Glb, warn: Warn) -> None:
             return
         if light.spread < math.radians(179.0):
             warn(name, f"the area light's spread of {math.degrees(light.spread):.0f}° is taken as 180°")
-        file.add_glow(name, y_up(matrix), positions, triangles, [value / (math.pi * across) for value in power])
+        file.add_glow(name, y_up(matrix), positions, triangles, [value / (math.pi * across) for value in power], seen)
     else:
         warn(name, f"a light of type {light.type.lower()} is left out")
 

@@ -1,0 +1,271 @@
+//! From which side a scene without a camera is seen.
+//!
+//! The front of an asset is +z (glTF 2.0, section 3.4). Some scenes show next to nothing from there: a board that lies flat, a card that stands across, a
+//! pane that faces away. A grid of rays along each candidate direction counts
+//!
+//! ```text
+//! A(direction) = pixels that meet a surface · area of a pixel          the area that is seen, in scene units
+//! ```
+//!
+//! Faces seen at a slant count less by their cosine, and faces that are culled from behind count nothing, so A prefers directions that surfaces face.
+//! The front stays unless another direction shows several times as much. Then the first direction is taken, in order of its distance from
+//! the front, that shows nearly as much as any.
+
+use glam::{DVec3, Vec3};
+use lumistack_core::Task;
+use lumistack_display::{FieldGeometry, Projection, ViewGrid};
+use lumistack_pathtracer::Renderer;
+use lumistack_scene::{Bounds, Instance, Scene, Window, WindowError};
+
+use crate::error::PipelineError;
+use crate::render::render_error;
+
+/// Azimuth and elevation of the front, degrees.
+pub(crate) const FRONT: [f64; 2] = [0.0; 2];
+/// Candidate directions in order of preference, degrees: azimuths, and elevations at each.
+const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0];
+const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
+/// The front stays where it shows this share of the largest area.
+const FRONT_SHARE: f64 = 0.125;
+/// Another direction is good enough from this share of the largest area on: a board is seen from 40° (sin 40° / sin 55° = 0.78), and a card face
+/// on rather than from 45° (0.71).
+const ENOUGH: f64 = 0.745;
+/// Rays of a candidate.
+const PROBE: [usize; 2] = [96, 60];
+
+/// Directions forward and up of a viewer at an azimuth to the right of +z and an elevation, degrees.
+pub(crate) fn directions([azimuth_deg, elevation_deg]: [f64; 2]) -> [DVec3; 2] {
+    let [(sin_a, cos_a), (sin_e, cos_e)] = [azimuth_deg, elevation_deg].map(|angle| angle.to_radians().sin_cos());
+    let forward = -DVec3::new(sin_a * cos_e, sin_e, cos_a * cos_e);
+    [forward, DVec3::new(-sin_a * sin_e, cos_e, -cos_a * sin_e)]
+}
+
+/// The window that just holds what is seen of the scene from a direction.
+///
+/// # Errors
+/// As [`Window::framing`].
+pub(crate) fn framed(scene: &Scene, from_deg: [f64; 2], size_mm: [f64; 2]) -> Result<Window, WindowError> {
+    if from_deg == FRONT {
+        return Window::framing(scene.seen_bounds(), size_mm);
+    }
+    let [forward, up] = directions(from_deg);
+    let points = seen(scene).flat_map(|instance| {
+        let mesh = &scene.meshes[instance.mesh];
+        let indices = mesh.triangles.iter().flatten();
+        indices.map(|&index| instance.scene_from_mesh.transform_point3(mesh.positions[index as usize]).as_dvec3())
+    });
+    Window::framing_points(points, forward, up, size_mm)
+}
+
+/// Azimuth and elevation from which the scene is seen well, degrees.
+///
+/// # Errors
+/// When the scene has no extent, or when cancelled.
+pub(crate) fn choose(
+    renderer: &Renderer,
+    scene: &Scene,
+    size_mm: [f64; 2],
+    task: Task<'_>,
+) -> Result<[f64; 2], PipelineError> {
+    // boxes stand for what is in them: the frame only has to hold it
+    let boxes: Vec<Bounds> = scene
+        .meshes
+        .iter()
+        .map(|mesh| {
+            let mut bounds = Bounds::EMPTY;
+            mesh.triangles.iter().flatten().for_each(|&index| bounds.include(mesh.positions[index as usize]));
+            bounds
+        })
+        .collect();
+    let corners: Vec<Vec3> = seen(scene)
+        .flat_map(|instance| boxes[instance.mesh].corners().map(|at| instance.scene_from_mesh.transform_point3(at)))
+        .collect();
+    let area = |from_deg: [f64; 2]| -> Result<f64, PipelineError> {
+        let [forward, up] = directions(from_deg);
+        let points = corners.iter().map(|corner| corner.as_dvec3());
+        let window = Window::framing_points(points, forward, up, size_mm)
+            .map_err(|source| PipelineError::Window { name: scene.name.clone(), source })?;
+        let [cols, rows] = PROBE;
+        let pitch_mm = (size_mm[0] / cols as f64).max(size_mm[1] / rows as f64);
+        let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
+        let mask = renderer.hit_mask(&window, &FieldGeometry { rows, cols, pitch_mm, grid }, [0, 0], task);
+        let hits: f64 = mask.map_err(render_error)?.data().iter().map(|&hit| f64::from(hit)).sum();
+        Ok(hits * (pitch_mm * window.scene_from_display.scale).powi(2))
+    };
+    let mut tried = Vec::new();
+    for azimuth in AZIMUTHS {
+        for elevation in ELEVATIONS {
+            tried.push(([azimuth, elevation], area([azimuth, elevation])?));
+        }
+    }
+    Ok(best(&tried))
+}
+
+/// The first of the directions, the front before all, that shows enough.
+fn best(tried: &[([f64; 2], f64)]) -> [f64; 2] {
+    let most = tried.iter().fold(0.0f64, |most, (_, area)| most.max(*area));
+    let Some((front, area)) = tried.first() else { return FRONT };
+    if *area >= FRONT_SHARE * most {
+        return *front;
+    }
+    tried.iter().find(|(_, area)| *area >= ENOUGH * most).map_or(*front, |(from_deg, _)| *from_deg)
+}
+
+/// The instances that the viewer sees; all where there are no others than unseen lamps.
+fn seen(scene: &Scene) -> impl Iterator<Item = &Instance> {
+    let none = !scene.instances.iter().any(|instance| scene.is_seen(instance));
+    scene.instances.iter().filter(move |instance| none || scene.is_seen(instance))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::{Affine3A, Quat};
+    use lumistack_core::{Cancel, Collector};
+    use lumistack_scene::{Lamp, Material, Mesh, SceneParts};
+
+    use super::*;
+
+    const SIZE_MM: [f64; 2] = [475.0, 297.0];
+
+    /// A rectangle in the plane z = 0 that shows its front to +z.
+    fn card(width: f32, height: f32) -> Mesh {
+        let corner = |x: f32, y: f32| Vec3::new(0.5 * x * width, 0.5 * y * height, 0.0);
+        Mesh {
+            positions: vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        }
+    }
+
+    /// A box of six cards around the origin.
+    fn block(size: Vec3, at: Vec3) -> Vec<(Mesh, Affine3A)> {
+        let [x, y, z] = size.to_array();
+        let half_turn = std::f32::consts::PI;
+        let faces = [
+            (card(x, y), Quat::IDENTITY, Vec3::new(0.0, 0.0, 0.5 * z)),
+            (card(x, y), Quat::from_rotation_y(half_turn), Vec3::new(0.0, 0.0, -0.5 * z)),
+            (card(z, y), Quat::from_rotation_y(0.5 * half_turn), Vec3::new(0.5 * x, 0.0, 0.0)),
+            (card(z, y), Quat::from_rotation_y(-0.5 * half_turn), Vec3::new(-0.5 * x, 0.0, 0.0)),
+            (card(x, z), Quat::from_rotation_x(-0.5 * half_turn), Vec3::new(0.0, 0.5 * y, 0.0)),
+            (card(x, z), Quat::from_rotation_x(0.5 * half_turn), Vec3::new(0.0, -0.5 * y, 0.0)),
+        ];
+        faces.map(|(mesh, turn, place)| (mesh, Affine3A::from_rotation_translation(turn, place + at))).to_vec()
+    }
+
+    fn scene(parts: Vec<(Mesh, Affine3A)>, double_sided: bool) -> Arc<Scene> {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let (meshes, places): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+        let instance = |(mesh, scene_from_mesh)| Instance { mesh, scene_from_mesh };
+        let parts = SceneParts {
+            meshes,
+            instances: places.into_iter().enumerate().map(instance).collect(),
+            materials: vec![Material { double_sided, ..Material::default() }],
+            ..SceneParts::default()
+        };
+        Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
+    }
+
+    fn chosen(scene: &Arc<Scene>) -> [f64; 2] {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let renderer = Renderer::new(scene.clone(), task).unwrap();
+        choose(&renderer, scene, SIZE_MM, task).unwrap()
+    }
+
+    #[test]
+    fn solid_things_are_seen_from_the_front() {
+        assert_eq!(chosen(&scene(block(Vec3::ONE, Vec3::ZERO), false)), FRONT);
+        // a figure: slender from the front, a head on a body
+        let mut figure = block(Vec3::new(0.5, 1.2, 0.3), Vec3::new(2.0, 0.6, -3.0));
+        figure.extend(block(Vec3::new(0.25, 0.3, 0.25), Vec3::new(2.0, 1.4, -3.0)));
+        assert_eq!(chosen(&scene(figure, false)), FRONT);
+        // an animal is longer than it is wide
+        assert_eq!(chosen(&scene(block(Vec3::new(25.0, 78.0, 154.0), Vec3::ZERO), false)), FRONT);
+        assert_eq!(chosen(&scene(vec![(card(3.0, 2.0), Affine3A::IDENTITY)], false)), FRONT);
+    }
+
+    #[test]
+    fn flat_things_are_seen_from_where_they_face() {
+        let turned = |turn: Quat| vec![(card(3.0, 2.0), Affine3A::from_quat(turn))];
+        let quarter = std::f32::consts::FRAC_PI_2;
+        for double_sided in [false, true] {
+            // lies in xz, its front up; stands in yz, its front to +x
+            assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(-quarter)), double_sided)), [0.0, 40.0]);
+            assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(quarter)), double_sided)), [90.0, 0.0]);
+        }
+        // its front to −x, down, and away
+        assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(-quarter)), false)), [-90.0, 0.0]);
+        assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(quarter)), false)), [0.0, -40.0]);
+        assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(2.0 * quarter)), false)), [180.0, 0.0]);
+    }
+
+    /// 32 pieces on a board: from the front a strip.
+    #[test]
+    fn a_chess_board_is_seen_from_above() {
+        let mut parts = block(Vec3::new(8.0, 0.2, 8.0), Vec3::ZERO);
+        for row in [0, 1, 6, 7] {
+            for col in 0..8 {
+                let at = Vec3::new(col as f32 - 3.5, 0.6, row as f32 - 3.5);
+                parts.extend(block(Vec3::new(0.4, 1.0, 0.4), at));
+            }
+        }
+        let board = scene(parts, false);
+        let from_deg = chosen(&board);
+        assert!(from_deg[0] == 0.0 && (20.0..=55.0).contains(&from_deg[1]), "{from_deg:?}");
+        // and its frame holds all of it
+        let window = framed(&board, from_deg, SIZE_MM).unwrap();
+        for corner in block(Vec3::new(8.0, 0.2, 8.0), Vec3::ZERO) {
+            for position in corner.0.positions {
+                let at = window.scene_from_display.inverse_point(corner.1.transform_point3(position).as_dvec3());
+                assert!(at.x.abs() <= 0.5 * SIZE_MM[0] && at.y.abs() <= 0.5 * SIZE_MM[1], "{at}");
+            }
+        }
+    }
+
+    #[test]
+    fn lamps_that_are_not_seen_do_not_count() {
+        let mut parts = vec![(card(1.0, 1.0), Affine3A::from_rotation_x(-std::f32::consts::FRAC_PI_2))];
+        let mut lamp = card(100.0, 100.0);
+        lamp.material = 1;
+        parts.push((lamp, Affine3A::from_translation(Vec3::new(0.0, 0.0, 60.0))));
+        let with = |kind: Lamp| {
+            let (warnings, cancel) = (Collector::default(), Cancel::default());
+            let (meshes, places): (Vec<_>, Vec<_>) = parts.iter().cloned().unzip();
+            let instances = places.into_iter().enumerate();
+            let glowing = Material { emission: Vec3::ONE, lamp: kind, ..Material::default() };
+            let parts = SceneParts {
+                meshes,
+                instances: instances.map(|(mesh, scene_from_mesh)| Instance { mesh, scene_from_mesh }).collect(),
+                materials: vec![Material::default(), glowing],
+                ..SceneParts::default()
+            };
+            Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
+        };
+        let unseen = with(Lamp::Unseen);
+        assert_eq!(chosen(&unseen), [0.0, 40.0]);
+        assert!(framed(&unseen, [0.0, 40.0], SIZE_MM).unwrap().scene_from_display.scale * SIZE_MM[0] < 2.0);
+        assert_eq!(chosen(&with(Lamp::Seen)), FRONT, "a lamp that is seen is what is seen");
+    }
+
+    #[test]
+    fn azimuth_goes_to_the_viewers_right_and_elevation_up() {
+        let close = |[forward, up]: [DVec3; 2], expected: [DVec3; 2]| {
+            assert!(forward.distance(expected[0]) < 1e-12 && up.distance(expected[1]) < 1e-12, "{forward} {up}");
+        };
+        close(directions(FRONT), [DVec3::NEG_Z, DVec3::Y]);
+        close(directions([90.0, 0.0]), [DVec3::NEG_X, DVec3::Y]);
+        close(directions([0.0, 90.0]), [DVec3::NEG_Y, DVec3::NEG_Z]);
+        close(directions([180.0, -90.0]), [DVec3::Y, DVec3::NEG_Z]);
+    }
+
+    #[test]
+    fn the_front_is_left_for_much_more_alone() {
+        let tried = |areas: [f64; 3]| [([0.0, 0.0], areas[0]), ([0.0, 20.0], areas[1]), ([0.0, 40.0], areas[2])];
+        assert_eq!(best(&tried([0.2, 0.9, 1.0])), FRONT);
+        assert_eq!(best(&tried([0.1, 0.9, 1.0])), [0.0, 20.0]);
+        assert_eq!(best(&tried([0.1, 0.5, 1.0])), [0.0, 40.0]);
+        assert_eq!(best(&tried([0.0; 3])), FRONT, "nothing to see anywhere");
+    }
+}

@@ -1,0 +1,161 @@
+//! A scene with nothing set shows itself: from a side that shows it, lit, as deep as the display can show, and nothing stands in the way.
+
+mod common;
+
+use std::path::Path;
+
+use common::{lumistack, number};
+use lumistack_field_io::picture::Picture;
+use serde_json::{Value, json};
+
+/// Cards of 2 × 2 units that show their fronts to +z before they are turned and moved: translations and rotations (x, y, z, w) of glTF.
+fn scene(cards: &[([f64; 3], [f64; 4])], change: impl FnOnce(&mut Value)) -> String {
+    use base64::Engine as _;
+    let mut bytes = Vec::new();
+    for value in [-1.0f32, -1.0, 0.0, 1.0, -1.0, 0.0, 1.0, 1.0, 0.0, -1.0, 1.0, 0.0] {
+        bytes.extend(value.to_le_bytes());
+    }
+    for index in [0u16, 1, 2, 0, 2, 3] {
+        bytes.extend(index.to_le_bytes());
+    }
+    let data = base64::engine::general_purpose::STANDARD.encode(&bytes);
+    let nodes: Vec<Value> = cards
+        .iter()
+        .map(|(translation, rotation)| json!({ "mesh": 0, "translation": translation, "rotation": rotation }))
+        .collect();
+    let mut document = json!({
+        "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": (0..nodes.len()).collect::<Vec<_>>() }], "nodes": nodes,
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1, "material": 0 }] }],
+        "materials": [{ "pbrMetallicRoughness": { "metallicFactor": 0, "baseColorFactor": [0.8, 0.6, 0.4, 1] } }],
+        "accessors": [
+            { "bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [-1, -1, 0], "max": [1, 1, 0] },
+            { "bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR" },
+        ],
+        "bufferViews": [{ "buffer": 0, "byteLength": 48 }, { "buffer": 0, "byteOffset": 48, "byteLength": 12 }],
+        "buffers": [{ "byteLength": 60, "uri": format!("data:application/octet-stream;base64,{data}") }],
+    });
+    change(&mut document);
+    document.to_string()
+}
+
+const UPRIGHT: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
+/// A quarter turn about −x: the front looks up.
+const LYING: [f64; 4] = [-std::f64::consts::FRAC_1_SQRT_2, 0.0, 0.0, std::f64::consts::FRAC_1_SQRT_2];
+
+/// Renders a scene; gives all that was said, the index, and what is seen in the middle view: the brightest value, and the mean.
+fn render(folder: &Path, scene: &str, flags: &[&str]) -> (String, Value, [f32; 2]) {
+    let (file, views) = (folder.join("scene.gltf"), folder.join("views"));
+    let _ = std::fs::remove_dir_all(&views);
+    std::fs::write(&file, scene).unwrap();
+    let small = ["--resolution", "60x38", "--samples", "4", "--max-bounces", "2"];
+    let output = lumistack().arg("render").arg(&file).arg("-o").arg(&views).args(small).args(flags).output().unwrap();
+    let said = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned()).concat();
+    assert!(output.status.success(), "{said}");
+    let index: Value = serde_json::from_slice(&std::fs::read(views.join("lightfield.json")).unwrap()).unwrap();
+    let info = if index["info"].is_null() { index } else { index["info"].clone() };
+    let middle = Picture::read(&views.join("view_02_02.exr")).unwrap().into_linear();
+    let brightest = middle.iter().copied().fold(0.0, f32::max);
+    let mean = middle.iter().sum::<f32>() / middle.len() as f32;
+    (said, info, [brightest, mean])
+}
+
+#[test]
+fn a_board_is_seen_from_above_and_an_empty_picture_is_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    let board = scene(&[([0.0; 3], LYING)], |_| {});
+    let (said, info, [brightest, mean]) = render(folder.path(), &board, &[]);
+    assert_eq!(info["look_from_deg"], json!([0.0, 40.0]), "{said}");
+    assert!(!said.contains("no surface is seen") && brightest > 0.5 && mean > 0.15, "{said} {brightest} {mean}");
+    let (said, info, _) = render(folder.path(), &board, &["--look-from=0,-30"]);
+    assert_eq!(info["look_from_deg"], json!([0.0, -30.0]));
+    assert!(said.contains("no surface is seen") && said.contains("--look-from"), "its back is culled: {said}");
+    // a camera of the file gives way to a side that is asked for
+    let with_camera = scene(&[([0.0; 3], UPRIGHT)], |document| {
+        document["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 0.8, "znear": 0.1 } }]);
+        document["nodes"].as_array_mut().unwrap().push(json!({ "camera": 0, "translation": [0, 0, 5] }));
+        document["scenes"][0]["nodes"] = json!([0, 1]);
+    });
+    let (_, info, _) = render(folder.path(), &with_camera, &[]);
+    assert!(info["look_from_deg"].is_null(), "{info}");
+    let (_, info, _) = render(folder.path(), &with_camera, &["--look-from", "30,20"]);
+    assert_eq!(info["look_from_deg"], json!([30.0, 20.0]));
+}
+
+#[test]
+fn lamps_that_shine_past_what_is_seen_get_help() {
+    let folder = tempfile::tempdir().unwrap();
+    let lit_from = |z: f64| {
+        scene(&[([0.0; 3], UPRIGHT)], move |document| {
+            // shines towards −z, along which the card is seen
+            document["extensionsUsed"] = json!(["KHR_lights_punctual"]);
+            document["extensions"] = json!({ "KHR_lights_punctual": { "lights": [
+                { "type": "spot", "intensity": 40, "spot": { "outerConeAngle": 0.6 } }] } });
+            let lamp = json!({ "translation": [0, 0, z], "extensions": { "KHR_lights_punctual": { "light": 0 } } });
+            document["nodes"].as_array_mut().unwrap().push(lamp);
+            document["scenes"][0]["nodes"] = json!([0, 1]);
+        })
+    };
+    let (said, _, [brightest, mean]) = render(folder.path(), &lit_from(-3.0), &[]);
+    assert!(said.contains("its lamps leave what is seen black"), "{said}");
+    assert!(brightest > 0.4 && mean > 0.1, "{brightest} {mean}");
+    let (said, _, [_, mean]) = render(folder.path(), &lit_from(4.0), &[]);
+    assert!(!said.contains("its lamps leave") && mean > 0.1, "{said} {mean}");
+}
+
+/// Past a scene in the studio light a dark ground is seen, not the light itself.
+#[test]
+fn studio_light_is_no_bright_background() {
+    let folder = tempfile::tempdir().unwrap();
+    let card = scene(&[([0.0; 3], UPRIGHT)], |_| {});
+    let (_, _, [brightest, _]) = render(folder.path(), &card, &[]);
+    let views = folder.path().join("views");
+    let middle = Picture::read(&views.join("view_02_02.exr")).unwrap().into_linear();
+    let corner = &middle[..3];
+    assert!(brightest > 0.6, "{brightest}");
+    assert!(corner.iter().all(|&value| (0.003..0.12).contains(&value)), "{corner:?}");
+    assert!(corner.iter().all(|&value| value == corner[0]), "neutral: {corner:?}");
+}
+
+/// Cards one behind another, four window widths deep: unasked they are brought into the depth of field, and one line says how.
+#[test]
+fn depth_that_does_not_fit_is_fitted_unasked() {
+    let folder = tempfile::tempdir().unwrap();
+    let row: Vec<_> = (0..5).map(|i| ([f64::from(i) - 2.0, 0.0, -3.0 * f64::from(i)], UPRIGHT)).collect();
+    let deep = scene(&row, |_| {});
+    let (said, info, _) = render(folder.path(), &deep, &[]);
+    let line = said.lines().find(|line| line.starts_with("Depth: ")).unwrap();
+    assert!(line.contains("compressed to") && line.contains("fit_depth"), "{line}");
+    assert!(number(&info, "depth_scale") < 0.5);
+    let (said, info, _) = render(folder.path(), &deep, &["--fit-depth=off"]);
+    assert!(!said.contains("compressed to") && number(&info, "depth_scale") == 1.0, "{said}");
+    assert!(said.contains("only"), "most of it does not fit: {said}");
+    // what fits is left as it is
+    let (said, info, _) = render(folder.path(), &scene(&[([0.0; 3], UPRIGHT)], |_| {}), &[]);
+    assert!(
+        !said.contains("compressed to") && !said.contains("was moved") && number(&info, "depth_scale") == 1.0,
+        "{said}"
+    );
+}
+
+/// A card behind the camera covers everything in parallel views, unless they begin at the camera's near plane.
+#[test]
+fn what_stands_behind_the_camera_is_not_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    let document = scene(&[([0.0; 3], UPRIGHT), ([0.0, 0.0, 9.0], UPRIGHT)], |document| {
+        document["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 0.3, "znear": 0.5 },
+            "extras": { "lumistack": { "focus_distance": 5.0 } } }]);
+        document["nodes"].as_array_mut().unwrap().push(json!({ "camera": 0, "translation": [0, 0, 5] }));
+        document["scenes"][0]["nodes"] = json!([0, 1, 2]);
+    });
+    // the nearer card lies 9 units, several metres of the display, before the window
+    let depth = |flags: &[&str]| {
+        let said = render(folder.path(), &document, &[&["--json", "--fit-depth=off"], flags].concat()).0;
+        let done = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let done = done.filter(|event| event["event"] == "done").last().unwrap();
+        number(&done["depth"]["depth_mm"], "p50")
+    };
+    assert!(depth(&[]).abs() < 1.0);
+    assert!(depth(&["--near", "6"]).abs() < 1.0);
+    assert!(depth(&["--near", "off"]) > 1000.0);
+    assert!(depth(&["--near", "9.5"]) > 1000.0);
+}
