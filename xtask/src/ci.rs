@@ -8,6 +8,7 @@ use crate::panels;
 use crate::plugins;
 use crate::python;
 use crate::tools::{self, EVERYTHING, Outcome, cargo, command, output_of, run};
+use crate::usd;
 use crate::web;
 
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
@@ -40,6 +41,7 @@ pub fn run_steps(full: bool) -> Outcome {
         let mut tests = command("cargo");
         run(tests.arg("test").args(EVERYTHING).env("LUMISTACK_PYTHON", &python))
     })?;
+    step("USD versions", usd::check)?;
     step("plugins", || plugins::run(false))?;
     step("panels", || panels::check(full))?;
     step("python", python::check)?;

@@ -59,6 +59,14 @@ impl Ingested {
         Ok(self.renderer.get_or_init(|| renderer))
     }
 
+    /// What its `.blend` file offers and what of it is lost, where it comes from one.
+    pub(crate) fn blend(&self) -> Option<&BlendContents> {
+        match &self.known {
+            Some(SceneContents::Blend(contents)) => Some(contents),
+            _ => None,
+        }
+    }
+
     /// What the scene offers to choose from, without another look at the file where it has been told already.
     ///
     /// # Errors
