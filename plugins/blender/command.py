@@ -12,7 +12,7 @@ import sys
 
 import bpy
 import lumistack
-from lumistack.blender import command_line
+from lumistack.blender import command_line, handover
 
 from . import jobs
 
@@ -35,10 +35,12 @@ def main(words: list[str]) -> int:
         for name, value in asked.scene_settings.items():
             setattr(scene, name, value)
         job = jobs.Job(scene, factorize=asked.what == "make")
-        if asked.fit_depth:
-            print(jobs.fit_depth(scene, compress=asked.fit_depth == "compress"), flush=True)
-        said = command_line.Teller(sys.stdout)
-        jobs.run_now(job, said)
+        # a command has no window, and shows the file's open scene whatever was asked for
+        with handover.in_window(bpy, scene):
+            if asked.fit_depth:
+                print(jobs.fit_depth(scene, compress=asked.fit_depth == "compress"), flush=True)
+            said = command_line.Teller(sys.stdout)
+            jobs.run_now(job, said)
     except KeyboardInterrupt:
         print("stopped; what is finished is kept", file=sys.stderr)
         return 130

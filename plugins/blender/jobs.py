@@ -18,7 +18,7 @@ from pathlib import Path
 import bpy
 import lumistack
 import numpy
-from lumistack.blender import cameras, depth, handover, rig, usd
+from lumistack.blender import cameras, depth, handover, rig, unshown, usd
 from lumistack.blender.views import Views, key_of
 from lumistack.blender.work import Work
 
@@ -231,12 +231,17 @@ class Job:
         yield Tick("Exporting the scene", start)
         if renderer == "USD":
             path = folder / "scene.usdc"
-            usd.export_scene(bpy, path)
+            with handover.in_window(bpy, scene):
+                usd.export_scene(bpy, path)
             # where it is not, another Python is looked for
             usd.is_readable(bpy)
         else:
             path = folder / "scene.glb"
-            handover.export_scene(bpy, path, self.warn)
+            handover.export_scene(bpy, path, self.warn, scene)
+        for line in unshown.unshown(bpy, scene):
+            # USD has curves
+            if not (renderer == "USD" and line.startswith("hair")):
+                self.warn(scene.name, line)
         samples = settings_of.quality(settings)[2]
         linear = settings.look == "LINEAR" or settings.renderer == "BOTH"
         light = {"automatic": False, "automatic_exposure": not linear}

@@ -37,6 +37,7 @@ pub fn check(full: bool) -> Outcome {
         }
     };
     let wheels = [wheel(&python, "dev")?];
+    program(&python, &wheels[0])?;
     let zip = extension(&python, &wheels, &platforms_of(&wheels)?)?;
     cases(&python, &zip, BLENDER, if full { "full" } else { "all" })?;
     if full {
@@ -48,6 +49,44 @@ pub fn check(full: bool) -> Outcome {
         }
     }
     Ok(())
+}
+
+/// Packages of Debian: Blender's program, 3.4 in Debian 12, whose Python is the system's; and by which file one knows that they are there.
+const PROGRAM: [(&str, &str); 2] =
+    [("/usr/bin/blender", "blender"), ("/usr/lib/python3/dist-packages/numpy", "python3-numpy")];
+
+/// The extension's command in a real `blender` program, in a process of its own without a window: the module bpy always has one. Takes the program that `PATH` has, else
+/// Debian's.
+fn program(python: &Path, wheel: &Path) -> Outcome {
+    let has_blender = || output_of(command("blender").arg("--version")).is_some();
+    if !has_blender() {
+        let missing: Vec<&str> =
+            PROGRAM.iter().filter(|(file, _)| !Path::new(file).exists()).map(|(_, package)| *package).collect();
+        println!("\nfetching: the Debian packages {} (used only to test the Blender extension)", missing.join(", "));
+        let fetched = run(command("apt-get").args(["install", "-y", "--no-install-recommends"]).args(missing));
+        if !has_blender() {
+            let reason = fetched.err().unwrap_or_else(|| "it does not start".into());
+            println!("blender: the program is not tested: {reason}");
+            // where everything can be had, nothing is left out in silence
+            return if std::env::var_os("CI").is_some_and(|value| value == "true") { Err(reason) } else { Ok(()) };
+        }
+    }
+    let folder = folder().join("program");
+    let _ = std::fs::remove_dir_all(&folder);
+    let place = folder.join("place");
+    let extension = place.join("lumistack_extension");
+    let io = |place: &Path, error: std::io::Error| format!("{}: {error}", place.display());
+    std::fs::create_dir_all(&extension).map_err(|error| io(&extension, error))?;
+    let from = tools::root().join("plugins/blender");
+    for entry in std::fs::read_dir(&from).map_err(|error| io(&from, error))?.flatten() {
+        if entry.path().extension().is_some_and(|kind| kind == "py") {
+            std::fs::copy(entry.path(), extension.join(entry.file_name())).map_err(|error| io(&entry.path(), error))?;
+        }
+    }
+    run(command(python).args(["-m", "zipfile", "-e"]).arg(wheel).arg(&place))?;
+    let mut blender = command("blender");
+    blender.args(["-b", "--factory-startup", "--python-exit-code", "1", "--python"]);
+    run(blender.arg("plugins/blender/tests/program.py").arg("--").arg(&folder).arg(&place))
 }
 
 /// Some cases alone, in one version of Blender, with the zip that is there.

@@ -10,6 +10,7 @@ use crate::panels;
 use crate::plugins;
 use crate::python;
 use crate::tools::{self, EVERYTHING, Outcome, cargo, command, output_of, run};
+use crate::usd;
 use crate::web;
 
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
@@ -54,6 +55,7 @@ fn run_steps(full: bool, times: &mut Vec<(&'static str, f64)>) -> Outcome {
         let mut tests = command("cargo");
         run(tests.arg("test").args(EVERYTHING).env("LUMISTACK_PYTHON", &python))
     })?;
+    step("USD versions", &mut usd::check)?;
     step("plugins", &mut || plugins::run(false))?;
     step("panels", &mut || panels::check(full))?;
     step("python", &mut python::check)?;

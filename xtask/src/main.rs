@@ -13,6 +13,7 @@ mod panels;
 mod plugins;
 mod python;
 mod tools;
+mod usd;
 mod web;
 
 use std::process::ExitCode;

@@ -134,7 +134,7 @@ pub(crate) struct RenderArgs {
     /// Paths per pixel and view
     #[arg(long, value_name = "N")]
     pub(crate) samples: Option<u32>,
-    /// Who renders the views: lumistack, our path tracer, or of a .blend scene blender, the file's own engine with its settings
+    /// Who renders the views: lumistack, our path tracer; of a .blend scene blender, the file's own engine with its settings; or auto: our path tracer unless a .blend scene has what it cannot show
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
     /// Bounces after the first hit

@@ -7,14 +7,60 @@ use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, Projection};
 use lumistack_field_io::picture::{self, Picture, Precision};
 use lumistack_scene::Window;
-use lumistack_usd::{BlendAccount, BlendViews, BlendWindow, HandedOver};
+use lumistack_usd::{BlendAccount, BlendContents, BlendViews, BlendWindow, HandedOver};
 use serde::{Deserialize, Serialize};
 
 use crate::cache::KeyBuilder;
 use crate::error::{PipelineError, field_error};
 use crate::files::{read_json, write, write_json};
-use crate::ingest::{hash, is_blend};
-use crate::job::Job;
+use crate::ingest::{Ingested, hash, is_blend};
+use crate::job::{Engine, Job, RenderJob};
+
+/// Who renders the views of a job: who is asked for, else our path tracer, or the file's own engine where a `.blend` file has what the hand-over loses and
+/// that engine can render here. Says what is lost, or why which engine is taken.
+pub(crate) fn engine(job: &Job, ingested: &Ingested, task: Task<'_>) -> Engine {
+    let is_file = job.scene.as_deref().is_some_and(is_blend);
+    chosen(
+        &job.render,
+        ingested.blend().filter(|contents| !contents.lost.is_empty()),
+        is_file,
+        &ingested.scene.name,
+        task,
+    )
+}
+
+fn chosen(render: &RenderJob, losing: Option<&BlendContents>, is_file: bool, name: &str, task: Task<'_>) -> Engine {
+    let Some(contents) = losing else {
+        return if render.engine == Engine::Blender { Engine::Blender } else { Engine::Lumistack };
+    };
+    let why_not = match render.engine {
+        Engine::Blender => return Engine::Blender,
+        Engine::Lumistack => Some("`render.engine = \"lumistack\"` asks for our path tracer all the same".to_owned()),
+        Engine::Auto if !render.is_plain() => {
+            Some("`angular_filter`, `lens_deg`, `denoise` and `clamp` need our path tracer all the same".to_owned())
+        }
+        Engine::Auto if !is_file => {
+            Some("only a job with the .blend file as its scene can be rendered by its own engine".to_owned())
+        }
+        Engine::Auto => {
+            contents.unfit.as_ref().map(|reason| format!("the file's own engine cannot render it here ({reason})"))
+        }
+    };
+    let Some(reason) = why_not else {
+        let engine = &contents.engine;
+        let lost = contents.lost.join("; ");
+        task.warn(
+            name,
+            format!("the file's own engine, {engine}, renders the views, since the scene has {lost}. `render.engine = \"lumistack\"` does without"),
+        );
+        return Engine::Blender;
+    };
+    for lost in &contents.lost {
+        task.warn(name, format!("the scene has {lost}"));
+    }
+    task.warn(name, reason);
+    Engine::Lumistack
+}
 
 /// Renders views of the job's scene, each to its file as soon as it is finished.
 ///
@@ -155,6 +201,36 @@ fn keep(picture: &Path, geometry: &FieldGeometry, path: &Path) -> Result<(), Pip
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lumistack_core::{Cancel, Collector};
+
+    use crate::job::Denoise;
+
+    #[test]
+    fn files_with_what_our_path_tracer_cannot_show_are_rendered_by_their_own_engine() {
+        let plain = BlendContents { engine: "CYCLES".into(), ..BlendContents::default() };
+        let fur = BlendContents { lost: vec!["hair that our path tracer leaves out: Dog".into()], ..plain.clone() };
+        let no_screen = BlendContents { unfit: Some("EEVEE needs OpenGL".into()), ..fur.clone() };
+        let asked = |engine| RenderJob { engine, ..RenderJob::default() };
+        let denoised = RenderJob { denoise: Denoise::Guided, ..RenderJob::default() };
+        let cases = [
+            (asked(Engine::Auto), None, true, Engine::Lumistack, &[][..]),
+            (asked(Engine::Auto), Some(&fur), true, Engine::Blender, &["own engine, CYCLES", "Dog"]),
+            (asked(Engine::Auto), Some(&fur), false, Engine::Lumistack, &["Dog", "only a job"]),
+            (asked(Engine::Auto), Some(&no_screen), true, Engine::Lumistack, &["Dog", "EEVEE needs OpenGL"]),
+            (denoised, Some(&fur), true, Engine::Lumistack, &["Dog", "`denoise`"]),
+            (asked(Engine::Lumistack), Some(&fur), true, Engine::Lumistack, &["Dog", "all the same"]),
+            (asked(Engine::Lumistack), None, true, Engine::Lumistack, &[]),
+            (asked(Engine::Blender), Some(&fur), true, Engine::Blender, &[]),
+            (asked(Engine::Blender), None, true, Engine::Blender, &[]),
+        ];
+        for (render, losing, is_file, expected, words) in cases {
+            let (warnings, cancel) = (Collector::default(), Cancel::default());
+            let found = chosen(&render, losing, is_file, "dog.blend", Task::quiet(&warnings, &cancel));
+            let said: String = warnings.take().into_iter().map(|warning| warning.message + "\n").collect();
+            assert_eq!(found, expected, "{render:?}: {said}");
+            assert!(words.iter().all(|word| said.contains(word)) && said.is_empty() == words.is_empty(), "{said}");
+        }
+    }
 
     /// How often Blender is asked for two hand-overs, between which something happens.
     fn asked(untracked: Option<String>, between: impl FnOnce(&Path)) -> usize {

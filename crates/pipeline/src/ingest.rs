@@ -63,6 +63,14 @@ impl Ingested {
         Ok(self.renderer.get_or_init(|| renderer))
     }
 
+    /// What its `.blend` file offers and what of it is lost, where it comes from one.
+    pub(crate) fn blend(&self) -> Option<&BlendContents> {
+        match &self.known {
+            Some(SceneContents::Blend(contents)) => Some(contents),
+            _ => None,
+        }
+    }
+
     /// What the scene offers to choose from, without another look at the file where it has been told already.
     ///
     /// # Errors
@@ -239,19 +247,13 @@ fn lit(
         scene = surround::turned(scene, light_job, task)?;
     }
     let mut studio = light_job.automatic && !scene.is_lit();
-    let renderer = OnceLock::new();
     let mut scene = Arc::new(scene);
     if light_job.automatic
         && !studio
-        && let Some((message, probed)) = light::probe(&scene, task)?
+        && let Some(message) = light::probe(&scene, task)?
     {
-        if let Some(message) = message {
-            task.warn(&scene.name, message);
-            studio = true;
-        } else {
-            // what it was probed with serves for the views
-            let _ = renderer.set(probed);
-        }
+        task.warn(&scene.name, message);
+        studio = true;
     }
     if studio {
         let lit = light::edited(Arc::unwrap_or_clone(scene), task, |parts| {
@@ -265,7 +267,7 @@ fn lit(
     } else if !has_environment {
         surround::warn_of_unused(&scene, light_job, task);
     }
-    Ok(Ingested { scene, files, pose: pose.clone(), studio, known: None, renderer })
+    Ok(Ingested { scene, files, pose: pose.clone(), studio, known: None, renderer: OnceLock::new() })
 }
 
 /// What was loaded, and every file that was read, with a hash of its content.

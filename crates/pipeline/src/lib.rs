@@ -51,9 +51,8 @@ pub use ingest::{Ingested, SceneContents, is_blend, is_usd, load_scene, place_wi
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
     AngularFilter, Background, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob,
-    Near,
-    NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone, WindowFrom,
-    WindowJob,
+    Near, NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone,
+    WindowFrom, WindowJob,
 };
 pub use look::automatic_look;
 #[cfg(feature = "dynamic")]

@@ -8,7 +8,7 @@ use lumistack_core::{NoProgress, Task};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_field_io::picture::Picture;
 use lumistack_pathtracer::{Renderer, Settings};
-use lumistack_scene::{Environment, Image, Lamp, Pixels, Scene, SceneError, SceneParts, Window};
+use lumistack_scene::{AlphaMode, Environment, Image, Lamp, Material, Pixels, Scene, SceneError, SceneParts, Window};
 
 use crate::error::{PipelineError, field_error, read};
 use crate::look::automatic_look;
@@ -33,13 +33,15 @@ const GROUND: f32 = 0.035;
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.
-pub(crate) fn probe(
-    scene: &Arc<Scene>,
-    task: Task<'_>,
-) -> Result<Option<(Option<&'static str>, Renderer)>, PipelineError> {
+pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'static str>, PipelineError> {
     if scene.environment.is_some() {
         return Ok(None);
     }
+    // light is judged, not what surfaces make of it: scenes that differ in their materials alone get the same answer
+    let scene = &Arc::new(edited((**scene).clone(), task, |parts| {
+        parts.materials.iter_mut().for_each(to_clay);
+        Ok(())
+    })?);
     let [cols, rows] = PROBE;
     let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
     let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
@@ -72,7 +74,28 @@ pub(crate) fn probe(
             "the surfaces that glow leave most of what is seen dark, so the studio light is added; `light.automatic = false` does without",
         )
     };
-    Ok(Some((message, renderer)))
+    Ok(message)
+}
+
+/// Reflectance of the clay that scenes are made of while their light is judged.
+const CLAY: f32 = 0.5;
+
+/// Takes away what an opaque surface does to light, and leaves what it emits. What light passes stays.
+fn to_clay(material: &mut Material) {
+    if material.unlit || material.transmission > 0.0 || material.alpha_mode != AlphaMode::Opaque {
+        return;
+    }
+    *material = Material {
+        name: std::mem::take(&mut material.name),
+        base_color: Vec3::splat(CLAY).extend(1.0),
+        metallic: 0.0,
+        roughness: 1.0,
+        specular: 0.0,
+        emission: material.emission,
+        emission_texture: material.emission_texture,
+        double_sided: material.double_sided,
+        ..Material::default()
+    };
 }
 
 /// Gives the scene the built-in studio light: a soft grey surround, darker below, a large key light above to the left in front of the
@@ -156,6 +179,47 @@ pub fn edited(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::{Affine3A, Vec4};
+    use lumistack_core::{Cancel, Collector};
+    use lumistack_scene::{Instance, Mesh};
+
+    /// A floor of some material below a panel that shines, from above the floor.
+    fn room(floor: Material) -> Arc<Scene> {
+        let square = |height: f32, half: f32, material: usize| Mesh {
+            place: format!("/{material}"),
+            positions: [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
+                .map(|(x, z)| Vec3::new(half * x, height, half * z))
+                .to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            material,
+            ..Mesh::default()
+        };
+        let lamp = Material { emission: Vec3::splat(5.0), double_sided: true, ..Material::default() };
+        let placed = |mesh: usize| Instance { mesh, scene_from_mesh: Affine3A::from_rotation_x(0.5) };
+        let parts = SceneParts {
+            name: "room".into(),
+            meshes: vec![square(0.0, 2.0, 0), square(2.0, 0.7, 1)],
+            instances: vec![placed(0), placed(1)],
+            materials: vec![Material { double_sided: true, ..floor }, lamp],
+            ..SceneParts::default()
+        };
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
+    }
+
+    #[test]
+    fn lamps_are_judged_by_their_light_and_not_by_the_materials_that_it_falls_on() {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let grey = |value: f32| Material { base_color: Vec4::new(value, value, value, 1.0), ..Material::default() };
+        for floor in [
+            grey(0.8),
+            Material { metallic: 0.0, roughness: 0.9, ..grey(0.004) },
+            Material { metallic: 1.0, roughness: 0.0, ..grey(1.0) },
+        ] {
+            assert!(!leaves_dark(&room(floor.clone()), task).unwrap(), "{floor:?}");
+        }
+    }
 
     /// Blender 4.5 shows a camera of an imported glTF file that looks along −z the column at 0.25 of the width, to its right larger ones.
     #[test]

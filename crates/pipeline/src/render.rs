@@ -148,7 +148,8 @@ pub(crate) fn render_views(
     if kind != Denoise::Off {
         key.add("halves", b"2");
     }
-    if job.render.engine == Engine::Blender {
+    let engine = blender::engine(job, ingested, task);
+    if engine == Engine::Blender {
         key.add("engine", b"blender");
     }
     let mut todo = Vec::new();
@@ -181,7 +182,7 @@ pub(crate) fn render_views(
     if !cached {
         denoise::check(kind)?;
     }
-    if job.render.engine == Engine::Blender {
+    if engine == Engine::Blender {
         for (number, field) in fields.iter().enumerate() {
             let of_field = todo.iter().filter(|todo| todo.field == number);
             let wanted: Vec<_> = of_field.map(|todo| (todo.view, todo.path.as_path())).collect();

@@ -111,7 +111,8 @@ impl References {
             let traced = pixels(&references.directions[i].scaled(depth_scale));
             let picture = renderer.render_view(shot.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
             if background != Background::Environment {
-                let missed = renderer.render_misses(shot.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
+                let missed =
+                    renderer.render_misses(shot.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
                 let shape = [geometry.rows, geometry.cols];
                 npy::write(&references.missed(i, half), &shape, missed.data()).map_err(field_error)?;
             }

@@ -7,7 +7,7 @@ use glam::{Affine3A, Mat3A, Vec2, Vec3, Vec3A};
 use lumistack_core::Task;
 use thiserror::Error;
 
-use crate::{AlphaMode, Bounds, Lamp, LightKind, Mesh, Pixels, SceneParts};
+use crate::{AlphaMode, Bounds, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneParts, TextureUse};
 
 /// A scene whose indices, numbers and transforms have been checked. Read it like [`SceneParts`].
 #[derive(Clone, Debug)]
@@ -49,10 +49,19 @@ impl Scene {
     /// Whether something lights the scene: an environment, a punctual light, or a surface that emits more than white (radiance 1). What emits
     /// less, such as a label or a display in the scene, is seen but leaves the rest black.
     pub fn is_lit(&self) -> bool {
-        let is_lamp = |instance: &crate::Instance| {
-            self.materials[self.meshes[instance.mesh].material].emission.max_element() > 1.0
+        // a picture of light has values of its own; codes reach 1
+        let brightest = |texture: &TextureUse| match &self.images[self.textures[texture.texture].image].pixels {
+            Pixels::RgbF32(texels) => texels.iter().flatten().copied().fold(0.0, f32::max),
+            _ => 1.0,
         };
-        self.environment.is_some() || !self.lights.is_empty() || self.instances.iter().any(is_lamp)
+        let is_lamp = |material: &Material| {
+            let factor = material.emission.max_element();
+            factor > 0.0 && factor * material.emission_texture.as_ref().map_or(1.0, brightest) > 1.0
+        };
+        // once for every material: instances may be millions
+        let lamps: Vec<bool> = self.materials.iter().map(is_lamp).collect();
+        let shows_lamp = |instance: &Instance| lamps[self.meshes[instance.mesh].material];
+        self.environment.is_some() || !self.lights.is_empty() || self.instances.iter().any(shows_lamp)
     }
 
     /// Takes the parts out again, to change and revalidate them.
@@ -464,7 +473,7 @@ fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Instance, Material};
+    use crate::{Filter, Image, Texture, Wrap};
     use lumistack_core::{Cancel, Collector};
 
     fn triangle() -> SceneParts {
@@ -504,6 +513,25 @@ mod tests {
         assert!(!validate(parts.clone()).0.unwrap().is_lit());
         parts.materials[0].emission = Vec3::splat(5.0);
         assert!(validate(parts).0.unwrap().is_lit());
+    }
+
+    #[test]
+    fn a_lamp_is_known_by_its_picture_as_well_as_by_its_factor() {
+        let with = |factor: f32, brightest: f32| {
+            let mut parts = triangle();
+            let pixels = Pixels::RgbF32(vec![[0.0; 3], [brightest, 0.0, 0.0]]);
+            parts.images.push(Image { name: "glow".into(), width: 2, height: 1, pixels });
+            let [wrap_u, wrap_v] = [Wrap::Repeat; 2];
+            parts.textures.push(Texture { image: 0, wrap_u, wrap_v, filter: Filter::Linear });
+            let texture_from_mesh = glam::Affine2::IDENTITY;
+            parts.materials[0].emission = Vec3::splat(factor);
+            parts.materials[0].emission_texture = Some(TextureUse { texture: 0, uv_set: 0, texture_from_mesh });
+            parts.meshes[0].uvs[0] = vec![Vec2::ZERO; 3];
+            validate(parts).0.unwrap().is_lit()
+        };
+        assert!(with(1.0, 5.0), "the factor stands in the picture");
+        assert!(with(5.0, 1.0));
+        assert!(!with(5.0, 0.1) && !with(0.1, 5.0), "their product is below white");
     }
 
     #[test]

@@ -73,8 +73,15 @@ def work(bpy, request, folder, answer):
     }
     answer["files"], answer["missing"] = modules["handover"].files_of(bpy)
     answer["untracked"] = modules["handover"].untracked(bpy)
+    lost = answer["contents"]["lost"] = modules["unshown"].unshown(bpy, scene)
     if request["contents_only"]:
         return
+    if lost and request["views"] is None:
+        # whoever takes the scene over may want to have it rendered here instead
+        try:
+            modules["rig"].check_engine(bpy, scene)
+        except modules["rig"].NoOpenGL as error:
+            answer["contents"]["unfit"] = str(error)
     modules["rig"].remove_leftovers(bpy)
     if request["time_s"] is not None:
         frame = scene.frame_start + request["time_s"] * rate

@@ -17,10 +17,16 @@ MODELS = {
     "ND_standard_surface_surfaceshader": "standard_surface",
     "ND_open_pbr_surface_surfaceshader": "open_pbr_surface",
     "ND_gltf_pbr_surfaceshader": "gltf_pbr",
+    "ND_surface_unlit": "surface_unlit",
 }
 # what depends on a node that is not understood
 UNKNOWN = {"unknown": True}
 IDENTITY = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+OPERATIONS = (
+    "add subtract multiply divide mix invert extract swizzle separate2 separate3 separate4 combine2 combine3 combine4"
+    " normalize transformnormal transformvector clamp remap range"
+).split()
+FRAME = ("normal", "tangent", "bitangent")
 SIZES = {"float": 1, "integer": 1, "boolean": 1, "vector2": 2, "color3": 3, "vector3": 3, "color4": 4, "vector4": 4}
 OUTPUT_CHANNELS = {"r": [0], "g": [1], "b": [2], "a": [3], "rgb": [0, 1, 2], "rgba": [0, 1, 2, 3]}
 ADDRESS_MODES = {"constant": "black", "clamp": "clamp", "periodic": "repeat", "mirror": "mirror"}
@@ -277,7 +283,10 @@ class Graph:
         if name in ("constant", "dot"):
             found = self.get(shader, "value") if name == "constant" else self.get(shader, "in")
             return found
-        if name in ("add", "subtract", "multiply", "divide", "mix", "invert", "extract", "swizzle", "separate2", "separate3", "separate4", "combine2", "combine3", "combine4"):
+        if name in FRAME:
+            # the surface's own frame, which normals are relative to anyway
+            return None
+        if name in OPERATIONS:
             count = SIZES.get(parts[1].replace("FA", ""), 3)
             found = getattr(self, "do_" + name.rstrip("234"))(shader, count, output)
             if found is not None:
@@ -350,15 +359,67 @@ class Graph:
 
     def do_mix(self, shader, count, output):
         front, back, share = self.get(shader, "fg"), self.get(shader, "bg"), self.get(shader, "mix")
-        front, back = fallback(front, count), fallback(back, count)
-        if front is None or back is None:
-            return None
+        zero = constant([0.0] * count)
+        front, back = front or zero, back or zero
         if share and "value" in share:
             share = share["value"][0]
+            # one picture and one constant stay a scale and a bias
+            for texture, other, weight in ((front, back, share), (back, front, 1.0 - share)):
+                if "texture" in texture and "value" in other:
+                    rest = [(1.0 - weight) * value for value in widened(other["value"], count)]
+                    return {"texture": rescaled(texture["texture"], [weight] * count, rest)}
         else:
             self.unknown.add("mix by what is not a constant")
             share = 0.5
+        front, back = fallback(front, count), fallback(back, count)
+        if front is None or back is None:
+            return None
         return constant([b + (f - b) * share for f, b in zip(front["value"], back["value"])])
+
+    def do_normalize(self, shader, count, output):
+        found = self.get(shader, "in")
+        if found and "value" in found:
+            values = widened(found["value"], count)
+            length = math.sqrt(sum(value * value for value in values))
+            return constant([value / length for value in values] if length > 0.0 else values)
+        # of a normal map the direction alone counts, whatever its length
+        return found
+
+    def do_transformnormal(self, shader, count, output):
+        """Between spaces: a normal map is relative to the surface in all of them."""
+        return self.get(shader, "in")
+
+    do_transformvector = do_transformnormal
+
+    def do_clamp(self, shader, count, output):
+        found = self.get(shader, "in")
+        low = widened(self.value(shader, "low", [0.0]), count)
+        high = widened(self.value(shader, "high", [1.0]), count)
+        if found and "value" in found:
+            return constant([min(max(v, a), b) for v, a, b in zip(widened(found["value"], count), low, high)])
+        if found and "texture" in found:
+            # between the darkest and the brightest that codes of 0 to 1 come to, a clamp does nothing
+            pairs = zip(found["texture"]["scale"], found["texture"]["bias"], low, high)
+            if all(a <= min(bias, scale + bias) and max(bias, scale + bias) <= b for scale, bias, a, b in pairs):
+                return found
+        return None
+
+    def do_remap(self, shader, count, output):
+        """From inlow .. inhigh to outlow .. outhigh."""
+        found = self.get(shader, "in")
+        ends = {"inlow": 0.0, "inhigh": 1.0, "outlow": 0.0, "outhigh": 1.0}
+        ends = {name: widened(self.value(shader, name, [default]), count) for name, default in ends.items()}
+        spans = [high - low for low, high in zip(ends["inlow"], ends["inhigh"])]
+        if found is None or not all(spans):
+            return None
+        scale = [(high - low) / span for low, high, span in zip(ends["outlow"], ends["outhigh"], spans)]
+        bias = [low - s * start for low, s, start in zip(ends["outlow"], scale, ends["inlow"])]
+        if "value" in found:
+            return constant([s * v + b for s, v, b in zip(scale, widened(found["value"], count), bias)])
+        return {"texture": rescaled(found["texture"], scale, bias)} if "texture" in found else None
+
+    def do_range(self, shader, count, output):
+        return self.do_remap(shader, count, output) if self.value(shader, "gamma", 1.0) == 1.0 else None
 
     def do_extract(self, shader, count, output):
         return picked(self.get(shader, "in"), [int(self.value(shader, "index", 0.0))])
@@ -373,13 +434,29 @@ class Graph:
         return picked(self.get(shader, "in"), [order[letter] for letter in letters if letter in order])
 
     def do_combine(self, shader, count, output):
-        parts = []
-        for number in range(1, count + 1):
-            found = self.get(shader, "in%d" % number)
-            if found is None or "value" not in found:
+        parts = [self.get(shader, "in%d" % number) for number in range(1, count + 1)]
+        parts = [constant([0.0]) if found is None else found for found in parts]
+        textures = [found["texture"] for found in parts if "texture" in found]
+        if not textures:
+            return constant([found["value"][0] for found in parts]) if all("value" in found for found in parts) else None
+        # channels of one picture, read at one place, put together again: as where the green of a normal map is turned over
+        first = textures[0]
+        shared = ("image", "wrap", "color_space", "primvar", "transform")
+        if any(texture[key] != first[key] for texture in textures for key in shared):
+            return None
+        combined = dict(first, channels=[], scale=[], bias=[], fallback=[])
+        for found in parts:
+            if "texture" in found:
+                picked_part = {key: found["texture"][key][0] for key in ("channels", "scale", "bias", "fallback")}
+            elif "value" in found:
+                # a constant is a channel of which nothing is left but the bias
+                value = found["value"][0]
+                picked_part = {"channels": first["channels"][0], "scale": 0.0, "bias": value, "fallback": value}
+            else:
                 return None
-            parts += found["value"]
-        return constant(parts[:count])
+            for key, value in picked_part.items():
+                combined[key].append(value)
+        return {"texture": combined}
 
     # Textures
 

@@ -38,6 +38,10 @@ SHADERS = {
         integer: alpha_mode=0
         vector3: normal= tangent= clearcoat_normal=
     """,
+    ("ND_surface_unlit", "surface_unlit"): """
+        float: emission=1 transmission=0 opacity=1
+        color3: emission_color=1 transmission_color=1
+    """,
     ("ND_UsdPrimvarReader_vector2", "UsdPrimvarReader"): "string: varname=\nvector2: fallback=0\n-> vector2: out",
     ("ND_UsdTransform2d", "UsdTransform2d"): "vector2: in=0 scale=1 translation=0\nfloat: rotation=0\n-> vector2: out",
     ("ND_UsdUVTexture_23", "UsdUVTexture"): """

@@ -1,6 +1,6 @@
 """Skinned and blended shapes, posed by UsdSkel's own queries."""
 
-from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
 EVERYWHERE = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
 
@@ -18,15 +18,18 @@ class Skeletons:
         self.cache = UsdSkel.Cache()
         self.skinned = {}
 
-    def add(self, root):
-        """Finds what a `UsdSkelRoot` poses."""
-        root = UsdSkel.Root(root)
-        if not self.cache.Populate(root, EVERYWHERE):
-            return
-        for binding in self.cache.ComputeSkelBindings(root, EVERYWHERE):
-            query = self.cache.GetSkelQuery(binding.GetSkeleton())
-            for target in binding.GetSkinningTargets():
-                self.skinned[target.GetPrim().GetPath()] = (query, target)
+    def add(self, root, writer):
+        """Finds what a `UsdSkelRoot` poses; where that fails, its shapes stay as they are."""
+        try:
+            root = UsdSkel.Root(root)
+            if not self.cache.Populate(root, EVERYWHERE):
+                return
+            for binding in self.cache.ComputeSkelBindings(root, EVERYWHERE):
+                query = self.cache.GetSkelQuery(binding.GetSkeleton())
+                for target in binding.GetSkinningTargets():
+                    self.skinned[target.GetPrim().GetPath()] = (query, target)
+        except Exception as error:
+            writer.warn(root.GetPath(), "its skeletons cannot be read, so its shapes are not posed: %s" % said(error))
 
     def key(self, prim):
         """What tells the poses of one shape apart."""
@@ -39,12 +42,19 @@ class Skeletons:
             source(animation.GetPrim()).GetPath() if animation else None,
         )
 
-    def pose(self, prim):
-        """(points, normals primvar as (interpolation, values) or None) of a posed mesh in its own space, or None."""
+    def pose(self, prim, writer):
+        """(points, normals as (interpolation, values) or None) of a posed mesh in its own space; None where it stays as it is."""
         found = self.skinned.get(prim.GetPath())
         if found is None:
             return None
-        query, target = found
+        # bindings of Python differ between versions of OpenUSD: whatever fails there must not take the mesh away
+        try:
+            return self.posed(prim, writer, *found)
+        except Exception as error:
+            writer.warn(prim.GetPath(), "cannot be posed and is shown as it is without its skeleton: %s" % said(error))
+            return None
+
+    def posed(self, prim, writer, query, target):
         mesh = UsdGeom.Mesh(prim)
         points = mesh.GetPointsAttr().Get(self.time)
         if points is None:
@@ -52,21 +62,41 @@ class Skeletons:
         points = Vt.Vec3fArray(points)
         if target.HasBlendShapes():
             self.blend(query, target, points)
-        if not (target.HasJointInfluences() and query):
+        if not target.HasJointInfluences():
             return points, None
+        if not query:
+            raise ValueError("its skeleton is not valid")
+        joints = query.ComputeSkinningTransforms(self.time)
+        if not joints:
+            raise ValueError("its skeleton has no transforms of joints")
         to_world = UsdGeom.XformCache(self.time)
         # the skeleton poses in its own space
         back = to_world.GetLocalToWorldTransform(query.GetPrim()) * to_world.GetLocalToWorldTransform(prim).GetInverse()
-        joints = query.ComputeSkinningTransforms(self.time)
-        if not joints:
-            return points, None
         joints = Vt.Matrix4dArray([joint * back for joint in joints])
+        own = self.of_mesh(query, target, joints, writer)
         if target.IsRigidlyDeformed():
             matrix = target.ComputeSkinnedTransform(joints, self.time)
             points = Vt.Vec3fArray([matrix.Transform(point) for point in points])
         elif not target.ComputeSkinnedPoints(joints, points, self.time):
-            return None
-        return points, self.normals(mesh, target, joints, len(points))
+            raise ValueError("its joints, indices and weights do not fit its points and its skeleton")
+        try:
+            return points, self.normals(mesh, target, own, len(points))
+        except Exception as error:
+            writer.warn(prim.GetPath(), "its normals cannot be posed, so it has those of its polygons: %s" % said(error))
+            return points, None
+
+    def of_mesh(self, query, target, joints, writer):
+        """The joints that a mesh names itself, in its order; those that its skeleton lacks stay where they are, as UsdSkel has it."""
+        # AnimMapper.RemapTransforms does the same, with other arguments in every few versions
+        order = target.GetJointOrder()
+        if not order:
+            return joints
+        place = {str(name): index for index, name in enumerate(query.GetJointOrder())}
+        strangers = [str(name) for name in order if str(name) not in place]
+        if strangers:
+            named = ", ".join(strangers[:4]) + (" and %d more" % (len(strangers) - 4) if len(strangers) > 4 else "")
+            writer.warn(target.GetPrim().GetPath(), "follows joints that its skeleton lacks, which stay as they are: %s" % named)
+        return [joints[place[str(name)]] if str(name) in place else Gf.Matrix4d(1) for name in order]
 
     def blend(self, query, target, points):
         animation = query.GetAnimQuery() if query else None
@@ -98,9 +128,6 @@ class Skeletons:
             indices, weights = ([values[place] for place in places] for values in (indices, weights))
         if len(normals) * count != len(weights):
             return None
-        mapper = target.GetJointMapper()
-        if mapper:
-            joints = mapper.RemapTransforms(joints)
         turns = [inverse_transpose(joint) for joint in joints]
         bind = inverse_transpose(target.GetGeomBindTransform(self.time))
         normals = Vt.Vec3fArray(normals)
@@ -108,6 +135,13 @@ class Skeletons:
             target.GetSkinningMethod(), bind, Vt.Matrix3dArray(turns), Vt.IntArray(indices), Vt.FloatArray(weights), count, normals
         )
         return (str(interpolation), normals) if done else None
+
+
+def said(error):
+    """The reason in an exception, on one line."""
+    texts = [str(error)] if not isinstance(error, Tf.ErrorException) else [getattr(part, "commentary", None) or str(part) for part in error.args]
+    text = " ".join(" ".join(texts).split())
+    return (text if len(text) <= 300 else text[:300] + " ...") or type(error).__name__
 
 
 def inverse_transpose(matrix):

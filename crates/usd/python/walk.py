@@ -67,16 +67,31 @@ def meters_per_unit(stage):
     return float(value) if isinstance(value, (int, float)) and value > 0 else UsdGeom.LinearUnits.centimeters
 
 
+def composition_errors(stage):
+    """What OpenUSD could not put together, as (place, message)."""
+    # 24.08 and newer list them for a stage; before, prims and layers tell
+    if hasattr(stage, "GetCompositionErrors"):
+        for error in stage.GetCompositionErrors():
+            site = getattr(error, "rootSite", None)
+            yield (site.path if site else "/"), str(error)
+        return
+    for prim in Usd.PrimRange.Stage(stage, Usd.PrimAllPrimsPredicate):
+        for error in prim.GetPrimIndex().localErrors:
+            yield prim.GetPath(), str(error)
+    for layer in stage.GetUsedLayers():
+        for path in layer.subLayerPaths:
+            if not Sdf.Layer.FindOrOpenRelativeToLayer(layer, path):
+                yield "/", "Could not load sublayer @%s@ of layer @%s@; skipping." % (path, layer.identifier)
+
+
 def warn_of_composition(stage, writer):
     """What OpenUSD could not put together: the scene is shown without it, as every USD program does."""
     without_materialx = 0
-    for error in stage.GetCompositionErrors():
-        message = str(error)
+    for place, message in composition_errors(stage):
         if ".mtlx" in message and "Could not open" in message and not Sdf.FileFormat.FindByExtension("mtlx"):
             without_materialx += 1
             continue
-        site = getattr(error, "rootSite", None)
-        writer.warn(site.path if site else "/", message)
+        writer.warn(place, message)
     if without_materialx:
         writer.warn(
             "/",
@@ -231,7 +246,7 @@ class Walker:
             if matrix is None:
                 continue
             if prim.IsA(UsdSkel.Root):
-                self.skeletons.add(prim)
+                self.skeletons.add(prim, self.writer)
             if prim.IsInstance():
                 for kind, payload, links in self.prototype(prim, purpose):
                     placed.append((kind, payload, extended(links, matrix)))
@@ -281,7 +296,7 @@ class Walker:
         key = (source(prim).GetPath(), self.inherited_primvars(prim), self.skeletons.key(prim))
         if key not in self.geometries:
             if prim.IsA(UsdGeom.Mesh):
-                entry = geometry.mesh(prim, self.writer, self.time, self.skeletons.pose(prim))
+                entry = geometry.mesh(prim, self.writer, self.time, self.skeletons.pose(prim, self.writer))
             else:
                 entry = shapes.shape(prim, self.writer, self.time)
             entry["light"] = lights.mesh_light(prim, self.writer, self.time)

@@ -24,10 +24,11 @@ pub const EXTENSION: &str = "blend";
 pub const VARIABLE: &str = "LUMISTACK_BLENDER";
 
 /// What runs in Blender; a later one may import those before it. The Python package has them as `lumistack.blender`.
-const MODULES: [(&str, &str); 4] = [
+const MODULES: [(&str, &str); 5] = [
     ("cameras", include_str!("../../python/python/lumistack/blender/cameras.py")),
     ("glb", include_str!("../../python/python/lumistack/blender/glb.py")),
     ("rig", include_str!("../../python/python/lumistack/blender/rig.py")),
+    ("unshown", include_str!("../../python/python/lumistack/blender/unshown.py")),
     ("handover", include_str!("../../python/python/lumistack/blender/handover.py")),
 ];
 /// What starts them.
@@ -35,6 +36,7 @@ const BOOT: &str = include_str!("../python/blend.py");
 
 /// What a `.blend` file offers to choose from.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct BlendContents {
     /// Its scenes; the open one is taken.
     pub scenes: Vec<String>,
@@ -44,6 +46,10 @@ pub struct BlendContents {
     pub frames_per_second: f64,
     /// The engine that the scene is set up for.
     pub engine: String,
+    /// What its renders show and the hand-over loses: a line for each kind, with names.
+    pub lost: Vec<String>,
+    /// Why that engine cannot render here, where it was asked for: something was lost.
+    pub unfit: Option<String>,
 }
 
 impl BlendContents {

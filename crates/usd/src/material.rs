@@ -1,6 +1,6 @@
 //! Materials of a package: the inputs of a surface shader in the slots of a [`Material`].
 //!
-//! Shaders: UsdPreviewSurface (both workflows), and of MaterialX standard_surface, open_pbr_surface and gltf_pbr as far as their parameters have
+//! Shaders: UsdPreviewSurface (both workflows), and of MaterialX standard_surface, open_pbr_surface, gltf_pbr and surface_unlit as far as their parameters have
 //! a counterpart in metallic-roughness with its extensions. Inputs that have none are named in one warning per material when they differ from
 //! their defaults. Sources: UsdPreviewSurface specification 2.6, Autodesk Standard Surface 1.0.1, OpenPBR Surface 1.1, glTF 2.0.
 
@@ -116,6 +116,7 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
         "standard_surface" => uber::standard_surface(&mut builder, &inputs),
         "open_pbr_surface" => uber::open_pbr(&mut builder, &inputs),
         "gltf_pbr" => uber::gltf_pbr(&mut builder, &inputs),
+        "surface_unlit" => uber::unlit(&mut builder, &inputs),
         _ => return None,
     };
     let ignored = inputs.ignored(known);
@@ -350,12 +351,22 @@ impl<'a> Builder<'_, 'a> {
         self.slot([channels[0], channels[1], channels[2], Channel::Unused], Kind::Normal)
     }
 
-    /// Emission: a colour times a factor.
-    pub(crate) fn emission(&mut self, color: &Value<3>, factor: f32) {
+    /// Emission: a colour times a weight, either of which may be a picture.
+    pub(crate) fn emission(&mut self, color: &Value<3>, weight: &Value<1>) {
+        let (color, factor) = match (color, weight) {
+            (color, Value::Constant([factor])) => (color.clone(), *factor),
+            // the picture of the weight, tinted
+            (Value::Constant(color), Value::Texture(source)) => (Value::Texture(tinted(source, *color)), 1.0),
+            (color, Value::Texture(source)) => {
+                self.warn("an emission whose colour and weight are both pictures is not supported; the weight's fallback is used");
+                (color.clone(), source.fallback[0])
+            }
+            (color, Value::Colors) => (color.clone(), 1.0),
+        };
         if factor <= 0.0 {
             return;
         }
-        let (color, texture) = self.color(color, Kind::Light);
+        let (color, texture) = self.color(&color, Kind::Light);
         self.material.emission = (color * factor).max(Vec3::ZERO);
         if self.material.emission != Vec3::ZERO {
             self.material.emission_texture = texture;
@@ -440,6 +451,18 @@ impl<'a> Builder<'_, 'a> {
 
 fn alpha_channel_is_unused(channel: &Channel<'_>) -> bool {
     matches!(channel, Channel::Unused)
+}
+
+/// A picture of one number, times a colour.
+fn tinted(source: &Source, color: [f32; 3]) -> Source {
+    let times = |list: &[f32]| color.iter().map(|part| part * list[0]).collect();
+    Source {
+        channels: vec![source.channels[0]; 3],
+        scale: times(&source.scale),
+        bias: times(&source.bias),
+        fallback: times(&source.fallback),
+        ..source.clone()
+    }
 }
 
 /// A texture without its scale, where that can be a factor beside it.

@@ -13,7 +13,7 @@ const WITHOUT: [(&str, f32); 1] = [("displacement", 0.0)];
 pub(crate) fn build(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> &'static [(&'static str, f32)] {
     let opacity = inputs.get("opacity", [1.0]);
     builder.base(&inputs.get("diffuseColor", [0.18; 3]), 1.0, &opacity, inputs.number("opacityThreshold", 0.0));
-    builder.emission(&inputs.get("emissiveColor", [0.0; 3]), 1.0);
+    builder.emission(&inputs.get("emissiveColor", [0.0; 3]), &Value::Constant([1.0]));
     let metallic = inputs.get("metallic", [0.0]);
     let roughness = inputs.get("roughness", [0.5]);
     let specular = inputs.get("specularColor", [0.0; 3]);

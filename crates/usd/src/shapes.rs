@@ -9,8 +9,13 @@ use crate::geometry::Geometry;
 use crate::implicit::{Axis, capsule, cone, cube, cylinder, plane, sphere};
 use crate::package::{Array, CurvesEntry, Package, PointsEntry, Primvar, SolidEntry};
 use crate::polygons::UvNames;
+use crate::spacing::{self, Rule};
 
-/// Width of curves and points that say none, as Hydra draws them.
+/// Width of curves that have none: between hairs some ground is seen.
+const CURVES: Rule = Rule { of_spacing: 0.25, largest: 0.005, smallest: 0.0001 };
+/// Width of points that have none: they nearly touch.
+const POINTS: Rule = Rule { of_spacing: 0.75, largest: 0.02, smallest: 0.0001 };
+/// Width where neither spacing nor bounds say any.
 const WIDTH: f32 = 1.0;
 /// Points that one prim may have: each becomes a ball of 128 triangles.
 const MOST_POINTS: usize = 1 << 18;
@@ -128,11 +133,13 @@ pub(crate) fn curves(
         Ok(Some(Owned { values, width, interpolation: interpolation(name) }).filter(|owned| !owned.values.is_empty()))
     };
     let widths = list(&entry.widths, &entry.widths_interpolation)?;
-    if widths.is_none() {
-        task.warn(place, "curves without widths are drawn 1 unit wide");
-    }
-    let one = Owned { values: vec![WIDTH], width: 1, interpolation: Interpolation::Constant };
-    let widths = widths.unwrap_or(one);
+    let widths = widths.unwrap_or_else(|| {
+        let width = spacing::width(&middles(&points, &counts), &points, CURVES).unwrap_or(WIDTH);
+        let message =
+            format!("the curves have no widths; they are drawn {width} wide, which follows from their spacing");
+        task.warn(place, message);
+        Owned { values: vec![width], width: 1, interpolation: Interpolation::Constant }
+    });
     let normals = list(&entry.normals, &entry.normals_interpolation)?.filter(|normals| normals.width == 3);
     let primvar = |name: &str| Owned::primvar(package, &entry.primvars, name, place);
     let colors = primvar("displayColor").filter(|colors| colors.width >= 3);
@@ -149,6 +156,18 @@ pub(crate) fn curves(
     }))
 }
 
+/// The middle point of every curve: roots may be one point for all.
+fn middles(points: &[Vec3], counts: &[i32]) -> Vec<Vec3> {
+    let mut first = 0usize;
+    let middle = |&count: &i32| {
+        let count = usize::try_from(count).unwrap_or(0);
+        let start = first;
+        first = first.saturating_add(count);
+        points.get(start..first).and_then(|curve| curve.get(count / 2)).copied()
+    };
+    counts.iter().filter_map(middle).collect()
+}
+
 /// Triangles of points.
 pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) -> Result<Geometry, Fault> {
     let place = entry.place.as_str();
@@ -161,8 +180,13 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
         Some(array) => reals(package, array, place)?.0,
         None => Vec::new(),
     };
-    if widths.is_empty() {
-        task.warn(place, "points without widths are drawn 1 unit wide");
+    let mut widths = widths;
+    if widths.is_empty() && !points.is_empty() {
+        let width = spacing::width(&points, &points, POINTS).unwrap_or(WIDTH);
+        let message =
+            format!("the points have no widths; they are drawn {width} wide, which follows from their spacing");
+        task.warn(place, message);
+        widths.push(width);
     }
     let colors = Owned::primvar(package, &entry.primvars, "displayColor", place).filter(|colors| colors.width >= 3);
     let each = |list: &[f32], i: usize| list.get(i).or(list.first()).copied();

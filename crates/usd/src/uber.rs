@@ -1,4 +1,4 @@
-//! MaterialX' large surface shaders: standard_surface, open_pbr_surface, gltf_pbr.
+//! MaterialX' large surface shaders: standard_surface, open_pbr_surface, gltf_pbr; and surface_unlit, which only emits.
 //!
 //! What all share: a metal or dielectric base of a diffuse colour, a specular lobe (weight, colour, roughness, index), transmission (tinted at the
 //! surface, or by absorption over a depth), coat, sheen, thin film, emission, opacity. Subsurface scattering is shown as the diffuse colour that it
@@ -61,7 +61,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
         &inputs.get("sheen_roughness", [0.3]),
     );
     builder.film(1.0, inputs.number("thin_film_thickness", 0.0), inputs.number("thin_film_IOR", 1.5));
-    builder.emission(&inputs.get("emission_color", WHITE), inputs.number("emission", 0.0));
+    builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [0.0]));
     builder.material.normal_texture = builder.normal(&normal);
     // of meaning only with what is listed or shown otherwise
     for name in ["subsurface_radius", "subsurface_scale", "subsurface_anisotropy", "tangent"] {
@@ -108,7 +108,7 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     // micrometres
     let thickness_nm = 1000.0 * inputs.number("thin_film_thickness", 0.5);
     builder.film(inputs.number("thin_film_weight", 0.0), thickness_nm, inputs.number("thin_film_ior", 1.4));
-    builder.emission(&inputs.get("emission_color", WHITE), inputs.number("emission_luminance", 0.0));
+    builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission_luminance", [0.0]));
     builder.material.normal_texture = builder.normal(&normal);
     for name in [
         "subsurface_radius",
@@ -154,10 +154,21 @@ pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     builder.sheen(weight, &sheen, &inputs.get("sheen_roughness", [0.0]));
     let thickness_nm = inputs.number("iridescence_thickness", 100.0);
     builder.film(inputs.number("iridescence", 0.0), thickness_nm, inputs.number("iridescence_ior", 1.3));
-    builder.emission(&inputs.get("emissive", [0.0; 3]), inputs.number("emissive_strength", 1.0));
+    builder.emission(&inputs.get("emissive", [0.0; 3]), &inputs.get("emissive_strength", [1.0]));
     builder.material.normal_texture = builder.normal(&normal);
     for name in ["occlusion", "tangent"] {
         inputs.text(name);
     }
     &[("anisotropy_strength", 0.0), ("dispersion", 0.0)]
+}
+
+/// A surface that emits and reflects nothing.
+pub(crate) fn unlit(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
+    builder.base(&Value::Constant([0.0; 3]), 1.0, &inputs.get("opacity", [1.0]), 0.0);
+    builder.roughness(&Value::Constant([1.0]), &Value::Constant([0.0]));
+    builder.specular(&Value::Constant([0.0]), &Value::Constant(WHITE), 1.5);
+    builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [1.0]));
+    // of meaning only with the weight that is listed
+    inputs.text("transmission_color");
+    &[("transmission", 0.0)]
 }

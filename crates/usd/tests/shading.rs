@@ -4,7 +4,7 @@ mod common;
 
 use glam::{Vec2, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Warning};
-use lumistack_scene::{LightKind, Material, Scene};
+use lumistack_scene::{LightKind, Material, Pixels, Scene};
 use lumistack_usd::{LoadOptions, load};
 
 /// A scene of a stage and pictures beside it; `None` (with a message) without a Python.
@@ -157,6 +157,192 @@ fn materialx_nodes_become_scale_and_bias() {
     assert_eq!(found.base_color, Vec4::new(0.25, 0.5, 1.0, 1.0));
     assert!(found.base_color_texture.is_some());
     assert_eq!(found.roughness, 0.625);
+}
+
+/// What nodes lie between a picture of normals and the surface in files of other programs: all of them leave the map.
+#[test]
+fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
+    const SHADERS: &str = r#"
+        def Shader "map" {
+            uniform token info:id = "ND_normalmap"
+            float3 inputs:in.connect = </m/tex.outputs:out>
+            float3 outputs:out
+        }
+        def Shader "tex" {
+            uniform token info:id = "ND_image_vector3"
+            asset inputs:file = @./a.png@ ( colorSpace = "raw" )
+            float3 outputs:out
+        }
+        def Shader "parts" {
+            uniform token info:id = "ND_separate3_vector3"
+            float3 inputs:in.connect = </m/tex.outputs:out>
+            float outputs:outx
+            float outputs:outy
+            float outputs:outz
+        }
+        def Shader "turned" {
+            uniform token info:id = "ND_invert_float"
+            float inputs:in.connect = </m/parts.outputs:outy>
+            float outputs:out
+        }
+        def Shader "flipped" {
+            uniform token info:id = "ND_combine3_vector3"
+            float inputs:in1.connect = </m/parts.outputs:outx>
+            float inputs:in2.connect = </m/turned.outputs:out>
+            float inputs:in3.connect = </m/parts.outputs:outz>
+            float3 outputs:out
+        }"#;
+    let through = |nodes: &str| {
+        let surface = r#"
+        def Shader "s" {
+            uniform token info:id = "ND_standard_surface_surfaceshader"
+            float3 inputs:normal.connect = </m/last.outputs:out>
+            token outputs:surface
+        }"#;
+        let (scene, found, warnings) = material(&format!("{surface}{nodes}{SHADERS}"))?;
+        assert!(warnings.is_empty(), "{warnings:?}");
+        let texture = found.normal_texture.unwrap_or_else(|| panic!("no normal map after {nodes}"));
+        Some(scene.images[scene.textures[texture.texture].image].pixels.clone())
+    };
+    let node = |id: &str, input: &str, more: &str| {
+        format!(
+            "def Shader \"last\" {{ uniform token info:id = \"{id}\"\n float3 inputs:in.connect = </m/{input}.outputs:out>\n \
+             {more}\n float3 outputs:out\n }}"
+        )
+    };
+    let Some(plain) = through(&node("ND_normalmap", "tex", "")) else { return };
+    assert_eq!(through(&node("ND_normalize_vector3", "map", "")), Some(plain.clone()));
+    assert_eq!(
+        through(&node("ND_transformnormal_vector3", "map", "string inputs:tospace = \"world\"")),
+        Some(plain.clone())
+    );
+    // decoded by arithmetic: 2 x − 1
+    let ends = "float inputs:outlow = -1\n float inputs:outhigh = 1";
+    let decoded = format!("{}\n{}", node("ND_normalize_vector3", "remapped", ""), {
+        node("ND_remap_vector3FA", "tex", ends).replace("\"last\"", "\"remapped\"")
+    });
+    assert_eq!(through(&decoded), Some(plain.clone()));
+    // the strength of a map is a mixture with the normal of the surface
+    let mixed = r#"def Shader "last" { uniform token info:id = "ND_mix_vector3"
+            float3 inputs:fg.connect = </m/map.outputs:out>
+            float3 inputs:bg = (0, 0, 1)
+            float inputs:mix = 1
+            float3 outputs:out
+        }"#;
+    assert_eq!(through(mixed), Some(plain.clone()));
+    let half = through(&mixed.replace("mix = 1", "mix = 0.5")).unwrap();
+    assert!(half != plain && half.len() == plain.len());
+    // green upside down
+    let flipped = through(&node("ND_normalmap", "flipped", "")).unwrap();
+    let directions = |pixels: &Pixels| -> Vec<Vec3> {
+        let texels: Vec<Vec3> = match pixels {
+            Pixels::Rgba8(texels) => {
+                texels.iter().map(|t| Vec3::from([t[0], t[1], t[2]].map(f32::from)) / 255.0).collect()
+            }
+            Pixels::Rgba16(texels) => {
+                texels.iter().map(|t| Vec3::from([t[0], t[1], t[2]].map(f32::from)) / 65535.0).collect()
+            }
+            Pixels::RgbF32(texels) => texels.iter().map(|&texel| Vec3::from(texel)).collect(),
+        };
+        texels.into_iter().map(|texel| (2.0 * texel - 1.0).normalize()).collect()
+    };
+    for (a, b) in directions(&plain).into_iter().zip(directions(&flipped)) {
+        assert!((a - b * Vec3::new(1.0, -1.0, 1.0)).length() < 0.01, "{a} {b}");
+    }
+}
+
+/// The same lamp in every material model that we read is the same light, also where the shader reads a picture.
+#[test]
+fn a_lamp_is_as_bright_in_every_syntax() {
+    let shader = |id: &str, inputs: &str| {
+        format!(
+            "def Shader \"s\" {{ uniform token info:id = \"{id}\"\n {inputs}\n token outputs:surface\n }}\n\
+             def Shader \"half\" {{ uniform token info:id = \"ND_image_float\"\n asset inputs:file = @./a.png@ ( colorSpace = \"raw\" )\n \
+             float outputs:out\n }}\n\
+             def Shader \"bright\" {{ uniform token info:id = \"ND_multiply_float\"\n float inputs:in1.connect = </m/half.outputs:out>\n \
+             float inputs:in2 = 8\n float outputs:out\n }}\n\
+             def Shader \"tinted\" {{ uniform token info:id = \"ND_multiply_color3\"\n color3f inputs:in1.connect = </m/half.outputs:out>\n \
+             color3f inputs:in2 = (8, 4, 2)\n color3f outputs:out\n }}"
+        )
+    };
+    let constant = [
+        ("UsdPreviewSurface", "color3f inputs:emissiveColor = (8, 4, 2)"),
+        ("ND_UsdPreviewSurface_surfaceshader", "color3f inputs:emissiveColor = (8, 4, 2)"),
+        (
+            "ND_standard_surface_surfaceshader",
+            "color3f inputs:emission_color = (1, 0.5, 0.25)\n float inputs:emission = 8",
+        ),
+        (
+            "ND_open_pbr_surface_surfaceshader",
+            "color3f inputs:emission_color = (1, 0.5, 0.25)\n float inputs:emission_luminance = 8",
+        ),
+        ("ND_gltf_pbr_surfaceshader", "color3f inputs:emissive = (1, 0.5, 0.25)\n float inputs:emissive_strength = 8"),
+        ("ND_surface_unlit", "color3f inputs:emission_color = (1, 0.5, 0.25)\n float inputs:emission = 8"),
+    ];
+    for (id, inputs) in constant {
+        let Some((scene, found, warnings)) = material(&shader(id, inputs)) else { return };
+        assert!(warnings.is_empty(), "{id}: {warnings:?}");
+        assert_eq!(found.emission, Vec3::new(8.0, 4.0, 2.0), "{id}");
+        assert!(scene.is_lit(), "{id}");
+    }
+    let textured = [
+        ("UsdPreviewSurface", "color3f inputs:emissiveColor.connect = </m/tinted.outputs:out>"),
+        (
+            "ND_standard_surface_surfaceshader",
+            "color3f inputs:emission_color = (1, 0.5, 0.25)\n float inputs:emission.connect = </m/bright.outputs:out>",
+        ),
+        (
+            "ND_open_pbr_surface_surfaceshader",
+            "color3f inputs:emission_color = (1, 0.5, 0.25)\n float inputs:emission_luminance.connect = </m/bright.outputs:out>",
+        ),
+        (
+            "ND_gltf_pbr_surfaceshader",
+            "color3f inputs:emissive = (1, 0.5, 0.25)\n float inputs:emissive_strength.connect = </m/bright.outputs:out>",
+        ),
+        (
+            "ND_surface_unlit",
+            "color3f inputs:emission_color = (1, 0.5, 0.25)\n float inputs:emission.connect = </m/bright.outputs:out>",
+        ),
+    ];
+    for (id, inputs) in textured {
+        let Some((scene, found, warnings)) = material(&shader(id, inputs)) else { return };
+        assert!(warnings.is_empty(), "{id}: {warnings:?}");
+        assert_eq!(found.emission, Vec3::new(8.0, 4.0, 2.0), "{id}");
+        assert!(found.emission_texture.is_some() && scene.is_lit(), "{id}");
+    }
+}
+
+#[test]
+fn curves_and_points_without_widths_take_a_share_of_their_spacing() {
+    let hairs: Vec<String> = (0..100).map(|i| format!("({0}, 0, {1}), ({0}, 9, {1})", i % 10, i / 10)).collect();
+    let text = format!(
+        r#"
+        def BasisCurves "hair" {{
+            uniform token type = "linear"
+            point3f[] points = [{}]
+            int[] curveVertexCounts = [{}]
+        }}
+        def BasisCurves "alone" {{
+            uniform token type = "linear"
+            point3f[] points = [(0, 0, 50), (0, 1000, 50)]
+            int[] curveVertexCounts = [2]
+        }}
+        def Points "dots" {{ point3f[] points = [(0, 0, -50), (2, 0, -50), (200, 0, -50), (202, 0, -50)]
+        }}"#,
+        hairs.join(", "),
+        ["2"; 100].join(", ")
+    );
+    let Some((scene, warnings)) = scene(&text) else { return };
+    let lowest = |place: &str| {
+        let mesh = scene.meshes.iter().find(|mesh| mesh.place == place).unwrap();
+        mesh.positions.iter().map(|p| p.x).fold(f32::INFINITY, f32::min)
+    };
+    // spacing 1, and bounds of 9 × 9 × 9: no wider than 0.5 % of their diagonal, 15.6
+    assert!((lowest("/hair") + 0.5 * 0.005 * 243f32.sqrt()).abs() < 1e-4, "{}", lowest("/hair"));
+    assert!((lowest("/alone") + 0.5 * 0.005 * 1000.0).abs() < 1e-2, "{}", lowest("/alone"));
+    assert!((lowest("/dots") + 0.5 * 0.75 * 2.0).abs() < 1e-3, "{}", lowest("/dots"));
+    assert_eq!(warnings.len(), 3, "{warnings:?}");
+    assert!(warnings.iter().all(|warning| warning.message.contains("no widths")), "{warnings:?}");
 }
 
 #[test]

@@ -228,6 +228,108 @@ fn time_is_counted_from_the_first_time_code() {
     }
 }
 
+/// A leg of three joints whose knee is turned by 90° about z at (0, 1, 0), and meshes on it.
+fn leg(meshes: &str) -> String {
+    let matrices = [0, 1, 2].map(|y| format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, {y}, 0, 1))")).join(", ");
+    let local = [0, 1, 1].map(|y| format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, {y}, 0, 1))")).join(", ");
+    let joints = "uniform token[] joints = [\"hip\", \"hip/knee\", \"hip/knee/foot\"]";
+    format!(
+        r#"
+        def SkelRoot "root" {{
+            def Skeleton "leg" (prepend apiSchemas = ["SkelBindingAPI"]) {{
+                {joints}
+                uniform matrix4d[] bindTransforms = [{matrices}]
+                uniform matrix4d[] restTransforms = [{local}]
+                rel skel:animationSource = </root/bent>
+            }}
+            def SkelAnimation "bent" {{
+                {joints}
+                quatf[] rotations = [(1, 0, 0, 0), (0.70710678, 0, 0, 0.70710678), (1, 0, 0, 0)]
+                half3[] scales = [(1, 1, 1), (1, 1, 1), (1, 1, 1)]
+                float3[] translations = [(0, 0, 0), (0, 1, 0), (0, 1, 0)]
+            }}
+            {meshes}
+        }}"#
+    )
+}
+
+/// A triangle on that leg: corner 0 follows the first of `indices` into the mesh's joints, and so on.
+fn on_leg(name: &str, joints: &str, indices: [usize; 3], interpolation: &str) -> String {
+    format!(
+        r#"def Mesh "{name}" (prepend apiSchemas = ["SkelBindingAPI"]) {{
+            point3f[] points = [(0, 0, 0), (0, 2, 0), (1, 1, 0)]
+            int[] faceVertexCounts = [3]
+            int[] faceVertexIndices = [0, 2, 1]
+            normal3f[] normals = [(1, 0, 0), (1, 0, 0), (0, 0, 1)] (
+                interpolation = "{interpolation}"
+            )
+            uniform token subdivisionScheme = "none"
+            rel skel:skeleton = </root/leg>
+            uniform token[] skel:joints = [{joints}]
+            int[] primvars:skel:jointIndices = [{}, {}, {}] (
+                elementSize = 1
+                interpolation = "vertex"
+            )
+            float[] primvars:skel:jointWeights = [1, 1, 1] (
+                elementSize = 1
+                interpolation = "vertex"
+            )
+        }}
+        "#,
+        indices[0], indices[1], indices[2]
+    )
+}
+
+/// A mesh may name the joints that it follows, in its own order; its authored normals are turned with them.
+#[test]
+fn meshes_with_joints_of_their_own_are_posed_with_their_normals() {
+    if common::python().is_none() {
+        return;
+    }
+    // corners in the order 0, 2, 1: face-varying normals belong to those
+    let both = [("vertex", [Vec3::X, Vec3::Y, Vec3::Z]), ("faceVarying", [Vec3::X, Vec3::Z, Vec3::Y])];
+    for (interpolation, normals) in both {
+        let scene = scene(&leg(&on_leg("shin", "\"hip/knee\", \"hip\"", [1, 0, 0], interpolation)));
+        let mesh = &scene.meshes[0];
+        let expected = [(Vec3::ZERO, normals[0]), (Vec3::NEG_X + Vec3::Y, normals[1]), (2.0 * Vec3::Y, normals[2])];
+        for (position, normal) in expected {
+            let near = mesh.positions.iter().position(|p| (*p - position).length() < 1e-5);
+            let found = near.unwrap_or_else(|| panic!("{interpolation}: {position} in {:?}", mesh.positions));
+            assert!(
+                (mesh.normals[found] - normal).length() < 1e-4,
+                "{interpolation}: {:?} {normal}",
+                mesh.normals[found]
+            );
+        }
+    }
+}
+
+#[test]
+fn meshes_that_cannot_be_posed_stay_as_they_are_and_are_named() {
+    if common::python().is_none() {
+        return;
+    }
+    let meshes = [
+        on_leg("posed", "\"hip\", \"hip/knee\"", [0, 1, 1], "vertex"),
+        on_leg("astray", "\"hip\", \"hip/knee\"", [0, 1, 7], "vertex"),
+        on_leg("stranger", "\"wing\"", [0, 0, 0], "vertex"),
+    ];
+    let (scene, warnings) = try_with(&leg(&meshes.concat()), &LoadOptions::default());
+    let scene = scene.unwrap();
+    let words =
+        [("posed", None), ("astray", Some("cannot be posed")), ("stranger", Some("joints that its skeleton lacks"))];
+    for (name, expected) in words {
+        let is_posed = expected.is_none();
+        let mesh = scene.meshes.iter().find(|mesh| mesh.place.ends_with(name)).expect(name);
+        let tip = if is_posed { Vec3::new(-1.0, 1.0, 0.0) } else { Vec3::new(0.0, 2.0, 0.0) };
+        let is_there = mesh.positions.iter().any(|position| (*position - tip).length() < 1e-5);
+        assert!(is_there, "{name}: {:?}", mesh.positions);
+        let said: Vec<&str> = warnings.iter().filter(|w| w.place.ends_with(name)).map(|w| w.message.as_str()).collect();
+        assert_eq!(said.len(), usize::from(!is_posed), "{name}: {warnings:?}");
+        assert!(said.iter().zip(expected).all(|(said, expected)| said.contains(expected)), "{name}: {said:?}");
+    }
+}
+
 #[test]
 fn variants_are_chosen_by_name_on_all_prims_or_one() {
     if common::python().is_none() {

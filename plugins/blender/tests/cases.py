@@ -523,6 +523,59 @@ def case_handover(folder, zip_path):
     return ""
 
 
+def gltf_of(path):
+    """The JSON of a .glb file."""
+    import json
+    import struct
+
+    held = Path(path).read_bytes()
+    (length,) = struct.unpack_from("<I", held, 12)
+    return json.loads(held[20 : 20 + length])
+
+
+def case_beyond(folder, zip_path):
+    """What glTF cannot express is named, and has the file rendered by its own engine unless the job says otherwise."""
+    import bpy
+    import numpy
+    import scenes
+
+    install(zip_path)
+    scene = scenes.beyond()
+    scene.cycles.samples = 8
+    path = folder / "wald.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+
+    import lumistack as package
+
+    environment = {**os.environ, "LUMISTACK_BLENDER": sys.executable, "PYTHONPATH": str(Path(package.__file__).parent.parent)}
+
+    def lumistack(*words):
+        program = os.environ.get("LUMISTACK_PROGRAM")
+        words = [*([program] if program else [sys.executable, "-m", "lumistack"]), *map(str, words)]
+        done = subprocess.run(words, capture_output=True, text=True, env=environment)
+        assert done.returncode == 0, (words, done.stdout, done.stderr)
+        return done.stdout + done.stderr
+
+    named = ["bark (Color Ramp, Noise Texture)", "chalk (Diffuse BSDF)", "hair that", "Sphere", "volumes that", "smoke"]
+    said = lumistack("info", path)
+    assert all(name in said for name in named), said
+    assert "clay (" not in said and "floor (" not in said, said
+    common = ["--display", settings_file(folder), "--resolution", "48x30", "--samples", "16"]
+    fields = {}
+    for engine in ("auto", "blender", "lumistack"):
+        said = lumistack("render", path, *common, *(["--engine", engine] if engine != "auto" else []), "-o", folder / engine)
+        print("note:", engine, " | ".join(line for line in said.split("\n") if "warning" in line))
+        fields[engine] = picture_of(folder / engine / "view_01_01.exr")
+        assert all(name in said for name in named) == (engine != "blender"), said
+        assert ("own engine, CYCLES, renders" in said) == (engine == "auto"), said
+    assert (fields["auto"] == fields["blender"]).all(), "the default is the file's own engine"
+    assert numpy.abs(fields["auto"] - fields["lumistack"]).mean() > 0.01
+    # where our path tracer is asked for, smoke is left out and is no white box
+    nodes = {node.get("name") for node in gltf_of(next((folder / "lumistack").rglob("*.glb")))["nodes"]}
+    assert "smoke" not in nodes and "Cube" in nodes, nodes
+    return ""
+
+
 def case_resume(folder, zip_path):
     """Killed in the middle of view 5 of 9, the second run starts at view 5."""
     import bpy
@@ -590,6 +643,21 @@ def case_headless(folder, zip_path):
     assert list((folder / "a" / "outputs" / "tensor-display" / "quilt").iterdir())
     assert command.main(["make", *common, "-o", str(folder / "b"), "--renderer", "both", "--samples", "4", "--blend", str(folder / "szene.blend")]) == 0
     assert (folder / "b" / "scene.glb").is_file()
+    # `blender --command` has no window, and so no active object
+    with bpy.context.temp_override(window=None):
+        assert not hasattr(bpy.context, "active_object"), "this is not what a command sees"
+        for renderer in ("lumistack", "both"):
+            out = folder / f"no window {renderer}"
+            assert command.main(["make", *common, "-o", str(out), "--renderer", renderer, "--samples", "4"]) == 0
+            assert (out / "scene.glb").stat().st_size > 10_000
+        other = bpy.data.scenes.new("other")
+        other.collection.objects.link(bpy.data.objects["Cube"])
+        other.camera = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+        other.camera.location = (0.35, -0.7, 4.0)
+        other.collection.objects.link(other.camera)
+        assert command.main(["make", *common, "-o", str(folder / "other"), "--renderer", "lumistack", "--samples", "1", "--scene", "other"]) == 0
+    names = {node.get("name") for node in gltf_of(folder / "other" / "scene.glb")["nodes"]}
+    assert "Cube" in names and "Torus" not in names, names
     assert command.main(["--help"]) == 0
     assert command.main(["bake"]) == 2
     assert command.main(["make", "--scene", "none", "-o", str(folder / "c")]) == 1
@@ -731,7 +799,7 @@ def case_overlay(folder, zip_path):
     return str(folder / "overlay.png")
 
 
-CASES = ["lifecycle", "silhouettes", "radiance", "make", "animation", "faults", "handover", "resume", "headless", "digest", "overlay"]
+CASES = ["lifecycle", "silhouettes", "radiance", "make", "animation", "faults", "handover", "beyond", "resume", "headless", "digest", "overlay"]
 #: Those that take long, or need what not every machine has.
 MORE = ["exporters", "eevee"]
 

@@ -148,3 +148,36 @@ def lamp(kind, energy, location=(0.0, 0.0, 3.0), rotation=(0.0, 0.0, 0.0)):
     held.location, held.rotation_euler = location, rotation
     bpy.context.scene.collection.objects.link(held)
     return held
+
+
+def beyond():
+    """What glTF has no words for: a noise, a shader of its own, hair, and smoke in a box; and a plain cube."""
+    scene = diffuse()
+    bark = material("bark", (0.5, 0.5, 0.5))
+    tree = bark.node_tree
+    noise, ramp = tree.nodes.new("ShaderNodeTexNoise"), tree.nodes.new("ShaderNodeValToRGB")
+    noise.inputs["Scale"].default_value = 12.0
+    ramp.color_ramp.elements[0].color, ramp.color_ramp.elements[1].color = (0.6, 0.05, 0.02, 1.0), (0.05, 0.5, 0.1, 1.0)
+    for name, element in ((0, 0.45), (1, 0.55)):
+        ramp.color_ramp.elements[name].position = element
+    tree.links.new(noise.outputs[0], ramp.inputs["Fac"])
+    tree.links.new(ramp.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Base Color"])
+    chalk = material("chalk", (0.5, 0.5, 0.5))
+    powder = chalk.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    powder.inputs["Color"].default_value = (0.1, 0.2, 0.8, 1.0)
+    chalk.node_tree.links.new(powder.outputs[0], chalk.node_tree.nodes["Material Output"].inputs["Surface"])
+    bpy.data.objects["Sphere"].data.materials[0] = bark
+    bpy.data.objects["Cone"].data.materials[0] = chalk
+    head = bpy.data.objects["Sphere"]
+    bpy.context.view_layer.objects.active = head
+    fur = head.modifiers.new("fur", "PARTICLE_SYSTEM").particle_system.settings
+    fur.type, fur.count, fur.hair_length = "HAIR", 400, 0.25
+    smoke = material("smoke", (0.5, 0.5, 0.5))
+    inside = smoke.node_tree.nodes.new("ShaderNodeVolumePrincipled")
+    inside.inputs["Density"].default_value = 3.0
+    output = smoke.node_tree.nodes["Material Output"]
+    smoke.node_tree.links.remove(output.inputs["Surface"].links[0])
+    smoke.node_tree.links.new(inside.outputs[0], output.inputs["Volume"])
+    box = add("cube", smoke, size=0.6, location=(-0.6, -0.6, 0.8))
+    box.name = "smoke"
+    return scene

@@ -33,8 +33,10 @@ pub struct RenderJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Engine {
-    /// Our path tracer.
+    /// Our path tracer, unless the scene is a `.blend` file with what it cannot show.
     #[default]
+    Auto,
+    /// Our path tracer.
     Lumistack,
     /// Blender, with the engine and the settings of the `.blend` file.
     Blender,
@@ -45,9 +47,10 @@ impl std::str::FromStr for Engine {
 
     fn from_str(name: &str) -> Result<Self, String> {
         match name {
+            "auto" => Ok(Self::Auto),
             "lumistack" => Ok(Self::Lumistack),
             "blender" => Ok(Self::Blender),
-            _ => Err("expected lumistack or blender".into()),
+            _ => Err("expected auto, lumistack or blender".into()),
         }
     }
 }
@@ -100,7 +103,7 @@ impl std::str::FromStr for Denoise {
 impl Default for RenderJob {
     fn default() -> Self {
         Self {
-            engine: Engine::Lumistack,
+            engine: Engine::Auto,
             samples: 32,
             max_bounces: 6,
             clamp: None,
@@ -114,6 +117,12 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
+    /// Whether nothing is asked for that our path tracer alone does.
+    pub(crate) fn is_plain(&self) -> bool {
+        let kind = (self.angular_filter, self.lens_deg, self.denoise);
+        kind == (AngularFilter::Point, 0.0, Denoise::Off) && self.clamp.is_none()
+    }
+
     /// Checks values that no parser checks.
     pub(super) fn check(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
@@ -129,8 +138,7 @@ impl RenderJob {
         if self.lens_deg > 0.0 && self.angular_filter != AngularFilter::Point {
             return fail("render.lens_deg", "either a lens or `angular_filter`", "both".into());
         }
-        let plain = (self.angular_filter, self.lens_deg, self.denoise) == (AngularFilter::Point, 0.0, Denoise::Off);
-        if self.engine == Engine::Blender && !(plain && self.clamp.is_none()) {
+        if self.engine == Engine::Blender && !self.is_plain() {
             let expected =
                 "neither `angular_filter` nor `lens_deg`, `denoise` or `clamp`: the file has settings of its own";
             return fail("render.engine", expected, "`blender` and one of them".into());

@@ -14,13 +14,15 @@ Whether cameras see a lamp is noted with it, as its ray visibility says. Cameras
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from .glb import Glb
 from .rig import focus_of
+from .unshown import is_rendered, is_volume_alone
 
 #: Size of the picture of a world that is not of one colour.
 SKY = (512, 256)
@@ -31,18 +33,19 @@ Warn = Callable[[str, str], None]
 Rows = list[list[float]]
 
 
-def export_scene(bpy: Any, path: str | Path, warn: Warn) -> None:
-    """Writes the scene as it stands at the current frame. warn(place, message) hears what is left out."""
-    scene = bpy.context.scene
-    changed = _as_rendered(bpy)
-    try:
-        _export_meshes(bpy, path)
-        file = Glb.read(path)
-        _add_lights(bpy, scene, file, warn)
-        _add_cameras(bpy, scene, file, warn)
-    finally:
-        for held, name, value in reversed(changed):
-            setattr(held, name, value)
+def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> None:
+    """Writes a scene, the open one where none is named, as it stands at the current frame. warn(place, message) hears what is left out."""
+    scene = scene or bpy.context.scene
+    with in_window(bpy, scene):
+        changed = _as_rendered(bpy)
+        try:
+            _export_meshes(bpy, path)
+            file = Glb.read(path)
+            _add_lights(bpy, scene, file, warn)
+            _add_cameras(bpy, scene, file, warn)
+        finally:
+            for held, name, value in reversed(changed):
+                setattr(held, name, value)
     _add_world(bpy, scene, file, warn)
     for image in bpy.data.images:
         if image.source == "FILE" and image.users and not image.packed_file and not image.has_data:
@@ -52,6 +55,27 @@ def export_scene(bpy: Any, path: str | Path, warn: Warn) -> None:
         if not Path(bpy.path.abspath(library.filepath)).is_file():
             warn(library.name, f"the library {library.filepath} is missing; what is linked from it is left out")
     file.write(path)
+
+
+@contextlib.contextmanager
+def in_window(bpy: Any, scene: Any) -> Iterator[None]:
+    """Exporters ask for the window and its active object, which a command (`blender --command`) does not have: lends them a window that shows the scene."""
+    window = bpy.context.window
+    if window is not None and bpy.context.screen is not None and bpy.context.scene == scene:
+        yield
+        return
+    windows = [each for manager in bpy.data.window_managers for each in manager.windows]
+    if not windows:
+        raise RuntimeError("Blender has no window open, and its exporters need one even where nothing is drawn: start it with a file that has one")
+    window = window or windows[0]
+    shown = window.scene
+    # the exporter reads the scene of the window
+    window.scene = scene
+    try:
+        with bpy.context.temp_override(window=window, screen=window.screen, scene=scene, view_layer=window.view_layer):
+            yield
+    finally:
+        window.scene = shown
 
 
 def files_of(bpy: Any) -> tuple[list[str], list[str]]:
@@ -100,6 +124,9 @@ def _as_rendered(bpy: Any) -> list[tuple[Any, str, Any]]:
     for held in bpy.context.scene.objects:
         if held.mode == "EDIT":
             held.update_from_editmode()
+        if is_volume_alone(held):
+            # what bounds smoke is not seen, and would be a white box
+            change(held, "hide_render", True)
         for modifier in held.modifiers:
             change(modifier, "show_viewport", modifier.show_render)
             if modifier.type in ("SUBSURF", "MULTIRES"):
@@ -140,19 +167,15 @@ def y_up(matrix: Any) -> Rows:
     return [rows[0], rows[2], [-value for value in rows[1]], rows[3]]
 
 
-def _is_rendered(held: Any) -> bool:
-    return not held.hide_render and not (held.users_collection and all(each.hide_render for each in held.users_collection))
-
-
 def _add_lights(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
     placed = []
     for instance in bpy.context.evaluated_depsgraph_get().object_instances:
         held = instance.object
-        if held.type == "LIGHT" and _is_rendered(held.original):
+        if held.type == "LIGHT" and is_rendered(held.original):
             placed.append((held.original, instance.matrix_world.copy()))
     there = {held for held, _ in placed}
     # those that the viewport hides and a render does not
-    placed += [(held, held.matrix_world) for held in scene.objects if held.type == "LIGHT" and held not in there and _is_rendered(held)]
+    placed += [(held, held.matrix_world) for held in scene.objects if held.type == "LIGHT" and held not in there and is_rendered(held)]
     for held, matrix in placed:
         _add_light(held, matrix, file, warn)
 

@@ -1,0 +1,200 @@
+"""Finds what glTF, and so our path tracer, cannot show of a scene of Blender: materials made of other nodes, hair, volumes.
+
+The hand-over reduces a material to constants and pictures at a Principled BSDF. All that lies behind other nodes is lost there without a word from
+the exporter, so this walks through the nodes that a render would evaluate and names what it meets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+#: Names in one line; the rest is counted.
+MOST_NAMES = 8
+#: Nodes that the exporter follows, or that change nothing.
+FOLLOWED = frozenset(
+    "OUTPUT_MATERIAL BSDF_PRINCIPLED EMISSION BACKGROUND BSDF_TRANSPARENT LIGHT_PATH TEX_IMAGE UVMAP TEX_COORD MAPPING NORMAL_MAP"
+    " SEPARATE_COLOR SEPRGB VERTEX_COLOR ATTRIBUTE VALUE RGB REROUTE FRAME GROUP GROUP_INPUT GROUP_OUTPUT".split()
+)
+#: Operations of the node Math that the exporter takes as factors and thresholds.
+FOLLOWED_MATH = ("MULTIPLY", "ROUND", "LESS_THAN", "SUBTRACT")
+MIXED_SHADERS = ("MIX_SHADER", "ADD_SHADER")
+#: Kinds of objects of which nothing is handed over.
+LEFT_OUT = {"CURVES": "hair", "VOLUME": "volumes", "POINTCLOUD": "point clouds", "GREASEPENCIL": "drawings", "GPENCIL": "drawings"}
+LINES = {
+    "materials": "made of nodes that glTF does not have, which our path tracer shows as plain colours",
+    "hair": "that our path tracer leaves out",
+    "volumes": "that our path tracer leaves out",
+    "point clouds": "that our path tracer leaves out",
+    "drawings": "that our path tracer leaves out",
+}
+
+
+def unshown(bpy: Any, scene: Any, depsgraph: Any = None) -> list[str]:
+    """A line for each kind of thing that a render by Blender shows and the hand-over loses; empty for most scenes."""
+    found: dict[str, dict[str, None]] = {kind: {} for kind in LINES}
+    judged: set[str] = set()
+    for held, shown in _rendered(bpy, scene, depsgraph):
+        if shown.type in LEFT_OUT:
+            found[LEFT_OUT[shown.type]][held.name] = None
+        for modifier in held.modifiers:
+            if not modifier.show_render:
+                continue
+            if _is_hair(modifier):
+                found["hair"][held.name] = None
+            if _is_smoke(modifier):
+                found["volumes"][held.name] = None
+        for material in _materials(shown):
+            output = _output(material)
+            if output is None:
+                continue
+            if output.inputs["Volume"].is_linked:
+                found["volumes"][held.name] = None
+            if material.name not in judged:
+                judged.add(material.name)
+                reasons = list(dict.fromkeys(_reasons(output)))
+                if reasons:
+                    found["materials"][f"{material.name} ({_listed(reasons)})"] = None
+    world = scene.world
+    if world is not None and world.node_tree is not None and any(
+        node.type == "OUTPUT_WORLD" and node.is_active_output and node.inputs["Volume"].is_linked for node in world.node_tree.nodes
+    ):
+        found["volumes"][world.name] = None
+    return [f"{kind} {LINES[kind]}: {_listed(list(names))}" for kind, names in found.items() if names]
+
+
+def is_volume_alone(held: Any) -> bool:
+    """Whether only the inside of an object is rendered, as that of a smoke domain: its surface is nothing, and no box is to be shown."""
+    outputs = [_output(slot.material) for slot in held.material_slots if slot.material is not None]
+    return bool(outputs) and all(
+        output is not None and output.inputs["Volume"].is_linked and not output.inputs["Surface"].is_linked for output in outputs
+    )
+
+
+def is_rendered(held: Any) -> bool:
+    """Whether an object, by its own settings and those of its collections, is rendered."""
+    return not held.hide_render and not (held.users_collection and all(each.hide_render for each in held.users_collection))
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(names[:MOST_NAMES])
+    return shown if len(names) <= MOST_NAMES else f"{shown} and {len(names) - MOST_NAMES} more"
+
+
+def _rendered(bpy: Any, scene: Any, depsgraph: Any) -> Iterator[tuple[Any, Any]]:
+    """Objects that a render shows, each with what it has become: instances and what geometry nodes make included."""
+    depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
+    met: set[tuple[str, str]] = set()
+    for instance in depsgraph.object_instances:
+        shown = instance.object
+        # what nodes make of an object is an instance of it, of another type
+        held = (instance.parent if instance.is_instance and shown.original.name not in scene.objects else shown).original
+        key = (held.name, shown.name + shown.type)
+        if key not in met and is_rendered(held):
+            met.add(key)
+            yield held, shown
+    there = {name for name, _ in met}
+    # those that the viewport hides and a render does not
+    for held in scene.objects:
+        if held.name not in there and is_rendered(held):
+            yield held, held
+
+
+def _is_hair(modifier: Any) -> bool:
+    if modifier.type != "PARTICLE_SYSTEM":
+        return False
+    settings = modifier.particle_system.settings
+    return settings.render_type == "PATH" and settings.count > 0
+
+
+def _is_smoke(modifier: Any) -> bool:
+    settings = getattr(modifier, "domain_settings", None) if modifier.type == "FLUID" else None
+    return settings is not None and modifier.fluid_type == "DOMAIN" and settings.domain_type == "GAS"
+
+
+def _materials(shown: Any) -> Iterable[Any]:
+    slots = [slot.material for slot in shown.material_slots]
+    # geometry nodes may set others
+    slots += list(getattr(shown.data, "materials", None) or ())
+    return [material for material in dict.fromkeys(slots) if material is not None]
+
+
+def _output(material: Any) -> Any:
+    """The output node that Cycles takes; None of a material without nodes."""
+    tree = material.node_tree
+    # later versions have nodes in every material, and say so in a property that is to go
+    if tree is None or not getattr(material, "use_nodes", True):
+        return None
+    return tree.get_output_node("CYCLES") or tree.get_output_node("ALL")
+
+
+def _reasons(output: Any) -> Iterator[str]:
+    """What lies before an output that the exporter does not follow."""
+    if output.inputs["Displacement"].is_linked:
+        yield "displacement"
+    nodes = list(_behind(output.inputs["Surface"], ()))
+    kinds = {node.type for node, _ in nodes}
+    # the usual way to say that a surface is shown whatever the light
+    shadeless = "LIGHT_PATH" in kinds and not any(kind.startswith("BSDF") and kind != "BSDF_TRANSPARENT" for kind in kinds)
+    for node, socket in nodes:
+        if node.type in MIXED_SHADERS and shadeless:
+            continue
+        reason = _reason(node, socket)
+        if reason:
+            yield reason
+
+
+def _reason(node: Any, socket: Any) -> str | None:
+    kind = node.type
+    if kind == "TEX_IMAGE" and node.projection != "FLAT":
+        return f"{node.bl_label} with {node.projection.lower()} projection"
+    if kind == "TEX_COORD" and socket.name != "UV":
+        return f"{socket.name} coordinates"
+    if kind == "NORMAL_MAP" and node.space != "TANGENT":
+        return f"{node.bl_label} in {node.space.lower().replace('_', ' ')} space"
+    if kind == "ATTRIBUTE" and node.attribute_type != "GEOMETRY":
+        return node.bl_label
+    if kind == "MATH":
+        return None if node.operation in FOLLOWED_MATH else f"Math {node.operation.lower().replace('_', ' ')}"
+    if kind in ("MIX", "MIX_RGB"):
+        return None if _is_factor(node) else "Mix"
+    return None if kind in FOLLOWED else node.bl_label
+
+
+def _is_factor(node: Any) -> bool:
+    """Whether a mixture is a picture times a constant or a colour of vertices, which glTF has."""
+    if node.blend_type != "MULTIPLY" or getattr(node, "data_type", "RGBA") != "RGBA":
+        return False
+    linked = [socket for socket in node.inputs if socket.enabled and socket.is_linked]
+    if any(socket.type == "VALUE" for socket in linked):
+        return False
+    plain = [socket for socket in linked if socket.links[0].from_node.type not in ("VERTEX_COLOR", "ATTRIBUTE")]
+    return len(plain) <= 1
+
+
+def _behind(socket: Any, groups: tuple[Any, ...]) -> Iterator[tuple[Any, Any]]:
+    """All nodes that a socket depends on, each with the output by which it is reached; groups are entered."""
+    todo, met = [(socket, groups)], set()
+    while todo:
+        socket, groups = todo.pop()
+        for link in socket.links:
+            node, output = link.from_node, link.from_socket
+            key = (tuple(group.name for group in groups), node.name, output.identifier)
+            if key in met or link.is_muted:
+                continue
+            met.add(key)
+            if node.mute:
+                # what is muted passes some of its inputs on
+                todo += [(each, groups) for each in node.inputs]
+                continue
+            if node.type == "GROUP" and node.node_tree is not None and len(groups) < 16:
+                for inner in node.node_tree.nodes:
+                    if inner.type == "GROUP_OUTPUT" and inner.is_active_output:
+                        todo += [(each, (*groups, node)) for each in inner.inputs if each.identifier == output.identifier]
+                continue
+            if node.type == "GROUP_INPUT":
+                if groups:
+                    todo += [(each, groups[:-1]) for each in groups[-1].inputs if each.identifier == output.identifier]
+                continue
+            yield node, output
+            todo += [(each, groups) for each in node.inputs if each.enabled]

@@ -1,0 +1,79 @@
+//! Widths for curves and points that have none: a share of the distance to what stands next to them.
+
+use glam::Vec3;
+
+/// How many places are asked for their nearest neighbour.
+const ASKED: usize = 256;
+
+/// Bounds on a width, as shares of the diagonal of the bounds of all points.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rule {
+    /// Share of the median distance between neighbours.
+    pub(crate) of_spacing: f32,
+    /// The largest width, which also holds where nothing has a neighbour.
+    pub(crate) largest: f32,
+    /// The smallest width.
+    pub(crate) smallest: f32,
+}
+
+/// Width of what stands at `places`: a share of the median distance to the nearest other place, within bounds that follow from `points`.
+/// `None` where all points are one.
+pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32> {
+    let finite = || points.iter().copied().filter(|point| point.is_finite());
+    let low = finite().reduce(Vec3::min)?;
+    let high = finite().reduce(Vec3::max)?;
+    let diagonal = (high - low).length();
+    if !(diagonal > 0.0 && diagonal.is_finite()) {
+        return None;
+    }
+    let largest = rule.largest * diagonal;
+    let Some(spacing) = median_spacing(places) else { return Some(largest) };
+    Some((rule.of_spacing * spacing).clamp(rule.smallest * diagonal, largest))
+}
+
+/// Median over places of the distance to the nearest other place; those that coincide do not count. `None` where no place has a neighbour.
+fn median_spacing(places: &[Vec3]) -> Option<f32> {
+    // a part of the places, evenly spread over the list, asks all of them
+    let asked = places.len().min(ASKED);
+    let mut distances: Vec<f32> = (0..asked)
+        .map(|i| places[i * places.len() / asked])
+        .filter_map(|place| {
+            let squares = places.iter().map(|other| other.distance_squared(place));
+            squares.filter(|square| *square > 0.0 && square.is_finite()).reduce(f32::min)
+        })
+        .collect();
+    distances.sort_by(f32::total_cmp);
+    distances.get(distances.len() / 2).map(|square| square.sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RULE: Rule = Rule { of_spacing: 0.25, largest: 0.01, smallest: 0.0001 };
+
+    #[test]
+    fn widths_follow_the_spacing_within_bounds() {
+        let grid = |step: f32| -> Vec<Vec3> {
+            (0..100 * 100).map(|i| step * Vec3::new((i % 100) as f32, 0.0, (i / 100) as f32)).collect()
+        };
+        for step in [1e-3, 1.0, 250.0] {
+            let width = width(&grid(step), &grid(step), RULE).unwrap();
+            assert!((width / step - 0.25).abs() < 1e-3, "{width} at {step}");
+        }
+        let long = [Vec3::ZERO, Vec3::new(0.0, 0.0, 10.0)];
+        let is_about = |places: &[Vec3], expected: f32| {
+            let found = width(places, &long, RULE).unwrap();
+            assert!((found / expected - 1.0).abs() < 1e-5, "{found}, not {expected}");
+        };
+        // alone, or far from its neighbour: the share of the bounds
+        is_about(&long[..1], 0.1);
+        is_about(&long, 0.1);
+        // nearly on top of each other
+        is_about(&[Vec3::ZERO, Vec3::new(1e-9, 0.0, 0.0)], 0.001);
+        // coincident places have no spacing
+        is_about(&[Vec3::ONE; 9], 0.1);
+        assert_eq!(width(&[Vec3::ONE; 9], &[Vec3::ONE; 9], RULE), None);
+        assert_eq!(width(&[], &[Vec3::NAN], RULE), None);
+    }
+}
