@@ -28,8 +28,8 @@ const LIT_BY_LAMPS: f64 = 0.05;
 /// Radiance that is seen past a scene in the studio light: a dark neutral ground.
 const GROUND: f32 = 0.035;
 
-/// Why a scene that has lamps of its own but no environment gets the studio light as well: an engine that glows lights no hangar, and lamps may shine past what is seen. The
-/// renderer, by which it was found out, comes along.
+/// Reports why a scene that has lamps of its own but no environment gets the studio light as well: an engine that glows lights no hangar, and lamps may shine past
+/// what is seen.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.
