@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid};
-use lumistack_field_io::picture::Picture;
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_scene::Window;
 
 use crate::blender;
 use crate::cache::KeyBuilder;
+use crate::code;
 use crate::denoise::{self, Denoised, Traced};
 use crate::depth::Depths;
 use crate::error::PipelineError;
@@ -18,11 +18,10 @@ use crate::fit::Placement;
 use crate::ingest::Ingested;
 use crate::job::{AngularFilter, Denoise, Engine, Job};
 use crate::look::Look;
+use crate::sealed;
 
 /// Rays that decide about exposure and tone curve, at most.
 const MOST_RAYS: usize = 4_000_000;
-/// Changes whenever the path tracer gives other pixels.
-const RENDER_VERSION: u32 = 3;
 
 /// The rendered light fields of a run.
 pub struct Rendered {
@@ -42,6 +41,8 @@ pub struct Rendered {
     pub(crate) denoised: Option<Denoised>,
     /// Whether no view had to be traced.
     pub cached: bool,
+    /// Where the traced views are kept.
+    pub(crate) folders: Vec<PathBuf>,
 }
 
 /// Evenly spread in-between views: at most `per_axis` of the midpoints on each axis.
@@ -114,7 +115,7 @@ pub(crate) fn render(
     let target =
         FieldJob { name: "target", stream: 0, geometry: geometry.clone(), traced: traced(geometry), settings, folder };
     let mut fields: Vec<FieldJob> = std::iter::once(Some(target)).chain(others).flatten().collect();
-    let mut key = KeyBuilder::new("render", RENDER_VERSION);
+    let mut key = KeyBuilder::new("render", code::VIEWS);
     ingested.add_to(&mut key);
     // what a view is before it is exposed
     key.add_json("light", &(job.light.environment_strength, job.light.automatic))
@@ -193,7 +194,8 @@ pub(crate) fn render(
     let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
     let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
     let (held_out, outside) = (other("held-out"), other("outside"));
-    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached })
+    let folders = fields.into_iter().map(|field| field.folder).collect();
+    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached, folders })
 }
 
 /// One light field to render.
@@ -271,10 +273,9 @@ pub(crate) fn view_path(folder: &Path, view: [usize; 2], half: Option<usize>) ->
     folder.join(format!("view_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
-/// Reads a view of the geometry's size.
+/// Reads a view of the geometry's size; `None` where it is not there as it was written.
 pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
-    let picture = Picture::read(path).ok()?;
-    (picture.size() == [geometry.cols, geometry.rows]).then(|| picture.into_linear())
+    sealed::read_picture(path, [geometry.cols, geometry.rows])
 }
 
 /// The brightest channel of evenly spread rays of all views, and whether they meet a surface.

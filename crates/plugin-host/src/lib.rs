@@ -15,6 +15,8 @@
 //! Whatever a plugin does (fails midway, panics, is cancelled, names a file outside its folder), the output's folder keeps what it
 //! had, and the program goes on.
 
+mod built_in;
+mod check;
 mod disk;
 #[cfg(feature = "dynamic")]
 mod dynamic;
@@ -24,6 +26,8 @@ mod publish;
 mod registry;
 mod run;
 
+pub use built_in::{PLUGIN_FINGERPRINT, fingerprint_of};
+pub use check::check_output;
 #[cfg(feature = "dynamic")]
 pub use dynamic::PluginPaths;
 pub use error::{HostError, LoadError};

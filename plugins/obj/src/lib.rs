@@ -21,6 +21,9 @@ use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema, export_plugin};
 use tobj::{LoadError, LoadOptions};
 
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
 /// The plugin.
 pub struct Obj;
 

@@ -1,9 +1,9 @@
 //! The light field of a run: rendered, or read from what somebody else rendered.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_display::{FieldGeometry, LightField};
+use lumistack_display::{Display, FieldGeometry, LightField};
 use lumistack_plugin_host::{Registry, Time};
 use lumistack_report::DepthBudget;
 use serde::{Deserialize, Serialize};
@@ -11,11 +11,14 @@ use serde_json::{Map, Value, json};
 
 use super::{Moment, Run};
 use crate::cache::{KeyBuilder, Stamps};
+use crate::clean;
+use crate::code;
 use crate::denoise::Denoised;
 use crate::error::{PipelineError, display_error, field_error, host_error};
 use crate::file_params;
-use crate::files::{check_folder, read_json, write_json};
+use crate::files::{read_json, write_json};
 use crate::fit::{self, Placement};
+use crate::folder::{self, Work};
 use crate::ingest::{self, Ingested};
 use crate::job::{Job, SourceJob};
 use crate::look::Look;
@@ -34,6 +37,8 @@ pub(crate) struct Input {
     /// What a denoiser did to the target.
     pub(super) denoised: Option<Denoised>,
     pub(super) about: Option<serde_json::Value>,
+    /// Folders of cached views that it was made from.
+    pub(crate) views: Vec<PathBuf>,
 }
 
 /// Renders the views of a job's scene into `target_dir`, without factorizing; says what their depth asks of the display.
@@ -50,7 +55,7 @@ pub fn render_only(
         return Err(PipelineError::value("job", "scene", "a scene to render", "none"));
     };
     let job = &file_params::resolved(job, registry)?;
-    check_folder(target_dir)?;
+    let _owned = folder::take(target_dir, Work::Views, job, registry, task)?;
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let cache = target_dir.join("cache");
@@ -62,6 +67,7 @@ pub fn render_only(
     let budget = rendered.depths.budget(&display, &geometry, &placement);
     warn_of_depth(&budget, task);
     write_field(target_dir, &rendered.target, &field_info(&rendered, &placement))?;
+    clean::keep_only_views(target_dir, &rendered.folders)?;
     Ok(budget)
 }
 
@@ -109,16 +115,22 @@ impl Run<'_> {
         let depth = rendered.depths.budget(&self.display, &geometry, &placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, ingested, &placement, &rendered);
-        let render::Rendered { target, held_out, outside, look, denoised, .. } = rendered;
-        Ok(Input { target, held_out, outside, look: Some(look), depth: Some(depth), denoised, about: Some(about) })
+        let render::Rendered { target, held_out, outside, look, denoised, folders, .. } = rendered;
+        Ok(Input {
+            target,
+            held_out,
+            outside,
+            look: Some(look),
+            depth: Some(depth),
+            denoised,
+            about: Some(about),
+            views: folders,
+        })
     }
 
     fn read_field(&mut self, path: &Path, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
         let job = &self.job.clone();
-        let defaults = lumistack_field_io::GeometryDefaults {
-            width_mm: Some(self.display.field_pixels().size_mm()[0]),
-            fov_deg: Some(self.display.field.fov_deg),
-        };
+        let defaults = field_defaults(&self.display);
         let display = self.display.clone();
         let target = self.timed("read", |_| {
             let footprint = |geometry: &FieldGeometry| display.adapted_to(geometry).angular_footprint();
@@ -134,7 +146,7 @@ impl Run<'_> {
     /// The light field of a source plugin; what it made before is read back.
     fn make_field(&mut self, source: &SourceJob, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
         let registry = self.registry;
-        let mut key = KeyBuilder::new("source", 1);
+        let mut key = KeyBuilder::new("source", code::PLUGINS);
         key.add("plugin", ingest::plugin_key(registry, &source.plugin, &source.params)?.as_bytes())
             .add("display", self.display.without_panels().to_toml().as_bytes())
             .add_json("time", &(source.time, source.time_s));
@@ -175,7 +187,24 @@ impl Run<'_> {
         self.display = self.display.adapted_to(target.geometry());
         self.display.check().map_err(|source| display_error(source, "light field"))?;
         write_field_if_changed(&self.stamps, &self.dir, "target", &target, &Map::new())?;
-        Ok(Input { target, held_out: None, outside: None, look: None, depth: None, denoised: None, about: Some(about) })
+        Ok(Input {
+            target,
+            held_out: None,
+            outside: None,
+            look: None,
+            depth: None,
+            denoised: None,
+            about: Some(about),
+            views: Vec::new(),
+        })
+    }
+}
+
+/// What a light field takes of its display where it does not say itself.
+pub(super) fn field_defaults(display: &Display) -> lumistack_field_io::GeometryDefaults {
+    lumistack_field_io::GeometryDefaults {
+        width_mm: Some(display.field_pixels().size_mm()[0]),
+        fov_deg: Some(display.field.fov_deg),
     }
 }
 
@@ -255,7 +284,7 @@ fn write_field_if_changed(
 
 /// Hash of everything that a light-field folder holds.
 fn field_key(name: &str, field: &LightField, info: &Map<String, Value>) -> String {
-    let mut key = KeyBuilder::new(name, 1);
+    let mut key = KeyBuilder::new(name, code::FIELDS);
     key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
     key.add_json("info", info).finish()
 }
