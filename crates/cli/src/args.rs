@@ -72,6 +72,11 @@ pub(crate) enum Command {
     Show(Box<crate::show::Show>),
     /// What is in a scene, a light field, a layer stack, a run folder, a display or a job
     Info(Info),
+    /// Frees what stopped runs left in a run folder, and what is cached for other settings than the last run's; results stay
+    #[command(
+        after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     what could be freed, by kind\n  lumistack clean runs/*                        every run, sequence and sweep\n  lumistack clean runs/still-life --all         cached views too: the next run of other settings renders anew"
+    )]
+    Clean(Clean),
     /// All plugins with their parameters and where they come from, and which libraries could not be used and why
     Plugins,
     /// The displays that come with the program
@@ -392,6 +397,19 @@ pub(crate) struct Simulate {
     /// Picture to write: .png (sRGB-encoded) or .exr (linear)
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: PathBuf,
+}
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct Clean {
+    /// Folders of runs, sequences, sweeps or rendered views
+    #[arg(required = true, value_name = "RUN")]
+    pub(crate) dirs: Vec<PathBuf>,
+    /// Also remove everything else that only saves time at the next run: all cached views
+    #[arg(long)]
+    pub(crate) all: bool,
+    /// Say what would be freed, and remove nothing
+    #[arg(long)]
+    pub(crate) dry_run: bool,
 }
 
 #[derive(Debug, ClapArgs)]

@@ -6,14 +6,14 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, FitDepth, ImporterJob, Job, OutputJob, PipelineError, Registry, RunFolder, SequenceJob, Tone,
-    ViewOptions, Viewpoint, WindowFrom, is_usd, plugins, presets, render_only, run as run_job, set_threads,
+    DisplayJob, FitDepth, Freed, ImporterJob, Job, OutputJob, PipelineError, Registry, RunFolder, SequenceJob, Tone,
+    ViewOptions, Viewpoint, WindowFrom, clean, is_usd, plugins, presets, render_only, run as run_job, set_threads,
     simulate_to_file,
 };
 use serde_json::json;
 
 use crate::args::{
-    Args, Command, DisplayArgs, Factorize, FactorizeArgs, FileArgs, GeometryArgs, Render, RenderArgs, Run,
+    Args, Clean, Command, DisplayArgs, Factorize, FactorizeArgs, FileArgs, GeometryArgs, Render, RenderArgs, Run,
     SequenceArgs, Setup, Simulate,
 };
 use crate::console::{Console, say};
@@ -51,6 +51,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         Command::Analyze(analyze) => crate::analyze::run(&analyze, &registry_for_work()?, args.json, task),
         Command::Sweep(sweep) => crate::sweep::run(&sweep, &registry_for_work()?, args.json, task),
         Command::Compare(compare) => crate::compare::run(&compare, args.json, task),
+        Command::Clean(args_of) => clean_command(&args_of, args.json, task),
         Command::Show(show) => crate::show::show_command(&show, args.json, task),
         Command::Info(info) => info::print(&info, &registry_for_work()?, args.json, task),
         Command::Plugins => {
@@ -158,7 +159,40 @@ fn finish(
         }
         say!("{}", summary.report.display());
     }
+    match summary.failed_outputs {
+        failed if failed.is_empty() => Ok(()),
+        failed => Err(PipelineError::Outputs { failed }),
+    }
+}
+
+fn clean_command(args: &Clean, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+    for dir in &args.dirs {
+        let cleaned = clean(dir, args.all, args.dry_run, task)?;
+        if json {
+            let mut event = serde_json::to_value(&cleaned).expect("what was cleaned serializes");
+            (event["event"], event["dry_run"]) = ("done".into(), args.dry_run.into());
+            event["freed_bytes"] = cleaned.bytes().into();
+            say!("{event}");
+            continue;
+        }
+        for Freed { kind, files, bytes, .. } in &cleaned.freed {
+            say!("{:>10}  {kind}, {files} file{}", size_text(*bytes), if *files == 1 { "" } else { "s" });
+        }
+        let (freed, kept) = (size_text(cleaned.bytes()), size_text(cleaned.kept_bytes));
+        let done = if args.dry_run { "would be freed" } else { "freed" };
+        let hint = if args.all || cleaned.kept_bytes == 0 { "" } else { "; --all removes cached views, too" };
+        say!("{:>10}  {done} in {}; {kept} stay in its cache{hint}", freed, dir.display());
+    }
     Ok(())
+}
+
+fn size_text(bytes: u64) -> String {
+    match bytes {
+        0..1_000 => format!("{bytes} B"),
+        1_000..1_000_000 => format!("{:.1} kB", bytes as f64 / 1e3),
+        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 / 1e6),
+        _ => format!("{:.1} GB", bytes as f64 / 1e9),
+    }
 }
 
 fn render_command(args: &Render, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {

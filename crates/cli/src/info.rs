@@ -7,7 +7,7 @@ use lumistack_core::config::nearest;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
     ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field,
-    is_blend, is_usd, load_scene, outlook, plugin_list, plugin_text, presets,
+    is_blend, is_usd, load_scene, outlook, plugin_list, plugin_text, presets, refused_outputs,
 };
 use lumistack_usd::VariantSet;
 use serde_json::{Value, json};
@@ -63,7 +63,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
         "gltf" | "glb" => scene(args, registry, task),
         _ if is_usd(path) || is_blend(path) => scene(args, registry, task),
         other if registry.importer_of(other).is_some() => scene(args, registry, task),
-        "toml" => toml(path),
+        "toml" => toml(path, registry, task),
         _ if path.join("layers/stack.json").is_file() => run_folder(path),
         _ if path.join("stack.json").is_file() => stack(path),
         _ => {
@@ -178,7 +178,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     }))
 }
 
-fn toml(path: &Path) -> Result<Value, PipelineError> {
+fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let job = match Job::load(path) {
         Ok(job) => job,
         Err(job_error) => {
@@ -193,7 +193,18 @@ fn toml(path: &Path) -> Result<Value, PipelineError> {
         }
     };
     let resolved = job.resolve_display()?;
-    Ok(json!({ "job": serde_json::to_value(&job).expect("jobs serialize"), "display": display(&resolved)["display"] }))
+    let refused: Vec<Value> = match refused_outputs(&job, registry, task) {
+        Ok(refused) => refused.iter().map(|output| format!("{}: {}", output.name, output.reason).into()).collect(),
+        // a job whose input is not there yet is still a job
+        Err(PipelineError::Cancelled) => return Err(PipelineError::Cancelled),
+        Err(error) => vec![format!("not checked: {error}").into()],
+    };
+    let mut value =
+        json!({ "job": serde_json::to_value(&job).expect("jobs serialize"), "display": display(&resolved)["display"] });
+    if !refused.is_empty() {
+        value["outputs that a run would refuse"] = refused.into();
+    }
+    Ok(value)
 }
 
 fn display(display: &Display) -> Value {

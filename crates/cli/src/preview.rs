@@ -1,10 +1,11 @@
 //! `lumistack preview`: the browser simulator of a run on a local port.
 
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use lumistack_core::Task;
-use lumistack_pipeline::{PipelineError, Registry, RunFolder};
+use lumistack_pipeline::{PipelineError, Registry, update_preview};
 use serde_json::json;
 
 use crate::args::Preview;
@@ -22,6 +23,8 @@ struct Source {
     site: PathBuf,
     /// The run that it is made from by ourselves.
     run: Option<PathBuf>,
+    /// The files of both when they were last compared.
+    seen: Mutex<Option<(Files, Files)>>,
 }
 
 pub(crate) fn preview_command(
@@ -64,7 +67,7 @@ pub(crate) fn preview_command(
 /// A preview's folder, or a run: the preview that an output of it wrote, or one that is made now.
 fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join(PREVIEW_JSON).is_file() {
-        return Ok(Source { site: dir.to_owned(), run: None });
+        return Ok(Source { site: dir.to_owned(), run: None, seen: Mutex::default() });
     }
     let mut written = outputs_of(dir).into_iter();
     if let Some(site) = written.next() {
@@ -73,10 +76,10 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
             let text = format!("shows {}; this run also has {}", site.display(), others.join(", "));
             task.warn("preview", text);
         }
-        return Ok(Source { site, run: None });
+        return Ok(Source { site, run: None, seen: Mutex::default() });
     }
     if dir.join("layers/stack.json").is_file() {
-        return Ok(Source { site: dir.join("preview"), run: Some(dir.to_owned()) });
+        return Ok(Source { site: dir.join("preview"), run: Some(dir.to_owned()), seen: Mutex::default() });
     }
     let found = match std::fs::metadata(dir) {
         Err(error) => error.to_string(),
@@ -108,15 +111,42 @@ pub(crate) fn written_preview(run: &Path) -> Option<PathBuf> {
 }
 
 impl Source {
-    /// Writes the preview of a run where there is none or the run's patterns are newer.
+    /// Writes the preview of a run where there is none or it shows other patterns than the run's.
     fn refresh(&self, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
         let Some(run) = &self.run else { return Ok(()) };
-        let (stack, made) = (run.join("layers/stack.json"), self.site.join(PREVIEW_JSON));
-        if modified(&made).is_some_and(|made| modified(&stack).is_some_and(|stack| stack <= made)) {
+        // contents are compared once; from then on when a file was touched, whichever way its time went
+        let before = files_of(run, &self.site);
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        if seen.as_ref() == Some(&before) {
             return Ok(());
         }
-        RunFolder::open(run)?.write_preview(registry, &self.site, task)
+        update_preview(run, registry, task)?;
+        // what was made from older files is looked at again
+        *seen = (files_of(run, &self.site).0 == before.0).then(|| files_of(run, &self.site));
+        Ok(())
     }
+}
+
+/// Length and time of files.
+type Files = Vec<(PathBuf, u64, Option<SystemTime>)>;
+
+/// What a preview is made from, and what it is.
+fn files_of(run: &Path, site: &Path) -> (Files, Files) {
+    let below = |folder: PathBuf| {
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+        entries.collect::<Vec<_>>()
+    };
+    let known = |mut paths: Vec<PathBuf>| -> Files {
+        paths.sort();
+        let of = |path: PathBuf| {
+            let data = std::fs::metadata(&path).ok()?;
+            Some((path, data.len(), data.modified().ok()))
+        };
+        paths.into_iter().filter_map(of).collect()
+    };
+    let settings = ["display.toml", "report.json"].map(|name| run.join(name));
+    let made_from = [settings.to_vec(), below(run.join("layers")), below(run.join("target"))].concat();
+    (known(made_from), known([below(site.to_owned()), below(site.join("stack"))].concat()))
 }
 
 fn modified(path: &Path) -> Option<SystemTime> {

@@ -82,7 +82,7 @@ mod with_windows {
 
     use lumistack_core::{Cancel, Task};
     use lumistack_display::{Display, LayerStack};
-    use lumistack_pipeline::{PipelineError, RunFolder, presets};
+    use lumistack_pipeline::{PipelineError, RunFolder, presets, resealed};
     use lumistack_plugin_panels::assign::Output;
     use lumistack_plugin_panels::window::{self, Command, Content, Event, Mode, Report, Settings};
     use lumistack_plugin_panels::{Shows, keep_panels};
@@ -399,7 +399,7 @@ mod with_windows {
         })?;
         let text =
             lumistack_files::read_text(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
-        let text = keep_panels(&text, display).map_err(PipelineError::command)?;
+        let text = resealed(&text, &keep_panels(&text, display).map_err(PipelineError::command)?);
         lumistack_field_io::atomic::write_bytes(path, text.as_bytes()).map_err(PipelineError::Field)?;
         Ok(path.to_owned())
     }

@@ -17,3 +17,6 @@ pub mod sheet;
 pub mod table;
 
 pub use analysis::{Analysis, AxisAnalysis, Brightness, Closed, Scene, Timing, Zone};
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

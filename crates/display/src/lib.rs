@@ -20,6 +20,9 @@ mod depth;
 mod field;
 mod formation;
 pub mod forward;
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 mod grid;
 mod layer;
 mod panel;

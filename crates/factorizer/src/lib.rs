@@ -50,3 +50,6 @@ pub use solver::{Objective, Run, Solver, solver, solvers};
 pub use start::{FLOOR, StartKind, random_start, start_patterns};
 pub use stream::{ChannelRun, Estimate};
 pub use target::LentTarget;
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

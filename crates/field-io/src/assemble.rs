@@ -56,13 +56,35 @@ pub fn open_for(
     assemble(&mut source, flags, defaults, footprint, task)
 }
 
-pub(crate) fn assemble(
+/// The geometry that [`open`] would give a light field, without reading all of its pictures.
+///
+/// # Errors
+/// As [`open`], as far as no values are needed.
+pub fn geometry_of(
+    path: &Path,
+    flags: &GeometryFlags,
+    defaults: &GeometryDefaults,
+    task: Task<'_>,
+) -> Result<FieldGeometry, FieldError> {
+    let mut source = detect::detect(path, flags, task)?;
+    source.mirror(flags.mirror);
+    plan(&mut source, flags, defaults, task).map(|plan| plan.geometry)
+}
+
+/// What is read of a source, and as what.
+struct Plan {
+    /// Views that are kept: [view rows, view columns].
+    picks: [Vec<usize>; 2],
+    window: Window,
+    geometry: FieldGeometry,
+}
+
+fn plan(
     source: &mut Source,
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,
-    footprint: Option<Footprint<'_>>,
     task: Task<'_>,
-) -> Result<LightField, FieldError> {
+) -> Result<Plan, FieldError> {
     let path = source.path.clone();
     let picks = picks(source, flags)?;
     let focus_px = match flags.focus_px {
@@ -75,7 +97,18 @@ pub(crate) fn assemble(
     let window = Window::new(source, flags, &picks, focus_px)?;
     let pixels = Pixels { size: window.out_size, window_cols: window.size[0], focus_px };
     let geometry = geometry::resolve(&path, flags, defaults, &source.hints, &picks, &pixels, task)?;
+    Ok(Plan { picks, window, geometry })
+}
 
+pub(crate) fn assemble(
+    source: &mut Source,
+    flags: &GeometryFlags,
+    defaults: &GeometryDefaults,
+    footprint: Option<Footprint<'_>>,
+    task: Task<'_>,
+) -> Result<LightField, FieldError> {
+    let path = source.path.clone();
+    let Plan { picks, window, geometry } = plan(source, flags, defaults, task)?;
     let averaged = averaged(source, flags, footprint, &picks, &window, &geometry, task)?;
     let shape = LightField::shape_of(&geometry);
     let count = Tensor::element_count(shape)

@@ -3,8 +3,13 @@
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
+use std::time::Duration;
 
 use crate::FieldError;
+
+/// Begin and end of the names of temporary files.
+const PREFIX: &str = ".lumistack-";
+const SUFFIX: &str = ".tmp";
 
 /// What [`fn@write`] lends to its closure: buffered, seekable.
 pub type Writer<'a> = BufWriter<&'a mut File>;
@@ -61,6 +66,8 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
     }
     let mut beside = temporary_beside(folder)?;
+    // says that somebody writes it; where there are no locks, its age has to do
+    let _ = beside.as_file().try_lock();
     {
         let mut writer = BufWriter::with_capacity(1 << 16, beside.as_file_mut());
         fill(&mut writer)?;
@@ -72,9 +79,23 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
     Ok(())
 }
 
+/// Age below which a temporary file may be one whose writer has not locked it yet.
+const YOUNG: Duration = Duration::from_secs(2);
+
+/// Whether a file is a temporary one of [`fn@write`] whose writer is gone: killed, or the machine stopped.
+pub fn is_abandoned(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
+        return false;
+    }
+    let age = fs::symlink_metadata(path).ok().filter(|data| data.is_file()).and_then(|data| data.modified().ok());
+    let is_old = age.and_then(|time| time.elapsed().ok()).is_some_and(|age| age >= YOUNG);
+    is_old && File::options().write(true).open(path).is_ok_and(|file| file.try_lock().is_ok())
+}
+
 fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".lumistack-").suffix(".tmp");
+    builder.prefix(PREFIX).suffix(SUFFIX);
     // Temporary files are private by default; results are as readable as the user's other files.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
@@ -126,6 +147,33 @@ mod tests {
         assert!(error.contains("a folder has this name"), "{error}");
         assert_eq!(names(folder.path()), ["out"]);
         create_folder(&folder.path().join("new/deeper")).unwrap();
+    }
+
+    #[test]
+    fn only_files_without_a_writer_are_abandoned() {
+        let folder = tempfile::tempdir().unwrap();
+        let age = |path: &Path| {
+            let file = File::options().write(true).open(path).unwrap();
+            file.set_modified(std::time::SystemTime::now() - Duration::from_secs(60)).unwrap();
+        };
+        let left = folder.path().join(".lumistack-a1b2c3.tmp");
+        fs::write(&left, "half").unwrap();
+        assert!(!is_abandoned(&left), "its writer may just have made it");
+        age(&left);
+        assert!(is_abandoned(&left));
+        let other = folder.path().join("a.tmp");
+        fs::write(&other, "mine").unwrap();
+        age(&other);
+        assert!(!is_abandoned(&other) && !is_abandoned(&folder.path().join(".lumistack-none.tmp")));
+        fs::remove_file(&left).unwrap();
+        write(&folder.path().join("a.bin"), |_| {
+            let name = names(folder.path()).into_iter().find(|name| name.starts_with(PREFIX)).unwrap();
+            let path = folder.path().join(name);
+            age(&path);
+            assert!(!is_abandoned(&path), "it is being written");
+            Ok(())
+        })
+        .unwrap();
     }
 
     #[cfg(unix)]

@@ -30,7 +30,7 @@ mod resample;
 mod source;
 mod stack;
 
-pub use assemble::{open, open_for};
+pub use assemble::{geometry_of, open, open_for};
 pub use describe::{Description, describe};
 pub use error::FieldError;
 pub use folder::{read_field_folder, round_to_half, view_file_name, write_field, write_index, write_view, write_views};
@@ -38,3 +38,6 @@ pub use geometry::{GeometryDefaults, GeometryFlags};
 pub use prefilter::Footprint;
 pub use source::Kind;
 pub use stack::{BacklightEntry, LayerEntry, StackIndex, read_stack, read_stack_index, write_stack};
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

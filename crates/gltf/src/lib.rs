@@ -60,6 +60,9 @@ pub use error::GltfError;
 pub use load::{Contents, contents, load, load_with};
 pub use options::LoadOptions;
 
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
 /// Reads the files that a glTF file refers to.
 pub trait AssetResolver {
     /// The content of the file at `uri`, which is relative to the glTF file and already percent-decoded. The file is not trusted: `uri` may

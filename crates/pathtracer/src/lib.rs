@@ -36,3 +36,6 @@ mod tracer;
 
 pub use renderer::{Checks, Feature, Features, Memory, RenderError, Renderer};
 pub use settings::{AngularFilter, Settings, SettingsError};
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

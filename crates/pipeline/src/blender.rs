@@ -5,16 +5,18 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, Projection};
-use lumistack_field_io::picture::{self, Picture, Precision};
+use lumistack_field_io::picture::Picture;
 use lumistack_scene::Window;
 use lumistack_usd::{BlendAccount, BlendContents, BlendViews, BlendWindow, HandedOver};
 use serde::{Deserialize, Serialize};
 
 use crate::cache::KeyBuilder;
+use crate::code;
 use crate::error::{PipelineError, field_error};
 use crate::files::{read_json, write, write_json};
 use crate::ingest::{Ingested, hash, is_blend};
 use crate::job::{Engine, Job, RenderJob};
+use crate::sealed;
 
 /// Who renders the views of a job: who is asked for, else our path tracer, or the file's own engine where a `.blend` file has what the hand-over loses and
 /// that engine can render here. Says what is lost, or why which engine is taken.
@@ -116,12 +118,24 @@ struct Kept {
     files: Vec<(PathBuf, String)>,
     program: Option<[u64; 2]>,
     glb: String,
+    /// Of the code that asks for it and reads it: no other program takes it up.
+    code: String,
+}
+
+fn code_of_scenes() -> String {
+    KeyBuilder::new("scenes", code::SCENE).finish()
+}
+
+/// Whether a kept file (`blend-KEY.json` or `.glb`) belongs to a hand-over that a run would take up.
+pub(crate) fn holds(path: &Path) -> bool {
+    read_json::<Kept>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
 }
 
 impl Kept {
     /// Whether Blender would hand over the same again.
     fn holds(&self) -> bool {
-        self.program.is_some()
+        self.code == code_of_scenes()
+            && self.program.is_some()
             && self.program == lumistack_usd::file_stamp(&self.account.program)
             && self.account.missing.iter().all(|path| !path.exists())
             && self.files.iter().all(|(path, content)| content_of(path).as_ref() == Some(content))
@@ -159,7 +173,7 @@ fn kept_or(
     surroundings: &str,
     folder: &Path,
 ) -> Result<HandedOver, PipelineError> {
-    let mut key = KeyBuilder::new("blend", 1);
+    let mut key = KeyBuilder::new("blend", code::SCENE);
     let place = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);
     let key = key.add("surroundings", surroundings.as_bytes()).finish();
@@ -178,7 +192,7 @@ fn kept_or(
     // a file that was saved meanwhile, or is gone, makes no kept result
     if let Some(files) = files.filter(|files| account.untracked.is_none() && Some(&files[0].1) == before.as_ref()) {
         let program = lumistack_usd::file_stamp(&account.program);
-        let kept = Kept { account: account.clone(), files, program, glb: hash(glb) };
+        let kept = Kept { account: account.clone(), files, program, glb: hash(glb), code: code_of_scenes() };
         std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
         write(&file, glb)?;
         write_json(&stamp, &kept)?;
@@ -195,7 +209,7 @@ fn keep(picture: &Path, geometry: &FieldGeometry, path: &Path) -> Result<(), Pip
         let expected = format!("{cols} × {rows} pixels from Blender");
         return Err(PipelineError::value(path, "view", expected, format!("{found_cols} × {found_rows}")));
     }
-    picture::write_exr(path, size, &read.into_linear(), Precision::Float).map_err(field_error)
+    sealed::write_picture(path, size, &read.into_linear())
 }
 
 #[cfg(test)]

@@ -1,13 +1,16 @@
 //! What makes a rerun cheap: keys of stages and stamps beside their results.
 //!
-//! A stage is keyed by a hash of its version, its resolved settings and the content of every file it read, never by thread count. Its stamp is
-//! written last, so that a stage that was killed midway has none.
+//! A stage is keyed by a hash of the code that its result passes through, its resolved settings and the content of every file it read, never by thread
+//! count. Its stamp is written last, so that a stage that was killed midway has none, and holds a hash of every file that the stage wrote: one that was
+//! damaged or replaced since is no result, whatever its size and time.
 
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::code::Code;
 use crate::error::PipelineError;
 use crate::files::{read_json, write_json};
 
@@ -33,19 +36,21 @@ pub(crate) fn remembered<T: Serialize + DeserializeOwned>(
 
 /// Collects everything a stage's result depends on.
 #[derive(Clone)]
-pub struct KeyBuilder(blake3::Hasher);
+pub(crate) struct KeyBuilder(blake3::Hasher);
 
 impl KeyBuilder {
-    /// Starts the key of a stage; `version` changes whenever its code gives other results.
-    pub fn new(stage: &str, version: u32) -> Self {
+    /// Starts the key of a stage whose results pass through `code`.
+    pub(crate) fn new(stage: &str, code: Code) -> Self {
         let mut builder = Self(blake3::Hasher::new());
         builder.add("stage", stage.as_bytes());
-        builder.add("version", &version.to_le_bytes());
+        for fingerprint in code {
+            builder.add("code", fingerprint.as_bytes());
+        }
         builder
     }
 
     /// Adds a labelled value. Lengths are hashed too, so that neighbours cannot run together.
-    pub fn add(&mut self, label: &str, bytes: &[u8]) -> &mut Self {
+    pub(crate) fn add(&mut self, label: &str, bytes: &[u8]) -> &mut Self {
         for part in [label.as_bytes(), bytes] {
             self.0.update(&(part.len() as u64).to_le_bytes());
             self.0.update(part);
@@ -54,13 +59,13 @@ impl KeyBuilder {
     }
 
     /// Adds anything that serializes.
-    pub fn add_json(&mut self, label: &str, value: &impl Serialize) -> &mut Self {
+    pub(crate) fn add_json(&mut self, label: &str, value: &impl Serialize) -> &mut Self {
         let text = serde_json::to_string(value).expect("settings serialize");
         self.add(label, text.as_bytes())
     }
 
     /// Adds floats.
-    pub fn add_f32(&mut self, label: &str, values: &[f32]) -> &mut Self {
+    pub(crate) fn add_f32(&mut self, label: &str, values: &[f32]) -> &mut Self {
         self.0.update(&(label.len() as u64).to_le_bytes());
         self.0.update(label.as_bytes());
         self.0.update(&(values.len() as u64).to_le_bytes());
@@ -74,50 +79,56 @@ impl KeyBuilder {
     }
 
     /// The key in hexadecimal.
-    pub fn finish(&self) -> String {
+    pub(crate) fn finish(&self) -> String {
         self.0.finalize().to_hex().to_string()
     }
 }
 
 /// The stamps of a run folder.
 #[derive(Clone, Debug)]
-pub struct Stamps {
+pub(crate) struct Stamps {
     run_dir: PathBuf,
 }
 
 #[derive(Serialize, Deserialize)]
 struct Stamp {
     key: String,
-    files: Vec<(PathBuf, u64)>,
+    /// Each with a hash of its content.
+    files: Vec<(PathBuf, String)>,
+}
+
+/// A hash of a file's content.
+pub(crate) fn content_hash(path: &Path) -> std::io::Result<String> {
+    let mut hash = blake3::Hasher::new();
+    hash.update_reader(std::fs::File::open(path)?)?;
+    Ok(hash.finalize().to_hex().to_string())
 }
 
 impl Stamps {
     /// Stamps of a run folder, kept in `cache/`.
-    pub fn new(run_dir: &Path) -> Self {
+    pub(crate) fn new(run_dir: &Path) -> Self {
         Self { run_dir: run_dir.to_owned() }
     }
 
-    /// Whether the stage finished with this key and all its files are still there, with the sizes they had.
-    pub fn is_current(&self, stage: &str, key: &str) -> bool {
+    /// Whether the stage finished with this key and all its files still have the content that they had.
+    pub(crate) fn is_current(&self, stage: &str, key: &str) -> bool {
         let Ok(text) = std::fs::read(self.path(stage)) else { return false };
         let Ok(stamp) = serde_json::from_slice::<Stamp>(&text) else { return false };
-        stamp.key == key
-            && stamp.files.iter().all(|(file, size)| {
-                std::fs::metadata(self.run_dir.join(file)).is_ok_and(|meta| meta.is_file() && meta.len() == *size)
-            })
+        let holds = |(file, hash): &(PathBuf, String)| content_hash(&self.run_dir.join(file)).is_ok_and(|h| h == *hash);
+        stamp.key == key && stamp.files.par_iter().all(holds)
     }
 
     /// Records that the stage has finished; `files` are relative to the run folder.
     ///
     /// # Errors
     /// When a file is missing or the stamp cannot be written.
-    pub fn write(&self, stage: &str, key: &str, files: &[PathBuf]) -> Result<(), PipelineError> {
-        let sized = files.iter().map(|file| {
+    pub(crate) fn write(&self, stage: &str, key: &str, files: &[PathBuf]) -> Result<(), PipelineError> {
+        let hashed = files.par_iter().map(|file| {
             let path = self.run_dir.join(file);
-            let meta = std::fs::metadata(&path).map_err(|source| PipelineError::Read { path, source })?;
-            Ok((file.clone(), meta.len()))
+            let hash = content_hash(&path).map_err(|source| PipelineError::Read { path, source })?;
+            Ok((file.clone(), hash))
         });
-        let stamp = Stamp { key: key.into(), files: sized.collect::<Result<_, PipelineError>>()? };
+        let stamp = Stamp { key: key.into(), files: hashed.collect::<Result<_, PipelineError>>()? };
         let text = serde_json::to_vec_pretty(&stamp).expect("stamps serialize");
         let folder = self.run_dir.join("cache");
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
@@ -128,7 +139,7 @@ impl Stamps {
     ///
     /// # Errors
     /// When the stamp cannot be removed.
-    pub fn clear(&self, stage: &str) -> Result<(), PipelineError> {
+    pub(crate) fn clear(&self, stage: &str) -> Result<(), PipelineError> {
         let path = self.path(stage);
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
@@ -149,23 +160,33 @@ mod tests {
 
     #[test]
     fn keys_depend_on_every_part() {
-        let key = |a: &str, b: &str| KeyBuilder::new("s", 1).add(a, b.as_bytes()).finish();
+        let key = |a: &str, b: &str| KeyBuilder::new("s", &["1"]).add(a, b.as_bytes()).finish();
         assert_ne!(key("ab", "c"), key("a", "bc"));
-        assert_ne!(KeyBuilder::new("s", 1).finish(), KeyBuilder::new("s", 2).finish());
+        let of = |code: Code| KeyBuilder::new("s", code).finish();
+        assert_ne!(of(&["1"]), of(&["2"]), "the code has changed");
+        assert_ne!(of(&["1"]), of(&["1", "2"]));
         assert_eq!(key("a", "b"), key("a", "b"));
     }
 
     #[test]
-    fn a_stamp_counts_while_its_files_are_there() {
+    fn a_stamp_counts_while_its_files_hold_the_same() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("cache")).unwrap();
-        std::fs::write(folder.path().join("a.txt"), "one").unwrap();
+        let file = folder.path().join("a.txt");
+        std::fs::write(&file, "one").unwrap();
         let stamps = Stamps::new(folder.path());
         assert!(!stamps.is_current("s", "k"));
         stamps.write("s", "k", &["a.txt".into()]).unwrap();
         assert!(stamps.is_current("s", "k") && !stamps.is_current("s", "other"));
-        std::fs::write(folder.path().join("a.txt"), "other").unwrap();
+        // of equal size, and with the time that it had
+        let written = std::fs::metadata(&file).unwrap().modified().unwrap();
+        std::fs::write(&file, "two").unwrap();
+        std::fs::File::options().write(true).open(&file).unwrap().set_modified(written).unwrap();
         assert!(!stamps.is_current("s", "k"), "the file has changed");
+        std::fs::write(&file, "one").unwrap();
+        assert!(stamps.is_current("s", "k"));
+        std::fs::remove_file(&file).unwrap();
+        assert!(!stamps.is_current("s", "k"));
         stamps.clear("s").unwrap();
         stamps.clear("s").unwrap();
     }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! cache/views/target-KEY/view_YY_XX-a.exr -b.exr       halves of the samples, as traced
-//! cache/views/target-KEY/guided-1/view_YY_XX.exr       filtered; figures.json is written last
+//! cache/views/target-KEY/guided/view_YY_XX.exr       filtered; figures.json is written last
 //! ```
 //!
 //! A run that is stopped goes on from its finished halves, and another filter costs no rendering.
@@ -11,21 +11,19 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
-use lumistack_field_io::picture::{self, Precision};
 use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, ViewFigures, Window as Around};
 use lumistack_pathtracer::{Checks, Renderer, Settings};
 use lumistack_report::{DenoisedView, Denoising};
 use lumistack_scene::Window;
 
-use crate::error::{PipelineError, field_error};
+use crate::error::PipelineError;
 use crate::files::{read_json, write_json};
 use crate::job::Denoise;
 use crate::look::Look;
 use crate::oidn::Oidn;
 use crate::render::{read_view, render_error, view_path};
+use crate::sealed;
 
-/// Changes whenever a denoiser gives other pixels or other figures.
-const VERSION: u32 = 1;
 /// Rays per pixel that the guides are averaged over.
 pub(crate) const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
@@ -61,7 +59,7 @@ pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
 
 /// Where finished views lie.
 pub(crate) fn finished(kind: Denoise, folder: &Path) -> PathBuf {
-    if kind == Denoise::Off { folder.to_owned() } else { folder.join(format!("{}-{VERSION}", kind.name())) }
+    if kind == Denoise::Off { folder.to_owned() } else { folder.join(kind.name()) }
 }
 
 /// Fails early where a filter cannot be had: before an hour of rendering, not after.
@@ -252,5 +250,5 @@ fn read_figures(folder: &Path) -> Option<Vec<ViewFigures>> {
 /// When the file cannot be written.
 pub(crate) fn write_view(path: &Path, picture: &Tensor<3>) -> Result<(), PipelineError> {
     let [rows, cols, _] = picture.shape();
-    picture::write_exr(path, [cols, rows], picture.data(), Precision::Float).map_err(field_error)
+    sealed::write_picture(path, [cols, rows], picture.data())
 }

@@ -9,7 +9,9 @@ use lumistack_plugin_host::Registry;
 use lumistack_report::DepthBudget;
 use lumistack_scene::Window;
 
+use crate::cache::content_hash;
 use crate::error::{PipelineError, display_error, field_error};
+use crate::files::{read_json, write_json};
 use crate::fit::{self, Placement, probe};
 use crate::ingest::load_scene;
 use crate::job::Job;
@@ -19,6 +21,8 @@ use crate::render::render_error;
 const MOST_COLS: usize = 240;
 /// Its file beside the views.
 const FILE: &str = "depth.npy";
+/// Beside it a hash of its content.
+const HASH: &str = "depth.json";
 
 /// What can be told of a scene on a display before anything is rendered.
 pub struct Outlook {
@@ -70,6 +74,10 @@ impl Depths {
     pub(crate) fn read(folder: &Path, geometry: &FieldGeometry) -> Option<Self> {
         let geometry = probe(geometry, geometry.grid.clone(), MOST_COLS);
         let [view_rows, view_cols] = geometry.grid.views();
+        let hash: String = read_json(&folder.join(HASH))?;
+        if content_hash(&folder.join(FILE)).ok()? != hash {
+            return None;
+        }
         let (shape, z_mm) = lumistack_field_io::npy::read(&folder.join(FILE)).ok()?;
         (shape == [view_rows, view_cols, geometry.rows, geometry.cols]).then_some(Self { geometry, z_mm })
     }
@@ -98,7 +106,10 @@ impl Depths {
         let [view_rows, view_cols] = geometry.grid.views();
         let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
         if let Some(folder) = folder {
-            lumistack_field_io::npy::write(&folder.join(FILE), &shape, &z_mm).map_err(field_error)?;
+            let path = folder.join(FILE);
+            lumistack_field_io::npy::write(&path, &shape, &z_mm).map_err(field_error)?;
+            let hash = content_hash(&path).map_err(|source| PipelineError::Read { path, source })?;
+            write_json(&folder.join(HASH), &hash)?;
         }
         Ok(Self { geometry, z_mm })
     }

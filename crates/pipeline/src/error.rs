@@ -15,6 +15,7 @@ use lumistack_plugin_host::HostError;
 use lumistack_report::ReportError;
 use lumistack_scene::{SceneError, WindowError};
 use lumistack_usd::UsdError;
+use serde::Serialize;
 use thiserror::Error;
 
 /// A job that did not finish.
@@ -44,6 +45,49 @@ pub enum PipelineError {
     NotAFolder {
         /// The path.
         path: PathBuf,
+    },
+    /// Somebody else works in the output folder.
+    #[error(
+        "{}: another run works in this folder: {owner}; wait for it, end it, or choose another folder with -o",
+        folder.display()
+    )]
+    InUse {
+        /// The folder.
+        folder: PathBuf,
+        /// Process and host.
+        owner: String,
+    },
+    /// Something that Lumistack did not write, or that was changed since, has a name that it writes under.
+    #[error(
+        "{}: expected a name that is free or what Lumistack wrote itself, found {}, which {work} into this folder would replace; move it away, or choose another folder with -o",
+        path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "something else" }
+    )]
+    Foreign {
+        /// The file or folder.
+        path: PathBuf,
+        /// What would replace it.
+        work: &'static str,
+        /// Whether it was written by Lumistack and changed by somebody else.
+        changed: bool,
+    },
+    /// An input lies where the output would be written.
+    #[error(
+        "{}: expected a {what} that lies elsewhere than the output, found it among what is written into {}; choose another folder with -o",
+        input.display(), folder.display()
+    )]
+    Overwrites {
+        /// The file or folder that is read.
+        input: PathBuf,
+        /// What it is.
+        what: &'static str,
+        /// The output folder.
+        folder: PathBuf,
+    },
+    /// The run is finished, save for some outputs.
+    #[error("{}", failed_outputs(failed))]
+    Outputs {
+        /// Each with the reason.
+        failed: Vec<FailedOutput>,
     },
     /// A job file does not parse.
     #[error("{}: {source}{}", path.display(), excerpt(text, source))]
@@ -147,6 +191,23 @@ pub enum PipelineError {
     /// What a command does beside the pipeline failed.
     #[error(transparent)]
     Command(Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// An output that could not be written.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct FailedOutput {
+    /// Its folder, relative to the run's.
+    pub path: String,
+    /// Why.
+    pub reason: String,
+}
+
+fn failed_outputs(failed: &[FailedOutput]) -> String {
+    let list = failed.iter().map(|output| format!("{}: {}", output.path, output.reason)).collect::<Vec<_>>().join("; ");
+    match failed.len() {
+        1 => format!("an output failed, all else is finished: {list}"),
+        count => format!("{count} outputs failed, all else is finished: {list}"),
+    }
 }
 
 impl From<Cancelled> for PipelineError {

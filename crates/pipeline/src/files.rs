@@ -6,6 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::error::{PipelineError, field_error};
+use crate::folder::write_sealed;
 use crate::job::Job;
 
 /// Writes `job.toml` so that it can be run from where it lies.
@@ -16,7 +17,7 @@ pub(crate) fn write_job(job: &Job, dir: &Path) -> Result<(), PipelineError> {
             *path = absolute;
         }
     }
-    write(&dir.join("job.toml"), job.to_toml().as_bytes())
+    write_sealed(&dir.join("job.toml"), &job.to_toml())
 }
 
 /// Removes the reports of older patterns.
@@ -43,16 +44,41 @@ pub(crate) fn check_folder(path: &Path) -> Result<(), PipelineError> {
     if path.is_file() { Err(PipelineError::NotAFolder { path: path.to_owned() }) } else { Ok(()) }
 }
 
-/// What was kept between runs; `None` where there is nothing, or something else.
+/// Before and after the hash in what is kept between runs: `{"blake3":"HASH","value":VALUE}`.
+const SEAL: [&str; 2] = ["{\"blake3\":\"", "\",\"value\":"];
+
+/// What was kept between runs; `None` where there is nothing, something else, or something that is not as it was written.
 pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Option<T> {
-    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+    let text = std::fs::read_to_string(path).ok()?;
+    let (hash, value) = text.strip_prefix(SEAL[0])?.strip_suffix('}')?.split_once(SEAL[1])?;
+    (blake3::hash(value.as_bytes()).to_hex().as_str() == hash).then(|| serde_json::from_str(value).ok()).flatten()
 }
 
-/// Keeps a value for the next run.
+/// Keeps a value for the next run, with a hash of it.
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
-    write(path, &serde_json::to_vec(value).expect("what is kept between runs serializes"))
+    let value = serde_json::to_string(value).expect("what is kept between runs serializes");
+    let hash = blake3::hash(value.as_bytes()).to_hex();
+    write(path, format!("{}{hash}{}{value}}}", SEAL[0], SEAL[1]).as_bytes())
 }
 
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), PipelineError> {
     lumistack_field_io::atomic::write_bytes(path, bytes).map_err(field_error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_kept_and_has_changed_is_not_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        write_json(&path, &(1.5, "a")).unwrap();
+        assert_eq!(read_json::<(f64, String)>(&path), Some((1.5, "a".into())));
+        let text = std::fs::read_to_string(&path).unwrap();
+        serde_json::from_str::<serde_json::Value>(&text).expect("it is JSON");
+        std::fs::write(&path, text.replace("1.5", "2.5")).unwrap();
+        assert_eq!(read_json::<(f64, String)>(&path), None);
+        assert_eq!(read_json::<(f64, String)>(&folder.path().join("b.json")), None);
+    }
 }

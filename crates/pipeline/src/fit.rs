@@ -22,6 +22,7 @@ use lumistack_scene::Window;
 use serde::{Deserialize, Serialize};
 
 use crate::cache::{KeyBuilder, remembered};
+use crate::code;
 use crate::error::PipelineError;
 use crate::ingest::{Found, Ingested, find_window};
 use crate::job::{FitDepth, Near, WindowFrom, WindowJob};
@@ -117,7 +118,7 @@ pub(crate) fn place(
         return Err(PipelineError::value("job", "window.fit_depth", expected, found));
     }
     let projection = geometry.grid.projection;
-    let mut key = KeyBuilder::new("fit", 2);
+    let mut key = KeyBuilder::new("fit", code::VIEWS);
     ingested.add_to(&mut key);
     key.add("window", format!("{window:?} {projection:?} {low} {high} {means:?} {}", job.depth_scale).as_bytes());
     let fit: Fit = remembered(cache_dir, &format!("fit-{}.json", &key.finish()[..16]), || {

@@ -12,14 +12,17 @@ use std::path::Path;
 use std::time::Instant;
 
 use lumistack_core::{Task, Warning};
+use lumistack_display::{Display, FieldGeometry};
 use lumistack_plugin_host::{OutputData, Registry};
 use lumistack_report::{GraphInput, GraphNode};
 use serde::Serialize;
 
-use crate::error::{PipelineError, display_error};
+use crate::clean;
+use crate::error::{FailedOutput, PipelineError, display_error};
 use crate::files::{remove_reports, write_report};
+use crate::folder;
 use crate::job::{Job, NodeJob, OutputJob};
-use crate::run::{Moment, Run, Summary, Tee};
+use crate::run::{Moment, Run, Summary, Tee, failed_of};
 use crate::sequence::thumbnails;
 
 /// What one node ended with.
@@ -54,32 +57,46 @@ pub(crate) fn run(
     job.check()?;
     let mut run = Run::open(job, dir, registry)?;
     let jobs: Vec<Job> = job.nodes.iter().map(|node| job_of(job, node)).collect();
-    let folder = |node: &NodeJob| dir.join("nodes").join(&node.id);
-    // found out before an hour of rendering, not after
-    for (node, job) in job.nodes.iter().zip(&jobs) {
-        Run::of_node(job, node, &folder(node), registry)?;
+    let folder_of = |node: &NodeJob| dir.join("nodes").join(&node.id);
+    // the part of every node, its outputs opened against its display on this light field
+    let parts = |run: &Run<'_>, geometry: &FieldGeometry| -> Result<(), PipelineError> {
+        run.check_outputs(task)?;
+        for (node, job) in job.nodes.iter().zip(&jobs) {
+            let mut part = Run::of_node(job, node, &folder_of(node), registry)?;
+            part.take_display(node, &run.display, geometry)?;
+            part.check_outputs(task)?;
+        }
+        Ok(())
+    };
+    if job.scene.is_some() {
+        // found out before an hour of rendering, not after
+        let geometry = run.display.geometry().map_err(|source| display_error(source, "field"))?;
+        parts(&run, &geometry)?;
+    } else {
+        for (node, job) in job.nodes.iter().zip(&jobs) {
+            Run::of_node(job, node, &folder_of(node), registry)?;
+        }
     }
 
     let mut input = run.input(&Moment::default(), task)?;
-    let shared: Vec<Warning> = warnings.list.take();
+    if job.scene.is_none() {
+        parts(&run, input.target.geometry())?;
+    }
     run.write_settings(&run.display)?;
     remove_reports(dir)?;
     let (display, field) = (run.display.clone(), OutputData::LightField(&input.target));
     let of_field = format!("outputs/{}", OutputJob::LIGHT_FIELD);
     let field_outputs = run.write_outputs(OutputJob::LIGHT_FIELD, &of_field, &display, field, task)?;
+    let mut failed = failed_of(&field_outputs, "");
+    let shared: Vec<Warning> = warnings.list.take();
 
     let mut all = shared.clone();
     let (mut nodes, mut summaries, mut wanted) = (Vec::new(), Vec::new(), None);
     for (node, node_job) in job.nodes.iter().zip(&jobs) {
         let began = Instant::now();
-        let mut part = Run::of_node(node_job, node, &folder(node), registry)?;
-        part.display = match node.display {
-            Some(_) => part.display.adapted_to(input.target.geometry()),
-            None => display.clone(),
-        };
-        part.display.check().map_err(|source| display_error(source, &format!("node `{}`", node.id)))?;
-        let cache = folder(node).join("cache");
-        std::fs::create_dir_all(&cache).map_err(PipelineError::write(&cache))?;
+        let mut part = Run::of_node(node_job, node, &folder_of(node), registry)?;
+        let _owned = folder::take_known(&folder_of(node), task)?;
+        part.take_display(node, &display, input.target.geometry())?;
         // the stages that lead to the light field
         part.stages.clone_from(&run.stages);
         let made = part.patterns(input, None, task)?;
@@ -87,6 +104,11 @@ pub(crate) fn run(
         let told: Vec<Warning> = shared.iter().chain(&own).cloned().collect();
         all.extend(own);
         let report = part.report(&made, &told, command, task)?;
+        failed.extend(
+            failed_of(&made.outputs, "")
+                .into_iter()
+                .map(|output| FailedOutput { path: output.path.trim_start_matches("../").into(), ..output }),
+        );
         let [target, shown] = thumbnails(&part, &made);
         wanted.get_or_insert(target);
         let from_root = |path: &str| path.trim_start_matches("../").to_string();
@@ -125,7 +147,7 @@ pub(crate) fn run(
         return Err(PipelineError::value("job", "nodes", "at least one node", "none"));
     };
     // of the job's own display, through which the window was placed
-    let depth = input.depth;
+    let depth = &input.depth;
     let (psnr, psnr_held_out, psnr_zone) = ([first.psnr_view, first.psnr_raw], first.psnr_held_out, first.psnr_zone);
     let settings = job.to_json();
     let (html, json) = lumistack_report::graph(&GraphInput {
@@ -140,7 +162,30 @@ pub(crate) fn run(
     })
     .map_err(PipelineError::Report)?;
     write_report(dir, &html, &json)?;
-    Ok(Summary { psnr_held_out, psnr_zone, nodes: summaries, ..Summary::new(dir, psnr, depth.as_ref(), start) })
+    clean::keep_only_views(dir, &input.views)?;
+    Ok(Summary {
+        failed_outputs: failed,
+        psnr_held_out,
+        psnr_zone,
+        nodes: summaries,
+        ..Summary::new(dir, psnr, depth.as_ref(), start)
+    })
+}
+
+impl Run<'_> {
+    /// Gives the part of a node its display on a light field of this geometry: its own, or else the job's, `shared`.
+    fn take_display(
+        &mut self,
+        node: &NodeJob,
+        shared: &Display,
+        geometry: &FieldGeometry,
+    ) -> Result<(), PipelineError> {
+        self.display = match node.display {
+            Some(_) => self.display.adapted_to(geometry),
+            None => shared.clone(),
+        };
+        self.display.check().map_err(|source| display_error(source, &format!("node `{}`", node.id)))
+    }
 }
 
 /// The plain job that a node stands for, given the light field.

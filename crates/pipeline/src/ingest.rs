@@ -15,6 +15,7 @@ use lumistack_usd::{BlendContents, HandedOver};
 
 use crate::blender;
 use crate::cache::{KeyBuilder, remembered};
+use crate::code;
 use crate::error::{PipelineError, host_error, read};
 use crate::file_params;
 use crate::job::{ImporterJob, LightJob, Near, PoseJob, WindowFrom, WindowJob};
@@ -432,7 +433,7 @@ fn unlimited_window(
         let from_deg = match job.look_from {
             Some(from_deg) => from_deg,
             None => {
-                let mut key = KeyBuilder::new("side", 1);
+                let mut key = KeyBuilder::new("side", code::VIEWS);
                 ingested.add_to(&mut key);
                 let key = key.add("size", format!("{size_mm:?}").as_bytes()).finish();
                 remembered(cache_dir, &format!("side-{}.json", &key[..16]), || {
@@ -468,7 +469,7 @@ fn close_up(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Window, PipelineError> {
-    let mut key = KeyBuilder::new("window", 5);
+    let mut key = KeyBuilder::new("window", code::VIEWS);
     ingested.add_to(&mut key);
     let key = key.add("window", format!("{window:?} {recentre}").as_bytes()).finish();
     let (place, factor): ([f64; 2], f64) = remembered(cache_dir, &format!("window-{}.json", &key[..16]), || {
@@ -587,21 +588,27 @@ fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result
     })
 }
 
-/// What the work of a plugin depends on, besides what it is given: its version, its parameters, and the library's content, which changes while
-/// somebody writes it.
+/// What the work of a plugin depends on, besides what it is given: its version, its parameters, and its code, which changes while somebody writes
+/// it: the library's content, or the sources of one that is compiled in.
 pub(crate) fn plugin_key(
     registry: &Registry,
     id: &str,
     params: &serde_json::Map<String, serde_json::Value>,
 ) -> Result<String, PipelineError> {
-    let mut key = KeyBuilder::new(&format!("plugin {id}"), 1);
+    let mut key = KeyBuilder::new(&format!("plugin {id}"), code::PLUGINS);
     key.add("version", registry.get(id).map_err(PipelineError::Output)?.info().version.as_bytes());
     key.add_json("params", params);
     for (name, path) in file_params::of(registry, id, params) {
         key.add("file", name.as_bytes()).add("content", hash(&read(Path::new(path))?).as_bytes());
     }
-    if let Some(Origin::Library(library)) = registry.origin(id) {
-        key.add("library", hash(&read(library)?).as_bytes());
+    match registry.origin(id) {
+        Some(Origin::Library(library)) => {
+            key.add("library", hash(&read(library)?).as_bytes());
+        }
+        _ => {
+            let sources = lumistack_plugin_host::fingerprint_of(id).unwrap_or_default();
+            key.add("sources", sources.as_bytes());
+        }
     }
     Ok(key.finish())
 }

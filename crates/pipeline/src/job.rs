@@ -97,6 +97,9 @@ pub struct Job {
     /// Folder of the file, to which files in parameters of plugins are relative.
     #[serde(skip)]
     pub folder: PathBuf,
+    /// The file itself, where the job came from one; a run does not write over it.
+    #[serde(skip)]
+    pub file: Option<PathBuf>,
 }
 
 /// What to take of a scene that has a choice.
@@ -184,6 +187,7 @@ impl Job {
             nodes: Vec::new(),
             outputs: default_outputs(),
             folder: PathBuf::new(),
+            file: None,
         }
     }
 
@@ -220,6 +224,7 @@ impl Job {
             *path = base.join(&*path);
         }
         job.folder = base.to_owned();
+        job.file = Some(path.to_owned());
         Ok(job)
     }
 

@@ -11,6 +11,8 @@
 
 mod blender;
 mod cache;
+mod clean;
+mod code;
 mod compare;
 mod denoise;
 mod depth;
@@ -19,6 +21,7 @@ mod file_params;
 mod files;
 mod fit;
 mod flicker;
+mod folder;
 mod graph;
 mod ingest;
 mod inspect;
@@ -30,6 +33,7 @@ mod path_text;
 pub mod presets;
 mod render;
 mod run;
+mod sealed;
 mod sequence;
 mod side;
 mod simulate;
@@ -39,13 +43,14 @@ mod sweep;
 mod views;
 mod zone;
 
-pub use cache::{KeyBuilder, Stamps};
+pub use clean::{Cleaned, Freed, clean};
 pub use compare::{
     DisplayLikeness, DisplaysComparison, Likeness, PhotoComparison, Pose, RunComparison, compare_displays,
     compare_photo, compare_runs, refocused,
 };
 pub use depth::{Outlook, outlook, outlook_on};
-pub use error::PipelineError;
+pub use error::{FailedOutput, PipelineError};
+pub use folder::resealed;
 pub use graph::NodeSummary;
 pub use ingest::{Ingested, SceneContents, is_blend, is_usd, load_scene, place_window, scene_contents, take_scene};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
@@ -58,9 +63,9 @@ pub use look::automatic_look;
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};
 pub use lumistack_plugin_host::{OutputData, Registry};
-pub use run::{Summary, render_only, run};
+pub use run::{RefusedOutput, Summary, refused_outputs, render_only, run};
 pub use sequence::SequenceSummary;
-pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file};
+pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_preview};
 pub use steps::{
     ReportOn, Traced, WeightsFrom, factorize_field, open_field, render_field, weights_of, write_output, write_report_on,
 };

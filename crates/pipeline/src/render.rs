@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use lumistack_core::Task;
 use lumistack_core::tone::ToneCurve;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid};
-use lumistack_field_io::picture::Picture;
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_scene::Window;
 
 use crate::blender;
 use crate::cache::KeyBuilder;
+use crate::code;
 use crate::denoise::{self, Denoised, Traced};
 use crate::depth::Depths;
 use crate::error::{PipelineError, field_error};
@@ -19,13 +19,12 @@ use crate::fit::Placement;
 use crate::ingest::Ingested;
 use crate::job::{AngularFilter, Background, Denoise, Engine, Job};
 use crate::look::Look;
+use crate::sealed;
 use crate::surround::expose_over;
 use crate::views::ViewOptions;
 
 /// Rays that decide about exposure and tone curve, at most.
 const MOST_RAYS: usize = 4_000_000;
-/// Changes whenever the path tracer gives other pixels.
-const RENDER_VERSION: u32 = 4;
 
 /// The rendered light fields of a run.
 pub struct Rendered {
@@ -49,6 +48,8 @@ pub struct Rendered {
     pub(crate) traced: FieldJob,
     /// The views of the target that were wanted, [view_y, view_x]; the others are black.
     pub(crate) views: Vec<[usize; 2]>,
+    /// Where the traced views are kept.
+    pub(crate) folders: Vec<PathBuf>,
 }
 
 /// Evenly spread in-between views: at most `per_axis` of the midpoints on each axis.
@@ -208,8 +209,9 @@ pub(crate) fn render_views(
     let target = exposed.next().ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
     let mut other = |name| if fields.iter().any(|field| field.name == name) { exposed.next() } else { None };
     let (held_out, outside) = (other("held-out"), other("outside"));
+    let folders = fields.iter().map(|field| field.folder.clone()).collect();
     let traced = fields.swap_remove(0);
-    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached, traced, views })
+    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached, folders, traced, views })
 }
 
 /// Reads the finished views of all fields and makes them display-referred, with one look for all, or leaves them as they are.
@@ -265,7 +267,7 @@ fn expose(
 
 /// Key of what a view is before it is exposed, but for its geometry and its samples.
 pub(crate) fn shot_key(job: &Job, ingested: &Ingested, window: &Window) -> KeyBuilder {
-    let mut key = KeyBuilder::new("render", RENDER_VERSION);
+    let mut key = KeyBuilder::new("render", code::VIEWS);
     ingested.add_to(&mut key);
     // of a view before it is exposed
     key.add_json("light", &(job.light.environment_strength, job.light.automatic, job.light.environment_rotation_deg))
@@ -423,10 +425,9 @@ fn variance_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBu
     folder.join(format!("variance_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
-/// Reads a view of the geometry's size.
+/// Reads a view of the geometry's size; `None` where it is not there as it was written.
 pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
-    let picture = Picture::read(path).ok()?;
-    (picture.size() == [geometry.cols, geometry.rows]).then(|| picture.into_linear())
+    sealed::read_picture(path, [geometry.cols, geometry.rows])
 }
 
 /// The brightest channel of evenly spread rays of some views, and whether they meet a surface.

@@ -18,13 +18,16 @@ use serde_json::Value;
 pub(crate) use self::input::Input;
 pub use self::input::render_only;
 pub(crate) use self::input::warn_of_depth;
+pub use self::outputs::{RefusedOutput, refused_outputs};
 use self::patterns::start_kind;
 pub(crate) use self::patterns::{add_stack, add_weights, array_weights, eye_weights, solver_settings};
 use crate::cache::Stamps;
+use crate::clean;
 use crate::denoise::Denoised;
-use crate::error::PipelineError;
+use crate::error::{FailedOutput, PipelineError};
 use crate::file_params;
-use crate::files::{check_folder, remove_reports, write, write_job, write_report};
+use crate::files::{check_folder, remove_reports, write_job, write_report};
+use crate::folder::{self, Work, write_display};
 use crate::graph::{self, NodeSummary};
 use crate::ingest::Ingested;
 use crate::job::{FactorizeJob, Job, NodeJob, OutputJob};
@@ -60,6 +63,9 @@ pub struct Summary {
     /// What a sequence adds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequence: Option<SequenceSummary>,
+    /// Outputs that could not be written; all others were.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub failed_outputs: Vec<FailedOutput>,
     /// Time of the whole run, seconds.
     pub seconds: f64,
 }
@@ -79,15 +85,17 @@ impl Summary {
             depth: depth.map(DepthBudget::to_json),
             depth_sentence: depth.map(DepthBudget::sentence),
             sequence: None,
+            failed_outputs: Vec::new(),
             seconds: start.elapsed().as_secs_f64(),
         }
     }
 }
 
-/// Runs a whole job into `run_dir`.
+/// Runs a whole job into `run_dir`. An output that fails ends neither the run nor the outputs after it: the report and the summary name it.
 ///
 /// # Errors
-/// When any stage fails or is cancelled; finished stages are kept and taken up by the next run.
+/// When another run works in the folder, the folder holds what is not ours, or any other stage fails or is cancelled; finished stages are kept and taken up
+/// by the next run.
 pub fn run(
     job: &Job,
     run_dir: &Path,
@@ -100,6 +108,8 @@ pub fn run(
         return Err(PipelineError::value("job", "sweep", expected, "`[sweep]`"));
     }
     let job = &file_params::resolved(job, registry)?;
+    let work = if job.sequence.is_some() { Work::Sequence } else { Work::Run };
+    let _owned = folder::take(run_dir, work, job, registry, task)?;
     if let Some(sequence) = &job.sequence {
         return sequence::run(job, sequence, run_dir, registry, command, task);
     }
@@ -111,9 +121,11 @@ pub fn run(
     let task = Task { warnings: &warnings, ..task };
     let (mut run, made) = Run::make(job, run_dir, registry, &Moment::default(), task)?;
     let report = run.report(&made, &warnings.list.take(), command, task)?;
+    clean::keep_only_views(run_dir, &made.input.views)?;
     Ok(Summary {
         psnr_zone: report.psnr_zone,
         psnr_zone_worst: report.psnr_zone_worst,
+        failed_outputs: made.failed_outputs(""),
         psnr_held_out: report.held_out_psnr_view,
         psnr_outside: report.outside_psnr_view,
         ..Summary::new(run_dir, [report.psnr_view, report.psnr_raw], made.input.depth.as_ref(), start)
@@ -140,6 +152,19 @@ pub(crate) struct Made {
     /// How the solver came to the patterns; `None` of those that a plugin made.
     pub(crate) solution: Option<Solution>,
     pub(crate) outputs: Vec<Output>,
+}
+
+impl Made {
+    /// The outputs that could not be written, their paths after `prefix`.
+    pub(crate) fn failed_outputs(&self, prefix: &str) -> Vec<FailedOutput> {
+        failed_of(&self.outputs, prefix)
+    }
+}
+
+/// Those of `outputs` that could not be written, their paths after `prefix`.
+pub(crate) fn failed_of(outputs: &[Output], prefix: &str) -> Vec<FailedOutput> {
+    let failed = outputs.iter().filter_map(|output| Some((output.path.clone(), output.failed.clone()?)));
+    failed.map(|(path, reason)| FailedOutput { path: format!("{prefix}{path}"), reason }).collect()
 }
 
 pub(crate) struct Run<'a> {
@@ -208,6 +233,10 @@ impl<'a> Run<'a> {
     ) -> Result<(Self, Made), PipelineError> {
         job.check()?;
         let mut run = Self::open(job, dir, registry)?;
+        if job.scene.is_some() {
+            // before an hour of rendering; the display of what is read is known when that is
+            run.check_outputs(task)?;
+        }
         let input = run.input(moment, task)?;
         let made = run.patterns(input, moment.fresh, task)?;
         Ok((run, made))
@@ -224,6 +253,10 @@ impl<'a> Run<'a> {
         // a preset is a design, of which report and `info` tell the rate; who has a display of his own has panels
         if let Some(message) = display.flicker_warning().filter(|_| self.job.display.file.is_some()) {
             task.warn("display", message);
+        }
+        if self.job.scene.is_none() && self.node.is_none() {
+            // against the display that has become the light field's
+            self.check_outputs(task)?;
         }
         let weights = self.weights(&input.target)?;
         if let Some(fresh) = fresh {
@@ -313,7 +346,7 @@ impl<'a> Run<'a> {
         if self.node.is_none() {
             write_job(&self.job, &self.dir)?;
         }
-        write(&self.dir.join("display.toml"), display.to_toml().as_bytes())
+        write_display(&self.dir.join("display.toml"), display)
     }
 }
 

@@ -20,16 +20,16 @@ use lumistack_report::{SequenceInput, SequenceTime, Thumbnail};
 use serde::{Deserialize, Serialize};
 
 use crate::cache::KeyBuilder;
+use crate::clean;
+use crate::code;
 use crate::error::PipelineError;
 use crate::files::{read_json, remove_reports, write_job, write_json, write_report};
 use crate::flicker::{self, Shown, TimeError};
+use crate::folder::{self, Work};
 use crate::job::{Job, SequenceJob};
 use crate::look::Look;
 use crate::run::{Made, Moment, Run, Summary, Tee, add_stack, add_weights};
 use times::Times;
-
-/// Changes whenever the figures of a time are measured differently.
-const MEASURE_VERSION: u32 = 1;
 
 /// What the summary of a sequence adds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -59,13 +59,18 @@ pub(crate) fn run(
     let task = Task { warnings: &warnings, ..task };
     job.check()?;
     // found out before an hour of rendering, not after
-    Run::open(job, dir, registry)?;
+    let whole = Run::open(job, dir, registry)?;
+    if job.scene.is_some() {
+        whole.check_outputs(task)?;
+    }
     let times = Times::find(job, sequence, &dir.join(name(0)).join("cache"), registry, task)?;
     let (mut list, mut last): (Vec<SequenceTime>, Option<Last>) = (Vec::new(), None);
+    let mut failed = Vec::new();
     for time in 0..times.count() {
         task.cancel.check()?;
         let job = times.job(time, last.as_ref());
         let (entry, this) = run_time(&times, time, &job, dir, registry, last.as_ref(), command, task)?;
+        failed.extend(this.made.failed_outputs(&format!("{}/", entry.name)));
         list.push(entry);
         last = Some(this);
     }
@@ -84,6 +89,7 @@ pub(crate) fn run(
     write_report(dir, &report.html, &report.json)?;
     let (psnr_change, psnr_still) = (report.psnr_change, report.psnr_still);
     Ok(Summary {
+        failed_outputs: failed,
         sequence: Some(SequenceSummary { times: list.len(), psnr_change, psnr_still }),
         ..Summary::new(dir, [report.psnr_view, report.psnr_raw], None, start)
     })
@@ -125,6 +131,8 @@ fn run_time(
     let warnings = Tee::new(task.warnings);
     let task = Task { progress: &progress, warnings: &warnings, ..task };
     let folder = dir.join(name(time));
+    // somebody may run this time alone
+    let _owned = folder::take(&folder, Work::Run, job, registry, task)?;
     let fresh = last.map(|_| times.fresh());
     let moment = Moment {
         ingested: times.ingested(),
@@ -139,12 +147,13 @@ fn run_time(
     }
     let key = key(&run, &made, last);
     let error = measure(&mut run, &folder, &made, last, &key, task)?;
-    let key = KeyBuilder::new("report", MEASURE_VERSION).add("measure", key.as_bytes()).add_json("job", job).finish();
+    let key = KeyBuilder::new("report", code::REPORTS).add("measure", key.as_bytes()).add_json("job", job).finish();
     if times.sequence.reports && !run.stamps.is_current("report", &key) {
         run.stamps.clear("report")?;
         run.report(&made, &warnings.list.take(), command, task)?;
         run.stamps.write("report", &key, &["report.html".into(), "report.json".into()])?;
     }
+    clean::keep_only_views(&folder, &made.input.views)?;
     let steps = &made.steps;
     let [wanted, shown] = thumbnails(&run, &made);
     let compared = |error: SquaredError| (error.count > 0).then_some(error);
@@ -169,7 +178,7 @@ fn run_time(
 
 /// Everything that the figures of a time depend on.
 fn key(run: &Run<'_>, made: &Made, last: Option<&Last>) -> String {
-    let mut key = KeyBuilder::new("measure", MEASURE_VERSION);
+    let mut key = KeyBuilder::new("measure", code::FIELDS);
     key.add("display", run.display.without_panels().to_toml().as_bytes());
     add_weights(&mut key, &made.weights);
     for Made { input, stack, .. } in last.map(|last| &last.made).into_iter().chain([made]) {

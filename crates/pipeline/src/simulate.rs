@@ -6,11 +6,19 @@ use lumistack_core::{Task, Tensor, colour};
 use lumistack_display::{Display, LayerStack, ProjectionKind, Simulator};
 use lumistack_field_io::picture::{Precision, write_exr};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
+use rayon::prelude::*;
 use serde_json::json;
 
+use crate::cache::{KeyBuilder, Stamps, content_hash};
+use crate::code;
 use crate::error::{PipelineError, field_error, host_error};
 use crate::files::write;
+use crate::folder;
+use crate::ingest;
 use crate::presets;
+
+/// Name of a run's own preview: its folder, and its stamp.
+const PREVIEW: &str = "preview";
 
 /// A finished run: the display and its patterns.
 pub struct RunFolder {
@@ -20,6 +28,13 @@ pub struct RunFolder {
     pub display: Display,
     /// Its patterns.
     pub stack: LayerStack,
+}
+
+/// The run's title, as its report has it; empty without one.
+fn title_of(dir: &Path) -> String {
+    let report = std::fs::read(dir.join("report.json")).ok();
+    let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
+    report.and_then(|report| report["title"].as_str().map(str::to_owned)).unwrap_or_default()
 }
 
 /// Where the viewer stands.
@@ -48,11 +63,13 @@ impl RunFolder {
         Ok(Self { dir: dir.to_owned(), display, stack })
     }
 
-    /// Writes the browser simulator of the run into `out_dir`, with the target where the run has one.
-    ///
-    /// # Errors
-    /// When the plugin `web_simulator` is not there, or the files cannot be written.
-    pub fn write_preview(&self, registry: &Registry, out_dir: &Path, task: Task<'_>) -> Result<(), PipelineError> {
+    /// Writes the browser simulator of the run into `out_dir`, with the target where the run has one; gives the files, relative to it.
+    fn write_preview(
+        &self,
+        registry: &Registry,
+        out_dir: &Path,
+        task: Task<'_>,
+    ) -> Result<Vec<PathBuf>, PipelineError> {
         let folder = self.dir.join("target");
         // a sequence's displays share one target, and old runs may have none
         let target = if folder.join("lightfield.json").is_file() {
@@ -62,16 +79,13 @@ impl RunFolder {
         };
         let data = OutputData::LayerStack(&self.stack, target.as_ref());
         let context = OutputContext { display: &self.display, data, time: Time::default(), out_dir, task };
-        let written =
-            lumistack_plugin_host::run_output(registry, "web_simulator", &json!({"title": self.title()}), context);
-        written.map(drop).map_err(host_error)
-    }
-
-    /// The run's title, as its report has it; empty without one.
-    fn title(&self) -> String {
-        let report = std::fs::read(self.dir.join("report.json")).ok();
-        let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
-        report.and_then(|report| report["title"].as_str().map(str::to_owned)).unwrap_or_default()
+        let written = lumistack_plugin_host::run_output(
+            registry,
+            "web_simulator",
+            &json!({"title": title_of(&self.dir)}),
+            context,
+        );
+        written.map_err(host_error)
     }
 
     /// A sentence about a viewpoint from which some of the display is seen at angles that it is not made for.
@@ -95,6 +109,43 @@ impl RunFolder {
     pub fn picture(&self, viewpoint: Viewpoint, raw: bool) -> Result<Tensor<3>, PipelineError> {
         picture_from(&self.display, &self.stack, viewpoint, raw)
     }
+}
+
+/// Writes the browser simulator of the run in `dir` into its folder `preview`, unless that shows the run's patterns as they are: contents are compared, not times,
+/// which a copy or a restored backup changes. Gives whether it was written.
+///
+/// # Errors
+/// When `dir` is no finished run, another preview of it is being made, the plugin `web_simulator` is not there, or the files cannot be written.
+pub fn update_preview(dir: &Path, registry: &Registry, task: Task<'_>) -> Result<bool, PipelineError> {
+    let stamps = Stamps::new(dir);
+    let key = preview_key(dir, registry)?;
+    if stamps.is_current(PREVIEW, &key) {
+        return Ok(false);
+    }
+    let _owned = folder::take_preview(dir, task)?;
+    stamps.clear(PREVIEW)?;
+    let written = RunFolder::open(dir)?.write_preview(registry, &dir.join(PREVIEW), task)?;
+    let files: Vec<PathBuf> = written.iter().map(|file| Path::new(PREVIEW).join(file)).collect();
+    stamps.write(PREVIEW, &key, &files)?;
+    Ok(true)
+}
+
+/// Everything that a run's preview is made from.
+fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError> {
+    let mut key = KeyBuilder::new(PREVIEW, code::PLUGINS);
+    key.add("plugin", ingest::plugin_key(registry, "web_simulator", &serde_json::Map::new())?.as_bytes());
+    let mut files: Vec<PathBuf> = vec!["display.toml".into()];
+    for folder in ["layers", "target"] {
+        let entries = std::fs::read_dir(dir.join(folder)).into_iter().flatten().flatten();
+        files.extend(entries.map(|entry| Path::new(folder).join(entry.file_name())));
+    }
+    files.sort();
+    let hashed: Vec<_> = files.par_iter().map(|file| content_hash(&dir.join(file))).collect();
+    for (file, hash) in files.iter().zip(hashed) {
+        let hash = hash.map_err(|source| PipelineError::Read { path: dir.join(file), source })?;
+        key.add("file", file.as_os_str().as_encoded_bytes()).add("content", hash.as_bytes());
+    }
+    Ok(key.add("title", title_of(dir).as_bytes()).finish())
 }
 
 /// What a display that shows a stack of its shape looks like from a viewpoint: `[row][col][rgb]`, linear; L̃/β, or L̃ itself when `raw`.

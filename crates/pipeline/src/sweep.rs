@@ -11,8 +11,10 @@
 mod designs;
 mod search;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use lumistack_core::{NoProgress, Task, Warnings};
 use lumistack_design::plot;
@@ -26,14 +28,15 @@ use serde_json::json;
 
 use self::designs::Candidate;
 use crate::cache::KeyBuilder;
+use crate::clean;
+use crate::code;
 use crate::error::{PipelineError, factorize_error};
 use crate::file_params;
-use crate::files::{check_folder, read_json, write, write_job, write_json};
+use crate::files::{read_json, write, write_job, write_json};
+use crate::folder::{self, Work};
 use crate::job::Job;
 use crate::run::{Moment, Run, add_weights, eye_weights, solver_settings};
 
-/// Changes whenever a design gives another row.
-const SWEEP_VERSION: u32 = 1;
 /// Pixels per unit of plots as PNG.
 const PNG_SCALE: f32 = 1.5;
 
@@ -90,7 +93,7 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
         ));
     }
     let job = &file_params::resolved(job, registry)?;
-    check_folder(dir)?;
+    let _owned = folder::take(dir, Work::Sweep, job, registry, task)?;
     let (candidates, geometries) = designs::all(job, sweep)?;
     let candidates = match &sweep.search {
         Some(search) => search::allowed(candidates, search)?,
@@ -106,7 +109,8 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
         });
     }
     write_job(job, dir)?;
-    let solver = Solver { job, fields: &fields, folder: dir.join("designs"), task };
+    let rows_used = Mutex::default();
+    let solver = Solver { job, fields: &fields, folder: dir.join("designs"), used: &rows_used, task };
     let (rows, kept, proposed) = match &sweep.search {
         None => {
             let (rows, kept) = solver.solve_all(&candidates, job.factorize.iterations)?;
@@ -128,6 +132,8 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
     write(&dir.join("sweep.json"), &serde_json::to_vec_pretty(&all).expect("rows serialize"))?;
     let (plots, more_plots) = table::plots(&rows, sweep.plots).map_err(PipelineError::Plot)?;
     let plots = write_plots(&dir.join("plots"), &plots)?;
+    let used_fields = fields.iter().enumerate().filter(|(_, field)| field.is_some()).map(|(number, _)| number + 1);
+    clean::keep_only_fields(dir, used_fields, rows_used.into_inner().unwrap_or_else(PoisonError::into_inner))?;
     let best = rows.iter().rev().max_by(|a, b| a.psnr_view_db.total_cmp(&b.psnr_view_db)).cloned();
     let proposed = proposed.into_iter().map(|(_, row)| row).collect();
     Ok(SweepSummary { csv, designs: rows.len(), kept, plots, more_plots, best, proposed, display })
@@ -155,10 +161,11 @@ pub(crate) fn write_plots(folder: &Path, plots: &[table::Plot]) -> Result<Vec<Pa
 fn field(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Result<Field, PipelineError> {
     job.check()?;
     let mut run = Run::open(job, dir, registry)?;
-    std::fs::create_dir_all(dir.join("cache")).map_err(PipelineError::write(dir))?;
+    let _owned = folder::take_known(dir, task)?;
     let input = run.input(&Moment::default(), task)?;
+    clean::keep_only_views(dir, &input.views)?;
     let weights = eye_weights(&job.factorize, &input.target)?;
-    let mut key = KeyBuilder::new("sweep field", SWEEP_VERSION);
+    let mut key = KeyBuilder::new("sweep field", code::FIELDS);
     for field in [Some(&input.target), input.held_out.as_ref()].into_iter().flatten() {
         key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
     }
@@ -171,6 +178,8 @@ pub(crate) struct Solver<'a> {
     job: &'a Job,
     fields: &'a [Option<Field>],
     folder: PathBuf,
+    /// Names of the files of all rows that were asked for.
+    used: &'a Mutex<BTreeSet<String>>,
     task: Task<'a>,
 }
 
@@ -225,13 +234,15 @@ impl Solver<'_> {
         let display = self.display_on(candidate, field);
         display.check().map_err(|source| crate::error::display_error(source, &candidate.design.display))?;
         let job = &self.job.factorize;
-        let mut key = KeyBuilder::new("design", SWEEP_VERSION);
+        let mut key = KeyBuilder::new("design", code::DESIGNS);
         key.add("field", field.key.as_bytes())
             .add("name", candidate.design.display.as_bytes())
             .add("display", Display { name: String::new(), ..display.clone() }.to_toml().as_bytes())
             .add_json("settings", &(&job.solver, iterations, &job.start, self.job.seed))
             .add_json("coarse and levels", &(job.coarse_levels, job.coarse_iterations, job.levels));
-        let path = self.folder.join(format!("{}.json", &key.finish()[..24]));
+        let name = format!("{}.json", &key.finish()[..24]);
+        let path = self.folder.join(&name);
+        self.used.lock().unwrap_or_else(PoisonError::into_inner).insert(name);
         if let Some(row) = read_json::<Row>(&path).filter(|row| row.design == candidate.design) {
             return Ok((row, true));
         }

@@ -37,7 +37,7 @@ const STREAM: u64 = 3;
 pub(crate) struct References {
     geometry: FieldGeometry,
     directions: Vec<ViewGrid>,
-    folder: PathBuf,
+    pub(crate) folder: PathBuf,
     look: Look,
     background: Background,
     /// Whether none had to be traced.

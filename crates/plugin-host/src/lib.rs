@@ -15,6 +15,8 @@
 //! Whatever a plugin does (fails midway, panics, is cancelled, names a file outside its folder), the output's folder keeps what it
 //! had, and the program goes on; so it does where a plugin of a library crashes or hangs.
 
+mod built_in;
+mod check;
 #[cfg(feature = "dynamic")]
 mod child;
 mod disk;
@@ -26,6 +28,8 @@ mod publish;
 mod registry;
 mod run;
 
+pub use built_in::{PLUGIN_FINGERPRINT, fingerprint_of};
+pub use check::check_output;
 #[cfg(feature = "dynamic")]
 pub use child::{Launcher, Limits, plugin_child};
 #[cfg(feature = "dynamic")]

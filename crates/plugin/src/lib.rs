@@ -98,3 +98,6 @@ pub use lumistack_field_io as field_io;
 pub use lumistack_plugin_abi as abi;
 pub use serde;
 pub use serde_json;
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

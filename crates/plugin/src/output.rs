@@ -44,7 +44,8 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// Its parameters. Checked before `open`, which therefore gets every parameter, of the right type and in range.
     fn schema() -> Schema;
 
-    /// Starts an output.
+    /// Starts an output. Hosts also open one before the work that leads to its data, to see whether it would be accepted, and drop it unused; so all that
+    /// parameters and display tell is refused here, and nothing is written or shown yet.
     ///
     /// # Errors
     /// [`PluginError::Refused`] if parameters contradict one another or the display cannot be served.

@@ -7,7 +7,7 @@
 //! | `schema`, `version` | `"lumistack/graph-report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_view` | dB, the first node's |
-//! | `nodes` | list of `id`, `plugin`, `display`, `report` (path), `psnr_view`, `psnr_raw`, `held_out_psnr_view`, `psnr_zone`, `brightness`, `layers`, `frames`, `seconds`, `outputs` (paths) |
+//! | `nodes` | list of `id`, `plugin`, `display`, `report` (path), `psnr_view`, `psnr_raw`, `held_out_psnr_view`, `psnr_zone`, `brightness`, `layers`, `frames`, `seconds`, `outputs` (paths of those that were written) |
 //! | `outputs` | paths of what was made of the light field itself |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
@@ -76,7 +76,10 @@ pub struct GraphInput<'a> {
 /// # Errors
 /// If a picture cannot be made.
 pub fn graph(input: &GraphInput) -> Result<(String, Value), ReportError> {
-    let paths = |outputs: &[Output]| outputs.iter().map(|output| output.path.clone()).collect::<Vec<_>>();
+    let paths = |outputs: &[Output]| {
+        let written = outputs.iter().filter(|output| output.failed.is_none());
+        written.map(|output| output.path.clone()).collect::<Vec<_>>()
+    };
     let json = json!({
         "schema": "lumistack/graph-report",
         "version": 1,
@@ -113,7 +116,7 @@ mod tests {
     #[test]
     fn every_node_is_linked_and_listed() {
         let thumbnail = Thumbnail::new([1, 2], &[0.5; 6], 1.0);
-        let output = |path: &str| Output { label: "images, 3 files".into(), path: path.into() };
+        let output = |path: &str| Output { label: "images, 3 files".into(), path: path.into(), failed: None };
         let node = |id: &str, psnr_view: f64| GraphNode {
             id: id.into(),
             plugin: "tensor-display".into(),

@@ -105,7 +105,7 @@ pub(crate) fn report(input: &ReportInput, measured: &Measured, found: &Found) ->
         "settings": input.settings,
         "scene": input.scene,
         "warnings": input.warnings.iter().map(|w| json!({ "place": w.place, "message": w.message })).collect::<Vec<_>>(),
-        "outputs": input.outputs.iter().map(|o| json!({ "label": o.label, "path": o.path })).collect::<Vec<_>>(),
+        "outputs": input.outputs.iter().map(|o| json!({ "label": o.label, "path": o.path, "failed": o.failed })).collect::<Vec<_>>(),
     }))
 }
 

@@ -41,7 +41,7 @@
 //! | `denoising` | null, or `name`, and over all views and in the list `views`: `mean` (of the unbiased picture), `mean_change`, `mse_before`, `mse_after`, each of these a pair of value and standard error (exposed radiance; errors at pixels that the filter never saw) |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
-//! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report) |
+//! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report), `failed` (null, or why nothing is there) |
 //!
 //! JSON has no infinity: a PSNR of equal pictures is the text `"Infinity"`, which `float()` of Python, `Number()` of JavaScript and
 //! `str::parse::<f64>` of Rust all read; a figure without any counted ray is `null`.
@@ -69,6 +69,9 @@ use thiserror::Error;
 pub use depth::DepthBudget;
 pub use graph::{GraphInput, GraphNode, graph};
 pub use sequence::{SequenceInput, SequenceReport, SequenceTime, Thumbnail, sequence};
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// One iteration of the solver, as the pipeline recorded it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -172,6 +175,8 @@ pub struct Output {
     pub label: String,
     /// Path relative to the report, with `/` between parts.
     pub path: String,
+    /// Why nothing was written; `None` where it was.
+    pub failed: Option<String>,
 }
 
 /// Everything that a report shows.

@@ -245,7 +245,7 @@ fn texts_are_escaped_and_everything_given_is_shown() {
         settings: &json!({ evil: { "iterations": 50, "list": [1, 2], "text": evil } }),
         scene: Some(&json!({ "name": evil, "triangles": 12 })),
         warnings: &[Warning { place: evil.into(), message: evil.into() }],
-        outputs: &[Output { label: evil.into(), path: format!("javascript:{evil}") }],
+        outputs: &[Output { label: evil.into(), path: format!("javascript:{evil}"), failed: None }],
         command: Some(evil),
         version: evil,
         ..plain(&display, &stack, &target)

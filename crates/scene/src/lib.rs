@@ -18,3 +18,6 @@ pub use material::{
 pub use parts::{Camera, Environment, Instance, Light, LightKind, Mesh, Projection, SceneParts};
 pub use validate::{Scene, SceneError};
 pub use window::{Similarity, Window, WindowError};
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

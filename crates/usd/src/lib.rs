@@ -46,6 +46,9 @@ pub use package::{Array, Contents, Failure, Header, Note, Package, TimeRange, Va
 pub use scene::scene_from_package;
 pub use setup::Setup;
 
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
 /// Extensions of USD files.
 pub const EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];
 

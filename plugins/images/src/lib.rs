@@ -41,6 +41,9 @@ use lumistack_plugin::{Display, Host, Input, OutputPlugin, PluginError, Port, Sc
 use manifest::Entry;
 pub use params::ImagesParams;
 
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
 /// The plugin.
 #[derive(Debug)]
 pub struct Images {
@@ -62,6 +65,13 @@ impl OutputPlugin for Images {
 
     fn open(host: Host, params: ImagesParams, display: Display) -> Result<Self, PluginError> {
         params.check()?;
+        if params.lenslet_panel {
+            panel::lenslet_panel(&display, &params)?;
+        }
+        if params.hci {
+            let geometry = &display.geometry().map_err(|error| PluginError::failed("display", error))?;
+            folders::Cameras { geometry, nominal_mm: params.camera_distance_mm }.parameters()?;
+        }
         Ok(Self { host, params, display, written: Mutex::default() })
     }
 

@@ -26,6 +26,9 @@ use tobj::{LoadOptions, Material};
 
 use crate::mtl::Look;
 
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
 /// The plugin.
 pub struct Obj;
 

@@ -17,7 +17,7 @@ pub mod weave;
 use std::io::{BufWriter, Write};
 use std::sync::{Mutex, PoisonError};
 
-use lumistack_plugin::display::Transfer;
+use lumistack_plugin::display::{FieldGeometry, Transfer};
 use lumistack_plugin::encoding::codes8;
 use lumistack_plugin::serde::{Deserialize, Serialize};
 use lumistack_plugin::{
@@ -33,6 +33,9 @@ use weave::Calibration;
 const CUSTOM: &str = "custom";
 /// Longest side of pictures that H.264 encoders take.
 const H264_SIDE: usize = 6000;
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// The plugin.
 #[derive(Debug)]
@@ -181,7 +184,7 @@ impl OutputPlugin for Quilt {
         ])
     }
 
-    fn open(host: Host, params: QuiltParams, _display: Display) -> Result<Self, PluginError> {
+    fn open(host: Host, params: QuiltParams, display: Display) -> Result<Self, PluginError> {
         let plain = |c: char| c.is_alphanumeric() || "-_. ".contains(c);
         if params.name.is_empty() || params.name.starts_with('.') || !params.name.chars().all(plain) {
             return Err(PluginError::Refused(format!(
@@ -195,7 +198,12 @@ impl OutputPlugin for Quilt {
             return Err(PluginError::Refused(text.into()));
         }
         let device = devices().iter().find(|device| device.id == params.device);
-        Ok(Self { host, params, device, calibration, written: Mutex::default() })
+        let output = Self { host, params, device, calibration, written: Mutex::default() };
+        // what is submitted has the display's own views and pixels
+        let geometry = display.geometry().map_err(|error| PluginError::failed("display", error))?;
+        output.layout(&geometry)?;
+        views::row_of(geometry.grid.slope_y.len(), output.params.view_row)?;
+        Ok(output)
     }
 
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
@@ -223,10 +231,7 @@ impl Quilt {
     fn write(&self, time: Time, source: &Source<'_>) -> Result<Entry, PluginError> {
         let (params, geometry) = (&self.params, source.geometry());
         let size = [geometry.cols, geometry.rows];
-        let given =
-            Given { views: [params.columns, params.rows], size: [params.width, params.height], aspect: self.aspect() };
-        let available = geometry.grid.slope_x.len();
-        let layout = Layout::new(self.device, given, available, size)?;
+        let layout = self.layout(geometry)?;
         let row = source.row(params.view_row)?;
         if let Some(advice) = source.advice(layout.views(), params.missing_views)? {
             self.host.warn(&advice);
@@ -261,6 +266,13 @@ impl Quilt {
             video: if layout.size.iter().all(|side| *side <= H264_SIDE) { "h264" } else { "hevc" },
             views,
         })
+    }
+
+    /// The quilt of a light field of this geometry.
+    fn layout(&self, geometry: &FieldGeometry) -> Result<Layout, PluginError> {
+        let QuiltParams { columns, rows, width, height, .. } = self.params;
+        let given = Given { views: [columns, rows], size: [width, height], aspect: self.aspect() };
+        Layout::new(self.device, given, geometry.grid.slope_x.len(), [geometry.cols, geometry.rows])
     }
 
     /// Aspect of a view that is asked for; a screen shows every view over all of itself.

@@ -57,6 +57,21 @@ pub fn places(count: usize, available: usize) -> Vec<f64> {
     (0..count).map(|i| (i as f64 + 0.5) / count as f64 * available as f64 - 0.5).collect()
 }
 
+/// The row of views that is taken of `rows`: the given one, or the middle (the upper of two).
+///
+/// # Errors
+/// If there is no such row.
+pub fn row_of(rows: usize, given: i64) -> Result<usize, PluginError> {
+    match usize::try_from(given) {
+        Err(_) => Ok((rows - 1) / 2),
+        Ok(row) if row < rows => Ok(row),
+        Ok(row) => Err(PluginError::Refused(format!(
+            "parameter `view_row`: expected -1 to {} rows of views, found {row}",
+            rows - 1
+        ))),
+    }
+}
+
 impl Source<'_> {
     /// Pixels and views of the source.
     pub fn geometry(&self) -> &FieldGeometry {
@@ -71,15 +86,7 @@ impl Source<'_> {
     /// # Errors
     /// If there is no such row.
     pub fn row(&self, given: i64) -> Result<usize, PluginError> {
-        let rows = self.geometry().grid.slope_y.len();
-        match usize::try_from(given) {
-            Err(_) => Ok((rows - 1) / 2),
-            Ok(row) if row < rows => Ok(row),
-            Ok(row) => Err(PluginError::Refused(format!(
-                "parameter `view_row`: expected -1 to {} rows of views, found {row}",
-                rows - 1
-            ))),
-        }
+        row_of(self.geometry().grid.slope_y.len(), given)
     }
 
     /// The view at `place` of a row, `[row][col][rgb]` linear, how it was made and its slope.

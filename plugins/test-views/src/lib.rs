@@ -20,6 +20,9 @@ const WALL: f32 = 0.05;
 /// Share of the field's width between cards, and of its height above and below them.
 const GAP: f64 = 0.08;
 
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
 /// The plugin.
 pub struct TestViews;
 

@@ -25,6 +25,9 @@ use curve::Film;
 use pdf::{Document, Page};
 use sheet::{INCH_MM, Sheet};
 
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
 /// The plugin.
 #[derive(Debug)]
 pub struct Transparencies {
@@ -179,6 +182,9 @@ impl OutputPlugin for Transparencies {
         let film = Film::new(&params.curve, params.min_transmittance)?;
         let sheet = Sheet::new(&display.layers, params.border_mm, params.paper.size_mm())?;
         pages::spacers_mm(&display.layers, params.film_mm, params.spacer_index)?;
+        for (n, layer) in display.layers.iter().enumerate() {
+            picture_size(params.dpi, n, layer)?;
+        }
         Ok(Self { host, params, display, film, sheet, written: Mutex::default() })
     }
 
@@ -264,17 +270,7 @@ impl Transparencies {
         let plane = stack.layer(n, 0)?;
         let [rows, cols] = [plane.rows(), plane.cols()];
         let (codes, too_dark) = self.film.codes(layer, &plane.to_vec());
-        let size = match self.params.dpi {
-            0 => [cols, rows],
-            dpi => [cols, rows]
-                .map(|count| ((count as f64 * layer.pitch_mm / INCH_MM * f64::from(dpi)).round() as usize).max(1)),
-        };
-        if size.iter().any(|side| *side > SIDE_LIMIT) {
-            return Err(PluginError::Refused(format!(
-                "parameter `dpi`: expected pictures of at most {SIDE_LIMIT} pixels a side, found {} × {} for layer {n}",
-                size[0], size[1]
-            )));
-        }
+        let size = picture_size(self.params.dpi, n, layer)?;
         let mut printed = Vec::with_capacity(3 * size[0] * size[1]);
         for row in 0..size[1] {
             for col in 0..size[0] {
@@ -287,6 +283,22 @@ impl Transparencies {
         page.image(self.sheet.place(layer, self.params.mirror), size, &printed)?;
         Ok((page, size, too_dark))
     }
+}
+
+/// [columns, rows] of a layer's picture in the file.
+///
+/// # Errors
+/// If it has more pixels than a picture may have.
+fn picture_size(dpi: u32, n: usize, layer: &Layer) -> Result<[usize; 2], PluginError> {
+    let printed = |count: usize| ((count as f64 * layer.pitch_mm / INCH_MM * f64::from(dpi)).round() as usize).max(1);
+    let size = if dpi == 0 { layer.resolution } else { layer.resolution.map(printed) };
+    if size.iter().any(|side| *side > SIDE_LIMIT) {
+        return Err(PluginError::Refused(format!(
+            "parameter `dpi`: expected pictures of at most {SIDE_LIMIT} pixels a side, found {} × {} for layer {n}",
+            size[0], size[1]
+        )));
+    }
+    Ok(size)
 }
 
 /// Most pixels of a picture's side.

@@ -26,6 +26,10 @@ use pictures::{Rounding, emission_picture, layer_picture, png_of, target_codes};
 
 pub use page::PREVIEW_JSON;
 
+/// Hash of this crate's sources and of those of the page that it writes. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str =
+    concat!(env!("LUMISTACK_FINGERPRINT"), " ", include_str!("../../../web/dist/sources.blake3"));
+
 /// The plugin.
 #[derive(Debug)]
 pub struct WebSimulator {

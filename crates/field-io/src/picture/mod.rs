@@ -12,7 +12,7 @@ use lumistack_core::colour;
 
 use crate::FieldError;
 
-pub use openexr::{MultiView, Precision, exr_bytes, write_exr, write_exr_channels};
+pub use openexr::{MultiView, Precision, exr_bytes, write_exr, write_exr_channels, write_exr_noted};
 
 /// Most pixels of one picture; a header that claims more is refused before memory is taken.
 pub(crate) const PIXEL_LIMIT: usize = 1 << 28;
@@ -43,6 +43,14 @@ impl Picture {
     /// On unknown extensions, and files that are damaged, cut short or too large.
     pub fn read(path: &Path) -> Result<Self, FieldError> {
         if is_exr(path) { openexr::read(path) } else { encoded::read(path) }
+    }
+
+    /// Reads an OpenEXR picture and the text that [`write_exr_noted`] put into its header; `None` without one.
+    ///
+    /// # Errors
+    /// On files that are no such pictures, damaged, cut short or too large.
+    pub fn read_noted(path: &Path) -> Result<(Self, Option<String>), FieldError> {
+        openexr::read_noted(path)
     }
 
     /// [columns, rows] from the file's header.

@@ -34,7 +34,24 @@ const LEAST_BYTES_PER_CHUNK: u64 = 16;
 /// # Panics
 /// If `rgb` does not hold the size's number of values.
 pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precision) -> Result<(), FieldError> {
-    atomic::write(path, |writer| encode(writer, size, rgb, precision))
+    atomic::write(path, |writer| encode(writer, size, rgb, precision, None))
+}
+
+/// As [`write_exr`], with a text in the header's attribute `comments`, which [`Picture::read_noted`] gives back.
+///
+/// # Errors
+/// If writing fails.
+///
+/// # Panics
+/// If `rgb` does not hold the size's number of values.
+pub fn write_exr_noted(
+    path: &Path,
+    size: [usize; 2],
+    rgb: &[f32],
+    precision: Precision,
+    note: &str,
+) -> Result<(), FieldError> {
+    atomic::write(path, |writer| encode(writer, size, rgb, precision, Some(note)))
 }
 
 /// The bytes that [`write_exr`] writes, for those who write files in their own way.
@@ -46,14 +63,20 @@ pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precisio
 /// If `rgb` does not hold the size's number of values.
 pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    encode(io::Cursor::new(&mut bytes), size, rgb, precision)?;
+    encode(io::Cursor::new(&mut bytes), size, rgb, precision, None)?;
     Ok(bytes)
 }
 
 /// Pixels are taken from `rgb` when their block is compressed: a copy of all of them would be the most memory that a large picture takes.
-fn encode(writer: impl io::Write + io::Seek, size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Result<()> {
+fn encode(
+    writer: impl io::Write + io::Seek,
+    size: [usize; 2],
+    rgb: &[f32],
+    precision: Precision,
+    note: Option<&str>,
+) -> io::Result<()> {
     assert_eq!(rgb.len(), 3 * size[0] * size[1], "values fill the picture");
-    let attributes = LayerAttributes::default();
+    let attributes = LayerAttributes { comments: note.map(Text::from), ..LayerAttributes::default() };
     let value = |Vec2(x, y): Vec2<usize>, channel: usize| rgb[3 * (y * size[0] + x) + channel];
     match precision {
         Precision::Half => {
@@ -194,6 +217,11 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
 }
 
 pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
+    read_noted(path).map(|(picture, _)| picture)
+}
+
+/// The picture, and the header's attribute `comments`.
+pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), FieldError> {
     let [cols, rows] = size(path)?;
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let decode = AssertUnwindSafe(|| {
@@ -204,7 +232,9 @@ pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
     let decoded = std::panic::catch_unwind(decode).map_err(|_| {
         FieldError::malformed(path, "content", "a complete OpenEXR picture", "damaged blocks of pixels")
     })?;
-    let list = decoded.map_err(|error| damaged(path, &error))?.layer_data.channel_data.list;
+    let layer = decoded.map_err(|error| damaged(path, &error))?.layer_data;
+    let note = layer.attributes.comments.map(|text| text.to_string());
+    let list = layer.channel_data.list;
     let names: Vec<String> = list.iter().map(|channel| channel.name.to_string()).collect();
     let indices = rgb_channels(&names).ok_or_else(|| {
         FieldError::malformed(path, "channels", "R, G and B, or Y", format!("[{}]", names.join(", ")))
@@ -223,7 +253,7 @@ pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
             FlatSamples::U32(values) => targets.zip(values).for_each(|(target, value)| *target = *value as f32),
         }
     }
-    Ok(Picture { cols, rows, samples: Samples::Linear(data) })
+    Ok((Picture { cols, rows, samples: Samples::Linear(data) }, note))
 }
 
 /// Indices of R, G, B: without a prefix, or with the first prefix ("layer.R") that has all three, or luminance three times.
@@ -260,6 +290,17 @@ mod tests {
             assert_eq!(picture.size(), [7, 5]);
             assert_eq!(picture.into_linear(), rgb);
         }
+    }
+
+    #[test]
+    fn a_note_comes_back_and_changes_no_pixel() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        write_exr_noted(&path, [2, 1], &[0.5; 6], Precision::Float, "what it is").unwrap();
+        let (picture, note) = Picture::read_noted(&path).unwrap();
+        assert_eq!((picture.into_linear(), note.as_deref()), (vec![0.5; 6], Some("what it is")));
+        write_exr(&path, [2, 1], &[0.5; 6], Precision::Float).unwrap();
+        assert_eq!(Picture::read_noted(&path).unwrap().1, None);
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! The light field of a run: rendered, or read from what somebody else rendered.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_display::{FieldGeometry, LightField};
+use lumistack_display::{Display, FieldGeometry, LightField};
 use lumistack_field_io::picture::Precision;
 use lumistack_plugin_host::{Registry, Time};
 use lumistack_report::DepthBudget;
@@ -12,11 +12,14 @@ use serde_json::{Map, Value, json};
 
 use super::{Moment, Run};
 use crate::cache::{KeyBuilder, Stamps};
+use crate::clean;
+use crate::code;
 use crate::denoise::Denoised;
 use crate::error::{PipelineError, display_error, field_error, host_error};
 use crate::file_params;
-use crate::files::{check_folder, read_json, write_json};
+use crate::files::{read_json, write_json};
 use crate::fit::{self, Placement};
+use crate::folder::{self, Work};
 use crate::ingest::{self, Ingested};
 use crate::job::{Job, SourceJob};
 use crate::look::Look;
@@ -39,6 +42,8 @@ pub(crate) struct Input {
     /// What a denoiser did to the target.
     pub(super) denoised: Option<Denoised>,
     pub(super) about: Option<serde_json::Value>,
+    /// Folders of cached views that it was made from.
+    pub(crate) views: Vec<PathBuf>,
 }
 
 /// Renders the views of a job's scene into `target_dir`, without factorizing, as `options` say; returns what their depth asks of the display.
@@ -57,7 +62,7 @@ pub fn render_only(
     };
     let job = &file_params::resolved(job, registry)?;
     job.check()?;
-    check_folder(target_dir)?;
+    let _owned = folder::take(target_dir, Work::Views, job, registry, task)?;
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     // found out before the first ray, not after
@@ -90,6 +95,7 @@ pub fn render_only(
     let precision = if options.linear { Precision::Float } else { Precision::Half };
     lumistack_field_io::write_views(target_dir, &rendered.target, &rendered.views, precision, &info)
         .map_err(field_error)?;
+    clean::keep_only_views(target_dir, &rendered.folders)?;
     Ok(budget)
 }
 
@@ -151,7 +157,8 @@ impl Run<'_> {
         let depth = rendered.depths.budget(&self.display, &geometry, &placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, ingested, &placement, &rendered);
-        let render::Rendered { target, held_out, outside, look, denoised, .. } = rendered;
+        let render::Rendered { target, held_out, outside, look, denoised, folders: mut views, .. } = rendered;
+        views.extend(references.as_ref().map(|references| references.folder.clone()));
         Ok(Input {
             target,
             held_out,
@@ -161,15 +168,13 @@ impl Run<'_> {
             depth: Some(depth),
             denoised,
             about: Some(about),
+            views,
         })
     }
 
     fn read_field(&mut self, path: &Path, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
         let job = &self.job.clone();
-        let defaults = lumistack_field_io::GeometryDefaults {
-            width_mm: Some(self.display.field_pixels().size_mm()[0]),
-            fov_deg: Some(self.display.field.fov_deg),
-        };
+        let defaults = field_defaults(&self.display);
         let display = self.display.clone();
         let target = self.timed("read", |_| {
             let footprint = |geometry: &FieldGeometry| display.adapted_to(geometry).angular_footprint();
@@ -185,7 +190,7 @@ impl Run<'_> {
     /// The light field of a source plugin; what it made before is read back.
     fn make_field(&mut self, source: &SourceJob, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
         let registry = self.registry;
-        let mut key = KeyBuilder::new("source", 1);
+        let mut key = KeyBuilder::new("source", code::PLUGINS);
         key.add("plugin", ingest::plugin_key(registry, &source.plugin, &source.params)?.as_bytes())
             .add("display", self.display.without_panels().to_toml().as_bytes())
             .add_json("time", &(source.time, source.time_s));
@@ -235,7 +240,16 @@ impl Run<'_> {
             depth: None,
             denoised: None,
             about: Some(about),
+            views: Vec::new(),
         })
+    }
+}
+
+/// What a light field takes of its display where it does not say itself.
+pub(super) fn field_defaults(display: &Display) -> lumistack_field_io::GeometryDefaults {
+    lumistack_field_io::GeometryDefaults {
+        width_mm: Some(display.field_pixels().size_mm()[0]),
+        fov_deg: Some(display.field.fov_deg),
     }
 }
 
@@ -325,7 +339,7 @@ fn write_field_if_changed(
 
 /// Hash of everything that a light-field folder holds.
 fn field_key(name: &str, field: &LightField, info: &Map<String, Value>) -> String {
-    let mut key = KeyBuilder::new(name, 1);
+    let mut key = KeyBuilder::new(name, code::FIELDS);
     key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
     key.add_json("info", info).finish()
 }

@@ -13,13 +13,12 @@ use serde::{Deserialize, Serialize};
 
 use super::Run;
 use crate::cache::KeyBuilder;
+use crate::code;
 use crate::error::{PipelineError, factorize_error, field_error, host_error};
 use crate::files::{read_json, write_json};
 use crate::ingest;
 use crate::job::{FactorizeJob, NodeJob};
 
-/// Changes whenever a solver gives other patterns.
-const FACTORIZE_VERSION: u32 = 2;
 /// Points of the convergence curve: enough for a plot; each costs a part of an update.
 const CURVE_POINTS: u32 = 40;
 
@@ -93,7 +92,7 @@ impl Run<'_> {
     ) -> Result<(), PipelineError> {
         let job = &self.job.factorize;
         let Some(warm) = warm_stack(job, display)? else { return Ok(()) };
-        let mut key = KeyBuilder::new("start", FACTORIZE_VERSION);
+        let mut key = KeyBuilder::new("start", code::PATTERNS);
         key.add("display", display.without_panels().to_toml().as_bytes())
             .add_json("settings", &(&fresh.solver, &fresh.start, &job.solver, self.job.seed))
             .add_json("coarse", &(fresh.coarse_levels, fresh.coarse_iterations))
@@ -130,7 +129,7 @@ impl Run<'_> {
     ) -> Result<(LayerStack, (Vec<Iteration>, Solution)), PipelineError> {
         let job = &self.job.factorize;
         let warm = warm_stack(job, display)?;
-        let mut key = KeyBuilder::new("factorize", FACTORIZE_VERSION);
+        let mut key = KeyBuilder::new("factorize", code::PATTERNS);
         key.add("display", display.without_panels().to_toml().as_bytes())
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())
             .add_f32("target", target.radiance().data())
@@ -182,7 +181,7 @@ impl Run<'_> {
         target: &LightField,
         task: Task<'_>,
     ) -> Result<LayerStack, PipelineError> {
-        let mut key = KeyBuilder::new("node", 1);
+        let mut key = KeyBuilder::new("node", code::PLUGINS);
         key.add("plugin", ingest::plugin_key(self.registry, &node.plugin, &node.params)?.as_bytes())
             .add("display", display.to_toml().as_bytes())
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())

@@ -105,7 +105,11 @@ fn links(outputs: &[Output]) -> Markup {
     html! {
         @for (i, output) in outputs.iter().enumerate() {
             @if i > 0 { br; }
-            a href=(format::relative_href(&output.path)) { (output.label) }
+            @if let Some(reason) = &output.failed {
+                strong { (output.label) " was not written: " } (reason)
+            } @else {
+                a href=(format::relative_href(&output.path)) { (output.label) }
+            }
         }
     }
 }

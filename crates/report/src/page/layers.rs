@@ -192,7 +192,17 @@ fn files(input: &ReportInput) -> Markup {
     html! {
         @if !input.outputs.is_empty() {
             h3 { "Files of this run" }
-            ul { @for output in input.outputs { li { a href=(format::relative_href(&output.path)) { (output.label) } " " code { (output.path) } } } }
+            ul {
+                @for output in input.outputs {
+                    li {
+                        @if let Some(reason) = &output.failed {
+                            strong { (output.label) " was not written: " } (reason)
+                        } @else {
+                            a href=(format::relative_href(&output.path)) { (output.label) } " " code { (output.path) }
+                        }
+                    }
+                }
+            }
         }
     }
 }

@@ -1,0 +1,76 @@
+//! The code that kept results pass through, as fingerprints of the crates' sources: a change to any of it makes them stale.
+
+/// Fingerprints of crates.
+pub(crate) type Code = &'static [&'static str];
+
+/// Exposure, framing, fit and light are decided here too, and what a key holds is.
+const PIPELINE: &str = env!("LUMISTACK_FINGERPRINT");
+const CORE: &str = lumistack_core::FINGERPRINT;
+const DISPLAY: &str = lumistack_display::FINGERPRINT;
+const FIELD_IO: &str = lumistack_field_io::FINGERPRINT;
+
+/// From scene files to a lit scene.
+pub(crate) const SCENE: Code =
+    &[PIPELINE, CORE, FIELD_IO, lumistack_scene::FINGERPRINT, lumistack_gltf::FINGERPRINT, lumistack_usd::FINGERPRINT];
+
+/// From scene files to radiance: whatever is traced, depths and the window's place among it.
+pub(crate) const VIEWS: Code = &[
+    PIPELINE,
+    CORE,
+    FIELD_IO,
+    lumistack_scene::FINGERPRINT,
+    lumistack_gltf::FINGERPRINT,
+    lumistack_usd::FINGERPRINT,
+    DISPLAY,
+    lumistack_pathtracer::FINGERPRINT,
+];
+
+/// From a light field to files of it.
+pub(crate) const FIELDS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY];
+
+/// From a light field to patterns.
+pub(crate) const PATTERNS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_factorizer::FINGERPRINT];
+
+/// From a light field to a row of a sweep's table.
+pub(crate) const DESIGNS: Code =
+    &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_factorizer::FINGERPRINT, lumistack_design::FINGERPRINT];
+
+/// What plugins are given and how it is written, beside the plugins' own code.
+pub(crate) const PLUGINS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_plugin_host::PLUGIN_FINGERPRINT];
+
+/// From patterns to a report.
+pub(crate) const REPORTS: Code = &[PIPELINE, CORE, DISPLAY, lumistack_report::FINGERPRINT];
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// The fingerprint of a crate's sources as they lie there now.
+    fn of(name: &str, more: &[&str]) -> String {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(name);
+        lumistack_fingerprint::of(&folder, more).unwrap()
+    }
+
+    fn holds(code: Code, crates: &[&str]) {
+        for name in crates {
+            let more: &[&str] = if *name == "usd" { &["python"] } else { &[] };
+            assert!(code.contains(&of(name, more).as_str()), "the sources of `{name}` are not in the key");
+        }
+    }
+
+    /// What made pictures stale: the sources of a crate had changed, and its version, which somebody raises by hand, had not.
+    #[test]
+    fn keys_hold_the_sources_of_all_that_makes_a_result() {
+        let scene = ["pipeline", "core", "scene", "gltf", "usd", "field-io"];
+        holds(SCENE, &scene);
+        holds(VIEWS, &scene);
+        holds(VIEWS, &["display", "pathtracer"]);
+        holds(FIELDS, &["pipeline", "core", "display", "field-io"]);
+        holds(PATTERNS, &["pipeline", "core", "display", "field-io", "factorizer"]);
+        holds(DESIGNS, &["pipeline", "core", "display", "field-io", "factorizer", "design"]);
+        holds(PLUGINS, &["pipeline", "core", "display", "field-io", "plugin"]);
+        holds(REPORTS, &["pipeline", "core", "display", "report"]);
+    }
+}

@@ -1,0 +1,75 @@
+//! Cached views that know whether they are as they were written: a hash of name, size and pixels stands in the header.
+//!
+//! Views are written one by one while a run may be killed at any time, so each carries its own hash instead of a stamp for all. The name is part of it: a
+//! view that was copied over another is not that other.
+
+use std::path::Path;
+
+use lumistack_field_io::picture::{self, Picture, Precision};
+
+use crate::cache::KeyBuilder;
+use crate::error::{PipelineError, field_error};
+
+/// Writes a view, `[row][col][rgb]` linear, `size` = [columns, rows].
+///
+/// # Errors
+/// When the file cannot be written.
+pub(crate) fn write_picture(path: &Path, size: [usize; 2], rgb: &[f32]) -> Result<(), PipelineError> {
+    picture::write_exr_noted(path, size, rgb, Precision::Float, &seal(path, size, rgb)).map_err(field_error)
+}
+
+/// Reads a view of this size; `None` where there is none, or another than was written.
+pub(crate) fn read_picture(path: &Path, size: [usize; 2]) -> Option<Vec<f32>> {
+    let (picture, note) = Picture::read_noted(path).ok()?;
+    if picture.size() != size {
+        return None;
+    }
+    let rgb = picture.into_linear();
+    (note? == seal(path, size, &rgb)).then_some(rgb)
+}
+
+fn seal(path: &Path, size: [usize; 2], rgb: &[f32]) -> String {
+    let name = path.file_name().unwrap_or_default().as_encoded_bytes();
+    KeyBuilder::new("view", &[]).add("name", name).add_json("size", &size).add_f32("rgb", rgb).finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: [usize; 2] = [16, 8];
+
+    /// Pixels that no compression makes smaller.
+    fn grain(seed: u64) -> Vec<f32> {
+        let mut state = seed;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f32 / (1 << 24) as f32
+        };
+        (0..3 * SIZE[0] * SIZE[1]).map(|_| next()).collect()
+    }
+
+    #[test]
+    fn a_view_that_was_damaged_at_equal_size_is_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let [first, second] = ["view_00_00.exr", "view_00_01.exr"].map(|name| folder.path().join(name));
+        write_picture(&first, SIZE, &grain(1)).unwrap();
+        write_picture(&second, SIZE, &grain(2)).unwrap();
+        assert_eq!(read_picture(&first, SIZE), Some(grain(1)));
+        assert_eq!(read_picture(&first, [8, 16]), None);
+        let bytes = std::fs::read(&first).unwrap();
+        for place in [bytes.len() - 1, bytes.len() - 200, bytes.len() / 2] {
+            let mut damaged = bytes.clone();
+            damaged[place] ^= 1;
+            std::fs::write(&first, &damaged).unwrap();
+            assert_eq!(read_picture(&first, SIZE), None, "byte {place} of {}", bytes.len());
+        }
+        // a picture of the same size that is another's, or nobody's
+        std::fs::copy(&second, &first).unwrap();
+        assert_eq!(read_picture(&first, SIZE), None);
+        picture::write_exr(&first, SIZE, &grain(1), Precision::Float).unwrap();
+        assert_eq!(read_picture(&first, SIZE), None);
+        std::fs::write(&first, bytes).unwrap();
+        assert_eq!(read_picture(&first, SIZE), Some(grain(1)));
+    }
+}

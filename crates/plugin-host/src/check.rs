@@ -1,0 +1,114 @@
+//! Whether an output would accept its parameters and the display, asked before any work begins.
+
+use lumistack_core::{Cancel, Task};
+use lumistack_display::Display;
+use lumistack_plugin::PluginError;
+use lumistack_plugin::serve::{LogLevel, Output, PluginKind, Services};
+use serde_json::Value;
+
+use crate::{HostError, Registry};
+
+/// Opens the output plugin `id` for a display and closes it again unused. What it would warn of is left to [`run_output`](crate::run_output), which says it
+/// where it counts.
+///
+/// # Errors
+/// If there is no such output, or it refuses the parameters or the display; [`HostError::Cancelled`] when the user asked to stop.
+pub fn check_output(
+    registry: &Registry,
+    id: &str,
+    params: &Value,
+    display: &Display,
+    task: Task<'_>,
+) -> Result<(), HostError> {
+    task.cancel.check().map_err(|_| HostError::Cancelled)?;
+    let plugin = registry.get_kind(id, PluginKind::Output)?;
+    let resolved = registry.check_params(id, params)?;
+    let host = Unused { cancel: task.cancel };
+    let opened = Output::open(plugin, &host, &Value::Object(resolved), display);
+    opened.map(drop).map_err(|error| HostError::of_plugin(PluginKind::Output, id, error))
+}
+
+/// A host on which nothing can be written.
+struct Unused<'a> {
+    cancel: &'a Cancel,
+}
+
+impl Unused<'_> {
+    fn no_files() -> PluginError {
+        PluginError::Refused("an output writes files when it has data, not when it opens".into())
+    }
+}
+
+impl Services for Unused<'_> {
+    fn log(&self, _level: LogLevel, _message: &str) {}
+
+    fn progress_begin(&self, _stage: &str, _total: u64, _unit: &str) {}
+
+    fn progress_advance(&self, _steps: u64, _note: &str) {}
+
+    fn progress_end(&self) {}
+
+    fn is_cancelled(&self) -> bool {
+        self.cancel.is_cancelled()
+    }
+
+    fn file_open(&self, _path: &str) -> Result<u64, PluginError> {
+        Err(Self::no_files())
+    }
+
+    fn file_append(&self, _file: u64, _bytes: &[u8]) -> Result<(), PluginError> {
+        Err(Self::no_files())
+    }
+
+    fn file_commit(&self, _file: u64) -> Result<(), PluginError> {
+        Err(Self::no_files())
+    }
+
+    fn file_abort(&self, _file: u64) -> Result<(), PluginError> {
+        Err(Self::no_files())
+    }
+}
+
+#[cfg(all(test, feature = "transparencies", feature = "quilt", feature = "images"))]
+mod tests {
+    use super::*;
+    use lumistack_core::Collector;
+    use lumistack_display::Layer;
+    use serde_json::json;
+
+    #[test]
+    fn what_an_output_refuses_is_known_without_data() {
+        let registry = Registry::built_in().unwrap();
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let text = include_str!("../../../scenes/displays/fig7-uniform.toml");
+        let display = Display::from_toml(text).unwrap().with_resolution([40, 25]);
+        let check = |id: &str, params: Value, display: &Display| {
+            check_output(&registry, id, &params, display, task).map_err(|error| error.to_string())
+        };
+        let mut still = display.clone();
+        (still.frames, still.layers) = (1, vec![Layer::new(-5.0, [40, 25], 1.0), Layer::new(5.0, [40, 25], 1.0)]);
+        assert_eq!(check("images", json!({}), &display), Ok(()));
+        assert_eq!(check("transparencies", json!({"paper": "tight"}), &still), Ok(()));
+        assert!(
+            check("transparencies", json!({}), &Display { frames: 12, ..still.clone() }).unwrap_err().contains("12")
+        );
+        let huge = Layer::new(5.0, [40, 25], 500.0);
+        still.layers[1] = huge;
+        let error = check("transparencies", json!({"paper": "tight", "dpi": 4800}), &still).unwrap_err();
+        assert!(error.contains("`dpi`") && error.contains("layer 1"), "{error}");
+        let error = check("quilt", json!({"calibration": "{}"}), &display).unwrap_err();
+        assert!(error.contains("calibration"), "{error}");
+        let error = check("quilt", json!({"view_row": 99}), &display).unwrap_err();
+        assert!(error.contains("`view_row`"), "{error}");
+        let error = check("quilt", json!({"columns": 4}), &display).unwrap_err();
+        assert!(error.contains("both or neither"), "{error}");
+        let error = check("images", json!({"lenslet_panel": true}), &display).unwrap_err();
+        assert!(error.contains("lenslets"), "{error}");
+        let mut uneven = display.clone();
+        uneven.field.fov_deg = [20.0, 5.0];
+        let error = check("images", json!({"hci": true}), &uneven).unwrap_err();
+        assert!(error.contains("`hci`"), "{error}");
+        assert!(warnings.take().is_empty());
+    }
+}

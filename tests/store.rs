@@ -1,0 +1,428 @@
+//! What is kept: damaged and stale results are made again, a folder has one owner, nothing foreign is replaced, outputs that would fail do so before the work or
+//! cost nothing but themselves, and what is in the way is swept.
+
+mod common;
+
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use common::{fail, files, lumistack, report, root, succeed, write_test_field};
+use serde_json::Value;
+
+const FIELD: [&str; 4] = ["--fov", "20x20", "--pitch-mm", "3"];
+const SMALL: [&str; 8] = ["--resolution", "24x16", "--samples", "1", "--iterations", "2", "--frames", "2"];
+
+/// A light field in a folder, and the command that factorizes it.
+fn field(folder: &Path) -> PathBuf {
+    let path = folder.join("views.npy");
+    write_test_field(&path, [3, 3, 16, 24], 20.0, 3.0);
+    path
+}
+
+fn factorize(field: &Path, run: &Path, iterations: u32) -> Command {
+    let mut command = lumistack();
+    command.arg("factorize").arg(field).arg("-o").arg(run).args(FIELD).args(["--frames", "2"]);
+    command.arg("--iterations").arg(iterations.to_string());
+    command
+}
+
+fn render(run: &Path) -> Command {
+    let mut command = lumistack();
+    command.arg("run").arg(root().join("scenes/glass/glass.gltf")).arg("-o").arg(run).args(SMALL);
+    command
+}
+
+/// A job of a light field with these outputs, TOML.
+fn job(folder: &Path, frames: usize, outputs: &str) -> PathBuf {
+    field(folder);
+    let path = folder.join("my-job.toml");
+    let text = format!(
+        "light_field = \"views.npy\"\n{outputs}\n[geometry]\nfov_deg = [20, 20]\npitch_mm = 3.0\n\
+         [display]\npreset = \"fig7-uniform\"\nframes = {frames}\n[factorize]\niterations = 2\n"
+    );
+    fs::write(&path, text).unwrap();
+    path
+}
+
+fn cached(run: &Path, stage: &str) -> bool {
+    let report = report(run);
+    let stage = report["stages"].as_array().unwrap().iter().find(|found| found["name"] == stage);
+    stage.expect("the stage is told")["cached"].as_bool().unwrap()
+}
+
+/// Changes the last byte of a file, which keeps its size and its time.
+fn damage(path: &Path) {
+    let time = fs::metadata(path).unwrap().modified().unwrap();
+    let mut bytes = fs::read(path).unwrap();
+    *bytes.last_mut().unwrap() ^= 1;
+    fs::write(path, bytes).unwrap();
+    set_time(path, time);
+}
+
+fn set_time(path: &Path, time: SystemTime) {
+    File::options().write(true).open(path).unwrap().set_modified(time).unwrap();
+}
+
+/// Everything that a run is for.
+fn results(run: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let all = files(run).into_iter();
+    all.filter(|(path, _)| !path.starts_with("cache") && !path.to_string_lossy().contains("report")).collect()
+}
+
+#[test]
+fn results_that_were_damaged_at_equal_size_are_made_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (field, run) = (field(folder.path()), folder.path().join("run"));
+    succeed(&mut factorize(&field, &run, 2));
+    let whole = results(&run);
+    succeed(&mut factorize(&field, &run, 2));
+    assert!(cached(&run, "factorize") && cached(&run, "output-images"));
+    for (file, stage) in [
+        ("layers/layer_0.npy", Some("factorize")),
+        ("outputs/tensor-display/images/layer_0_frame_00.png", Some("output-images")),
+        ("target/view_01_01.exr", None),
+    ] {
+        damage(&run.join(file));
+        assert!(results(&run) != whole);
+        succeed(&mut factorize(&field, &run, 2));
+        assert!(stage.is_none_or(|stage| !cached(&run, stage)), "{file} was taken for good");
+        assert!(results(&run) == whole, "{file} is not as it was");
+    }
+}
+
+#[test]
+fn views_that_were_damaged_or_exchanged_are_traced_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    succeed(&mut render(&run));
+    let whole = results(&run);
+    let views = fs::read_dir(run.join("cache/views")).unwrap().map(|entry| entry.unwrap().path());
+    let target = views.into_iter().find(|path| path.to_string_lossy().contains("target-")).unwrap();
+    succeed(&mut render(&run));
+    assert!(cached(&run, "render"));
+    // a view of the same size that is another's
+    fs::copy(target.join("view_00_00.exr"), target.join("view_02_02.exr")).unwrap();
+    succeed(&mut render(&run));
+    assert!(!cached(&run, "render") && results(&run) == whole);
+    damage(&target.join("view_01_01.exr"));
+    succeed(&mut render(&run));
+    assert!(!cached(&run, "render") && results(&run) == whole);
+}
+
+/// `lumistack preview` until it serves.
+fn preview(run: &Path) {
+    let mut child =
+        lumistack().args(["--json", "preview", "--no-open"]).arg(run).stdout(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let serves = lines.any(|line| line.unwrap().contains("\"serving\""));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(serves);
+}
+
+#[test]
+fn a_preview_of_other_patterns_is_made_anew_whatever_its_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let (field, run) = (field(folder.path()), folder.path().join("run"));
+    succeed(&mut factorize(&field, &run, 2));
+    preview(&run);
+    let shown = run.join("preview/stack/layer0_frame0.png");
+    let first = fs::read(&shown).unwrap();
+    let written = fs::metadata(&shown).unwrap().modified().unwrap();
+    preview(&run);
+    assert_eq!(fs::metadata(&shown).unwrap().modified().unwrap(), written, "nothing has changed");
+    succeed(&mut factorize(&field, &run, 9));
+    set_time(&run.join("preview/stack/preview.json"), SystemTime::now() + Duration::from_secs(3600));
+    preview(&run);
+    assert!(fs::read(&shown).unwrap() != first, "the older patterns are shown");
+    damage(&shown);
+    preview(&run);
+    assert!(image::open(&shown).is_ok());
+}
+
+#[test]
+fn outputs_that_refuse_the_display_do_so_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let transparencies = "[[outputs]]\nplugin = \"transparencies\"\n";
+    // a light field, to which the display adapts
+    let path = job(folder.path(), 12, transparencies);
+    let error = fail(lumistack().arg("run").arg(&path).arg("-o").arg(&run));
+    assert!(error.contains("transparencies") && error.contains("12"), "{error}");
+    assert!(!run.join("layers").exists(), "it was factorized first");
+    let info = succeed(lumistack().arg("info").arg(&path));
+    assert!(info.contains("refuse") && info.contains("transparencies") && info.contains("frames = 1"), "{info}");
+    // a scene: nothing is traced
+    let scene = root().join("scenes/glass/glass.gltf");
+    fs::write(folder.path().join("bad.json"), "{}").unwrap();
+    for (outputs, reason) in [
+        (transparencies, "12"),
+        ("[[outputs]]\nplugin = \"quilt\"\nparams = { calibration = \"bad.json\" }\n", "calibration"),
+    ] {
+        let path = folder.path().join("scene.toml");
+        let text = format!(
+            "scene = {:?}\n{outputs}[display]\npreset = \"fig7-uniform\"\nframes = 12\n",
+            scene.display().to_string()
+        );
+        fs::write(&path, text).unwrap();
+        let output = lumistack().args(["--json", "run"]).arg(&path).arg("-o").arg(&run).output().unwrap();
+        let (told, error) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        assert_eq!(output.status.code(), Some(1));
+        assert!(error.contains(reason) && !told.contains("\"begin\""), "{error}{told}");
+        assert!(succeed(lumistack().arg("info").arg(&path)).contains("refuse"));
+    }
+    // a node's output is opened against the node's display
+    let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\n[nodes.display]\npreset = \"fig7-uniform\"\nframes = 7\n\
+                 [[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n[[outputs]]\nplugin = \"transparencies\"\nfrom = \"b\"\n";
+    let error = fail(lumistack().arg("run").arg(job(folder.path(), 1, nodes)).arg("-o").arg(&run));
+    assert!(error.contains("found 7") && !run.join("nodes/a/layers").exists(), "{error}");
+}
+
+#[test]
+fn an_output_that_fails_costs_neither_report_nor_other_outputs() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    // which views are missing is known when there are some
+    let outputs = "[[outputs]]\nplugin = \"quilt\"\nfrom = \"light_field\"\nparams = { columns = 5, rows = 1, missing_views = \"refuse\" }\n\
+                   [[outputs]]\nplugin = \"images\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"light_field\"\n";
+    let path = job(folder.path(), 2, outputs);
+    let error = fail(lumistack().arg("run").arg(&path).arg("-o").arg(&run));
+    assert!(error.contains("outputs/light_field/quilt") && error.contains("views = [5, 1]"), "{error}");
+    for finished in ["outputs/tensor-display/images/images.json", "outputs/light_field/images/images.json"] {
+        assert!(run.join(finished).is_file(), "{finished} is missing");
+    }
+    let told = report(&run);
+    let failed: Vec<&Value> =
+        told["outputs"].as_array().unwrap().iter().filter(|output| !output["failed"].is_null()).collect();
+    assert!(failed.len() == 1 && failed[0]["failed"].as_str().unwrap().contains("views = [5, 1]"), "{failed:?}");
+    let html = fs::read_to_string(run.join("report.html")).unwrap();
+    assert!(html.contains("quilt was not written") && html.contains("5, 1"));
+    let output = lumistack().args(["--json", "run"]).arg(&path).arg("-o").arg(&run).output().unwrap();
+    let done = String::from_utf8_lossy(&output.stdout).lines().last().unwrap().to_owned();
+    let done: Value = serde_json::from_str(&done).unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(done["failed_outputs"][0]["path"], "outputs/light_field/quilt", "{done}");
+}
+
+#[test]
+fn a_folder_has_one_owner_and_a_dead_one_holds_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let mut first = lumistack()
+        .arg("run")
+        .arg(root().join("scenes/still-life/still-life.gltf"))
+        .arg("-o")
+        .arg(&run)
+        .args(["--samples", "4096"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let start = Instant::now();
+    while !run.join("cache/owner.json").exists() {
+        assert!(start.elapsed() < Duration::from_secs(60) && first.try_wait().unwrap().is_none());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let field = field(folder.path());
+    let commands: [Command; 3] = [
+        factorize(&field, &run, 2),
+        {
+            let mut command = lumistack();
+            command.arg("render").arg(root().join("scenes/glass/glass.gltf")).arg("-o").arg(&run);
+            command
+        },
+        {
+            let mut command = lumistack();
+            command.arg("clean").arg(&run);
+            command
+        },
+    ];
+    for mut command in commands {
+        let error = fail(&mut command);
+        let process = format!("process {} on ", first.id());
+        assert!(error.contains(&run.display().to_string()) && error.contains(&process), "{error}");
+    }
+    first.kill().unwrap();
+    first.wait().unwrap();
+    assert!(run.join("cache/owner.json").exists(), "it had no time to tidy up");
+    succeed(&mut factorize(&field, &run, 2));
+    assert!(!run.join("cache/owner.json").exists());
+}
+
+#[test]
+fn neither_foreign_files_nor_inputs_are_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let path = job(here, 2, "");
+    let own = here.join("job.toml");
+    fs::rename(path, &own).unwrap();
+    let text = fs::read_to_string(&own).unwrap();
+    let error = fail(lumistack().current_dir(here).args(["run", "job.toml", "-o", "."]));
+    assert!(error.contains("job.toml") && error.contains("job file"), "{error}");
+    // of somebody who runs something else beside it
+    let error = fail(factorize(&here.join("views.npy"), Path::new("."), 2).current_dir(here));
+    assert!(error.contains("job.toml") && error.contains("something else"), "{error}");
+    assert_eq!(fs::read_to_string(&own).unwrap(), text);
+    let mut names: Vec<_> = fs::read_dir(here).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["job.toml", "views.npy"], "nothing was written");
+    // a run's own job may be run again where it lies, with other settings too
+    let run = here.join("run");
+    succeed(lumistack().arg("run").arg(&own).arg("-o").arg(&run));
+    succeed(lumistack().arg("run").arg(run.join("job.toml")).arg("-o").arg(&run).args(["--iterations", "3"]));
+    assert!(fs::read_to_string(run.join("job.toml")).unwrap().contains("iterations = 3"));
+    // until somebody changes it by hand
+    let changed = fs::read_to_string(run.join("job.toml")).unwrap().replace("iterations = 3", "iterations = 4");
+    fs::write(run.join("job.toml"), &changed).unwrap();
+    let error = fail(lumistack().arg("run").arg(&own).arg("-o").arg(&run));
+    assert!(error.contains("job.toml") && error.contains("changed since"), "{error}");
+    assert_eq!(fs::read_to_string(run.join("job.toml")).unwrap(), changed);
+    let warm = run.join("layers");
+    fs::remove_file(run.join("job.toml")).unwrap();
+    let error = fail(factorize(&here.join("views.npy"), &run, 2).arg("--warm-start").arg(&warm));
+    assert!(error.contains("warm start") && error.contains("layers"), "{error}");
+}
+
+/// `lumistack --json clean`: freed bytes by kind, what stays.
+fn clean(dir: &Path, flags: &[&str]) -> (Vec<(String, u64)>, u64) {
+    let told = succeed(lumistack().args(["--json", "clean"]).arg(dir).args(flags));
+    let told: Value = serde_json::from_str(told.trim()).unwrap();
+    let freed = told["freed"].as_array().unwrap().iter();
+    let freed: Vec<_> =
+        freed.map(|kind| (kind["kind"].as_str().unwrap().to_owned(), kind["bytes"].as_u64().unwrap())).collect();
+    assert_eq!(told["freed_bytes"].as_u64().unwrap(), freed.iter().map(|kind| kind.1).sum::<u64>());
+    (freed, told["kept_bytes"].as_u64().unwrap())
+}
+
+fn views_of(run: &Path) -> Vec<String> {
+    let mut names: Vec<String> = fs::read_dir(run.join("cache/views"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn what_is_in_the_way_is_swept_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    succeed(&mut render(&run));
+    let first = views_of(&run);
+    // what a killed run leaves
+    let old = SystemTime::now() - Duration::from_secs(3600);
+    let left = [".lumistack-abc123.tmp", "cache/.lumistack-abc124.tmp", "layers/.lumistack-abc125.tmp"];
+    let leave = || {
+        for name in left {
+            fs::write(run.join(name), [7; 1000]).unwrap();
+            set_time(&run.join(name), old);
+        }
+        fs::create_dir_all(run.join("outputs/tensor-display/.images.partial")).unwrap();
+        fs::write(run.join("outputs/tensor-display/.images.partial/a.png"), [7; 500]).unwrap();
+    };
+    let is_left = || left.iter().any(|name| run.join(name).exists());
+    leave();
+    // another run sweeps it, and the views of the settings before
+    succeed(render(&run).args(["--seed", "5"]));
+    assert!(!is_left() && !run.join("outputs/tensor-display/.images.partial").exists());
+    let second = views_of(&run);
+    assert!(second.len() == first.len() && second.iter().all(|name| !first.contains(name)), "{first:?} {second:?}");
+
+    let whole = results(&run);
+    assert!(clean(&run, &[]).0.is_empty(), "there is nothing");
+    leave();
+    fs::create_dir(run.join("cache/views").join(&first[0])).unwrap();
+    fs::write(run.join("cache/views").join(&first[0]).join("view_00_00.exr"), [7; 300]).unwrap();
+    let expected = [("left-overs of stopped runs".to_owned(), 3500), ("views of other settings".to_owned(), 300)];
+    let (freed, kept) = clean(&run, &["--dry-run"]);
+    assert_eq!(freed, expected);
+    assert!(is_left(), "a dry run removes nothing");
+    assert_eq!(clean(&run, &[]), (freed, kept));
+    assert!(!is_left() && views_of(&run) == second && results(&run) == whole);
+    succeed(render(&run).args(["--seed", "5"]));
+    assert!(cached(&run, "render"), "what the settings need was kept");
+    let (freed, kept_now) = clean(&run, &["--all"]);
+    assert!(freed.iter().any(|(kind, bytes)| kind == "cached views" && *bytes > 1000), "{freed:?}");
+    assert!(kept_now < kept && results(&run) == whole);
+    succeed(render(&run).args(["--seed", "5"]));
+    assert!(!cached(&run, "render") && results(&run) == whole);
+    let text = succeed(lumistack().arg("clean").arg(&run).args(["--all", "--dry-run"]));
+    assert!(text.contains("cached views") && text.contains("would be freed"), "{text}");
+    let error = fail(lumistack().arg("clean").arg(folder.path()));
+    assert!(error.contains("a folder of a run"), "{error}");
+}
+
+#[test]
+fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    // times of a scene, each with views of its own
+    let sequence = out("sequence");
+    let times = |seed: &str| {
+        let mut command = render(&sequence);
+        succeed(command.args(["--times", "2", "--turn-deg", "10", "--seed", seed]));
+    };
+    times("1");
+    let stale = sequence.join("t0002/cache/views/target-0123456789abcdef");
+    fs::create_dir(&stale).unwrap();
+    fs::write(stale.join("view_00_00.exr"), [7; 200]).unwrap();
+    let whole = results(&sequence);
+    assert_eq!(clean(&sequence, &[]).0, [("views of other settings".to_owned(), 200)]);
+    assert!(!stale.exists());
+    clean(&sequence, &["--all"]);
+    assert!(results(&sequence).iter().filter(|(path, _)| !path.iter().any(|part| part == "cache")).count() > 10);
+    assert!(
+        whole.iter().filter(|(path, _)| !path.iter().any(|part| part == "cache")).all(|(path, bytes)| fs::read(
+            sequence.join(path)
+        )
+        .unwrap()
+            == *bytes)
+    );
+
+    // light fields of a sweep
+    let sweep = out("sweep");
+    let designs = |fov: &str| {
+        let mut command = lumistack();
+        command.arg("sweep").arg(root().join("scenes/glass/glass.gltf")).arg("-o").arg(&sweep);
+        command.args(["--display", "fig7-uniform", "--resolution", "24x16", "--samples", "1", "--iterations", "2"]);
+        succeed(command.args(["--frames", "1", "--plots", "none", "--fov", fov]));
+    };
+    designs("20x20");
+    let table = fs::read(sweep.join("sweep.csv")).unwrap();
+    fs::create_dir_all(sweep.join("fields/2/cache")).unwrap();
+    fs::write(sweep.join("fields/2/cache/lumistack.lock"), "").unwrap();
+    fs::write(sweep.join("fields/2/a.exr"), [7; 100]).unwrap();
+    let (freed, _) = clean(&sweep, &[]);
+    assert_eq!(freed, [("light fields of other settings".to_owned(), 100)]);
+    clean(&sweep, &["--all"]);
+    assert_eq!(fs::read(sweep.join("sweep.csv")).unwrap(), table);
+    designs("20x20");
+    assert_eq!(fs::read(sweep.join("sweep.csv")).unwrap(), table);
+
+    // views alone
+    let views = out("views");
+    let render_views = || {
+        let mut command = lumistack();
+        command.arg("render").arg(root().join("scenes/glass/glass.gltf")).arg("-o").arg(&views);
+        succeed(command.args(["--resolution", "24x16", "--samples", "1"]));
+    };
+    render_views();
+    let whole = results(&views);
+    let (freed, _) = clean(&views, &["--all"]);
+    assert!(freed.iter().any(|(kind, _)| kind == "cached views"), "{freed:?}");
+    assert!(results(&views) == whole);
+    render_views();
+    assert!(results(&views) == whole);
+
+    // nodes
+    let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\nplugin = \"parallax_barrier\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n";
+    let (path, run) = (job(folder.path(), 9, nodes), out("nodes"));
+    succeed(lumistack().arg("run").arg(&path).arg("-o").arg(&run));
+    fs::write(run.join("nodes/b/layers/.lumistack-1.tmp"), [7; 50]).unwrap();
+    let whole = results(&run);
+    assert_eq!(clean(&run, &[]).0, [("left-overs of stopped runs".to_owned(), 50)]);
+    assert_eq!(results(&run).len(), whole.len() - 1);
+}
