@@ -19,7 +19,7 @@ use crate::ingest;
 use crate::job::{FactorizeJob, NodeJob};
 
 /// Changes whenever a solver gives other patterns.
-const FACTORIZE_VERSION: u32 = 2;
+const FACTORIZE_VERSION: u32 = 3;
 /// Points of the convergence curve: enough for a plot; each costs a part of an update.
 const CURVE_POINTS: u32 = 40;
 
