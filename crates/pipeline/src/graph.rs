@@ -72,7 +72,14 @@ pub(crate) fn run(
         let began = Instant::now();
         let mut part = Run::of_node(node_job, node, &folder(node), registry)?;
         part.display = match node.display {
-            Some(_) => part.display.adapted_to(input.target.geometry()),
+            Some(_) => {
+                let adapted = part.display.adapted_to(input.target.geometry());
+                let adapted = adapted.map_err(|source| display_error(source, &format!("node `{}`", node.id)))?;
+                if let Some(change) = part.display.backlight_change(&adapted) {
+                    task.warn(format!("node {}", node.id), change);
+                }
+                adapted
+            }
             None => display.clone(),
         };
         part.display.check().map_err(|source| display_error(source, &format!("node `{}`", node.id)))?;

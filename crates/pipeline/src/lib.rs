@@ -19,6 +19,7 @@ mod file_params;
 mod files;
 mod fit;
 mod flicker;
+mod given;
 mod graph;
 mod ingest;
 mod inspect;
@@ -54,7 +55,8 @@ pub use run::{Summary, render_only, run};
 pub use sequence::SequenceSummary;
 pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file};
 pub use steps::{
-    ReportOn, Traced, WeightsFrom, factorize_field, open_field, render_field, weights_of, write_output, write_report_on,
+    ReportOn, Traced, WeightsFrom, expose_field, factorize_field, open_field, render_field, weights_of, write_output,
+    write_report_on,
 };
 pub use sweep::{SweepSummary, sweep};
 

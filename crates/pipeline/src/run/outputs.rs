@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_display::Display;
+use lumistack_display::{Display, LightField};
 use lumistack_plugin_host::{OutputContext, OutputData, Time};
 use lumistack_report::Output;
 
@@ -13,6 +13,14 @@ use crate::error::{PipelineError, host_error};
 use crate::files::{read_json, write_json};
 use crate::ingest;
 use crate::job::OutputJob;
+
+/// Plugins are told how deep the middle view sees.
+fn add_depth(key: &mut KeyBuilder, field: &LightField) {
+    if let Some(depth) = field.depth() {
+        let z_mm: Vec<f32> = depth.z_mm.iter().map(|z| z.unwrap_or(f32::NAN)).collect();
+        key.add_json("depth", &(depth.rows, depth.cols)).add_f32("z", &z_mm);
+    }
+}
 
 impl Run<'_> {
     /// Runs the outputs of the job that take what `from` makes; `folder` is where, relative to the run's folder.
@@ -37,6 +45,7 @@ impl Run<'_> {
                     if let Some(target) = target {
                         key.add("geometry", format!("{:?}", target.geometry()).as_bytes());
                         key.add_f32("target", target.radiance().data());
+                        add_depth(&mut key, target);
                     }
                     key.add_json("brightness", &stack.brightness);
                     for layer in &stack.layers {
@@ -49,6 +58,7 @@ impl Run<'_> {
                 OutputData::LightField(field) => {
                     key.add("geometry", format!("{:?}", field.geometry()).as_bytes());
                     key.add_f32("radiance", field.radiance().data());
+                    add_depth(&mut key, field);
                 }
             }
             let key = key.finish();
