@@ -52,7 +52,7 @@ def exr(file, size):
 
 def images(folder):
     manifest = json.loads((folder / "images.json").read_text())
-    told = {entry["file"] for entry in manifest["files"]} | {"images.json", "atlas.json", "hci/parameters.cfg"}
+    told = {entry["file"] for entry in manifest["files"]} | {"images.json", "atlas.json", "hci/parameters.cfg", "hci/gt_disp_lowres.pfm"}
     there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file() and path.name[0] != "."}
     check(folder, "files that the manifest does not tell", sorted(there - told), [])
     for entry in manifest["files"]:
@@ -90,10 +90,18 @@ def images(folder):
         config = configparser.ConfigParser()
         config.read(folder / "hci/parameters.cfg")
         cameras = config.getint("extrinsics", "num_cams_x") * config.getint("extrinsics", "num_cams_y")
-        names = [f"input_Cam{n:03}.png" for n in range(cameras)] + ["parameters.cfg"]
+        names = [f"input_Cam{n:03}.png" for n in range(cameras)] + ["parameters.cfg", "gt_disp_lowres.pfm"]
         check(folder / "hci", "files", sorted(path.name for path in (folder / "hci").iterdir()), sorted(names))
         size = tuple(config.getint("intrinsics", f"image_resolution_{axis}_px") for axis in "xy")
         check(folder / "hci", "size", Image.open(folder / "hci/input_Cam000.png").size, size)
+        head, shape, scale, data = (folder / "hci/gt_disp_lowres.pfm").read_bytes().split(b"\n", 3)
+        check(folder / "hci", "map", (head, tuple(map(int, shape.split())), float(scale)), (b"Pf", size, -1.0))
+        # of a rendered scene the middle view's depth is known
+        disparities = np.frombuffer(data, "<f4")
+        known = disparities[np.isfinite(disparities)]
+        check(folder / "hci", "number of disparities", (disparities.size, known.size > 0), (size[0] * size[1], True))
+        for key, limit in [("disp_min", known.min()), ("disp_max", known.max())]:
+            check(folder / "hci", key, round(config.getfloat("meta", key), 3), round(float(limit), 3))
     for path in (folder / "stanford").glob("*"):
         if not re.fullmatch(r"out_\d\d_\d\d_-?\d+\.\d+_-?\d+\.\d+\.png", path.name):
             sys.exit(f"{path}: not a name of the archive")

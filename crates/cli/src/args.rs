@@ -307,6 +307,8 @@ pub(crate) struct Factorize {
     #[command(flatten)]
     pub(crate) geometry: GeometryArgs,
     #[command(flatten)]
+    pub(crate) look: FieldLookArgs,
+    #[command(flatten)]
     pub(crate) display: FactorizeDisplayArgs,
     #[command(flatten)]
     pub(crate) factorize: FactorizeArgs,
@@ -319,6 +321,18 @@ pub(crate) struct Factorize {
     /// Full updates at every time after the first [default: 5]
     #[arg(long, value_name = "N", requires = "sequence", help_heading = "Sequence")]
     pub(crate) sequence_iterations: Option<u32>,
+}
+
+/// What to do about values beyond 0 to 1. Without these flags values count as they are.
+#[derive(Debug, Default, ClapArgs)]
+#[command(next_help_heading = "Light field")]
+pub(crate) struct FieldLookArgs {
+    /// Exposure in stops for all views: values times 2^EV; what is above 1 then is clipped, unless --tone says otherwise
+    #[arg(long, value_name = "EV", allow_hyphen_values = true)]
+    pub(crate) exposure_ev: Option<f64>,
+    /// Tone curve of all views: linear (clips to 0..1), khronos-neutral or agx [default: values as they are]
+    #[arg(long, value_name = "CURVE", value_parser = ["linear", "khronos-neutral", "agx"])]
+    pub(crate) tone: Option<String>,
 }
 
 /// The display; its light field is the one that is read.

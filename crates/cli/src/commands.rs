@@ -102,6 +102,8 @@ fn factorize_command(
     job.name = stem(&args.light_field);
     job.light_field = Some(args.light_field.clone());
     job.geometry = geometry(&args.geometry);
+    job.light.exposure_ev = args.look.exposure_ev.unwrap_or(job.light.exposure_ev);
+    job.light.tone = args.look.tone.as_deref().map_or(job.light.tone, tone_of);
     job.display.frames = args.display.frames;
     job.display.brightness = args.display.brightness;
     job.seed = args.seed.unwrap_or(job.seed);
@@ -278,6 +280,15 @@ pub(crate) fn change_display(job: &mut Job, args: &DisplayArgs) {
     job.display.brightness = args.brightness.or(job.display.brightness);
 }
 
+fn tone_of(name: &str) -> Tone {
+    match name {
+        "linear" => Tone::Linear,
+        "khronos-neutral" => Tone::KhronosNeutral,
+        "agx" => Tone::Agx,
+        _ => Tone::Auto,
+    }
+}
+
 pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     job.render.samples = args.samples.unwrap_or(job.render.samples);
     job.render.engine = args.engine.unwrap_or(job.render.engine);
@@ -287,13 +298,7 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
     job.seed = args.seed.unwrap_or(job.seed);
     job.window.depth_scale = args.depth_scale.unwrap_or(job.window.depth_scale);
     job.render.lens_deg = args.lens_deg.unwrap_or(job.render.lens_deg);
-    match args.tone.as_deref() {
-        Some("linear") => job.light.tone = Tone::Linear,
-        Some("khronos-neutral") => job.light.tone = Tone::KhronosNeutral,
-        Some("agx") => job.light.tone = Tone::Agx,
-        Some(_) => job.light.tone = Tone::Auto,
-        None => {}
-    }
+    job.light.tone = args.tone.as_deref().map_or(job.light.tone, tone_of);
     match args.fit_depth.as_deref() {
         Some("move") => job.window.fit_depth = FitDepth::Move,
         Some("compress") => job.window.fit_depth = FitDepth::Compress,

@@ -1,11 +1,18 @@
 //! The same display at another resolution, or for another light field.
 
-use crate::{Backlight, Display, FieldGeometry, Projection, ProjectionKind};
+use crate::{
+    Backlight, Display, DisplayError, FieldGeometry, LensletBacklight, OutsideBins, Projection, ProjectionKind,
+};
+
+/// Angles and lengths that differ by less, relatively, are equal: a display keeps its own numbers for a light field of its own.
+const SAME: f64 = 1e-9;
+/// The most angular bins per axis that a backlight grows to where views fan out, unless half of them are the light field's own views.
+const MOST_BINS: usize = 64;
 
 impl Display {
     /// The same display at another resolution: the field becomes `resolution` = [columns, rows] pixels over the same width, and the masks are
-    /// scaled by the same factors, and so is the number of lenslets over the same area, while point spreads keep their width in millimetres: a coarse
-    /// preview keeps the display's character. Physical panels stay, and colour filters stay stripes of one mask column.
+    /// scaled by the same factors, and so is the number of lenslets over at least the same share of the field. Point spreads keep their width in
+    /// millimetres: a coarse preview keeps the display's character. Physical panels stay, and colour filters stay stripes of one mask column.
     #[must_use]
     pub fn with_resolution(&self, resolution: [usize; 2]) -> Self {
         let mut display = self.clone();
@@ -22,17 +29,26 @@ impl Display {
             layer.blur_px /= pitch_factor;
         }
         if let Backlight::Lenslets(backlight) = &mut display.backlight {
+            let [old_cols, old_rows] = backlight.lenslets.map(|count| count as f64);
             let cols = scaled(backlight.lenslets[0], 0);
-            backlight.pitch_mm *= backlight.lenslets[0] as f64 / cols as f64;
-            backlight.lenslets = [cols, scaled(backlight.lenslets[1], 1)];
+            let pitch_mm = backlight.pitch_mm * old_cols / cols as f64;
+            // one pitch serves both axes: rows are counted up to the share of the height that they covered, since rays beside the grid are lost
+            let height_factor = pitch_factor * resolution[1] as f64 / old[1] as f64;
+            let rows = old_rows * backlight.pitch_mm * height_factor / pitch_mm;
+            backlight.lenslets = [cols, ((rows - SAME * rows).ceil() as usize).max(1)];
+            backlight.pitch_mm = pitch_mm;
         }
         display
     }
 
     /// The same display for a light field that already exists: masks take its resolution and size, the view grid its angles (as the full
-    /// angle whose bins are as wide as the field's). Distances and frames stay.
-    #[must_use]
-    pub fn adapted_to(&self, geometry: &FieldGeometry) -> Self {
+    /// angle whose bins are as wide as the field's). Lenslets scale with the masks. The backlight's bins follow the views per axis: as many bins to a
+    /// view as the display has for its own, so that a backlight made for the display's views has one bin for each of the light field's, and more
+    /// where rays of perspective or one-sided views leave them. Distances and frames stay.
+    ///
+    /// # Errors
+    /// If the light field's rays spread over so many of a view's widths that the backlight would need more than 64 bins along an axis.
+    pub fn adapted_to(&self, geometry: &FieldGeometry) -> Result<Self, DisplayError> {
         let mut display = self.with_resolution([geometry.cols, geometry.rows]);
         let pitch_factor = geometry.pitch_mm / display.field.pitch_mm;
         display.field.pitch_mm = geometry.pitch_mm;
@@ -40,16 +56,122 @@ impl Display {
             layer.pitch_mm *= pitch_factor;
         }
         let [view_rows, view_cols] = geometry.grid.views();
-        let bins = geometry.grid.bin_width();
+        let widths = geometry.grid.bin_width();
         display.field.views = [view_cols, view_rows];
-        display.field.fov_deg =
-            [0, 1].map(|axis| 2.0 * (0.5 * bins[axis] * display.field.views[axis] as f64).atan().to_degrees());
+        display.field.fov_deg = [0, 1].map(|axis| {
+            let fov_deg = full_angle_deg(0.5 * widths[axis] * display.field.views[axis] as f64);
+            kept(self.field.fov_deg[axis], fov_deg)
+        });
         (display.field.projection, display.field.distance_mm) = match geometry.grid.projection {
             Projection::Oblique => (ProjectionKind::Oblique, None),
             Projection::Perspective { distance_mm } => (ProjectionKind::Perspective, Some(distance_mm)),
         };
-        display
+        if let (Backlight::Lenslets(adapted), Backlight::Lenslets(own)) = (&mut display.backlight, &self.backlight) {
+            adapted.pitch_mm = kept(own.pitch_mm, adapted.pitch_mm * pitch_factor);
+            for axis in [0, 1] {
+                (adapted.views[axis], adapted.fov_deg[axis]) = self.adapted_bins(own, axis, geometry)?;
+            }
+        }
+        Ok(display)
     }
+
+    /// Number of bins and full angle (degrees) along an axis of a backlight that follows the views of a light field.
+    fn adapted_bins(
+        &self,
+        own: &LensletBacklight,
+        axis: usize,
+        geometry: &FieldGeometry,
+    ) -> Result<(usize, f64), DisplayError> {
+        let half = |fov_deg: f64| (0.5 * fov_deg.to_radians()).tan();
+        let (own_views, own_bins) = (self.field.views[axis] as f64, own.views[axis] as f64);
+        let (own_reach, bins_reach) = (half(self.field.fov_deg[axis]), half(own.fov_deg[axis]));
+        // bins to a view, and the bins' reach relative to the views', as the display has them
+        let (fineness, spread) = if own_reach > 0.0 {
+            (own_reach / own_views * own_bins / bins_reach, bins_reach / own_reach)
+        } else {
+            (1.0, 1.0)
+        };
+        let slopes = if axis == 0 { &geometry.grid.slope_x } else { &geometry.grid.slope_y };
+        let outermost = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
+        // pinholes see the field's edges under other slopes; a real lens array repeats its bins there
+        let fan = match (geometry.grid.projection, own.outside_bins) {
+            (Projection::Perspective { distance_mm }, OutsideBins::Dark) => {
+                0.5 * geometry.size_mm()[axis] / distance_mm
+            }
+            _ => 0.0,
+        };
+        let width = geometry.grid.bin_width()[axis];
+        if width == 0.0 {
+            // nothing to tell apart: the bins of one view, over all of its rays
+            let bins = (own_bins / own_views).round().max(1.0) as usize;
+            let reach = outermost + fan;
+            let fov_deg = if reach < bins_reach { own.fov_deg[axis] } else { full_angle_deg(reach * 1.001) };
+            return Ok((bins, fov_deg));
+        }
+        let bin = width / fineness;
+        let centred = 0.5 * width * slopes.len() as f64;
+        let repeats = own.outside_bins == OutsideBins::Repeat;
+        let reach = if repeats { spread * centred } else { (outermost + 0.5 * width + fan).max(spread * centred) };
+        let needed = 2.0 * reach / bin;
+        let mut bins = (needed - 1e-6).ceil().max(1.0);
+        if (fineness - 1.0).abs() < 1e-6 {
+            // bins stand at whole widths where their number is odd, at half ones where it is even: views at bins' centres
+            let from_whole = slopes[0] / bin - (slopes[0] / bin).round();
+            let odd = from_whole.abs() <= 0.25;
+            if (bins % 2.0 == 1.0) != odd {
+                bins += 1.0;
+            }
+        }
+        if bins > MOST_BINS.max(2 * slopes.len()) as f64 {
+            let name = ["horizontal", "vertical"][axis];
+            return Err(DisplayError::Value {
+                key: "backlight.views".into(),
+                expected: format!(
+                    "a light field whose {name} rays {MOST_BINS} angular bins of a view's width can tell apart (parallel views, or \
+                     outside_bins = \"repeat\"), or a display with a uniform backlight"
+                ),
+                found: format!(
+                    "{} views {width:.4} apart and rays of slopes up to {:.3}, which ask for {bins} bins",
+                    slopes.len(),
+                    outermost + fan
+                ),
+            });
+        }
+        let fov_deg = full_angle_deg(0.5 * bins * bin);
+        Ok((bins as usize, kept(own.fov_deg[axis], fov_deg)))
+    }
+
+    /// Says in a sentence how the backlight of `adapted` differs from this display's; `None` where it does not.
+    pub fn backlight_change(&self, adapted: &Self) -> Option<String> {
+        let (Backlight::Lenslets(own), Backlight::Lenslets(now)) = (&self.backlight, &adapted.backlight) else {
+            return None;
+        };
+        let bins = |b: &LensletBacklight| {
+            let ([x, y], [across, down]) = (b.views, b.fov_deg);
+            format!("{x} × {y} bins over {across:.1}° × {down:.1}°")
+        };
+        let lenslets = |b: &LensletBacklight| {
+            let [cols, rows] = b.lenslets;
+            format!("{cols} × {rows} lenslets of {:.2} mm", b.pitch_mm)
+        };
+        let changes: Vec<String> = [(bins(own), bins(now)), (lenslets(own), lenslets(now))]
+            .into_iter()
+            .filter(|(own, now)| own != now)
+            .map(|(own, now)| format!("{now} instead of {own}"))
+            .collect();
+        (!changes.is_empty())
+            .then(|| format!("the directional backlight follows the light field: {}", changes.join(", ")))
+    }
+}
+
+/// Full angle of a slope to both sides, degrees.
+fn full_angle_deg(half: f64) -> f64 {
+    2.0 * half.atan().to_degrees()
+}
+
+/// `own` where `new` is that but for rounding.
+fn kept(own: f64, new: f64) -> f64 {
+    if (new - own).abs() <= SAME * own.abs() { own } else { new }
 }
 
 #[cfg(test)]
@@ -63,7 +185,7 @@ mod tests {
         let wide = small_display();
         let grid = ViewGrid::uniform(Projection::Oblique, [5, 1], [30.0, 10.0]).unwrap();
         let geometry = FieldGeometry { rows: 7, cols: 9, pitch_mm: 2.0, grid };
-        let display = wide.adapted_to(&geometry);
+        let display = wide.adapted_to(&geometry).unwrap();
         display.check().unwrap();
         assert_eq!((display.layers[0].resolution, display.layers[2].pitch_mm), ([9, 7], 2.0));
         let adapted = display.geometry().unwrap();
@@ -71,6 +193,111 @@ mod tests {
             assert!((a - b).abs() < 1e-12);
         }
         assert_eq!(adapted.grid.views(), [1, 5]);
+    }
+
+    /// A display of one layer before lenslets, made for 3 × 3 views over 20°.
+    fn directional() -> Display {
+        let mut display = Display::uniform([160, 100], 2.961, [3, 3], [20.0, 20.0], &[0.0], 8);
+        let bins = LensletBacklight::new(-8.5, [47, 29], 10.08, [3, 3], [20.0, 20.0]);
+        display.backlight = Backlight::Lenslets(bins);
+        display.check().unwrap();
+        display
+    }
+
+    fn lenslets(display: &Display) -> &LensletBacklight {
+        let Backlight::Lenslets(lenslets) = &display.backlight else { panic!("a uniform backlight") };
+        lenslets
+    }
+
+    /// The bins that the rays of each view column (axis 0) or row (axis 1) read; no ray may lie beyond them.
+    fn bins_of_views(display: &Display, geometry: &FieldGeometry, axis: usize) -> Vec<std::collections::BTreeSet<u32>> {
+        let map = crate::RayMap::new(display, geometry);
+        let backlight = map.backlight.as_ref().unwrap();
+        let views = geometry.grid.views()[1 - axis];
+        let taps = |view| if axis == 0 { backlight.x(view) } else { backlight.y(view) };
+        let bin = |tap: &crate::BacklightTap| match tap {
+            crate::BacklightTap::Lit { bin, .. } => Some(*bin),
+            crate::BacklightTap::Missed => None,
+            other => panic!("{other:?}: beyond the bins"),
+        };
+        (0..views).map(|view| taps(view).iter().filter_map(bin).collect()).collect()
+    }
+
+    #[test]
+    fn a_directional_backlight_follows_a_foreign_light_field() {
+        for (views, fov) in [([5, 5], [20.0, 20.0]), ([7, 4], [48.0, 10.0]), ([2, 3], [10.0, 30.0])] {
+            let grid = ViewGrid::uniform(Projection::Oblique, views, fov).unwrap();
+            let geometry = FieldGeometry { rows: 50, cols: 84, pitch_mm: 1.7, grid };
+            let display = directional().adapted_to(&geometry).unwrap();
+            display.check().unwrap();
+            let backlight = lenslets(&display);
+            assert_eq!(backlight.views, views);
+            for axis in [0, 1] {
+                assert!((backlight.fov_deg[axis] - fov[axis]).abs() < 1e-9, "{:?}", backlight.fov_deg);
+                // every view reads one bin, its own
+                let bins = bins_of_views(&display, &geometry, axis);
+                for (view, bins) in (0u32..).zip(&bins) {
+                    assert_eq!(bins.iter().copied().collect::<Vec<_>>(), [view], "{views:?}, axis {axis}");
+                }
+            }
+            // the lenslets span the light field
+            let [cols, rows] = backlight.lenslets.map(|count| count as f64 * backlight.pitch_mm);
+            let [width, height] = geometry.size_mm();
+            assert!((cols - width).abs() < 1e-6 * width && rows > 0.98 * height, "{cols} × {rows} mm");
+            assert!(directional().backlight_change(&display).unwrap().contains("instead of 47 × 29 lenslets"));
+        }
+    }
+
+    #[test]
+    fn a_display_keeps_its_backlight_for_its_own_light_field() {
+        let own = directional();
+        let adapted = own.adapted_to(&own.geometry().unwrap()).unwrap();
+        assert_eq!(adapted, own);
+        assert_eq!(own.backlight_change(&adapted), None);
+    }
+
+    #[test]
+    fn perspective_and_one_sided_views_get_bins_for_all_their_rays() {
+        let projection = Projection::Perspective { distance_mm: 800.0 };
+        let grid = ViewGrid::uniform(projection, [5, 5], [20.0, 20.0]).unwrap();
+        let fanned = FieldGeometry { rows: 50, cols: 80, pitch_mm: 2.961, grid };
+        let mut one_sided = fanned.clone();
+        one_sided.grid = ViewGrid::uniform(Projection::Oblique, [5, 5], [20.0, 20.0]).unwrap();
+        one_sided.grid.slope_x.iter_mut().for_each(|slope| *slope += 0.1);
+        for geometry in [fanned.clone(), one_sided] {
+            let display = directional().adapted_to(&geometry).unwrap();
+            display.check().unwrap();
+            assert!(lenslets(&display).views[0] > 5);
+            for axis in [0, 1] {
+                bins_of_views(&display, &geometry, axis);
+            }
+        }
+        // a real lens array repeats its bins
+        let mut repeated = directional();
+        if let Backlight::Lenslets(backlight) = &mut repeated.backlight {
+            backlight.outside_bins = OutsideBins::Repeat;
+        }
+        assert_eq!(lenslets(&repeated.adapted_to(&fanned).unwrap()).views, [5, 5]);
+    }
+
+    #[test]
+    fn one_view_along_an_axis_takes_one_bin_over_all_its_rays() {
+        let grid = ViewGrid { projection: Projection::Oblique, slope_x: vec![-0.1, 0.0, 0.1], slope_y: vec![0.4] };
+        let geometry = FieldGeometry { rows: 50, cols: 80, pitch_mm: 2.961, grid };
+        let display = directional().adapted_to(&geometry).unwrap();
+        display.check().unwrap();
+        assert_eq!(lenslets(&display).views, [3, 1]);
+        bins_of_views(&display, &geometry, 1);
+    }
+
+    #[test]
+    fn views_that_no_backlight_can_tell_apart_are_refused_with_the_reason() {
+        let projection = Projection::Perspective { distance_mm: 500.0 };
+        let grid = ViewGrid::uniform(projection, [17, 17], [2.0, 2.0]).unwrap();
+        let geometry = FieldGeometry { rows: 300, cols: 480, pitch_mm: 1.0, grid };
+        let error = directional().adapted_to(&geometry).unwrap_err().to_string();
+        assert!(error.contains("17 views 0.0021 apart") && error.contains("uniform backlight"), "{error}");
+        assert!(small_display().adapted_to(&geometry).is_ok());
     }
 
     #[test]

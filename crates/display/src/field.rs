@@ -9,6 +9,27 @@ use crate::{FieldGeometry, GridError};
 pub struct LightField {
     geometry: FieldGeometry,
     radiance: Tensor<5>,
+    depth: Option<SeenDepth>,
+}
+
+/// How deep the middle view of a light field sees, where that is known: of a scene, not of pictures.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeenDepth {
+    /// Rows of the map, over the whole height of the view; may be fewer than its pixels.
+    pub rows: usize,
+    /// Columns of the map, over the whole width.
+    pub cols: usize,
+    /// z of the first surface in display space, `[row][col]`, millimetres towards the viewer; `None` where a ray meets nothing.
+    pub z_mm: Vec<Option<f32>>,
+}
+
+impl SeenDepth {
+    /// z at a pixel of a view of `size` = [rows, columns] pixels: that of the nearest place of the map.
+    pub fn at(&self, row: usize, col: usize, size: [usize; 2]) -> Option<f32> {
+        let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to.saturating_sub(1));
+        let index = place(row, size[0], self.rows) * self.cols + place(col, size[1], self.cols);
+        self.z_mm.get(index).copied().flatten()
+    }
 }
 
 impl LightField {
@@ -29,7 +50,7 @@ impl LightField {
                 found: format!("{:?} where the geometry has {expected:?}", radiance.shape()),
             });
         }
-        Ok(Self { geometry, radiance })
+        Ok(Self { geometry, radiance, depth: None })
     }
 
     /// A black light field.
@@ -39,7 +60,18 @@ impl LightField {
     pub fn black(geometry: FieldGeometry) -> Result<Self, GridError> {
         geometry.check()?;
         let radiance = Tensor::zeros(Self::AXES, Self::shape_of(&geometry));
-        Ok(Self { geometry, radiance })
+        Ok(Self { geometry, radiance, depth: None })
+    }
+
+    /// How deep the view [view rows / 2, view columns / 2] sees, where that is known.
+    pub fn depth(&self) -> Option<&SeenDepth> {
+        self.depth.as_ref()
+    }
+
+    /// The same light field, of which is known how deep its middle view sees.
+    #[must_use]
+    pub fn with_depth(self, depth: Option<SeenDepth>) -> Self {
+        Self { depth, ..self }
     }
 
     /// Shape of the values of a geometry.

@@ -43,7 +43,7 @@ pub use backlight::{Backlight, LensletBacklight, OutsideBins};
 pub use check::DisplayError;
 pub use closed_form::ClosedForm;
 pub use config::{Display, FieldConfig, Missing, ProjectionKind, Sampling};
-pub use field::LightField;
+pub use field::{LightField, SeenDepth};
 pub use formation::Formation;
 pub use forward::{EmittedView, SeenView, Simulator};
 pub use grid::{FieldGeometry, GridError, Projection, ViewGrid};

@@ -86,7 +86,7 @@ impl Weights {
     /// Checks shape and values.
     ///
     /// # Errors
-    /// If the shape is not that of the geometry, or a value is negative, infinite or NaN.
+    /// If the shape is not that of the geometry, a value is negative, infinite or NaN, or all are 0.
     pub fn check(&self, geometry: &FieldGeometry) -> Result<(), WeightError> {
         let [view_rows, view_cols] = geometry.grid.views();
         let (shape, expected, data) = match self {
@@ -97,10 +97,14 @@ impl Weights {
         if shape != expected {
             return Err(WeightError { expected: format!("shape {expected:?}"), found: format!("{shape:?}") });
         }
-        match data.iter().find(|w| !(w.is_finite() && **w >= 0.0)) {
-            Some(found) => Err(WeightError { expected: "finite values ≥ 0".into(), found: found.to_string() }),
-            None => Ok(()),
+        if let Some(found) = data.iter().find(|w| !(w.is_finite() && **w >= 0.0)) {
+            return Err(WeightError { expected: "finite values ≥ 0".into(), found: found.to_string() });
         }
+        if data.iter().all(|w| *w == 0.0) {
+            let found = format!("{} weights of 0: no ray counts", data.len());
+            return Err(WeightError { expected: "at least one weight above 0".into(), found });
+        }
+        Ok(())
     }
 
     /// Weight of one ray; `view` = [view_y, view_x].

@@ -152,6 +152,10 @@ impl Run for BlockExactRun {
         self.engine.at_latest(Engine::unsettled)
     }
 
+    fn settle(&mut self) -> f64 {
+        self.engine.at_latest(Engine::settle)
+    }
+
     fn rays(&self) -> u64 {
         self.engine.rays()
     }

@@ -12,7 +12,7 @@ use crate::plan::Plan;
 use crate::respond::{self, Pulled, StepLine};
 use crate::step::{Block, Levels, Rule};
 use crate::sums::{self, SumLine};
-use crate::{FactorizeError, Objective, Problem, bands};
+use crate::{FactorizeError, Objective, Problem, bands, unlit};
 
 /// Patterns under way.
 pub(crate) struct Engine {
@@ -219,7 +219,8 @@ impl Engine {
         let seen = self.update_lines(n, rule, None, local, &mut met, Some(&mut sums));
         let Some((response, stored)) = &mut self.stored[n] else { return seen };
         let pulled = Pulled::back(response, &layout, rule, &sums);
-        let steps = Steps::new(&layout, rule, self.ranges[n], self.levels[n].as_ref());
+        let limits = (rule == Rule::Settle).then(|| unlit::limits(&self.plan, n));
+        let steps = Steps::new(&layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let latest = beyond.map(|_| &mut self.latest[n]);
         let mut lines = lines_of(&layout, &mut stored.values, beyond.zip(latest), None);
         let set = self.set;
@@ -230,7 +231,7 @@ impl Engine {
             |block, index, line| {
                 let (channel, at) = (index / layout.stored_lines(), index % layout.stored_lines());
                 if at < layout.lines() {
-                    let step = StepLine { pulled: &pulled, channel, line: at, step: steps.of(&mut line[0]), block };
+                    let step = StepLine { pulled: &pulled, channel, line: at, step: steps.of(at, &mut line[0]), block };
                     line[0].outcome = dispatch(set, step);
                 }
             },
@@ -260,7 +261,10 @@ impl Engine {
             channel: index / layout.stored_lines(),
             line: index % layout.stored_lines(),
         };
-        let steps = Steps::new(layout, rule, self.ranges[n], self.levels[n].as_ref());
+        // sums that another step takes are not acted on here
+        let limits =
+            (rule == Rule::Settle && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
+        let steps = Steps::new(layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let is_line = |at: &LineOf| at.line < layout.lines();
         if fast {
             bands::for_each_chunk(
@@ -270,8 +274,10 @@ impl Engine {
                 |scratch, index, line| {
                     let at = line_of(index);
                     if is_line(&at) {
-                        let outcome =
-                            dispatch(set, GatherLine { plan, factors, at, step: steps.of(&mut line[0]), scratch });
+                        let outcome = dispatch(
+                            set,
+                            GatherLine { plan, factors, at, step: steps.of(at.line, &mut line[0]), scratch },
+                        );
                         line[0].outcome = outcome;
                     }
                 },
@@ -284,8 +290,10 @@ impl Engine {
                 |scratch, index, line| {
                     let at = line_of(index);
                     if is_line(&at) {
-                        let outcome =
-                            dispatch(set, SumLine { plan, factors, at, local, step: steps.of(&mut line[0]), scratch });
+                        let outcome = dispatch(
+                            set,
+                            SumLine { plan, factors, at, local, step: steps.of(at.line, &mut line[0]), scratch },
+                        );
                         line[0].outcome = outcome;
                     }
                 },
@@ -327,9 +335,18 @@ impl Engine {
     /// Root mean square, over all values, of the change of the emission that an exact coordinate step within the box would still make: 0 at a
     /// first-order (KKT) point.
     pub(crate) fn unsettled(&mut self) -> f64 {
+        self.over_all(Rule::Probe)
+    }
+
+    /// The same, and each value that next to no light reaches becomes the darkest. Only where layers attenuate: elsewhere no value is darkness.
+    pub(crate) fn settle(&mut self) -> f64 {
+        self.over_all(if self.plan.is_product() { Rule::Settle } else { Rule::Probe })
+    }
+
+    fn over_all(&mut self, rule: Rule) -> f64 {
         let (mut sum, mut count) = (0.0, 0);
         for n in 0..self.factors.len() {
-            sum += self.update(n, Rule::Probe, None).gain;
+            sum += self.update(n, rule, None).gain;
             let layout = &self.plan.maps[n].layout;
             count += self.plan.target.channels * layout.lines() * layout.cols() * layout.frames;
         }
@@ -408,18 +425,21 @@ struct Steps<'a> {
     levels: Option<&'a Levels>,
     columns: std::ops::Range<usize>,
     stride: usize,
+    /// `[line][x]`, see [`LineStep::limits`].
+    limits: Option<Vec<f32>>,
 }
 
 impl<'s> Steps<'s> {
-    fn new(layout: &Layout, rule: Rule, range: [f32; 2], levels: Option<&'s Levels>) -> Self {
-        Self { rule, range, levels, columns: layout.pad..layout.pad + layout.cols(), stride: layout.stride }
+    fn new(layout: &Layout, rule: Rule, range: [f32; 2], levels: Option<&'s Levels>, limits: Option<Vec<f32>>) -> Self {
+        Self { rule, range, levels, columns: layout.pad..layout.pad + layout.cols(), stride: layout.stride, limits }
     }
 
-    fn of<'a>(&'a self, line: &'a mut Line) -> LineStep<'a> {
+    fn of<'a>(&'a self, at: usize, line: &'a mut Line) -> LineStep<'a> {
         LineStep {
             rule: self.rule,
             range: self.range,
             levels: self.levels,
+            limits: self.limits.as_ref().map(|limits| &limits[at * self.stride..][..self.stride]),
             columns: self.columns.clone(),
             stride: self.stride,
             values: &mut *line.values,

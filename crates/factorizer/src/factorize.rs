@@ -6,7 +6,7 @@ use lumistack_display::LayerStack;
 use crate::coarse::Coarse;
 use crate::engine::Engine;
 use crate::quantize::{has_levels, reoptimize_on_levels, round_to_levels};
-use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, solver, start_patterns};
+use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, solver, start_patterns, unlit};
 
 /// How to factorize.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -104,7 +104,7 @@ pub struct LevelsLoss {
 /// `on_iteration` sees every evaluation as it comes, that of the start included.
 ///
 /// # Errors
-/// If the problem, the settings or the warm start are unusable, or when cancelled.
+/// If the problem, the settings or the warm start are unusable, no ray counts, or when cancelled.
 pub fn factorize(
     problem: &Problem,
     settings: &Settings,
@@ -122,19 +122,24 @@ pub fn factorize(
         }
     }
     let start = match warm {
+        Some(warm) if settings.iterations > 0 => unlit::lifted(warm),
         Some(warm) => warm.clone(),
         None => start_from_coarse(problem, settings, settings.coarse_levels.unwrap_or(0), task)?,
     };
     let mut run = solver.start(problem, start)?;
     if run.rays() == 0 {
-        task.warn("factorize", "no ray with a weight above 0 meets all layers: the patterns stay as they start");
+        return Err(FactorizeError::NoRays);
     }
-    let mut history = Vec::new();
+    let (mut history, mut unsettled) = (Vec::new(), 0.0);
     task.progress.begin("factorize", u64::from(settings.iterations), "iterations");
     let mut iterate = || -> Result<(), FactorizeError> {
         for iteration in 0..=settings.iterations {
             if iteration > 0 {
                 run.step(task.cancel)?;
+            }
+            // before the last evaluation, which is that of what is handed back
+            if iteration == settings.iterations {
+                unsettled = if iteration > 0 { run.settle() } else { run.unsettled() };
             }
             let mut note = String::new();
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
@@ -153,7 +158,7 @@ pub fn factorize(
     let result = iterate();
     task.progress.end();
     result?;
-    let (unsettled, mut stack, mut levels) = (run.unsettled(), run.download(), None);
+    let (mut stack, mut levels) = (run.download(), None);
     drop(run);
     if settings.levels && has_levels(problem) {
         let psnr_view = |stack: &LayerStack| -> Result<f64, FactorizeError> {
@@ -190,7 +195,7 @@ pub fn warm_start_pays(
     let start = start_from_coarse(problem, fresh, fresh.coarse_levels.unwrap_or(0), task)?;
     // the same rule for both: the first steps of different rules do not compare
     let rule = Settings { solver: warm_solver.into(), ..Settings::default() }.resolved().solver;
-    let mut from_warm = solver(&rule)?.start(problem, warm.clone())?;
+    let mut from_warm = solver(&rule)?.start(problem, unlit::lifted(warm))?;
     let mut from_fresh = solver(&rule)?.start(problem, start)?;
     if from_warm.objective().value <= from_fresh.objective().value {
         return Ok(true);

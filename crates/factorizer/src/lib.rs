@@ -37,6 +37,7 @@ mod step;
 mod stream;
 mod sums;
 mod target;
+mod unlit;
 
 #[cfg(test)]
 mod tests;

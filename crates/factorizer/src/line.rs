@@ -17,7 +17,7 @@ pub(crate) struct LineOf {
 pub(crate) struct Outcome {
     /// Σ w e² over the rays through the line, before the step; rays that several pixels share count by their share.
     pub(crate) error: f64,
-    /// By how much the step lowers Σ w e², at least; 0 where the rule does not know. What [`Rule::Probe`] returns.
+    /// By how much the step lowers Σ w e², at least; 0 where the rule does not know. What [`Rule::Probe`] and [`Rule::Settle`] return.
     pub(crate) gain: f64,
 }
 
@@ -33,6 +33,8 @@ pub(crate) struct LineStep<'a> {
     /// The box of the values.
     pub(crate) range: [f32; 2],
     pub(crate) levels: Option<&'a Levels>,
+    /// For [`Rule::Settle`]: the Σ w a_m² up to which a pixel of the line counts as unlit, `[x]`.
+    pub(crate) limits: Option<&'a [f32]>,
     /// Columns that rays can meet.
     pub(crate) columns: std::ops::Range<usize>,
     pub(crate) stride: usize,
@@ -99,6 +101,9 @@ impl LineStep<'_> {
                 return V::splat(0.0);
             }
             let mut gain = block.step::<V>(self.rule, self.range, self.levels);
+            if let Some(limits) = self.limits {
+                block.darken::<V>(V::load(limits[x..x + V::COUNT].as_ptr()), self.range[0]);
+            }
             let room = (self.columns.end - x).min(V::COUNT);
             if room < V::COUNT {
                 // rays that miss the layer add to its padding

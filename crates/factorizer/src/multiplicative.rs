@@ -74,6 +74,10 @@ impl Run for MultiplicativeRun {
         self.engine.unsettled()
     }
 
+    fn settle(&mut self) -> f64 {
+        self.engine.settle()
+    }
+
     fn rays(&self) -> u64 {
         self.engine.rays()
     }

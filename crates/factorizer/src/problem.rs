@@ -92,6 +92,11 @@ pub enum FactorizeError {
         /// Number of values over all layers, frames and channels.
         values: u128,
     },
+    /// No ray counts: the patterns could show anything.
+    #[error(
+        "no ray with a weight above 0 meets all layers: expected layers and weights through which the display shows something of the target"
+    )]
+    NoRays,
     /// No solver has this name.
     #[error("solver: expected one of {expected}, found {found}")]
     UnknownSolver {

@@ -36,6 +36,13 @@ pub trait Run {
     /// box would still make.
     fn unsettled(&mut self) -> f64;
 
+    /// Ends a run: values that next to no light reaches, and which the objective therefore leaves open, become the darkest that the hardware can show.
+    /// Else a real layer, whose black is not quite black, would leak there. Returns [`unsettled`](Self::unsettled).
+    ///
+    /// A value counts as unlit where the other layers pass, in its frame and over its rays, at most a ten-thousandth of the brightness (root mean
+    /// square); pixels without a weighted ray keep what they have, since views between the target's may see them.
+    fn settle(&mut self) -> f64;
+
     /// Number of rays with w > 0 that meet the display.
     fn rays(&self) -> u64;
 

@@ -31,6 +31,8 @@ pub(crate) enum Rule {
     },
     /// Nothing moves: the gain is Σ δᵀδ G_mm over the coordinate steps δ that could be made, the squared change of the emission.
     Probe,
+    /// The same gain; values that next to no light reaches become the darkest, see [`Block::darken`].
+    Settle,
 }
 
 impl Rule {
@@ -58,7 +60,8 @@ pub(crate) enum Freedom {
     Levels,
 }
 
-/// The smallest diagonal of a Gram matrix; what is less is a pixel that next to no light reaches, and any value of it is as good.
+/// The smallest diagonal of a Gram matrix; what is less is a pixel that next to no light reaches, and any value of it is as good until
+/// [`Rule::Settle`] makes it dark.
 const LEAST_CURVATURE: f32 = 1e-30;
 
 /// Sums and values of one vector of pixels, `[frame][lane]`.
@@ -107,7 +110,7 @@ impl Block {
                     None => self.descend::<V>(sweeps, range),
                     Some(levels) => self.descend_levels::<V>(sweeps, range, levels),
                 },
-                Rule::Probe => self.unsettled::<V>(range),
+                Rule::Probe | Rule::Settle => self.unsettled::<V>(range),
             }
         }
     }
@@ -259,6 +262,23 @@ impl Block {
         }
         // SAFETY: see `step`
         unsafe { V::load(gains.as_ptr()) }
+    }
+
+    /// Sets to `low` each value whose frame passes so little light through the other factors that Σ w a_m² is at most `limit`, per lane. A negative
+    /// limit leaves all values alone.
+    ///
+    /// # Safety
+    /// The machine has `V`'s instruction set.
+    #[inline(always)]
+    pub(crate) unsafe fn darken<V: Lanes>(&mut self, limit: V, low: f32) {
+        let (n, frames) = (V::COUNT, self.frames);
+        // SAFETY: see `step`
+        unsafe {
+            for m in 0..frames {
+                let (f, light) = (get::<V>(&self.values, m * n), get::<V>(&self.gram, (m * frames + m) * n));
+                put(light.above(limit, f, V::splat(low)), &mut self.values, m * n);
+            }
+        }
     }
 
     #[inline(always)]

@@ -108,6 +108,11 @@ impl ChannelRun {
         Ok(())
     }
 
+    /// Ends the run, see [`crate::Run::settle`].
+    pub fn settle(&mut self) -> f64 {
+        self.engine.settle()
+    }
+
     /// The objective of the present patterns.
     pub fn objective(&self) -> Objective {
         self.engine.objective()

@@ -317,7 +317,6 @@ fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError>
 struct Range {
     negative: usize,
     lowest: f32,
-    highest: f32,
 }
 
 impl Range {
@@ -325,10 +324,6 @@ impl Range {
         if self.negative > 0 {
             let (count, lowest) = (self.negative, self.lowest);
             task.warn(geometry::place(path), format!("{count} negative values (down to {lowest}) are taken as 0"));
-        }
-        if self.highest > 1.0 {
-            let message = format!("values go up to {}; a display shows 1 at most", self.highest);
-            task.warn(geometry::place(path), message);
         }
     }
 }
@@ -357,7 +352,6 @@ fn check_values(
             range.lowest = range.lowest.min(*value);
             *value = 0.0;
         }
-        range.highest = range.highest.max(*value);
     }
     Ok(())
 }

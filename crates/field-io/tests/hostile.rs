@@ -344,5 +344,6 @@ fn values_that_are_no_light_are_refused_and_odd_ones_reported() {
     let (field, warnings) = open(&path, &GeometryFlags::default(), &defaults());
     assert_eq!(field.unwrap().radiance().get([0, 1, 1, 1, 2]), 0.0);
     assert!(warnings.iter().any(|w| w.ends_with("1 negative values (down to -0.25) are taken as 0")), "{warnings:?}");
-    assert!(warnings.iter().any(|w| w.ends_with("values go up to 3; a display shows 1 at most")), "{warnings:?}");
+    // a light field may be brighter than a display: whoever shows it says so
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use lumistack_core::Task;
-use lumistack_display::{Display, FieldGeometry};
+use lumistack_display::{Display, FieldGeometry, SeenDepth};
 use lumistack_pathtracer::{Memory, Renderer};
 use lumistack_plugin_host::Registry;
 use lumistack_report::DepthBudget;
@@ -138,6 +138,15 @@ impl Depths {
         (budget.moved_back_mm, budget.depth_scale) = (placement.moved_back_mm, placement.depth_scale);
         budget.fitted = placement.fitted;
         budget
+    }
+
+    /// How deep the middle view sees on a display that shows the views with depth scaled as the placement says.
+    pub(crate) fn seen(&self, placement: &Placement) -> SeenDepth {
+        let grid = &self.geometry.grid;
+        let shown = |z: &f32| grid.projection.scaled_depth(f64::from(*z), placement.depth_scale) as f32;
+        let middle = self.view(grid.views().map(|count| count / 2));
+        let z_mm = middle.iter().map(|z| z.is_finite().then(|| shown(z))).collect();
+        SeenDepth { rows: self.geometry.rows, cols: self.geometry.cols, z_mm }
     }
 
     /// Whether the ray through a pixel of a finer geometry of the same size meets a surface.

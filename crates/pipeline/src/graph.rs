@@ -96,7 +96,9 @@ pub(crate) fn run(
         let began = Instant::now();
         let mut part = Run::of_node(node_job, node, &folder_of(node), registry)?;
         let _owned = folder::take_known(&folder_of(node), task)?;
-        part.take_display(node, &display, input.target.geometry())?;
+        if let Some(change) = part.take_display(node, &display, input.target.geometry())? {
+            task.warn(format!("node {}", node.id), change);
+        }
         // the stages that lead to the light field
         part.stages.clone_from(&run.stages);
         let made = part.patterns(input, None, task)?;
@@ -173,18 +175,25 @@ pub(crate) fn run(
 }
 
 impl Run<'_> {
-    /// Gives the part of a node its display on a light field of this geometry: its own, or else the job's, `shared`.
+    /// Gives the part of a node its display on a light field of this geometry: its own, or else the job's, `shared`. Returns how its backlight had to change.
     fn take_display(
         &mut self,
         node: &NodeJob,
         shared: &Display,
         geometry: &FieldGeometry,
-    ) -> Result<(), PipelineError> {
+    ) -> Result<Option<String>, PipelineError> {
+        let mut change = None;
         self.display = match node.display {
-            Some(_) => self.display.adapted_to(geometry),
+            Some(_) => {
+                let adapted = self.display.adapted_to(geometry);
+                let adapted = adapted.map_err(|source| display_error(source, &format!("node `{}`", node.id)))?;
+                change = self.display.backlight_change(&adapted);
+                adapted
+            }
             None => shared.clone(),
         };
-        self.display.check().map_err(|source| display_error(source, &format!("node `{}`", node.id)))
+        self.display.check().map_err(|source| display_error(source, &format!("node `{}`", node.id)))?;
+        Ok(change)
     }
 }
 

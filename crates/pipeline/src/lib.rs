@@ -22,6 +22,7 @@ mod files;
 mod fit;
 mod flicker;
 mod folder;
+mod given;
 mod graph;
 mod ingest;
 mod inspect;
@@ -67,7 +68,8 @@ pub use run::{RefusedOutput, Summary, refused_outputs, render_only, run};
 pub use sequence::SequenceSummary;
 pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_preview};
 pub use steps::{
-    ReportOn, Traced, WeightsFrom, factorize_field, open_field, render_field, weights_of, write_output, write_report_on,
+    ReportOn, Traced, WeightsFrom, expose_field, factorize_field, open_field, render_field, weights_of, write_output,
+    write_report_on,
 };
 pub use sweep::{SweepSummary, sweep};
 pub use views::{ViewLayer, ViewOptions, ViewPick};

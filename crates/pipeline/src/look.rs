@@ -60,6 +60,18 @@ impl Look {
         }
     }
 
+    /// The look of a light field that is given: as it is, unless the job asks for an exposure or a curve. None is chosen for it.
+    pub(crate) fn of_given(job: &LightJob) -> Option<Self> {
+        let curve = match job.tone {
+            Tone::Auto if job.exposure_ev == 0.0 => return None,
+            // clips what does not fit
+            Tone::Auto | Tone::Linear => ToneCurve::Linear,
+            Tone::KhronosNeutral => ToneCurve::KhronosNeutral,
+            Tone::Agx => ToneCurve::Agx,
+        };
+        Some(Self { exposure: 2f64.powf(job.exposure_ev), curve })
+    }
+
     /// Makes a field of scene-linear radiance display-referred.
     pub(crate) fn apply(self, field: &mut LightField) {
         self.apply_to(field.radiance_mut().data_mut());

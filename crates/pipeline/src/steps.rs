@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use lumistack_core::Task;
+use lumistack_core::tone::ToneCurve;
+use lumistack_core::{Task, Warning};
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};
 use lumistack_factorizer::{Factorization, Iteration, Problem};
 use lumistack_field_io::{GeometryDefaults, GeometryFlags};
@@ -13,8 +14,10 @@ use serde_json::{Map, Value};
 use crate::error::{PipelineError, display_error, factorize_error, field_error, host_error};
 use crate::files::{check_folder, write_report};
 use crate::fit;
+use crate::given::{self, Beyond};
 use crate::ingest::Ingested;
 use crate::job::{FactorizeJob, Job};
+use crate::look::Look;
 use crate::render;
 use crate::run::{array_weights, eye_weights, solver_settings, warn_of_depth};
 
@@ -51,7 +54,8 @@ pub fn render_field(
     let depth = rendered.depths.budget(display, &geometry, &placement);
     warn_of_depth(&depth, task);
     let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());
-    Ok(Traced { field: rendered.target, depth, exposure, tone })
+    let seen = rendered.depths.seen(&placement);
+    Ok(Traced { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone })
 }
 
 /// Reads a light field of any kind, as it is: values are not rounded. Where it says no size or angles, those of `display` are taken, if there is one.
@@ -68,10 +72,26 @@ pub fn open_field(
         width_mm: display.map(|display| display.field_pixels().size_mm()[0]),
         fov_deg: display.map(|display| display.field.fov_deg),
     };
-    let footprint =
-        display.map(|display| move |geometry: &FieldGeometry| display.adapted_to(geometry).angular_footprint());
+    let footprint = display.map(|display| move |geometry: &FieldGeometry| given::adapted_footprint(display, geometry));
     let footprint = footprint.as_ref().map(|footprint| footprint as lumistack_field_io::Footprint<'_>);
     lumistack_field_io::open_for(path, flags, &defaults, footprint, task).map_err(field_error)
+}
+
+/// A light field under another exposure, in stops, and through the tone curve of this name: `linear`, which clips to 0..1, `khronos-neutral` or `agx`.
+///
+/// # Errors
+/// When there is no such curve, or the exposure is not -100 to 100.
+pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<LightField, PipelineError> {
+    let Some((_, curve)) = ToneCurve::ALL.into_iter().find(|(name, _)| *name == tone) else {
+        let names = ToneCurve::ALL.map(|(name, _)| name).join(", ");
+        return Err(PipelineError::value("light field", "tone", format!("one of {names}"), format!("`{tone}`")));
+    };
+    if !(exposure_ev.is_finite() && exposure_ev.abs() <= 100.0) {
+        return Err(PipelineError::value("light field", "exposure_ev", "-100 to 100", exposure_ev.to_string()));
+    }
+    let mut field = field.clone();
+    Look { exposure: 2f64.powf(exposure_ev), curve }.apply(&mut field);
+    Ok(field)
 }
 
 /// Where weights come from, if not from the job.
@@ -104,6 +124,9 @@ pub fn factorize_field(
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, PipelineError> {
     let settings = solver_settings(job, seed)?;
+    if let Some(beyond) = Beyond::of(problem.target) {
+        task.warn("light field", beyond.message(given::OFFER_OF_PYTHON));
+    }
     lumistack_factorizer::factorize(problem, &settings, warm, task, on_iteration).map_err(factorize_error)
 }
 
@@ -148,6 +171,9 @@ pub struct ReportOn<'a> {
 /// When the parts do not fit, the files cannot be written, or when cancelled.
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
+    // a value that no display shows may decide every figure
+    let beyond = Beyond::of(on.target).map(|beyond| beyond.message(given::OFFER_OF_PYTHON));
+    let warnings: Vec<_> = beyond.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
     let report = lumistack_report::build(
         &ReportInput {
             title: on.title,
@@ -166,7 +192,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
             denoising: None,
             scene: None,
             depth: None,
-            warnings: &[],
+            warnings: &warnings,
             outputs: &[],
             command: None,
             version: env!("CARGO_PKG_VERSION"),

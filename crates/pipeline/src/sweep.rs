@@ -30,7 +30,7 @@ use self::designs::Candidate;
 use crate::cache::KeyBuilder;
 use crate::clean;
 use crate::code;
-use crate::error::{PipelineError, factorize_error};
+use crate::error::{PipelineError, display_error, factorize_error};
 use crate::file_params;
 use crate::files::{read_json, write, write_job, write_json};
 use crate::folder::{self, Work};
@@ -231,7 +231,7 @@ impl Solver<'_> {
         let Some(field) = &self.fields[candidate.field] else {
             return Err(PipelineError::value("job", "sweep", "a light field for every design", "none"));
         };
-        let display = self.display_on(candidate, field);
+        let display = self.display_on(candidate, field)?;
         display.check().map_err(|source| crate::error::display_error(source, &candidate.design.display))?;
         let job = &self.job.factorize;
         let mut key = KeyBuilder::new("design", code::DESIGNS);
@@ -252,10 +252,13 @@ impl Solver<'_> {
     }
 
     /// What was read has a geometry of its own.
-    fn display_on(&self, candidate: &Candidate, field: &Field) -> Display {
+    fn display_on(&self, candidate: &Candidate, field: &Field) -> Result<Display, PipelineError> {
         match &self.job.scene {
-            Some(_) => candidate.display.clone(),
-            None => candidate.display.adapted_to(field.target.geometry()),
+            Some(_) => Ok(candidate.display.clone()),
+            None => {
+                let adapted = candidate.display.adapted_to(field.target.geometry());
+                adapted.map_err(|source| display_error(source, "light field"))
+            }
         }
     }
 

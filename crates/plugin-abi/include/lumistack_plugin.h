@@ -276,8 +276,9 @@ typedef struct LumistackData {
   /**
    * Shapes and geometry. A layer stack: `{"port": "layer_stack", "brightness", "frames", "layers": [[rows, cols], ...] (rearmost
    * first), "emission": [bins_y, bins_x, lenslet_rows, lenslet_cols] or null, "target": geometry, "target_views": whether `view_plane` lends
-   * the target's views}`. A light field: `{"port":
-   * "light_field", "geometry": geometry}`. A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
+   * the target's views, "target_depth": depth}`. A light field: `{"port":
+   * "light_field", "geometry": geometry, "depth": depth}`. A depth, left out where nobody knows it: how deep the view [view rows / 2, view columns / 2]
+   * sees, `{"rows", "cols", "z_mm": [row by row, millimetres towards the viewer, null where nothing is met]}`; it may be coarser than the views. A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
    * "distance_mm", "slope_x": [...], "slope_y": [...]}`.
    */
   struct LumistackStr description_json;

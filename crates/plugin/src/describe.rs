@@ -1,6 +1,6 @@
 //! The JSON that accompanies data and displays. Readers ignore keys that they do not know, since the host may be newer.
 
-use lumistack_display::{Display, FieldGeometry, Projection, ViewGrid};
+use lumistack_display::{Display, FieldGeometry, Projection, SeenDepth, ViewGrid};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serde_path_to_error::{Path, Segment};
@@ -22,10 +22,47 @@ pub(crate) enum Description {
         /// Whether the target's views are lent; hosts before this key lend none.
         #[serde(default)]
         target_views: bool,
+        /// How deep the target's middle view sees; hosts before this key know nothing of it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        target_depth: Option<Depth>,
     },
     LightField {
         geometry: Geometry,
+        /// How deep the middle view sees.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        depth: Option<Depth>,
     },
+}
+
+/// How deep a light field's middle view sees.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Depth {
+    rows: usize,
+    cols: usize,
+    /// `[row][col]`, millimetres towards the viewer; null where nothing is met.
+    z_mm: Vec<Option<f32>>,
+}
+
+impl From<&SeenDepth> for Depth {
+    fn from(seen: &SeenDepth) -> Self {
+        // a JSON number of this length is exact to 10 nm
+        let rounded = |z: &f32| (f64::from(*z) * 1e5).round() / 1e5;
+        let z_mm = seen.z_mm.iter().map(|z| z.as_ref().map(|z| rounded(z) as f32)).collect();
+        Self { rows: seen.rows, cols: seen.cols, z_mm }
+    }
+}
+
+impl TryFrom<Depth> for SeenDepth {
+    type Error = PluginError;
+
+    fn try_from(json: Depth) -> Result<Self, PluginError> {
+        let Depth { rows, cols, z_mm } = json;
+        if rows.checked_mul(cols) != Some(z_mm.len()) || z_mm.is_empty() {
+            let found = z_mm.len();
+            return Err(PluginError::Refused(format!("depth: expected {rows} × {cols} values, found {found}")));
+        }
+        Ok(Self { rows, cols, z_mm })
+    }
 }
 
 /// A field geometry.

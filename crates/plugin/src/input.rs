@@ -2,7 +2,7 @@
 
 use std::marker::PhantomData;
 
-use lumistack_display::{FieldGeometry, Projection};
+use lumistack_display::{FieldGeometry, Projection, SeenDepth};
 use lumistack_plugin_abi::{Data, ErrorSink, Plane, Status, view};
 
 use crate::boundary::{call, lent_text};
@@ -51,6 +51,7 @@ pub struct StackInput<'a> {
     emission: Option<[usize; 4]>,
     target: FieldGeometry,
     target_views: bool,
+    depth: Option<SeenDepth>,
 }
 
 /// Linear radiance of many views, 0..1 after exposure (highlights may exceed 1).
@@ -58,6 +59,7 @@ pub struct StackInput<'a> {
 pub struct FieldInput<'a> {
     lent: Lent<'a>,
     geometry: FieldGeometry,
+    depth: Option<SeenDepth>,
 }
 
 impl<'a> Input<'a> {
@@ -70,12 +72,13 @@ impl<'a> Input<'a> {
         let description =
             serde_json::from_str(text).map_err(|error| PluginError::failed("description of the data", error))?;
         Ok(match description {
-            Description::LayerStack { brightness, frames, layers, emission, target, target_views } => {
-                let target = target.try_into()?;
-                Self::LayerStack(StackInput { lent, brightness, frames, layers, emission, target, target_views })
+            Description::LayerStack { brightness, frames, layers, emission, target, target_views, target_depth } => {
+                let (target, depth) = (target.try_into()?, target_depth.map(SeenDepth::try_from).transpose()?);
+                Self::LayerStack(StackInput { lent, brightness, frames, layers, emission, target, target_views, depth })
             }
-            Description::LightField { geometry } => {
-                Self::LightField(FieldInput { lent, geometry: geometry.try_into()? })
+            Description::LightField { geometry, depth } => {
+                let depth = depth.map(SeenDepth::try_from).transpose()?;
+                Self::LightField(FieldInput { lent, geometry: geometry.try_into()?, depth })
             }
         })
     }
@@ -118,6 +121,11 @@ impl StackInput<'_> {
     /// The light field that the patterns were made for.
     pub fn target(&self) -> &FieldGeometry {
         &self.target
+    }
+
+    /// How deep the middle view of that light field sees, where the host knows.
+    pub fn target_depth(&self) -> Option<&SeenDepth> {
+        self.depth.as_ref()
     }
 
     /// Whether the views of that light field are lent; see [`target_view`](Self::target_view).
@@ -174,6 +182,11 @@ impl FieldInput<'_> {
     /// Pixels and views.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
+    }
+
+    /// How deep the view [view rows / 2, view columns / 2] sees, where the host knows.
+    pub fn depth(&self) -> Option<&SeenDepth> {
+        self.depth.as_ref()
     }
 
     /// Radiance `[row][col][rgb]` of `view` = [view_y, view_x].

@@ -137,9 +137,10 @@ impl Display {
         self.0.depth_of_field(self.0.field.pitch_mm).map(Into::into)
     }
 
-    /// The same display for a light field that is there already: masks take its resolution and size, views and angles are its own.
-    fn adapted_to(&self, light_field: &LightField) -> Self {
-        Self(adapted(&self.0, &light_field.field))
+    /// The same display for a light field that is there already: masks take its resolution and size, views and angles are its own, and a directional backlight's
+    /// lenslets and bins follow. SettingError where a backlight cannot tell its views apart.
+    fn adapted_to(&self, py: Python<'_>, light_field: &LightField) -> PyResult<Self> {
+        adapted(py, &self.0, &light_field.field).map(Self)
     }
 
     /// Every key of a display file as plain objects; Display(d) reads them.
@@ -203,9 +204,15 @@ fn preset(py: Python<'_>, name: &str) -> PyResult<Arc<Description>> {
 }
 
 /// The display that shows this light field: itself where it is made for it.
-pub(crate) fn adapted(display: &Arc<Description>, field: &Field) -> Arc<Description> {
+///
+/// # Errors
+/// Where its backlight cannot follow.
+pub(crate) fn adapted(py: Python<'_>, display: &Arc<Description>, field: &Field) -> PyResult<Arc<Description>> {
     match display.geometry() {
-        Ok(geometry) if geometry == *field.geometry() => display.clone(),
-        _ => Arc::new(display.adapted_to(field.geometry())),
+        Ok(geometry) if geometry == *field.geometry() => Ok(display.clone()),
+        _ => display.adapted_to(field.geometry()).map(Arc::new).map_err(|source| {
+            let path = PathBuf::from(&display.name);
+            raised(py, &PipelineError::Display { path, text: String::new(), source })
+        }),
     }
 }

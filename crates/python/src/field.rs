@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use lumistack_display::{Display as Description, FieldGeometry, LightField as Field, Projection, ViewGrid};
 use lumistack_field_io::GeometryFlags;
-use lumistack_pipeline::{PipelineError, open_field};
+use lumistack_pipeline::{PipelineError, expose_field, open_field};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
 use serde_json::{Map, Value};
@@ -139,6 +139,16 @@ impl LightField {
         let display = display.map(|display| display_of(py, Some(display))).transpose()?;
         let field = long(py, callback, |task| open_field(&path, &flags, display.as_deref(), task))?;
         Ok(Self::plain(field))
+    }
+
+    /// The same light field under another exposure: values times 2^exposure_ev, through a tone curve.
+    ///
+    /// tone: "linear", which clips to 0..1, "khronos-neutral" or "agx", which compress what is bright. One curve serves all views. For light fields with values that
+    /// no display shows; factorize() and report() warn of them.
+    #[pyo3(signature = (exposure_ev=0.0, *, tone="linear"))]
+    fn exposed(&self, py: Python<'_>, exposure_ev: f64, tone: &str) -> PyResult<Self> {
+        let field = py.detach(|| expose_field(&self.field, exposure_ev, tone)).map_err(|error| raised(py, &error))?;
+        Ok(Self { field: Arc::new(field), display: self.display.clone(), info: self.info.clone() })
     }
 
     /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per view.

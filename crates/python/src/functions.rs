@@ -197,7 +197,8 @@ pub(crate) fn factorize(
         (None, Some(display)) => display.clone(),
         (display, _) => display_of(py, display)?,
     };
-    let mut display = adapted(&display, &light_field.field);
+    let own = display;
+    let mut display = adapted(py, &own, &light_field.field)?;
     if brightness.is_some() || frames.is_some() {
         let changed = Arc::make_mut(&mut display);
         changed.brightness = brightness.unwrap_or(changed.brightness);
@@ -215,6 +216,9 @@ pub(crate) fn factorize(
         if let Some(warm) = warm {
             let path = "warm_start".into();
             warm.check(&display).map_err(|source| PipelineError::Stack { path, source })?;
+        }
+        if let Some(change) = own.backlight_change(&display) {
+            task.warn("display", change);
         }
         let weights = weights_of(&job, weights, target)?;
         let problem = Problem { display: &display, target, weights: &weights };
@@ -285,7 +289,7 @@ pub(crate) fn write(
         let field = field.get();
         let display = match (display, &field.display) {
             (None, Some(display)) => display.clone(),
-            (display, _) => adapted(&display_of(py, display)?, &field.field),
+            (display, _) => adapted(py, &display_of(py, display)?, &field.field)?,
         };
         (display, None, Some(field.field.clone()))
     } else {

@@ -138,6 +138,7 @@ def test_wrong_settings_of_factorization(light_field: LightField, display: Displ
         ({"weights": numpy.ones((2, 2), "f4")}, lumistack.SettingError, r"weights: expected shape \[3, 3\]"),
         ({"weights": numpy.ones(3, "f4")}, lumistack.SettingError, r"weights: shape: expected \[view_y\]"),
         ({"weights": -numpy.ones((3, 3), "f4")}, lumistack.SettingError, "finite values ≥ 0"),
+        ({"weights": numpy.zeros((3, 3), "f4")}, lumistack.SettingError, "at least one weight above 0, found 9 weights of 0"),
         ({"weights": numpy.ones((3, 3), int)}, TypeError, "weights: expected an array of float32"),
         ({"eyes": [{"eye_mm": (0, 0, -5), "sigma_mm": 1}]}, lumistack.SettingError, "factorize.eyes"),
         ({"eyes": [{"eye": 3}]}, lumistack.SettingError, "unknown field `eye`"),
@@ -225,3 +226,40 @@ def test_warnings_are_warnings_of_python(display: Display) -> None:
         warnings.simplefilter("error")
         with pytest.raises(lumistack.LumistackWarning):
             lumistack.factorize(field, warm_start=equal, iterations=1)
+
+
+def test_values_that_no_display_shows_are_named_and_can_be_brought_into_range(light_field: LightField, display: Display, tmp_path: Path) -> None:
+    radiance = numpy.array(light_field.radiance)
+    radiance[1, 1, 3, 5, 0] = 1e4
+    bright = LightField(radiance, display=display)
+    share = r"1 of \d+ values lie above 1, the largest 10000.*light_field\.exposed"
+    with pytest.warns(lumistack.LumistackWarning, match=share):
+        stack = lumistack.factorize(bright, iterations=2)
+    with pytest.warns(lumistack.LumistackWarning, match=share):
+        measured = lumistack.report(stack, bright, tmp_path / "bright")
+    assert any("lie above 1" in warning["message"] for warning in measured["warnings"])
+    assert measured["psnr_view"] < 0.0, "one ray decides the figure, and the report says so"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        clipped = bright.exposed()
+        stack = lumistack.factorize(clipped, iterations=2)
+        measured = lumistack.report(stack, clipped, tmp_path / "clipped")
+    assert measured["psnr_view"] > 10.0
+    assert numpy.asarray(clipped.radiance).max() == 1.0
+    half = numpy.asarray(light_field.exposed(-1.0).radiance)
+    numpy.testing.assert_allclose(half, 0.5 * numpy.asarray(light_field.radiance), rtol=1e-6)
+    with pytest.raises(lumistack.SettingError, match="tone: expected one of linear, khronos-neutral, agx, found `log`"):
+        light_field.exposed(tone="log")  # type: ignore[arg-type]
+
+
+def test_a_directional_backlight_follows_the_light_field() -> None:
+    grid = {"pitch_mm": 2.0, "fov_deg": (20.0, 20.0)}
+    field = LightField(numpy.full((5, 5, 20, 32, 3), 0.5, "f4"), **grid)
+    adapted = Display("fig7-directional").adapted_to(field)
+    assert adapted.emission_shape is not None and adapted.emission_shape[1:3] == (5, 5)
+    with pytest.warns(lumistack.LumistackWarning, match="the directional backlight follows the light field: 5 × 5 bins"):
+        lumistack.factorize(field, "fig7-directional", iterations=1)
+    slopes = [0.001 * i for i in range(17)]
+    fan = LightField(numpy.zeros((17, 17, 20, 32, 3), "f4"), pitch_mm=20.0, slope_x=slopes, slope_y=slopes[::-1], distance_mm=500.0)
+    with pytest.raises(lumistack.SettingError, match="17 views 0.0010 apart"):
+        Display("fig7-directional").adapted_to(fan)

@@ -5,10 +5,11 @@
 
 use std::io::{BufWriter, Write};
 
+use lumistack_plugin::display::Transfer;
 use lumistack_plugin::serde::Serialize;
 use lumistack_plugin::{Host, PluginError, StackInput, serde_json};
 
-use crate::encode::png_error;
+use crate::encode::{png_error, say_encoding};
 
 /// `atlas.json`.
 #[derive(Serialize)]
@@ -35,11 +36,13 @@ struct Tile {
     height: usize,
 }
 
-/// Writes the sheet and its index; returns [columns, rows]. `samples(layer, frame)` = 8-bit samples `[row][col][rgb]` of a pattern.
+/// Writes the sheet and its index; returns [columns, rows]. `transfer` is how all patterns' codes stand for light, if
+/// they do so alike; `samples(layer, frame)` = 8-bit samples `[row][col][rgb]` of a pattern.
 pub(crate) fn write(
     host: &Host,
     folder: &str,
     stack: &StackInput<'_>,
+    transfer: Option<&Transfer>,
     mut samples: impl FnMut(usize, usize) -> Result<Vec<u8>, PluginError>,
 ) -> Result<[usize; 2], PluginError> {
     let sizes: Vec<[usize; 2]> = (0..stack.layer_count()).filter_map(|layer| stack.layer_size(layer)).collect();
@@ -65,6 +68,9 @@ pub(crate) fn write(
     let mut writer = BufWriter::new(&mut file);
     let mut encoder = png::Encoder::new(&mut writer, side(width)?, side(height)?);
     encoder.set_color(png::ColorType::Rgb);
+    if let Some(transfer) = transfer {
+        say_encoding(&mut encoder, transfer);
+    }
     encoder.set_compression(png::Compression::Fast);
     let mut encoder = encoder.write_header().map_err(png_error)?;
     let mut rows = encoder.stream_writer().map_err(png_error)?;

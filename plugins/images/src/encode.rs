@@ -1,9 +1,7 @@
 //! From linear values to PNG.
 
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
 use lumistack_plugin::PluginError;
-use lumistack_plugin::display::Transfer;
+use lumistack_plugin::display::{Channels, Transfer};
 use lumistack_plugin::encoding::{Dither, codes8, codes16, panel_codes};
 
 /// Codes of a panel.
@@ -46,26 +44,46 @@ fn spread(code: u16, bits: u32, top: u32) -> u32 {
     ((u64::from(code) * u64::from(top) + u64::from(own / 2)) / u64::from(own)) as u32
 }
 
-/// The bytes of a PNG with 8 bits per channel.
-pub(crate) fn png8(samples: &[u8], size: [usize; 2]) -> Result<Vec<u8>, PluginError> {
-    png_bytes(samples, size, ExtendedColorType::Rgb8)
+/// The bytes of a PNG with 8 bits per channel, whose codes stand for light by `transfer`.
+pub(crate) fn png8(samples: &[u8], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
+    png_bytes(samples, size, png::BitDepth::Eight, transfer)
 }
 
 /// The bytes of a PNG with 16 bits per channel.
-pub(crate) fn png16(samples: Vec<u16>, size: [usize; 2]) -> Result<Vec<u8>, PluginError> {
-    // the encoder takes 16-bit samples in native byte order
-    let bytes: Vec<u8> = samples.into_iter().flat_map(u16::to_ne_bytes).collect();
-    png_bytes(&bytes, size, ExtendedColorType::Rgb16)
+pub(crate) fn png16(samples: &[u16], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
+    let bytes: Vec<u8> = samples.iter().flat_map(|sample| sample.to_be_bytes()).collect();
+    png_bytes(&bytes, size, png::BitDepth::Sixteen, transfer)
 }
 
-fn png_bytes(samples: &[u8], [rows, cols]: [usize; 2], colour: ExtendedColorType) -> Result<Vec<u8>, PluginError> {
-    let failed = |error: String| PluginError::failed("PNG encoder", error);
-    let side = |n: usize| u32::try_from(n).map_err(|error| failed(error.to_string()));
+fn png_bytes(
+    samples: &[u8],
+    [rows, cols]: [usize; 2],
+    depth: png::BitDepth,
+    transfer: &Transfer,
+) -> Result<Vec<u8>, PluginError> {
+    let side = |n: usize| u32::try_from(n).map_err(|error| PluginError::failed("PNG encoder", error));
     let mut bytes = Vec::new();
-    PngEncoder::new(&mut bytes)
-        .write_image(samples, side(cols)?, side(rows)?, colour)
-        .map_err(|error| failed(error.to_string()))?;
+    let mut encoder = png::Encoder::new(&mut bytes, side(cols)?, side(rows)?);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(depth);
+    encoder.set_compression(png::Compression::Fast);
+    say_encoding(&mut encoder, transfer);
+    let mut writer = encoder.write_header().map_err(png_error)?;
+    writer.write_image_data(samples).map_err(png_error)?;
+    writer.finish().map_err(png_error)?;
     Ok(bytes)
+}
+
+/// Tells readers how codes stand for light: by the sRGB chunk or the gamma. PNG has no word for measured curves and for one per channel.
+pub(crate) fn say_encoding<W: std::io::Write>(encoder: &mut png::Encoder<'_, W>, transfer: &Transfer) {
+    match transfer {
+        Transfer::Srgb => encoder.set_source_srgb(png::SrgbRenderingIntent::RelativeColorimetric),
+        Transfer::Linear => encoder.set_source_gamma(png::ScaledFloat::new(1.0)),
+        Transfer::Gamma(Channels::Same(gamma)) => {
+            encoder.set_source_gamma(png::ScaledFloat::new((1.0 / gamma) as f32));
+        }
+        Transfer::Gamma(_) | Transfer::Table(_) => {}
+    }
 }
 
 /// What a PNG encoder that writes to the host's file says.

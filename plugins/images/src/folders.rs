@@ -1,13 +1,15 @@
 //! Light fields as the folders of two public archives.
 //!
-//! * `hci/`: `input_Cam%03d.png`, numbered row by row from the top left, and `parameters.cfg`. Cameras stand at distance D on a plane, b = D·Δs apart, with
-//!   shifted sensors: disparity = b·f·(1/Z − 1/D) pixels a camera, f = D / pixel pitch.
+//! * `hci/`: `input_Cam%03d.png`, numbered row by row from the top left, `parameters.cfg` and `gt_disp_lowres.pfm`. Cameras stand at distance D on a plane,
+//!   b = D·Δs apart, with shifted sensors: disparity = b·f·(1/Z − 1/D) pixels a camera, f = D / pixel pitch, which is Δs·D·z/((D − z)·pitch) of content at
+//!   z towards the viewer, and Δs·z/pitch of parallel projections. The map is that of the middle view, where the host knows how deep it sees; else it holds
+//!   NaN, and the range is that of the depths which the display shows.
 //! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, the camera's centre in millimetres, X right, Y down.
 //!
 //! A light field of parallel projections has no cameras at a distance. Its pictures are the same and so is their order; distances are then
 //! those of cameras on a plane at a nominal D.
 
-use lumistack_plugin::display::{FieldGeometry, Projection, Transfer};
+use lumistack_plugin::display::{FieldGeometry, Projection, SeenDepth, Transfer};
 use lumistack_plugin::{Host, PluginError};
 
 use crate::encode::{png8, png16, samples8, samples16};
@@ -30,6 +32,18 @@ pub(crate) struct Cameras<'a> {
     pub(crate) geometry: &'a FieldGeometry,
     /// Distance of the cameras of a light field of parallel projections, millimetres.
     pub(crate) nominal_mm: f64,
+}
+
+/// How folders are written.
+pub(crate) struct Settings<'a> {
+    /// Distance of the cameras of a light field of parallel projections, millimetres.
+    pub(crate) nominal_mm: f64,
+    /// Pictures of 16 bits instead of 8.
+    pub(crate) sixteen_bits: bool,
+    /// Date, authors and contact in `parameters.cfg`.
+    pub(crate) meta: [&'a str; 3],
+    /// The depths that the display shows sharply, millimetres.
+    pub(crate) shown_mm: Option<[f64; 2]>,
 }
 
 impl Cameras<'_> {
@@ -57,11 +71,11 @@ impl Cameras<'_> {
         }
     }
 
-    /// `parameters.cfg`.
+    /// Difference of slope from view to view.
     ///
     /// # Errors
-    /// If steps between views are not all the same: the format has one baseline.
-    pub(crate) fn parameters(&self) -> Result<String, PluginError> {
+    /// If it is not the same between all: the format has one baseline.
+    fn step(&self) -> Result<f64, PluginError> {
         let grid = &self.geometry.grid;
         let steps = |slopes: &[f64]| slopes.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect::<Vec<_>>();
         let all: Vec<f64> = steps(&grid.slope_x).into_iter().chain(steps(&grid.slope_y)).collect();
@@ -72,8 +86,62 @@ impl Cameras<'_> {
                 "parameter `hci`: the format has one distance between cameras, expected equal steps of slope between all views, found {low:.6} to {high:.6}; `stanford` has the centre of every camera"
             )));
         }
+        Ok(if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 })
+    }
+
+    /// Pixels by which content at z_mm moves to the left from a view to the next on the right; infinite z is the horizon.
+    fn disparity(&self, step: f64, z_mm: f64) -> f64 {
+        let moved_mm = match self.geometry.grid.projection {
+            Projection::Oblique => z_mm,
+            Projection::Perspective { distance_mm } if z_mm == f64::NEG_INFINITY => -distance_mm,
+            Projection::Perspective { distance_mm } if z_mm >= distance_mm => f64::INFINITY,
+            Projection::Perspective { distance_mm } => distance_mm * z_mm / (distance_mm - z_mm),
+        };
+        step * moved_mm / self.geometry.pitch_mm
+    }
+
+    /// The middle view's disparities, `[row][col]`: NaN where nothing is known, or where parallel projections see nothing.
+    fn disparities(&self, step: f64, depth: Option<&SeenDepth>) -> Vec<f32> {
+        let [rows, cols] = [self.geometry.rows, self.geometry.cols];
+        let horizon = self.disparity(step, f64::NEG_INFINITY);
+        let at = |row: usize, col: usize| match depth {
+            None => f64::NAN,
+            Some(depth) => match depth.at(row, col, [rows, cols]) {
+                Some(z_mm) => self.disparity(step, f64::from(z_mm)),
+                None if horizon.is_finite() => horizon,
+                None => f64::NAN,
+            },
+        };
+        (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))).map(|(row, col)| at(row, col) as f32).collect()
+    }
+
+    /// `parameters.cfg`.
+    fn parameters(&self, step: f64, disparities: &[f32], settings: &Settings<'_>) -> String {
+        let grid = &self.geometry.grid;
         let distance_mm = self.distance_mm();
-        let step = if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 };
+        // the widest that means anything is a picture's width
+        let most = self.geometry.rows.max(self.geometry.cols) as f64;
+        let shown = settings.shown_mm.map(|[low, high]| {
+            let disparity = |z_mm: f64| {
+                let at = self.disparity(step, z_mm);
+                if at.is_nan() { 0.0 } else { at.clamp(-most, most) }
+            };
+            [disparity(low), disparity(high)]
+        });
+        let known =
+            disparities.iter().filter(|value| value.is_finite()).fold(None, |range: Option<[f64; 2]>, value| {
+                let value = f64::from(*value);
+                Some(range.map_or([value; 2], |[low, high]| [low.min(value), high.max(value)]))
+            });
+        // the benchmark's readers ask for numbers
+        let [least, largest] = known.or(shown).unwrap_or([0.0; 2]);
+        let [shown_least, shown_largest] = shown.unwrap_or([least, largest]);
+        let disparity_note = if known.is_some() {
+            "# Disparities are of the surfaces that the middle view sees, without any estimate.\n"
+        } else {
+            "# How deep the views see is not known: disp_min and disp_max are of the depths that the display shows, and gt_disp_lowres.pfm holds NaN.\n"
+        };
+        let [date, authors, contact] = settings.meta.map(|text| text.replace(['\n', '\r'], " ").replace('%', "%%"));
         let [rows, cols] = [self.geometry.rows, self.geometry.cols];
         let focal_mm = SENSOR_MM * distance_mm / (self.geometry.pitch_mm * rows.max(cols) as f64);
         let note = if self.is_nominal() {
@@ -81,18 +149,22 @@ impl Cameras<'_> {
         } else {
             ""
         };
-        Ok(format!(
-            "{note}[intrinsics]\nfocal_length_mm = {focal_mm}\nimage_resolution_x_px = {cols}\nimage_resolution_y_px = {rows}\n\
+        format!(
+            "{note}{disparity_note}[intrinsics]\nfocal_length_mm = {focal_mm}\nimage_resolution_x_px = {cols}\nimage_resolution_y_px = {rows}\n\
              sensor_size_mm = {SENSOR_MM}\nfstop = 100\n\n\
              [extrinsics]\nnum_cams_x = {}\nnum_cams_y = {}\nbaseline_mm = {}\nfocus_distance_m = {}\n\
-             center_cam_x_m = 0.0\ncenter_cam_y_m = 0.0\ncenter_cam_z_m = {}\ncenter_cam_rx_rad = 0.0\ncenter_cam_ry_rad = 0.0\ncenter_cam_rz_rad = 0.0\noffset = 0\n\n\
-             [meta]\nscene = light field\ncategory = other\nversion = 1\n",
+             center_cam_x_m = 0.0\ncenter_cam_y_m = 0.0\ncenter_cam_z_m = {}\ncenter_cam_rx_rad = 0.0\ncenter_cam_ry_rad = 0.0\ncenter_cam_rz_rad = 0.0\noffset = {}\n\n\
+             [meta]\nscene = light field\ncategory = other\ndate = {date}\nversion = 1\nauthors = {authors}\ncontact = {contact}\n\
+             disp_min = {least}\ndisp_max = {largest}\nfrustum_disp_min = {shown_least}\nfrustum_disp_max = {shown_largest}\n\
+             depth_map_scale = 1.0\n",
             grid.slope_x.len(),
             grid.slope_y.len(),
             step * distance_mm,
             distance_mm / 1000.0,
             distance_mm / 1000.0,
-        ))
+            // pixels by which the plane of focus would move without the sensors' shift
+            step * distance_mm / self.geometry.pitch_mm,
+        )
     }
 }
 
@@ -102,13 +174,12 @@ pub(crate) fn write(
     archive: Archive,
     folder: &str,
     source: &ViewSource<'_>,
-    nominal_mm: f64,
-    sixteen_bits: bool,
+    settings: &Settings<'_>,
 ) -> Result<Vec<(String, [usize; 2])>, PluginError> {
     let geometry = source.geometry();
-    let cameras = Cameras { geometry, nominal_mm };
-    let parameters = match archive {
-        Archive::Hci => Some(cameras.parameters()?),
+    let cameras = Cameras { geometry, nominal_mm: settings.nominal_mm };
+    let step = match archive {
+        Archive::Hci => Some(cameras.step()?),
         Archive::Stanford => None,
     };
     let size = [geometry.rows, geometry.cols];
@@ -118,18 +189,30 @@ pub(crate) fn write(
     for view in geometry.grid.iter() {
         host.check_cancelled()?;
         let rgb = source.view(view)?;
-        let bytes = if sixteen_bits {
-            png16(samples16(&Transfer::Srgb, None, size, &rgb), size)?
+        let bytes = if settings.sixteen_bits {
+            png16(&samples16(&Transfer::Srgb, None, size, &rgb), size, &Transfer::Srgb)?
         } else {
-            png8(&samples8(&Transfer::Srgb, None, size, &rgb), size)?
+            png8(&samples8(&Transfer::Srgb, None, size, &rgb), size, &Transfer::Srgb)?
         };
         let file = format!("{folder}{}", cameras.file(archive, view));
         host.write(&file, &bytes)?;
         files.push((file, view));
         stage.advance(1, "");
     }
-    if let Some(parameters) = parameters {
+    if let Some(step) = step {
+        let disparities = cameras.disparities(step, source.depth());
+        let parameters = cameras.parameters(step, &disparities, settings);
         host.write(&format!("{folder}hci/parameters.cfg"), parameters.as_bytes())?;
+        host.write(&format!("{folder}hci/gt_disp_lowres.pfm"), &pfm(&disparities, size))?;
     }
     Ok(files)
+}
+
+/// A portable float map of one channel: a head of text, then little-endian numbers, the lowest row first.
+fn pfm(values: &[f32], [rows, cols]: [usize; 2]) -> Vec<u8> {
+    let mut bytes = format!("Pf\n{cols} {rows}\n-1.0\n").into_bytes();
+    for row in values.chunks_exact(cols).rev() {
+        bytes.extend(row.iter().flat_map(|value| value.to_le_bytes()));
+    }
+    bytes
 }

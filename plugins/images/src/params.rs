@@ -26,6 +26,9 @@ pub struct ImagesParams {
     pub(crate) animation_rate: u16,
     pub(crate) animation_width: usize,
     pub(crate) hci: bool,
+    pub(crate) hci_date: String,
+    pub(crate) hci_authors: String,
+    pub(crate) hci_contact: String,
     pub(crate) stanford: bool,
     pub(crate) camera_distance_mm: f64,
     pub(crate) lenslet_panel: bool,
@@ -150,7 +153,14 @@ pub(crate) fn schema() -> Schema {
         Param::int("animation_rate", 24, 1..=120, "Pictures per second of the animation.").unit("Hz"),
         Param::int("animation_width", 640, 0..=16384, "Most columns of the animation; larger views are reduced. 0 keeps the views' own.")
             .unit("px"),
-        Param::bool("hci", false, "Write the folder hci/ as the 4D light field benchmark has it: input_Cam000.png, ... and parameters.cfg."),
+        Param::bool(
+            "hci",
+            false,
+            "Write the folder hci/ as the 4D light field benchmark has it: input_Cam000.png, ..., parameters.cfg and gt_disp_lowres.pfm.",
+        ),
+        Param::text("hci_date", "unknown", "Date of the light field in hci/parameters.cfg."),
+        Param::text("hci_authors", "unknown", "Who made it, names separated by commas, in hci/parameters.cfg."),
+        Param::text("hci_contact", "unknown", "Whom to ask about it, in hci/parameters.cfg."),
         Param::bool(
             "stanford",
             false,

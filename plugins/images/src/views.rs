@@ -1,6 +1,6 @@
 //! Views of whatever was submitted, as an adapted viewer sees them.
 
-use lumistack_plugin::display::{FieldGeometry, Projection};
+use lumistack_plugin::display::{FieldGeometry, Projection, SeenDepth};
 use lumistack_plugin::{FieldInput, PluginError, StackInput, ViewPoint};
 
 /// Where views come from.
@@ -17,6 +17,14 @@ impl ViewSource<'_> {
         match self {
             Self::Stack(stack) => stack.target(),
             Self::Field(field) => field.geometry(),
+        }
+    }
+
+    /// How deep the middle view sees, where the host knows.
+    pub(crate) fn depth(&self) -> Option<&SeenDepth> {
+        match self {
+            Self::Stack(stack) => stack.target_depth(),
+            Self::Field(field) => field.depth(),
         }
     }
 

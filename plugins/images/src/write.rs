@@ -64,7 +64,9 @@ impl Images {
         let folder = folder(time);
         if self.params.atlas {
             let samples = |layer, frame| self.layer_samples(stack, layer, frame);
-            let [width, height] = atlas::write(&self.host, &folder, stack, samples)?;
+            let mut transfers = self.display.layers.iter().map(|layer| self.params.encode.of_panel(&layer.transfer));
+            let first = transfers.next().filter(|first| transfers.all(|other| other == *first));
+            let [width, height] = atlas::write(&self.host, &folder, stack, first, samples)?;
             let content = Content::Atlas { index: format!("{folder}atlas.json") };
             // each tile has its panel's transfer function
             let format = self.png_format(8, self.params.encode.of_panel(&self.display.layers[0].transfer), None);
@@ -305,7 +307,13 @@ impl Images {
         let archives = [(params.hci, Archive::Hci, "hci"), (params.stanford, Archive::Stanford, "stanford")];
         for (_, archive, name) in archives.into_iter().filter(|(wanted, ..)| *wanted) {
             let sixteen = params.png16 && !params.png8;
-            let files = folders::write(&self.host, archive, &folder, source, params.camera_distance_mm, sixteen)?;
+            let settings = folders::Settings {
+                nominal_mm: params.camera_distance_mm,
+                sixteen_bits: sixteen,
+                meta: [params.hci_date.as_str(), &params.hci_authors, &params.hci_contact],
+                shown_mm: self.display.depth_of_field(geometry.pitch_mm),
+            };
+            let files = folders::write(&self.host, archive, &folder, source, &settings)?;
             let bits = if sixteen { 16 } else { 8 };
             for (file, view) in files {
                 let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
@@ -341,11 +349,11 @@ impl Images {
                 None => Cow::Borrowed(&picture.rgb),
             };
             if params.png8 {
-                let bytes = png8(&samples8(transfer, codes, size, &driven), size)?;
+                let bytes = png8(&samples8(transfer, codes, size, &driven), size, transfer)?;
                 write(format!("{linear}.png"), self.png_format(8, transfer, codes), proportional, bytes)?;
             }
             if params.png16 {
-                let bytes = png16(samples16(transfer, codes, size, &driven), size)?;
+                let bytes = png16(&samples16(transfer, codes, size, &driven), size, transfer)?;
                 write(format!("{linear}_16bit.png"), self.png_format(16, transfer, codes), proportional, bytes)?;
             }
         }

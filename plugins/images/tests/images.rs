@@ -5,7 +5,9 @@ use std::path::Path;
 use std::process::Command;
 
 use lumistack_plugin::core::{Cancel, Collector, Task};
-use lumistack_plugin::display::{Channels, FieldGeometry, LightField, Projection, Transfer, ViewGrid, forward};
+use lumistack_plugin::display::{
+    Channels, FieldGeometry, LightField, Projection, SeenDepth, Transfer, ViewGrid, forward,
+};
 use lumistack_plugin::encoding::{decode, encode};
 use lumistack_plugin::field_io::picture::Picture;
 use lumistack_plugin::field_io::{GeometryDefaults, GeometryFlags};
@@ -448,6 +450,129 @@ fn an_hci_folder_keeps_its_geometry() {
     assert!(pairs.zip(given).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
     let Projection::Perspective { distance_mm } = found.grid.projection else { panic!("{found:?}") };
     assert!((distance_mm - 600.0).abs() < 1e-9);
+}
+
+/// Depth of a slanted plane before the display on the left and nothing on the right, as coarse as half the pixels.
+fn slanted(geometry: &FieldGeometry) -> SeenDepth {
+    let (rows, cols) = (geometry.rows, geometry.cols.div_ceil(2));
+    let z = |i: usize| (i % cols < cols / 2).then(|| -40.0 + 10.0 * (i % cols) as f32 + 5.0 * (i / cols) as f32);
+    SeenDepth { rows, cols, z_mm: (0..rows * cols).map(z).collect() }
+}
+
+/// A folder as a reader of the benchmark's format finds it, without any of our code; `None` where there is no Python.
+fn read_as_the_benchmark(files: &Files) -> Option<Value> {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in files.iter().filter(|(name, _)| name.starts_with("hci/")) {
+        std::fs::write(folder.path().join(name.trim_start_matches("hci/")), bytes).unwrap();
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/hci.py");
+    let candidates = [std::env::var("LUMISTACK_PYTHON").ok(), Some("python3".to_string())];
+    for python in candidates.into_iter().flatten() {
+        let Ok(output) = Command::new(python).arg(&script).arg(folder.path()).output() else { continue };
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        return Some(from_slice(&output.stdout).unwrap());
+    }
+    println!("skipped: no Python");
+    None
+}
+
+#[test]
+fn the_benchmark_s_reader_finds_all_that_it_demands() {
+    let perspective = Projection::Perspective { distance_mm: 600.0 };
+    for (projection, distance_mm) in [(perspective, 600.0), (Projection::Oblique, 1000.0)] {
+        let grid = ViewGrid { projection, slope_x: vec![-0.1, 0.0, 0.1], slope_y: vec![0.1, 0.0, -0.1] };
+        let geometry = FieldGeometry { rows: 5, cols: 8, pitch_mm: 0.5, grid };
+        for depth in [Some(slanted(&geometry)), None] {
+            let field = LightField::black(geometry.clone()).unwrap().with_depth(depth.clone());
+            let (host, plugin) = (MemoryHost::new(), Plugin::compiled_in(&PLUGIN).unwrap());
+            let params = json!({"hci": true, "hci_authors": "A. Lovelace, C. Babbage", "hci_contact": "a@example.org"});
+            let output = Output::open(&plugin, &host, &params, &layered().display).unwrap();
+            output.submit(Time::default(), OutputData::LightField(&field)).unwrap();
+            output.finish().unwrap();
+            let Some(read) = read_as_the_benchmark(&host.files()) else { return };
+            let parameters = &read["parameters"];
+            assert_eq!(parameters["authors"], json!(["A. Lovelace", "C. Babbage"]));
+            assert_eq!((&parameters["contact"], &parameters["date"]), (&json!("a@example.org"), &json!("unknown")));
+            assert_eq!((&parameters["width"], &parameters["height"]), (&json!(8), &json!(5)));
+            assert_eq!(parameters["depth_map_scale"], json!(1.0));
+            // baseline and focus as the benchmark's own formula takes them: b f / D in pixels
+            let number = |key: &str| parameters[key].as_f64().unwrap_or_else(|| panic!("{key}: {parameters}"));
+            let focal_px = number("focal_length_mm") / number("sensor_size_mm") * 8.0;
+            let offset = number("baseline_mm") * focal_px / (1000.0 * number("focus_distance_m"));
+            assert!((offset - 0.1 * distance_mm / 0.5).abs() < 1e-6, "{offset}");
+            assert!((number("offset") - offset).abs() < 1e-6);
+            let disparities: Vec<Option<f64>> = read["disparities"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .flat_map(|row| row.as_array().unwrap().iter().map(Value::as_f64))
+                .collect();
+            assert_eq!(disparities.len(), 40);
+            let [least, largest] = ["disp_min", "disp_max"].map(number);
+            assert!(least <= largest && number("frustum_disp_min") <= number("frustum_disp_max"));
+            let note = read["notes"].to_string();
+            let Some(depth) = &depth else {
+                assert!(disparities.iter().all(Option::is_none), "nothing is known of depth");
+                assert!(note.contains("is not known"), "{note}");
+                continue;
+            };
+            assert!(!note.contains("is not known"), "{note}");
+            for (i, found) in disparities.iter().enumerate() {
+                // from the cameras: f b (1/Z - 1/D), Z the distance from the cameras; of parallel views as if D were far away
+                let z = depth.z_mm[i / 8 * 4 + i % 8 / 2].map(f64::from);
+                let expected = match (projection, z) {
+                    (Projection::Oblique, Some(z)) => Some(0.1 * z / 0.5),
+                    (Projection::Oblique, None) => None,
+                    (Projection::Perspective { .. }, z) => {
+                        let inverse = z.map_or(0.0, |z| 1.0 / (600.0 - z));
+                        Some(number("baseline_mm") * focal_px * (inverse - 1.0 / 600.0))
+                    }
+                };
+                assert_eq!(found.is_some(), expected.is_some(), "pixel {i}");
+                if let (Some(found), Some(expected)) = (found, expected) {
+                    assert!((found - expected).abs() < 1e-4 * (1.0 + expected.abs()), "pixel {i}: {found}, {expected}");
+                    assert!(*found >= least - 1e-4 && *found <= largest + 1e-4);
+                }
+            }
+        }
+    }
+}
+
+/// Names of the chunks before the pixels of a PNG.
+fn png_chunks(bytes: &[u8]) -> Vec<String> {
+    let (mut at, mut names) = (8, Vec::new());
+    loop {
+        let length = u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+        let name = String::from_utf8(bytes[at + 4..at + 8].to_vec()).unwrap();
+        if name == "IDAT" {
+            return names;
+        }
+        names.push(name);
+        at += 12 + length;
+    }
+}
+
+#[test]
+fn pngs_say_how_their_codes_stand_for_light() {
+    let sample = layered();
+    let has = |files: &Files, name: &str, chunk: &str| png_chunks(&files[name]).iter().any(|found| found == chunk);
+    let files = write(&sample, json!({"png16": true, "sheet": true, "animation": "side"})).unwrap();
+    // the sample's layers are sRGB, linear and gamma 2.2
+    for suffix in [".png", "_16bit.png"] {
+        for (layer, srgb) in [(0, true), (1, false), (2, false)] {
+            let name = format!("layer_{layer}_frame_00{suffix}");
+            assert!(has(&files, &name, "gAMA") && has(&files, &name, "sRGB") == srgb, "{name}");
+        }
+    }
+    for name in files.keys().filter(|name| name.starts_with("view_") && name.ends_with(".png")) {
+        assert!(has(&files, name, "sRGB"), "{name}");
+    }
+    assert!(has(&files, "sheet.png", "sRGB") && has(&files, "swing.png", "sRGB"));
+    let files = write(&sample, json!({"encode": "linear", "atlas": true})).unwrap();
+    assert!(has(&files, "layer_0_frame_00_linear.png", "gAMA") && has(&files, "atlas.png", "gAMA"));
+    let files = write(&light_field(), json!({"stanford": true})).unwrap();
+    let stanford = files.keys().find(|name| name.starts_with("stanford/") && name.ends_with(".png")).unwrap();
+    assert!(has(&files, stanford, "sRGB"));
 }
 
 /// Opens a folder as the rest of the program does, without any default for its geometry.

@@ -26,11 +26,13 @@ use lumistack_plugin::{
 
 use devices::{Device, devices};
 use layout::{Given, Layout};
-use views::{Fit, Made, Missing, Source, fitted, places};
+use views::{Fit, Made, Missing, Source, black_share, fitted, places};
 use weave::Calibration;
 
 /// Value of `device` for none.
 const CUSTOM: &str = "custom";
+/// Bars that fill less of a tile are not worth a word.
+const LEAST_BLACK: f64 = 0.01;
 /// Longest side of pictures that H.264 encoders take.
 const H264_SIDE: usize = 6000;
 
@@ -235,6 +237,18 @@ impl Quilt {
         let row = source.row(params.view_row)?;
         if let Some(advice) = source.advice(layout.views(), params.missing_views)? {
             self.host.warn(&advice);
+        }
+        let black = black_share(size, layout.aspect, params.fit);
+        if black >= LEAST_BLACK {
+            self.host.warn(&format!(
+                "{:.0} % of the quilt is black: the views' aspect is {:.3}, the display's {:.3}; render views of the display's aspect (for example {} × {} \
+                 pixels), or set fit = \"cover\" to crop them",
+                100.0 * black,
+                size[0] as f64 / size[1] as f64,
+                layout.aspect,
+                size[0],
+                (size[0] as f64 / layout.aspect).round(),
+            ));
         }
         if params.sequence && layout.size.iter().any(|side| side % 2 == 1) {
             let [width, height] = layout.size;

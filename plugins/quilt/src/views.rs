@@ -159,6 +159,15 @@ fn slope_at(slopes: &[f64], place: f64) -> f64 {
     slopes[first] + (place - first as f64) * (slopes[first + 1] - slopes[first])
 }
 
+/// Share of a tile, 0..1, that stays black around a view of another aspect; see [`fitted`].
+pub fn black_share(size: [usize; 2], aspect: f64, fit: Fit) -> f64 {
+    let own = size[0] as f64 / size[1] as f64;
+    match fit {
+        Fit::Contain => 1.0 - (aspect / own).min(own / aspect),
+        Fit::Cover | Fit::Stretch => 0.0,
+    }
+}
+
 /// How a view fills its tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
@@ -216,6 +225,21 @@ pub fn fitted(rgb: &[f32], size: [usize; 2], tile: [usize; 2], aspect: f64, fit:
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_black_share_is_that_of_the_pixels() {
+        let white = vec![1.0; 3 * 60 * 40];
+        for (aspect, fit) in
+            [(0.75, Fit::Contain), (3.0, Fit::Contain), (1.5, Fit::Contain), (0.75, Fit::Cover), (3.0, Fit::Stretch)]
+        {
+            let tile = [120, (120.0 / aspect) as usize];
+            let filled = fitted(&white, [60, 40], tile, aspect, fit);
+            let black = filled.iter().filter(|value| **value == 0.0).count() as f64 / filled.len() as f64;
+            let share = black_share([60, 40], aspect, fit);
+            assert!((black - share).abs() < 0.02, "{aspect} {fit:?}: {black} of the pixels, {share} is said");
+        }
+        assert!((black_share([60, 40], 0.75, Fit::Contain) - 0.5).abs() < 1e-12);
+    }
 
     #[test]
     fn as_many_views_are_the_same_views() {

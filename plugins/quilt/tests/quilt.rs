@@ -212,3 +212,17 @@ fn bad_parameters_are_refused_by_name() {
         assert!(matches!(&error, PluginError::Refused(text) if text.starts_with(message)), "{params}: {error:?}");
     }
 }
+
+#[test]
+fn how_much_of_a_quilt_is_black_is_said() {
+    let field = random_field([6, 1], [16, 10]);
+    let warnings = |params: Value| write(&display(), OutputData::LightField(&field), params).unwrap().1;
+    let portrait = json!({"columns": 6, "rows": 1, "aspect": 0.75});
+    let said = warnings(portrait.clone());
+    // 0.75 of 1.6 is filled
+    assert!(said.iter().any(|text| text.starts_with("53 % of the quilt is black")), "{said:?}");
+    assert!(said[0].contains("16 × 21") && said[0].contains("cover"), "{said:?}");
+    let mut cover = portrait;
+    cover["fit"] = json!("cover");
+    assert!(warnings(cover).is_empty() && warnings(json!({"columns": 6, "rows": 1})).is_empty());
+}

@@ -38,12 +38,6 @@ fn one_pixel_one_view_one_layer_reaches_the_target_and_not_a_fraction_of_it() {
 #[test]
 fn degenerate_input_gives_finite_patterns() {
     let flat = || display([9, 6], [3, 3], &[-5.0, 0.3, 5.0], 3);
-    let mut beside = flat();
-    beside.layers[1].offset_mm = [1000.0, 0.0];
-    let mut beside_bilinear = beside.clone();
-    beside_bilinear.sampling = Sampling::Bilinear;
-    let mut unweighted = Owned::constant(flat(), 0.5);
-    unweighted.weights = Weights::PerView(Tensor::zeros(["view_y", "view_x"], [3, 3]));
     let mut huge_weights = Owned::constant(flat(), 0.5);
     huge_weights.weights = Weights::PerView(Tensor::filled(["view_y", "view_x"], [3, 3], f32::MAX));
     let mut tiny_weights = Owned::constant(flat(), 0.5);
@@ -55,11 +49,8 @@ fn degenerate_input_gives_finite_patterns() {
         ("beyond white", Owned::constant(flat(), 1e30)),
         ("below black", Owned::constant(flat(), -1e-3)),
         ("one pixel", Owned::constant(display([1, 1], [3, 3], &[-50.0, 0.0, 50.0], 2), 0.5)),
-        ("zero weights", unweighted),
         ("huge weights", huge_weights),
         ("tiny weights", tiny_weights),
-        ("a layer beside the field", Owned::constant(beside, 0.5)),
-        ("a layer beside the field, bilinear", Owned::constant(beside_bilinear, 0.5)),
         ("eight black layers", Owned::constant(eight, 0.0)),
     ] {
         let result = solve(&owned, &iterations(20), None).unwrap();
@@ -69,13 +60,20 @@ fn degenerate_input_gives_finite_patterns() {
 }
 
 #[test]
-fn pixels_without_a_weighted_ray_are_left_alone() {
+fn no_counted_ray_is_an_error_and_no_figure() {
     let mut owned = random(Kind::Plain, 3);
-    owned.weights = Weights::PerView(Tensor::zeros(["view_y", "view_x"], owned.target.geometry().grid.views()));
-    let start = random_start(&owned.display, 5);
-    let result = solve(&owned, &iterations(3), Some(&start)).unwrap();
-    assert_eq!(result.stack, start);
-    assert!(result.history[0].psnr_view.is_nan(), "no ray counts");
+    let views = owned.target.geometry().grid.views();
+    owned.weights = Weights::PerView(Tensor::zeros(["view_y", "view_x"], views));
+    let error = solve(&owned, &iterations(3), None).unwrap_err().to_string();
+    let found = format!("{} weights of 0: no ray counts", views[0] * views[1]);
+    assert_eq!(error, format!("weights: expected at least one weight above 0, found {found}"));
+    for sampling in [Sampling::Nearest, Sampling::Bilinear] {
+        let mut beside = display([9, 6], [3, 3], &[-5.0, 0.3, 5.0], 3);
+        beside.layers[1].offset_mm = [1000.0, 0.0];
+        beside.sampling = sampling;
+        let error = solve(&Owned::constant(beside, 0.5), &iterations(3), None).unwrap_err();
+        assert_eq!(error, FactorizeError::NoRays, "a layer beside the field");
+    }
 }
 
 #[test]

@@ -7,4 +7,5 @@ mod hardware;
 mod oracle;
 mod problems;
 mod starts;
+mod unlit;
 mod updates;

@@ -220,15 +220,22 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     // some weights are 0
     let mut weight = || ((unit() * 1.3 - 0.3).max(0.0) * 7.0) as f32;
     let [view_cols, view_rows] = views;
+    // but not all
+    let some = |mut values: Vec<f32>| {
+        if values.iter().all(|w| *w == 0.0) {
+            values[0] = 1.0;
+        }
+        values
+    };
     owned.weights = match weights {
         0 => Weights::Uniform,
         1 => {
-            let values = (0..view_rows * view_cols).map(|_| weight()).collect();
+            let values = some((0..view_rows * view_cols).map(|_| weight()).collect());
             Weights::PerView(Tensor::from_vec(["view_y", "view_x"], [view_rows, view_cols], values).unwrap())
         }
         _ => {
             let shape = [view_rows, view_cols, resolution[1], resolution[0]];
-            let values = (0..shape.iter().product()).map(|_| weight()).collect();
+            let values = some((0..shape.iter().product()).map(|_| weight()).collect());
             Weights::PerRay(Tensor::from_vec(["view_y", "view_x", "row", "col"], shape, values).unwrap())
         }
     };

@@ -75,8 +75,10 @@ fn random_display(seed: u64, number: u64, field: &LightField) -> Result<Display,
     let mut stream = Stream::new(derive(seed, &[number]));
     let mut between = |low: f64, high: f64| low + (high - low) * f64::from(stream.next_f32());
     let directional = between(0.0, 1.0) < 0.5;
-    let base =
-        presets::load(if directional { "fig7-directional" } else { "fig7-uniform" })?.adapted_to(field.geometry());
+    let wrong =
+        |error: &dyn std::fmt::Display| PipelineError::value("bench", "design", "a sound one", error.to_string());
+    let base = presets::load(if directional { "fig7-directional" } else { "fig7-uniform" })?;
+    let base = base.adapted_to(field.geometry()).map_err(|error| wrong(&error))?;
     let cols = between(10.0, 80.99).floor();
     let change = Variation {
         layers: Some(between(1.0, 5.999) as usize),
@@ -86,8 +88,6 @@ fn random_display(seed: u64, number: u64, field: &LightField) -> Result<Display,
         lenslets: directional.then_some([cols as usize, (cols * 50.0 / 80.0).round() as usize]),
         fov_deg: None,
     };
-    let wrong =
-        |error: &dyn std::fmt::Display| PipelineError::value("bench", "design", "a sound one", error.to_string());
     change.applied_to(&base).map_err(|error| wrong(&error))
 }
 

@@ -20,6 +20,7 @@ use crate::file_params;
 use crate::files::{read_json, write_json};
 use crate::fit::{self, Placement};
 use crate::folder::{self, Work};
+use crate::given;
 use crate::ingest::{self, Ingested};
 use crate::job::{Job, SourceJob};
 use crate::look::Look;
@@ -157,8 +158,10 @@ impl Run<'_> {
         let depth = rendered.depths.budget(&self.display, &geometry, &placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, ingested, &placement, &rendered);
+        let seen = rendered.depths.seen(&placement);
         let render::Rendered { target, held_out, outside, look, denoised, folders: mut views, .. } = rendered;
         views.extend(references.as_ref().map(|references| references.folder.clone()));
+        let target = target.with_depth(Some(seen));
         Ok(Input {
             target,
             held_out,
@@ -177,14 +180,20 @@ impl Run<'_> {
         let defaults = field_defaults(&self.display);
         let display = self.display.clone();
         let target = self.timed("read", |_| {
-            let footprint = |geometry: &FieldGeometry| display.adapted_to(geometry).angular_footprint();
+            let footprint = |geometry: &FieldGeometry| given::adapted_footprint(&display, geometry);
             let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), task);
+            // not rounded, as `target/` is: figures are about what was given
             let mut field = read.map_err(field_error)?;
-            lumistack_field_io::round_to_half(&mut field);
+            if let Some(look) = Look::of_given(&job.light) {
+                look.apply(&mut field);
+            }
             Ok((field, false))
         })?;
+        if let Some(beyond) = given::Beyond::of(&target) {
+            task.warn(path.display().to_string(), beyond.message(given::OFFER_OF_COMMAND));
+        }
         let about = json!({ "light field": path.display().to_string() });
-        self.take_field(target, path, about, moment)
+        self.take_field(target, path, about, moment, task)
     }
 
     /// The light field of a source plugin; what it made before is read back.
@@ -212,7 +221,7 @@ impl Run<'_> {
         })?;
         let about = json!({ "source": source.plugin, "time (s)": source.time_s });
         let kept = Kept { key, target: field_key("target", &target, &Map::new()) };
-        let input = self.take_field(target, Path::new(&source.plugin), about, moment)?;
+        let input = self.take_field(target, Path::new(&source.plugin), about, moment, task)?;
         write_json(&path, &kept)?;
         Ok(input)
     }
@@ -224,11 +233,17 @@ impl Run<'_> {
         place: &Path,
         about: Value,
         moment: &Moment<'_>,
+        task: Task<'_>,
     ) -> Result<Input, PipelineError> {
         if let Some((geometry, first)) = moment.geometry {
             sequence::check_geometry(place, target.geometry(), geometry, first)?;
         }
-        self.display = self.display.adapted_to(target.geometry());
+        let adapted = self.display.adapted_to(target.geometry());
+        let adapted = adapted.map_err(|source| display_error(source, &place.display().to_string()))?;
+        if let Some(change) = self.display.backlight_change(&adapted) {
+            task.warn("display", change);
+        }
+        self.display = adapted;
         self.display.check().map_err(|source| display_error(source, "light field"))?;
         write_field_if_changed(&self.stamps, &self.dir, "target", &target, &Map::new())?;
         Ok(Input {

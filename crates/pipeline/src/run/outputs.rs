@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_display::Display;
+use lumistack_display::{Display, FieldGeometry, LightField};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
 use lumistack_report::Output;
 use serde::Serialize;
@@ -44,19 +44,22 @@ pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result
         }
         _ => None,
     };
-    let adapted = |display: Display| field.as_ref().map_or(display.clone(), |geometry| display.adapted_to(geometry));
+    let adapted = |display: Display, to: Option<&FieldGeometry>| match to {
+        Some(geometry) => display.adapted_to(geometry).map_err(|source| display_error(source, "light field")),
+        None => Ok(display),
+    };
     let shared = match &field {
         Some(geometry) => geometry.clone(),
         None => display.geometry().map_err(|source| display_error(source, "field"))?,
     };
-    let own = adapted(display);
+    let own = adapted(display, field.as_ref())?;
     let mut refused = Vec::new();
     for output in &job.outputs {
         let node = job.nodes.iter().find(|node| output.from.as_deref() == Some(node.id.as_str()));
         // the only node needs not be named
         let node = node.or_else(|| job.nodes.first().filter(|_| output.from.is_none()));
         let display = match node.and_then(|node| node.display.as_ref()) {
-            Some(display) => display.resolve()?.adapted_to(&shared),
+            Some(display) => adapted(display.resolve()?, Some(&shared))?,
             None => own.clone(),
         };
         let params = output.params.clone().into();
@@ -72,6 +75,14 @@ pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result
         }
     }
     Ok(refused)
+}
+
+/// Plugins are told how deep the middle view sees.
+fn add_depth(key: &mut KeyBuilder, field: &LightField) {
+    if let Some(depth) = field.depth() {
+        let z_mm: Vec<f32> = depth.z_mm.iter().map(|z| z.unwrap_or(f32::NAN)).collect();
+        key.add_json("depth", &(depth.rows, depth.cols)).add_f32("z", &z_mm);
+    }
 }
 
 impl Run<'_> {
@@ -112,6 +123,7 @@ impl Run<'_> {
                     if let Some(target) = target {
                         key.add("geometry", format!("{:?}", target.geometry()).as_bytes());
                         key.add_f32("target", target.radiance().data());
+                        add_depth(&mut key, target);
                     }
                     key.add_json("brightness", &stack.brightness);
                     for layer in &stack.layers {
@@ -124,6 +136,7 @@ impl Run<'_> {
                 OutputData::LightField(field) => {
                     key.add("geometry", format!("{:?}", field.geometry()).as_bytes());
                     key.add_f32("radiance", field.radiance().data());
+                    add_depth(&mut key, field);
                 }
             }
             let plugin = ingest::plugin_key(registry, &output.plugin, &output.params);

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, RayMap, Simulator, ViewGrid};
 use lumistack_plugin_abi::{Data, ErrorSink, Plane, Status, Str, View, dtype, view};
 
-use crate::describe::{Description, Geometry};
+use crate::describe::{Depth, Description, Geometry};
 use crate::{PluginError, Port};
 
 /// What an output is given at one time.
@@ -63,12 +63,14 @@ impl<'a> Lent<'a> {
                     }),
                     target: Geometry::from(&geometry),
                     target_views: target.is_some(),
+                    target_depth: target.and_then(LightField::depth).map(Depth::from),
                 };
                 (geometry, description)
             }
             OutputData::LightField(field) => {
                 let geometry = field.geometry().clone();
-                (geometry, Description::LightField { geometry: Geometry::from(field.geometry()) })
+                let depth = field.depth().map(Depth::from);
+                (geometry, Description::LightField { geometry: Geometry::from(field.geometry()), depth })
             }
         };
         let description =

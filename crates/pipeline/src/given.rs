@@ -1,0 +1,114 @@
+//! Light fields that a caller gives: values that no display shows, and what the display makes of their geometry.
+
+use lumistack_display::{Display, FieldGeometry, LightField};
+use rayon::prelude::*;
+
+/// What the command offers for values beyond 0 to 1.
+pub(crate) const OFFER_OF_COMMAND: &str =
+    "--exposure-ev STOPS scales them, --tone linear clips them, --tone khronos-neutral or agx compresses them";
+/// What the Python package offers.
+pub(crate) const OFFER_OF_PYTHON: &str =
+    "light_field.exposed(stops) scales and clips them, tone=\"khronos-neutral\" or \"agx\" compresses them";
+
+/// Slopes that the display cannot tell apart, once it has adapted to a light field; of one that it refuses, as it is.
+pub(crate) fn adapted_footprint(display: &Display, geometry: &FieldGeometry) -> [f64; 2] {
+    display.adapted_to(geometry).as_ref().unwrap_or(display).angular_footprint()
+}
+
+/// Values of a light field beyond what a display shows at the brightness that is asked of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Beyond {
+    values: u64,
+    above: u64,
+    largest: f32,
+    below: u64,
+    smallest: f32,
+    not_finite: u64,
+}
+
+impl Beyond {
+    /// Counts them; `None` where all values are 0 to 1.
+    pub(crate) fn of(field: &LightField) -> Option<Self> {
+        let parts = field.radiance().data().par_chunks(1 << 16).map(|values| {
+            let mut part = Self { values: values.len() as u64, ..Self::default() };
+            for &value in values.iter().filter(|value| !(0.0..=1.0).contains(*value)) {
+                part.above += u64::from(value.is_finite() && value > 1.0);
+                part.below += u64::from(value.is_finite() && value < 0.0);
+                part.not_finite += u64::from(!value.is_finite());
+                if value.is_finite() {
+                    part.largest = part.largest.max(value);
+                    part.smallest = part.smallest.min(value);
+                }
+            }
+            part
+        });
+        let all = parts.reduce(Self::default, |a, b| Self {
+            values: a.values + b.values,
+            above: a.above + b.above,
+            largest: a.largest.max(b.largest),
+            below: a.below + b.below,
+            smallest: a.smallest.min(b.smallest),
+            not_finite: a.not_finite + b.not_finite,
+        });
+        (all.above + all.below + all.not_finite > 0).then_some(all)
+    }
+
+    /// How many they are, how far they go, and what `offer`s to do about it.
+    pub(crate) fn message(&self, offer: &str) -> String {
+        let share = |count: u64| {
+            let percent = 100.0 * count as f64 / self.values as f64;
+            if percent >= 0.01 {
+                format!("{percent:.2} % of all values")
+            } else {
+                format!("{count} of {} values", self.values)
+            }
+        };
+        let mut parts = Vec::new();
+        if self.above > 0 {
+            let stops = -f64::from(self.largest).log2();
+            parts.push(format!(
+                "{} lie above 1, the largest {} ({stops:.2} stops would fit it)",
+                share(self.above),
+                self.largest
+            ));
+        }
+        if self.below > 0 {
+            parts.push(format!("{} lie below 0, the smallest {}", share(self.below), self.smallest));
+        }
+        if self.not_finite > 0 {
+            parts.push(format!("{} are no finite numbers", share(self.not_finite)));
+        }
+        format!("{}; a display shows 0 to 1, and PSNR counts what it misses: {offer}", parts.join("; "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lumistack_display::{Projection, ViewGrid};
+
+    #[test]
+    fn values_beyond_the_range_are_counted_and_named() {
+        let grid = ViewGrid::uniform(Projection::Oblique, [3, 2], [20.0, 20.0]).unwrap();
+        let mut field = LightField::black(FieldGeometry { rows: 100, cols: 100, pitch_mm: 1.0, grid }).unwrap();
+        field.radiance_mut().data_mut().fill(1.0);
+        assert_eq!(Beyond::of(&field), None);
+        let data = field.radiance_mut().data_mut();
+        data[17] = 1e4;
+        let message = Beyond::of(&field).unwrap().message("nothing");
+        let expected = "1 of 180000 values lie above 1, the largest 10000 (-13.29 stops would fit it)";
+        assert!(message.starts_with(expected), "{message}");
+        let data = field.radiance_mut().data_mut();
+        data[..18_000].fill(2.0);
+        data[18_000..18_900].fill(-0.5);
+        data[20_000] = f32::NAN;
+        let message = Beyond::of(&field).unwrap().message("nothing");
+        for part in [
+            "10.00 % of all values lie above 1, the largest 2 ",
+            "0.50 % of all values lie below 0, the smallest -0.5",
+            "1 of 180000 values are no finite",
+        ] {
+            assert!(message.contains(part), "{message}");
+        }
+    }
+}
