@@ -75,7 +75,7 @@ impl Cameras<'_> {
     ///
     /// # Errors
     /// If it is not the same between all: the format has one baseline.
-    fn step(&self) -> Result<f64, PluginError> {
+    pub(crate) fn step(&self) -> Result<f64, PluginError> {
         let grid = &self.geometry.grid;
         let steps = |slopes: &[f64]| slopes.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect::<Vec<_>>();
         let all: Vec<f64> = steps(&grid.slope_x).into_iter().chain(steps(&grid.slope_y)).collect();

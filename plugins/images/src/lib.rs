@@ -70,7 +70,7 @@ impl OutputPlugin for Images {
         }
         if params.hci {
             let geometry = &display.geometry().map_err(|error| PluginError::failed("display", error))?;
-            folders::Cameras { geometry, nominal_mm: params.camera_distance_mm }.parameters()?;
+            folders::Cameras { geometry, nominal_mm: params.camera_distance_mm }.step()?;
         }
         Ok(Self { host, params, display, written: Mutex::default() })
     }
