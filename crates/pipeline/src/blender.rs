@@ -226,8 +226,9 @@ mod tests {
         let no_screen = BlendContents { unfit: Some("EEVEE needs OpenGL".into()), ..fur.clone() };
         let asked = |engine| RenderJob { engine, ..RenderJob::default() };
         let denoised = RenderJob { denoise: Denoise::Guided, ..RenderJob::default() };
-        let cases = [
-            (asked(Engine::Auto), None, true, Engine::Lumistack, &[][..]),
+        type Case<'a> = (RenderJob, Option<&'a BlendContents>, bool, Engine, &'a [&'a str]);
+        let cases: [Case<'_>; 9] = [
+            (asked(Engine::Auto), None, true, Engine::Lumistack, &[]),
             (asked(Engine::Auto), Some(&fur), true, Engine::Blender, &["own engine, CYCLES", "Dog"]),
             (asked(Engine::Auto), Some(&fur), false, Engine::Lumistack, &["Dog", "only a job"]),
             (asked(Engine::Auto), Some(&no_screen), true, Engine::Lumistack, &["Dog", "EEVEE needs OpenGL"]),

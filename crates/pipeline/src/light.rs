@@ -94,6 +94,7 @@ fn to_clay(material: &mut Material) {
         emission: material.emission,
         emission_texture: material.emission_texture,
         double_sided: material.double_sided,
+        lamp: material.lamp,
         ..Material::default()
     };
 }

@@ -51,11 +51,138 @@ fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
     sums.into_iter().map(Mean::of).collect()
 }
 
+/// Whether `LUMISTACK_PYTHON` names a Python that reads USD; says so where it does not.
+fn has_usd() -> bool {
+    let python = std::env::var_os("LUMISTACK_PYTHON").unwrap_or_default();
+    let has = Command::new(python).args(["-c", "import pxr"]).output().is_ok_and(|output| output.status.success());
+    if !has {
+        lumistack_testkit::skip::skipped("LUMISTACK_PYTHON names no Python with usd-core");
+    }
+    has
+}
+
+/// Sees the floor of the room from above.
+const CAMERA: &str = r#"
+def Camera "above"
+{
+    double3 xformOp:translate = (0, 5, 7)
+    float xformOp:rotateX = -30
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateX"]
+}
+"#;
+
+/// A panel that shines above a dark floor, both in the syntax of one shader; `glow` are the inputs of the panel.
+fn lit_room(id: &str, color: &str, rough: &str, glow: &str) -> String {
+    let material = |name: &str, inputs: &str| {
+        format!(
+            r#"
+def Material "{name}"
+{{
+    token outputs:surface.connect = </{name}/s.outputs:surface>
+    def Shader "s"
+    {{
+        uniform token info:id = "{id}"
+        {inputs}
+        token outputs:surface
+    }}
+    def Shader "weight"
+    {{
+        uniform token info:id = "ND_multiply_float"
+        float inputs:in1.connect = </{name}/picture.outputs:out>
+        float inputs:in2 = 6
+        float outputs:out
+    }}
+    def Shader "picture"
+    {{
+        uniform token info:id = "ND_image_float"
+        asset inputs:file = @./white.png@
+        float outputs:out
+    }}
+}}
+"#
+        )
+    };
+    let square = |name: &str, half: f32, height: f32| {
+        format!(
+            r#"
+def Mesh "{name}" (
+    prepend apiSchemas = ["MaterialBindingAPI"]
+)
+{{
+    point3f[] points = [(-{half}, {height}, -{half}), ({half}, {height}, -{half}), ({half}, {height}, {half}), (-{half}, {height}, {half})]
+    int[] faceVertexCounts = [4]
+    int[] faceVertexIndices = [3, 2, 1, 0]
+    texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
+        interpolation = "vertex"
+    )
+    uniform token subdivisionScheme = "none"
+    rel material:binding = </{name}_look>
+}}
+"#
+        )
+    };
+    let dark = format!("color3f inputs:{color} = (0.004, 0.004, 0.004)\nfloat inputs:{rough} = 0.5");
+    [
+        "#usda 1.0\n".to_owned(),
+        CAMERA.to_owned(),
+        square("floor", 2.0, 0.0),
+        square("panel", 0.8, 2.5),
+        material("floor_look", &dark),
+        material("panel_look", &format!("color3f inputs:{color} = (0, 0, 0)\n{glow}")),
+    ]
+    .concat()
+}
+
+/// Scenes that differ in nothing but how their materials are written get the same light.
+#[test]
+fn the_syntax_of_materials_does_not_decide_about_light() {
+    if !has_usd() {
+        return;
+    }
+    let preview = ("diffuseColor", "roughness");
+    let standard = ("base_color", "specular_roughness");
+    let twins = [
+        ("UsdPreviewSurface", preview, "color3f inputs:emissiveColor = (6, 6, 6)"),
+        ("ND_UsdPreviewSurface_surfaceshader", preview, "color3f inputs:emissiveColor = (6, 6, 6)"),
+        (
+            "ND_standard_surface_surfaceshader",
+            standard,
+            "color3f inputs:emission_color = (1, 1, 1)\nfloat inputs:emission = 6",
+        ),
+        (
+            "ND_standard_surface_surfaceshader",
+            standard,
+            "color3f inputs:emission_color = (1, 1, 1)\nfloat inputs:emission.connect = </panel_look/weight.outputs:out>",
+        ),
+        ("ND_open_pbr_surface_surfaceshader", standard, "float inputs:emission_luminance = 6"),
+        (
+            "ND_open_pbr_surface_surfaceshader",
+            standard,
+            "float inputs:emission_luminance.connect = </panel_look/weight.outputs:out>",
+        ),
+        (
+            "ND_gltf_pbr_surfaceshader",
+            ("base_color", "roughness"),
+            "color3f inputs:emissive = (1, 1, 1)\nfloat inputs:emissive_strength = 6",
+        ),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    image::GrayImage::from_pixel(2, 2, image::Luma([255])).save(folder.path().join("white.png")).unwrap();
+    for (number, (id, (color, rough), glow)) in twins.into_iter().enumerate() {
+        let path = folder.path().join(format!("twin{number}.usda"));
+        std::fs::write(&path, lit_room(id, color, rough, glow)).unwrap();
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let registry = Registry::built_in().unwrap();
+        let (pose, importer, light) = (PoseJob::default(), ImporterJob::default(), LightJob::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let scene = load_scene(&path, &pose, &importer, &registry, &light, None, task).unwrap().scene;
+        assert!(scene.is_lit() && scene.environment.is_none(), "{id} {glow}: {:?}", warnings.take());
+    }
+}
+
 #[test]
 fn gltf_and_usd_give_the_same_picture() {
-    let python = std::env::var_os("LUMISTACK_PYTHON").unwrap_or_default();
-    if !Command::new(python).args(["-c", "import pxr"]).output().is_ok_and(|output| output.status.success()) {
-        lumistack_testkit::skip::skipped("LUMISTACK_PYTHON names no Python with usd-core");
+    if !has_usd() {
         return;
     }
     let gltf = blocks("still-life.gltf", 1);
