@@ -426,7 +426,7 @@ impl Tracer<'_> {
         self.traits[self.geometry.material_index(hit.triangle)] & UNSEEN != 0
     }
 
-    /// Decides whether a surface is there: one with alpha by chance, a lamp that is not seen at all but first hits.
+    /// Decides whether a surface is there: one with alpha by chance, a lamp that is not seen for all but first hits.
     fn is_there(&self, hit: &Hit, bounce: u32, draws: &Draws<'_>, index: usize) -> bool {
         if hit.flags & ALPHA == 0 {
             return true;
