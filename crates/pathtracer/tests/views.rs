@@ -11,6 +11,7 @@ use lumistack_scene::{AlphaMode, Filter, Image, Material, Pixels, Texture, Textu
 
 /// Enough samples that every pixel of a card's interior is hit.
 const SAMPLES: Settings = Settings {
+    hide_environment: false,
     samples: 4,
     max_bounces: 2,
     roulette_start: 3,

@@ -83,7 +83,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             scene: None,
             depth: None,
             warnings: &warnings.take(),
-            outputs: &[Output { label: "Patterns as arrays".into(), path: "layers/".into() }],
+            outputs: &[Output { label: "Patterns as arrays".into(), path: "layers/".into(), failed: None }],
             command: Some(&format!("write_report {}", args.join(" "))),
             version: env!("CARGO_PKG_VERSION"),
         },

@@ -486,7 +486,8 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
             let field = LightField::black(geometry.clone()).unwrap().with_depth(depth.clone());
             let (host, plugin) = (MemoryHost::new(), Plugin::compiled_in(&PLUGIN).unwrap());
             let params = json!({"hci": true, "hci_authors": "A. Lovelace, C. Babbage", "hci_contact": "a@example.org"});
-            let output = Output::open(&plugin, &host, &params, &layered().display).unwrap();
+            let display = layered().display;
+            let output = Output::open(&plugin, &host, &params, &display).unwrap();
             output.submit(Time::default(), OutputData::LightField(&field)).unwrap();
             output.finish().unwrap();
             let Some(read) = read_as_the_benchmark(&host.files()) else { return };

@@ -9,7 +9,7 @@ use lumistack_display::{LayerStack, Sampling, Weights};
 use super::problems::{Kind, Owned, display, random};
 use crate::engine::Engine;
 use crate::step::Rule;
-use crate::{ChannelRun, Factorization, FactorizeError, Settings, factorize, random_start};
+use crate::{ChannelRun, Factorization, FactorizeError, Settings, factorize};
 
 /// What an exact solution may miss in f32.
 const EXACT: f32 = 1e-6;
