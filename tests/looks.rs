@@ -120,7 +120,9 @@ fn info_tells_how_deep_a_scene_is_for_a_display() {
     assert!(rendered.contains(plain["depth budget"].as_str().unwrap()), "{rendered}\n{plain}");
     let inside = |told: &Value| number(&told["depth"], "inside");
     assert!((0.0..=1.0).contains(&inside(&plain)) && number(&plain, "covered share of the window") > 0.25);
-    assert!(inside(&told(&["--fit-depth=compress"])) > inside(&plain).max(0.9));
+    let unfitted = told(&["--fit-depth=off"]);
+    assert!(inside(&plain) > inside(&unfitted).max(0.9), "depth is fitted unless told otherwise");
+    assert!(inside(&told(&["--fit-depth=compress"])) > inside(&unfitted).max(0.9));
     assert!(plain["memory"]["in all"].as_str().unwrap().ends_with(" MB"));
     let text = succeed(lumistack().arg("info").arg(&scene).args(["--display", "paper-three-layer"]));
     assert!(text.contains("depth of field") && text.contains("coarser levels of images"), "{text}");
