@@ -44,7 +44,7 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
 /// sentences stay as they are.
 pub fn plain(message: &str, key: &str) -> String {
     let kinds = ["invalid type: ", "invalid value: ", "invalid length "];
-    let Some((kind, rest)) = kinds.iter().find_map(|kind| Some((*kind, message.strip_prefix(kind)?))) else {
+    let Some((kind, rest)) = kinds.iter().find_map(|kind| Some((*kind, message.strip_prefix(*kind)?))) else {
         return message.into();
     };
     let Some((found, expected)) = rest.rsplit_once(", expected ") else { return message.into() };

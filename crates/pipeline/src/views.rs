@@ -208,7 +208,8 @@ pub(crate) fn write_layers(
             let filter = settings.angular_filter;
             let features = renderer.render_features(window, traced, view, FEATURE_SAMPLES, filter, task);
             let features = features.map_err(render_error)?;
-            let pixels = || (0..traced.rows).flat_map(|row| (0..traced.cols).map(move |col| (row, col)));
+            let [rows, cols] = [traced.rows, traced.cols];
+            let pixels = || (0..rows).flat_map(move |row| (0..cols).map(move |col| (row, col)));
             for axis in 0..3 {
                 if has(ViewLayer::Normal) {
                     let values = pixels().map(|(row, col)| features.at(row, col).normal[axis]).collect();
