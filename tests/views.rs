@@ -163,7 +163,9 @@ fn the_environment_turns_and_hides() {
     let straight = of("straight", &["--linear"]);
     let dim = of("dim", &["--environment-strength", "0.5", "--linear"]);
     assert!(turned.0 != straight.0, "the studio light turns");
-    for (dim, straight) in dim.0.iter().zip(&straight.0) {
+    // on the surface; what is seen beside it need not be the environment
+    for i in (0..straight.0.len()).filter(|i| straight.1[i / 3] == 1.0) {
+        let (dim, straight) = (dim.0[i], straight.0[i]);
         assert!((dim - 0.5 * straight).abs() < 1e-5 * straight.max(1.0), "{dim} is not half of {straight}");
     }
     let ground = of("ground", &["--background", "#204060"]);
