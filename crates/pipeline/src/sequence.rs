@@ -147,7 +147,9 @@ fn run_time(
     }
     let key = key(&run, &made, last);
     let error = measure(&mut run, &folder, &made, last, &key, task)?;
-    let key = KeyBuilder::new("report", code::REPORTS).add("measure", key.as_bytes()).add_json("job", job).finish();
+    let mut of_report = KeyBuilder::new("report", code::REPORTS);
+    of_report.add("measure", key.as_bytes()).add_json("job", job);
+    let key = of_report.add_json("failed outputs", &made.failed_outputs("")).finish();
     if times.sequence.reports && !run.stamps.is_current("report", &key) {
         run.stamps.clear("report")?;
         run.report(&made, &warnings.list.take(), command, task)?;
