@@ -235,11 +235,8 @@ fn check_foreign(dir: &Path, work: Work) -> Result<(), PipelineError> {
             false => ours || is_empty_folder(&path),
         };
         if !fine {
-            return Err(PipelineError::Foreign {
-                path,
-                work: work.name(),
-                changed: is_text && is_sealed(&path).is_some(),
-            });
+            let changed = is_text && is_sealed(&path).is_some();
+            return Err(PipelineError::Foreign { path, work: work.name(), changed });
         }
     }
     Ok(())
