@@ -100,6 +100,15 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
 /// Reads everything in the file, in the order of what depends on what, up to the first defect.
 fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
     let root = &document.root;
+    let mut dataless = None;
+    let mut note = |read: Result<(), Fault>| match read {
+        // a buffer without data may be a placeholder; what is wrong besides says more
+        Err(Fault::Malformed { place, expected, found }) if found == "none" && place.starts_with("/buffers/") => {
+            dataless.get_or_insert(Fault::Malformed { place, expected, found });
+            Ok(())
+        }
+        read => read,
+    };
     for i in 0..root.buffers.len() {
         // without data it may be a placeholder for an extension
         if root.buffers[i].uri.is_some() {
@@ -109,15 +118,15 @@ fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
     for i in 0..root.buffer_views.len() {
         let place = format!("/bufferViews/{i}");
         document.get(root.buffer_views[i].buffer, &format!("{place}/buffer"))?;
-        document.view(json::Index::new(i as u32), &place)?;
+        note(document.view(json::Index::new(i as u32), &place).map(drop))?;
     }
     for i in 0..root.accessors.len() {
         let index = json::Index::new(i as u32);
-        Accessor::open(document, index, &format!("/accessors/{i}"), &ANY)?;
+        note(Accessor::open(document, index, &format!("/accessors/{i}"), &ANY).map(drop))?;
     }
     let mut images = Images::default();
     for i in 0..root.images.len() {
-        images.texture(document, json::Index::new(i as u32), &format!("/images/{i}"))?;
+        note(images.texture(document, json::Index::new(i as u32), &format!("/images/{i}")).map(drop))?;
     }
     let appearance = Material::default();
     let read: HashSet<usize> = nodes.shown.iter().filter_map(|&node| Some(root.nodes[node].mesh?.value())).collect();
@@ -132,12 +141,12 @@ fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
                 weights: mesh.weights.as_deref().unwrap_or_default(),
                 pose: None,
             };
-            mesh::load(document, &request)?;
+            note(mesh::load(document, &request).map(drop))?;
         }
     }
     for i in 0..root.skins.len() {
         let place = format!("/skins/{i}");
-        Pose::load(document, json::Index::new(i as u32), &place, &nodes.scene_from_node)?;
+        note(Pose::load(document, json::Index::new(i as u32), &place, &nodes.scene_from_node).map(drop))?;
     }
     for (i, camera) in root.cameras.iter().enumerate() {
         lights_cameras::projection(document, camera, &format!("/cameras/{i}"))?;
@@ -155,7 +164,7 @@ fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
     }
     for i in 0..animation::names(document).len() {
         let options = options::LoadOptions { time_s: Some(0.0), animation: Some(i.to_string()), ..Default::default() };
-        animation::sample(document, &options)?;
+        note(animation::sample(document, &options).map(drop))?;
     }
-    Ok(())
+    dataless.map_or(Ok(()), Err)
 }
