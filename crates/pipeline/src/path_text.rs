@@ -70,7 +70,7 @@ impl<'de> de::Visitor<'de> for Visitor {
     type Value = PathBuf;
 
     fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("a path, or { percent = \"...\" }")
+        f.write_str("a string that is a path, or { percent = \"...\" }")
     }
 
     fn visit_str<E: de::Error>(self, text: &str) -> Result<PathBuf, E> {
@@ -130,7 +130,7 @@ mod tests {
             let text = format!("scene = {scene}\n[display]\npreset = \"paper-three-layer\"\n");
             lumistack_core::config::parse::<Job>(&text).unwrap_err().message
         };
-        assert!(parse("5").contains("a path"), "{}", parse("5"));
+        assert!(parse("5").contains("a string that is a path"), "{}", parse("5"));
         assert!(parse("{ bytes = \"a\" }").contains("percent"), "{}", parse("{ bytes = \"a\" }"));
     }
 }
