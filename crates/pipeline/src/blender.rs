@@ -15,15 +15,17 @@ use crate::code;
 use crate::error::{PipelineError, field_error};
 use crate::files::{read_json, write, write_json};
 use crate::ingest::{Ingested, hash, is_blend};
-use crate::job::{Engine, Job, RenderJob};
+use crate::job::{Background, Engine, Job, RenderJob};
 use crate::sealed;
 
 /// Who renders the views of a job: who is asked for, else our path tracer, or the file's own engine where a `.blend` file has what the hand-over loses and
 /// that engine can render here. Says what is lost, or why which engine is taken.
-pub(crate) fn engine(job: &Job, ingested: &Ingested, task: Task<'_>) -> Engine {
+/// `variance` of the views is known of our path tracer alone.
+pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<'_>) -> Engine {
     let is_file = job.scene.as_deref().is_some_and(is_blend);
     chosen(
         &job.render,
+        job.render.is_plain() && job.light.background == Background::Environment && !variance,
         ingested.blend().filter(|contents| !contents.lost.is_empty()),
         is_file,
         &ingested.scene.name,
@@ -31,16 +33,25 @@ pub(crate) fn engine(job: &Job, ingested: &Ingested, task: Task<'_>) -> Engine {
     )
 }
 
-fn chosen(render: &RenderJob, losing: Option<&BlendContents>, is_file: bool, name: &str, task: Task<'_>) -> Engine {
+/// `plain`: whether nothing is wanted that only our path tracer gives.
+fn chosen(
+    render: &RenderJob,
+    plain: bool,
+    losing: Option<&BlendContents>,
+    is_file: bool,
+    name: &str,
+    task: Task<'_>,
+) -> Engine {
     let Some(contents) = losing else {
         return if render.engine == Engine::Blender { Engine::Blender } else { Engine::Lumistack };
     };
     let why_not = match render.engine {
         Engine::Blender => return Engine::Blender,
         Engine::Lumistack => Some("`render.engine = \"lumistack\"` asks for our path tracer all the same".to_owned()),
-        Engine::Auto if !render.is_plain() => {
-            Some("`angular_filter`, `lens_deg`, `denoise` and `clamp` need our path tracer all the same".to_owned())
-        }
+        Engine::Auto if !plain => Some(
+            "`angular_filter`, `lens_deg`, `denoise`, `clamp`, `background` and variance need our path tracer all the same"
+                .to_owned(),
+        ),
         Engine::Auto if !is_file => {
             Some("only a job with the .blend file as its scene can be rendered by its own engine".to_owned())
         }
@@ -240,7 +251,8 @@ mod tests {
         ];
         for (render, losing, is_file, expected, words) in cases {
             let (warnings, cancel) = (Collector::default(), Cancel::default());
-            let found = chosen(&render, losing, is_file, "dog.blend", Task::quiet(&warnings, &cancel));
+            let found =
+                chosen(&render, render.is_plain(), losing, is_file, "dog.blend", Task::quiet(&warnings, &cancel));
             let said: String = warnings.take().into_iter().map(|warning| warning.message + "\n").collect();
             assert_eq!(found, expected, "{render:?}: {said}");
             assert!(words.iter().all(|word| said.contains(word)) && said.is_empty() == words.is_empty(), "{said}");

@@ -48,6 +48,8 @@ pub struct Rendered {
     pub(crate) traced: FieldJob,
     /// The views of the target that were wanted, [view_y, view_x]; the others are black.
     pub(crate) views: Vec<[usize; 2]>,
+    /// What rendered them.
+    pub(crate) engine: Engine,
     /// Where the traced views are kept.
     pub(crate) folders: Vec<PathBuf>,
 }
@@ -149,7 +151,7 @@ pub(crate) fn render_views(
     if kind != Denoise::Off {
         key.add("halves", b"2");
     }
-    let engine = blender::engine(job, ingested, task);
+    let engine = blender::engine(job, ingested, options.variance(), task);
     if engine == Engine::Blender {
         key.add("engine", b"blender");
     }
@@ -211,7 +213,7 @@ pub(crate) fn render_views(
     let (held_out, outside) = (other("held-out"), other("outside"));
     let folders = fields.iter().map(|field| field.folder.clone()).collect();
     let traced = fields.swap_remove(0);
-    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached, folders, traced, views })
+    Ok(Rendered { target, held_out, outside, look, depths, coverage, denoised, cached, engine, folders, traced, views })
 }
 
 /// Reads the finished views of all fields and makes them display-referred, with one look for all, or leaves them as they are.

@@ -74,7 +74,7 @@ impl References {
         task: Task<'_>,
     ) -> Result<Option<Self>, PipelineError> {
         let directions = zone.directions(job.report.zone_directions);
-        if directions.is_empty() || job.render.engine == Engine::Blender {
+        if directions.is_empty() || shot.engine == Engine::Blender {
             return Ok(None);
         }
         let pixels = |direction: &ViewGrid| geometry.with_grid(direction.clone());
@@ -232,4 +232,5 @@ pub(crate) struct Shot<'a> {
     pub(crate) ingested: &'a Ingested,
     pub(crate) window: &'a Window,
     pub(crate) look: Look,
+    pub(crate) engine: Engine,
 }

@@ -149,7 +149,8 @@ impl Run<'_> {
         written?;
         let references = self.timed("render for the score", |run| {
             let zone = zone::zone_of(job, &run.display, &geometry);
-            let shot = zone::Shot { ingested, window: &placement.window, look: rendered.look };
+            let (look, engine) = (rendered.look, rendered.engine);
+            let shot = zone::Shot { ingested, window: &placement.window, look, engine };
             let views = run.dir.join("cache/views");
             let made = zone::References::render(job, &zone, &geometry, placement.depth_scale, shot, &views, task)?;
             let cached = made.as_ref().is_none_or(|references| references.cached);
