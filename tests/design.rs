@@ -159,7 +159,7 @@ fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
         std::fs::write(folder.path().join(&display), text).unwrap();
         let scene = root().canonicalize().unwrap().join("scenes/letters/letters.gltf");
         let text = format!(
-            "scene = {scene:?}\n[display]\nfile = \"{display}\"\n[light]\nautomatic_exposure = false\ntone = \"linear\"\n\
+            "scene = {scene:?}\n[display]\nfile = \"{display}\"\n[window]\nfit_depth = \"off\"\n[light]\nautomatic_exposure = false\ntone = \"linear\"\n\
              [render]\nsamples = {samples}\nmax_bounces = 2\nangular_filter = \"{filter}\"\n"
         );
         let path = folder.path().join(format!("{name}.toml"));

@@ -291,8 +291,16 @@ fn one_pixel_views_work() {
     let array = folder.path().join("views.npy");
     write_test_field(&array, [2, 2, 1, 1], 20.0, 3.0);
     let run = folder.path().join("run");
-    let flags = ["--fov", "20x20", "--pitch-mm", "3", "--iterations", "5", "--display", "fig7-uniform"];
-    succeed(lumistack().arg("factorize").arg(&array).arg("-o").arg(&run).args(flags));
+    let factorize = |fov: &str| {
+        let mut command = lumistack();
+        let flags = ["--fov", fov, "--pitch-mm", "3", "--iterations", "5", "--display", "fig7-uniform"];
+        command.arg("factorize").arg(&array).arg("-o").arg(&run).args(flags);
+        command
+    };
+    // of a single pixel, rays of steep views leave the layers
+    let error = fail(&mut factorize("20x20"));
+    assert!(error.contains("meets all layers"), "{error}");
+    succeed(&mut factorize("1x1"));
     assert!(run.join("report.html").is_file());
 }
 

@@ -47,13 +47,16 @@ fn the_curve_is_stated_and_another_one_renders_nothing_again() {
     assert!(fail(lumistack().args(["run", "nothing.gltf"])).contains("nothing.gltf"));
 }
 
-/// When the last file below a folder was written.
+/// When the last picture below a folder was written.
 fn newest(folder: &Path) -> std::time::SystemTime {
     let mut last = std::time::SystemTime::UNIX_EPOCH;
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
-        let time = if path.is_dir() { newest(&path) } else { std::fs::metadata(&path).unwrap().modified().unwrap() };
-        last = last.max(time);
+        if path.is_dir() {
+            last = last.max(newest(&path));
+        } else if path.extension().is_some_and(|kind| kind == "exr") {
+            last = last.max(std::fs::metadata(&path).unwrap().modified().unwrap());
+        }
     }
     last
 }

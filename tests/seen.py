@@ -12,7 +12,7 @@ import tomllib
 import numpy as np
 import OpenEXR
 
-run, fine = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 12
+run, fine = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 20
 display = tomllib.load(open(f"{run}/display.toml", "rb"))
 report = json.load(open(f"{run}/report.json"))
 beta, views = report["brightness"], report["views"]
@@ -79,7 +79,8 @@ for number, direction in enumerate(report["zone"]["directions"]):
     found, share = seen(direction["slope"])
     scored = share >= 0.5
     a, b = picture(number, "a"), picture(number, "b")
-    assert abs(int(scored.sum()) - direction["pixels"]) <= 0.02 * rows * cols, (number, scored.sum(), direction)
+    # a border of pixels that are half inside may fall on either side
+    assert abs(int(scored.sum()) - direction["pixels"]) <= 2 * (rows + cols), (number, scored.sum(), direction)
     errors.append(((found - a) * (found - b))[scored].mean())
 errors = np.sort(errors)[::-1]
 worst = errors[: -(-len(errors) // 10)].mean()

@@ -418,7 +418,7 @@ fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     assert!(results(&views) == whole);
 
     // nodes
-    let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\nplugin = \"parallax_barrier\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n";
+    let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\nplugin = \"log_tomography\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n";
     let (path, run) = (job(folder.path(), 9, nodes), out("nodes"));
     succeed(lumistack().arg("run").arg(&path).arg("-o").arg(&run));
     fs::write(run.join("nodes/b/layers/.lumistack-1.tmp"), [7; 50]).unwrap();

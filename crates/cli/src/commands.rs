@@ -30,7 +30,9 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         set_threads(threads)
             .map_err(|error| PipelineError::value("--threads", "N", "a number of threads that can start", error))?;
     }
-    let console = Console::new(args.json);
+    // what answers with one document leaves standard output to it
+    let answers = matches!(args.command, Command::Info(_));
+    let console = Console::new(args.json && !answers);
     let task = Task { progress: &console, warnings: &console, cancel };
     #[cfg(feature = "dynamic")]
     let registry = || plugins(&args.plugin_path);

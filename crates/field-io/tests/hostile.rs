@@ -345,5 +345,5 @@ fn values_that_are_no_light_are_refused_and_odd_ones_reported() {
     assert_eq!(field.unwrap().radiance().get([0, 1, 1, 1, 2]), 0.0);
     assert!(warnings.iter().any(|w| w.ends_with("1 negative values (down to -0.25) are taken as 0")), "{warnings:?}");
     // a light field may be brighter than a display: whoever shows it says so
-    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    assert!(!warnings.iter().any(|w| w.contains("above 1")), "{warnings:?}");
 }

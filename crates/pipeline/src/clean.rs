@@ -21,7 +21,7 @@ const USED: &str = "used.json";
 /// Folders of a run folder in which every file is ours, so that temporary files there belong to nobody else.
 const OWN: [&str; 8] = ["cache", "target", "held-out", "outside", "layers", "designs", "plots", "outputs"];
 /// Fields of views: each has folders `NAME-KEY` in the cache.
-const FIELDS: [&str; 3] = ["target", "held-out", "outside"];
+const FIELDS: [&str; 4] = ["target", "held-out", "outside", "zone"];
 /// What stages leave in the cache beside their stamps, small and part of no other result.
 const PLACED: [&str; 2] = ["window", "fit"];
 

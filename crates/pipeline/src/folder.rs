@@ -196,7 +196,10 @@ impl Drop for Owned {
         if cfg!(unix) && !self.made.is_empty() {
             let others = std::fs::read_dir(&self.cache)
                 .map_or(1, |list| list.flatten().filter(|e| e.file_name() != self.file).count());
-            if others == 0 {
+            // times and nodes that are finished stay, and so does the mark that they are ours
+            let beside = self.cache.parent().and_then(|dir| std::fs::read_dir(dir).ok());
+            let is_alone = beside.is_some_and(|list| list.flatten().all(|e| e.path() == self.cache));
+            if others == 0 && is_alone {
                 let _ = std::fs::remove_file(self.cache.join(self.file));
                 for folder in self.made.iter().rev() {
                     let _ = std::fs::remove_dir(folder);
