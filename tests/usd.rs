@@ -27,10 +27,7 @@ fn without_python_gltf_works_and_usd_says_what_to_type() {
         let mut usd = lumistack();
         alone(&mut usd);
         let text = fail(usd.args(command).arg(file(folder.path())));
-        assert!(
-            text.contains(" setup usd`") && text.contains("python3 from PATH: cannot be started"),
-            "{text}"
-        );
+        assert!(text.contains(" setup usd`") && text.contains("python3 from PATH: cannot be started"), "{text}");
         assert!(!folder.path().join("views").join("lightfield.json").exists());
     }
     let mut setup = lumistack();

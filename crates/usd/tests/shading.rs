@@ -199,14 +199,14 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
             float3 inputs:normal.connect = </m/last.outputs:out>
             token outputs:surface
         }"#;
-        let (scene, found, warnings) = material(&format!("{surface}{nodes}{SHADERS}"))?;
+        let (scene, found, warnings) = material(&format!("{surface}\n{nodes}{SHADERS}"))?;
         assert!(warnings.is_empty(), "{warnings:?}");
         let texture = found.normal_texture.unwrap_or_else(|| panic!("no normal map after {nodes}"));
         Some(scene.images[scene.textures[texture.texture].image].pixels.clone())
     };
     let node = |id: &str, input: &str, more: &str| {
         format!(
-            "def Shader \"last\" {{ uniform token info:id = \"{id}\"\n float3 inputs:in.connect = </m/{input}.outputs:out>\n \
+            "def Shader \"last\" {{\n uniform token info:id = \"{id}\"\n float3 inputs:in.connect = </m/{input}.outputs:out>\n \
              {more}\n float3 outputs:out\n }}"
         )
     };
@@ -223,7 +223,8 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     });
     assert_eq!(through(&decoded), Some(plain.clone()));
     // the strength of a map is a mixture with the normal of the surface
-    let mixed = r#"def Shader "last" { uniform token info:id = "ND_mix_vector3"
+    let mixed = r#"def Shader "last" {
+            uniform token info:id = "ND_mix_vector3"
             float3 inputs:fg.connect = </m/map.outputs:out>
             float3 inputs:bg = (0, 0, 1)
             float inputs:mix = 1
