@@ -90,7 +90,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// The seen picture of a view: for every pixel of `geometry` the mean over its area of the emission along the rays of that view. Exact, since layers are
-    /// squares of constant value: pixels are cut where rays pass from one square to the next ([`AreaMap`]).
+    /// squares of constant value: pixels are cut where rays pass from one square to the next.
     pub fn seen(&self, geometry: &FieldGeometry, view: [usize; 2]) -> SeenView {
         let area = AreaMap::new(self.display, geometry, view);
         let missing = self.display.missing;

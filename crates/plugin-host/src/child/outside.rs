@@ -160,17 +160,13 @@ impl Stopped {
     /// # Safety
     /// `error` is null or a valid sink.
     unsafe fn told(self, error: *const ErrorSink) -> Status {
+        let (text, status) = match self {
+            Self::Cancelled => ("cancelled".to_owned(), Status::CANCELLED),
+            Self::Died(cause) => (cause, Status::FAILED),
+        };
         // SAFETY: the caller's promise.
-        match self {
-            Self::Cancelled => {
-                unsafe { tell(error, "cancelled") };
-                Status::CANCELLED
-            }
-            Self::Died(cause) => {
-                unsafe { tell(error, &cause) };
-                Status::FAILED
-            }
-        }
+        unsafe { tell(error, &text) };
+        status
     }
 }
 
