@@ -132,7 +132,7 @@ def test_wrong_settings_of_factorization(light_field: LightField, display: Displ
     for settings, error, message in (
         ({"solver": "newton"}, lumistack.FactorizeError, "solver: expected one of .*found newton"),
         ({"start": "middle"}, lumistack.SettingError, "factorize.start: expected one of"),
-        ({"iterations": -1}, lumistack.SettingError, "factorize: iterations: invalid value"),
+        ({"iterations": -1}, lumistack.SettingError, "factorize: iterations: expected a whole number, 0 or more, found -1"),
         ({"brightness": 0.0}, lumistack.SettingError, "brightness: expected above 0"),
         ({"frames": 0}, lumistack.SettingError, "frames: expected 1 to 1000"),
         ({"weights": numpy.ones((2, 2), "f4")}, lumistack.SettingError, r"weights: expected shape \[3, 3\]"),
@@ -235,8 +235,7 @@ def test_values_that_no_display_shows_are_named_and_can_be_brought_into_range(li
     share = r"1 of \d+ values lie above 1, the largest 10000.*light_field\.exposed"
     with pytest.warns(lumistack.LumistackWarning, match=share):
         stack = lumistack.factorize(bright, iterations=2)
-    with pytest.warns(lumistack.LumistackWarning, match=share):
-        measured = lumistack.report(stack, bright, tmp_path / "bright")
+    measured = lumistack.report(stack, bright, tmp_path / "bright")
     assert any("lie above 1" in warning["message"] for warning in measured["warnings"])
     assert measured["psnr_view"] < 0.0, "one ray decides the figure, and the report says so"
     with warnings.catch_warnings():
@@ -253,8 +252,7 @@ def test_values_that_no_display_shows_are_named_and_can_be_brought_into_range(li
 
 
 def test_a_directional_backlight_follows_the_light_field() -> None:
-    grid = {"pitch_mm": 2.0, "fov_deg": (20.0, 20.0)}
-    field = LightField(numpy.full((5, 5, 20, 32, 3), 0.5, "f4"), **grid)
+    field = LightField(numpy.full((5, 5, 20, 32, 3), 0.5, "f4"), pitch_mm=2.0, fov_deg=(20.0, 20.0))
     adapted = Display("fig7-directional").adapted_to(field)
     assert adapted.emission_shape is not None and adapted.emission_shape[1:3] == (5, 5)
     with pytest.warns(lumistack.LumistackWarning, match="the directional backlight follows the light field: 5 × 5 bins"):

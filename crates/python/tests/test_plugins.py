@@ -34,7 +34,7 @@ def test_a_plugin_in_a_library_works(tmp_path: Path) -> None:
     include = ROOT / "crates" / "plugin-abi" / "include"
     subprocess.run(["cc", "-shared", "-fPIC", "-O2", "-I", include, "-o", library, source], check=True)
     environment = {**os.environ, "LUMISTACK_PLUGIN_PATH": str(tmp_path)}
-    command = [sys.executable, "-c", USES, tmp_path / "out"]
+    command = [sys.executable, "-c", USES, str(tmp_path / "out")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "c_means 1.0.0" in done.stdout
