@@ -251,8 +251,9 @@ class Job:
         def trace(report):
             loaded = lumistack.Scene(path, light={"automatic": False}, callback=report)
             return lumistack.render(
-                loaded, display, window=window.as_job(), depth_scale=scale, samples=samples, light=light, tone=tone,
-                exposure_ev=exposure, cache=folder / "cache", callback=report,
+                # the panel decides about depth, for Blender's views and ours alike
+                loaded, display, window=window.as_job(), fit_depth="off", depth_scale=scale, samples=samples, light=light,
+                tone=tone, exposure_ev=exposure, cache=folder / "cache", callback=report,
             )  # fmt: skip
 
         work = Work(trace).start()
