@@ -83,7 +83,7 @@ fn check_with_numpy(python: &Path, field: &Path, run: &Path, geometry: [&str; 4]
     }
 }
 
-/// Rays of the NumPy model, 12 × 12 per pixel, against areas.
+/// Rays of the NumPy model, 2000 × 2000 per pixel, against areas.
 const ZONE_AGREEMENT_DB: f64 = 0.02;
 
 /// psnr_zone of three layers, of parallel views and of pinholes, and of a directional backlight.

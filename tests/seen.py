@@ -1,6 +1,6 @@
 """An independent model of the seen picture and of psnr_zone: DESIGN's geometry written out for single rays, many of them per pixel.
 
-usage: seen.py RUN [RAYS_PER_AXIS]   (a run of a scene with tone = "linear"; nearest, drop; any pitch, offset, projection and backlight)
+usage: seen.py RUN [RAYS_PER_PIXEL_AND_AXIS]   (a run of a scene with tone = "linear"; nearest, drop; any pitch, offset, projection and backlight)
 
 Prints psnr_zone and psnr_zone_worst_tenth as this model finds them.
 """
@@ -12,7 +12,7 @@ import tomllib
 import numpy as np
 import OpenEXR
 
-run, fine = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 20
+run, many = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 2000
 display = tomllib.load(open(f"{run}/display.toml", "rb"))
 report = json.load(open(f"{run}/report.json"))
 beta, views = report["brightness"], report["views"]
@@ -21,6 +21,9 @@ distance = views["distance_mm"]
 layers = [np.load(f"{run}/layers/layer_{n}.npy").astype(np.float64) for n in range(len(display["layers"]))]
 lenslets = display["backlight"] if display.get("backlight", {}).get("kind", "uniform") != "uniform" else None
 emission = np.load(f"{run}/layers/emission.npy").astype(np.float64) if lenslets else None
+# every part with its [columns, rows]
+parts = [(part, (values.shape[2], values.shape[1])) for part, values in zip(display["layers"], layers)]
+parts += [(lenslets, (emission.shape[4], emission.shape[3]))] if lenslets else []
 
 
 def picture(direction, half):
@@ -31,56 +34,54 @@ def picture(direction, half):
     return np.clip(rgb.astype(np.float64) * report["scene"]["exposure"], 0, 1)
 
 
-def axis(centre_slope, offset, count, sign):
-    """Where the rays of one axis pass z = 0, and their slopes."""
-    x = sign * (np.arange(count) + offset - (count - 1) / 2) * pitch
-    slope = np.full(count, centre_slope) if distance is None else (distance * centre_slope - x) / distance
-    return x, slope
+def runs(slope, side):
+    """Along one axis (0: x), `many` rays through every pixel, and of those that read the same everywhere one, with their share of the pixel's width.
 
-
-def index(x, slope, part, count, sign, side):
-    """Which pixel of a layer a ray meets, and whether it does."""
-    place = sign * (x + part["d_mm"] * slope - part.get("offset_mm", [0, 0])[side]) / part["pitch_mm"]
-    found = np.floor(place + count / 2).astype(int)
-    return found.clip(0, count - 1), (found >= 0) & (found < count)
-
-
-def meets(slope, offset, side):
-    """Where the rays of one axis meet every part, and whether they meet all."""
+    Gives places[part][run, pixel], bins[run, pixel], shares[run, pixel] and whether the run meets all parts.
+    """
     count, sign = ((cols, 1), (rows, -1))[side]
-    x, slopes = axis(slope[side], offset, count, sign)
-    sizes = [values.shape[2 - side] for values in layers] + ([emission.shape[4 - side]] if lenslets else [])
-    parts = display["layers"] + ([lenslets] if lenslets else [])
-    found = [index(x, slopes, part, size, sign, side) for part, size in zip(parts, sizes)]
-    return [place for place, _ in found], np.all([inside for _, inside in found], axis=0), slopes
-
-
-def share(slope, side):
-    """Share of the width of every pixel whose rays meet all parts: of many rays, since one axis alone is cheap."""
-    many = 2000
-    return np.mean([meets(slope, (i + 0.5) / many - 0.5, side)[1] for i in range(many)], axis=0)
+    offset = ((np.arange(many) + 0.5) / many - 0.5)[:, None]
+    x = sign * (np.arange(count) + offset - (count - 1) / 2) * pitch
+    slopes = np.full_like(x, slope[side]) if distance is None else (distance * slope[side] - x) / distance
+    places = []
+    for part, size in parts:
+        at = sign * (x + part["d_mm"] * slopes - part.get("offset_mm", [0, 0])[side]) / part["pitch_mm"]
+        places.append(np.floor(at + size[side] / 2).astype(int))
+    if lenslets:
+        bins = emission.shape[2 - side]
+        half = np.tan(np.radians(lenslets["fov_deg"][side]) / 2)
+        places.append(np.floor(bins / 2 * (1 + sign * slopes / half)).astype(int))
+    places = np.stack(places)
+    change = np.any(places[:, 1:] != places[:, :-1], axis=0)
+    number = np.concatenate([np.zeros((1, count), int), np.cumsum(change, axis=0)])
+    total = number.max() + 1
+    shares = np.stack([(number == k).mean(0) for k in range(total)])
+    first = np.stack([np.argmax(number == k, axis=0) for k in range(total)])
+    chosen = np.take_along_axis(places, np.broadcast_to(first, (len(places), *first.shape)), axis=1)
+    inside = np.all([(chosen[n] >= 0) & (chosen[n] < size[side]) for n, (_, size) in enumerate(parts)], axis=0)
+    return chosen, shares, inside
 
 
 def seen(slope):
+    (across, width, inside_x), (down, height, inside_y) = runs(slope, 0), runs(slope, 1)
     total, count = np.zeros((rows, cols, 3)), np.zeros((rows, cols))
-    offsets = (np.arange(fine) + 0.5) / fine - 0.5
-    across = [meets(slope, offset, 0) for offset in offsets]
-    for r, inside_y, slope_y in (meets(slope, offset, 1) for offset in offsets):
-        for c, inside_x, slope_x in across:
-            valid, light = inside_y[:, None] & inside_x[None], 1.0
+    for i in range(len(height)):
+        for j in range(len(width)):
+            weight = np.outer(height[i] * inside_y[i], width[j] * inside_x[j])
+            light = 1.0
             for n, values in enumerate(layers):
-                light = light * values[:, r[n]][:, :, c[n]]
+                r, c = down[n, i].clip(0, values.shape[1] - 1), across[n, j].clip(0, values.shape[2] - 1)
+                light = light * values[:, r][:, :, c]
             if lenslets:
-                bins_y, bins_x = emission.shape[1:3]
-                half = np.tan(np.radians(lenslets["fov_deg"]) / 2)
-                bx = np.floor(bins_x / 2 * (1 + slope_x / half[0])).astype(int)
-                by = np.floor(bins_y / 2 * (1 - slope_y / half[1])).astype(int)
+                bins_y, bins_x, lens_rows, lens_cols = emission.shape[1:5]
+                r, c = down[-2, i].clip(0, lens_rows - 1), across[-2, j].clip(0, lens_cols - 1)
+                by, bx = down[-1, i], across[-1, j]
                 lit = ((by >= 0) & (by < bins_y))[:, None] & ((bx >= 0) & (bx < bins_x))[None]
-                bx, by = bx.clip(0, bins_x - 1), by.clip(0, bins_y - 1)
-                light = light * emission[:, by[:, None], bx[None], r[-1][:, None], c[-1][None]] * lit[None, :, :, None]
-            total += light.mean(0) * valid[..., None]
-            count += valid
-    return total / np.maximum(count, 1)[..., None] / beta, np.outer(share(slope, 1), share(slope, 0))
+                by, bx = by.clip(0, bins_y - 1), bx.clip(0, bins_x - 1)
+                light = light * emission[:, by[:, None], bx[None], r[:, None], c[None]] * lit[None, :, :, None]
+            total += light.mean(0) * weight[..., None]
+            count += weight
+    return total / np.maximum(count, 1e-9)[..., None] / beta, count
 
 
 errors = []
