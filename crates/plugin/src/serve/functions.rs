@@ -110,7 +110,10 @@ unsafe fn missing(error: *const ErrorSink) -> Status {
 }
 
 // SAFETY: every call goes to the plugin's own function with what the caller lent, and nothing is kept.
-#[expect(clippy::undocumented_unsafe_blocks, reason = "every function passes its caller's promise on, as the impl says")]
+#[expect(
+    clippy::undocumented_unsafe_blocks,
+    reason = "every function passes its caller's promise on, as the impl says"
+)]
 unsafe impl Functions for Vtable {
     unsafe fn import(
         &self,
