@@ -132,12 +132,12 @@ impl Progress for Console {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         match self {
             Self::Bar(bar, _) => {
-                let style =
-                    ProgressStyle::with_template("{prefix:>12} {wide_bar:.cyan/dim} {pos}/{len} {msg} {eta:>4}")
-                        .expect("the template is valid");
+                // units may come from plugins
+                let unit = unit.replace('{', "{{").replace('}', "}}");
+                let template = ["{prefix:>12} {wide_bar:.cyan/dim} {pos}/{len} ", &unit, " {msg} {eta:>4}"].concat();
+                let style = ProgressStyle::with_template(&template).expect("the template is valid");
                 let new = ProgressBar::new(total).with_style(style).with_prefix(stage.to_string());
                 new.enable_steady_tick(Duration::from_millis(250));
-                new.set_message(unit.to_string());
                 *lock(bar) = Some(new);
             }
             Self::Plain(state, _) => {

@@ -12,7 +12,10 @@ use std::borrow::Cow;
 use lumistack_core::Tensor;
 
 use crate::area::AreaMap;
-use crate::{BacklightTap, Display, FieldGeometry, Formation, LayerStack, Missing, Projection, RayMap, Tap, ViewGrid};
+use crate::{
+    BacklightTap, Display, FieldGeometry, Formation, LEAST_SHARE, LayerStack, Missing, Projection, RayMap, Tap,
+    ViewGrid,
+};
 
 /// One emitted view.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,6 +35,13 @@ pub struct SeenView {
     pub radiance: Tensor<3>,
     /// That part of the pixel's area, 0..1, `[row][col]` row-major: the rest misses the display under its [`Missing`] rule.
     pub share: Vec<f32>,
+}
+
+impl From<SeenView> for EmittedView {
+    /// The picture as it is scored: pixels count of which at least [`LEAST_SHARE`] does.
+    fn from(seen: SeenView) -> Self {
+        Self { radiance: seen.radiance, valid: seen.share.iter().map(|share| *share >= LEAST_SHARE).collect() }
+    }
 }
 
 /// A display that shows a stack. The stack must fit the display ([`LayerStack::check`]).

@@ -111,7 +111,7 @@ pub(crate) fn render(
         if let Err(error) = keep(picture, geometry, wanted[number].1) {
             failed.get_or_insert(error);
         }
-        task.progress.advance(1, "views");
+        task.progress.advance(1, "");
     };
     task.progress.begin("render in Blender", wanted.len() as u64, "views");
     let result = lumistack_usd::render_views(scene, job.pose.time_s, &views, &mut finished, task);

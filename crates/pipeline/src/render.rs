@@ -401,7 +401,7 @@ fn trace(
         };
         denoise::write_view(path, &picture)?;
         let of = if half.is_some() { "half view" } else { "view" };
-        task.progress.advance(0, &format!("tiles, {of} {} of {}", number + 1, todo.len()));
+        task.progress.advance(0, &format!("{of} {} of {}", number + 1, todo.len()));
         Ok(())
     });
     task.progress.end();

@@ -296,8 +296,7 @@ impl<'a> Run<'a> {
         let Made { input, weights, stack, steps, solution, outputs } = made;
         let settings = self.job.to_json();
         let denoising = input.denoised.as_ref().map(Denoised::about);
-        let pixels_per_degree = self.job.report.pixels_per_degree;
-        let measure = |zone: &References| zone.measure(&self.display, stack, pixels_per_degree, task);
+        let measure = |zone: &References| zone.measure(&self.display, stack, task);
         let zone = input.zone.as_ref().map(measure).transpose()?;
         let report = lumistack_report::build(
             &ReportInput {
@@ -309,7 +308,7 @@ impl<'a> Run<'a> {
                 held_out: input.held_out.as_ref(),
                 outside: input.outside.as_ref(),
                 zone: zone.as_ref(),
-                pixels_per_degree,
+                pixels_per_degree: self.job.report.pixels_per_degree,
                 convergence: steps,
                 solution: solution.as_ref(),
                 stages: &self.stages,

@@ -6,12 +6,8 @@
 
 use std::path::{Path, PathBuf};
 
-use lumistack_core::metrics::{Flip, Mean, ssim};
 use lumistack_core::{Task, seed};
-use lumistack_display::{
-    DirectionScore, Display, EyeBox, FieldGeometry, LEAST_SHARE, LayerStack, SeenView, Simulator, ViewGrid, Zone,
-    ZoneScore,
-};
+use lumistack_display::{DirectionScore, Display, FieldGeometry, LayerStack, Simulator, ViewGrid, Zone, ZoneScore};
 use lumistack_field_io::npy;
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 use lumistack_report::{ZoneFigures, ZoneView};
@@ -49,13 +45,7 @@ pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) ->
     if job.factorize.eyes.is_empty() {
         return Zone::of_grid(&geometry.grid, Some(display.field.fov_deg));
     }
-    Zone::Eyes(
-        job.factorize
-            .eyes
-            .iter()
-            .map(|eye| EyeBox { eye_mm: eye.eye_mm, sigma_mm: eye.sigma_mm, weight: eye.weight })
-            .collect(),
-    )
+    Zone::Eyes(job.factorize.eye_boxes())
 }
 
 impl References {
@@ -89,8 +79,7 @@ impl References {
         let references =
             Self { geometry: geometry.clone(), directions, folder, look: shot.look, background, cached: false };
         let all = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]);
-        let todo: Vec<(usize, usize)> =
-            all.filter(|&(i, half)| read_view(&references.path(i, half), geometry).is_none()).collect();
+        let todo: Vec<(usize, usize)> = all.filter(|&(i, half)| references.one(i, half).is_none()).collect();
         if todo.is_empty() {
             return Ok(Some(Self { cached: true, ..references }));
         }
@@ -122,7 +111,7 @@ impl References {
         result.map(|()| Some(references))
     }
 
-    /// Compares the seen pictures of a display with the references; the report shows the worst and the median of the clean directions.
+    /// Compares the seen pictures of a display with the references.
     ///
     /// # Errors
     /// When a picture is gone, or the work is cancelled.
@@ -130,55 +119,57 @@ impl References {
         &self,
         display: &Display,
         stack: &LayerStack,
-        pixels_per_degree: f64,
         task: Task<'_>,
     ) -> Result<ZoneFigures, PipelineError> {
         let simulator = Simulator::new(display, stack);
-        let flip = Flip::new(pixels_per_degree);
         task.progress.begin("score", self.directions.len() as u64, "directions");
-        let measured: Result<Vec<(DirectionScore, Option<Clean>)>, PipelineError> = (0..self.directions.len())
-            .into_par_iter()
-            .map(|i| {
+        let measured: Result<Vec<(DirectionScore, Option<ZoneView>)>, PipelineError> = self
+            .directions
+            .par_iter()
+            .enumerate()
+            .map(|(i, direction)| {
                 task.cancel.check().map_err(|_| PipelineError::Cancelled)?;
-                let direction = &self.directions[i];
                 let seen = simulator.seen(&self.geometry.with_grid(direction.clone()), [0, 0]);
-                let references = self.read(i)?;
-                let score = DirectionScore::new(direction, &seen, stack.brightness, [&references[0], &references[1]]);
+                let [a, b] = self.read(i)?;
+                let score = DirectionScore::new(direction, &seen, stack.brightness, [&a, &b]);
                 task.progress.advance(1, "");
-                let look =
-                    || Clean::new(direction.clone(), score, seen, references, stack.brightness, &self.geometry, &flip);
-                Ok((score, (i < CLEAN).then(look)))
+                let view = || ZoneView {
+                    direction: direction.clone(),
+                    score,
+                    target: a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect(),
+                    seen: seen.into(),
+                };
+                Ok((score, (i < CLEAN).then(view)))
             })
             .collect();
         task.progress.end();
-        let (directions, clean): (Vec<DirectionScore>, Vec<_>) = measured?.into_iter().unzip();
-        let mut clean: Vec<Clean> = clean.into_iter().flatten().collect();
-        let mean = |of: fn(&Clean) -> Mean| clean.iter().fold(Mean::default(), |sum, look| sum.merged(of(look)));
-        let (ssim, flip) = (mean(|look| look.ssim).value(), mean(|look| look.flip).value());
-        clean.sort_by(|a, b| b.view.score.mse.total_cmp(&a.view.score.mse));
-        let places = [0, clean.len() / 2];
-        let picked = clean.into_iter().enumerate().filter(|(place, _)| places.contains(place));
-        let shown = picked.map(|(_, look)| look.view).collect();
-        Ok(ZoneFigures { score: ZoneScore { directions }, ssim, flip, shown })
+        let (directions, views): (Vec<DirectionScore>, Vec<_>) = measured?.into_iter().unzip();
+        Ok(ZoneFigures { score: ZoneScore { directions }, views: views.into_iter().flatten().collect() })
     }
 
     /// The two pictures of a direction, display-referred.
     fn read(&self, i: usize) -> Result<[Vec<f32>; 2], PipelineError> {
-        let one = |half| -> Result<Vec<f32>, PipelineError> {
-            let path = self.path(i, half);
-            let mut picture = read_view(&path, &self.geometry).ok_or_else(|| {
+        let one = |half| {
+            self.one(i, half).ok_or_else(|| {
+                let path = self.path(i, half);
                 PipelineError::value(&path, "cached picture", "the picture just written", "another or none")
-            })?;
-            match self.background {
-                Background::Environment => self.look.apply_to(&mut picture),
-                Background::Colour(colour) => {
-                    let (_, missed) = npy::read(&self.missed(i, half)).map_err(field_error)?;
-                    expose_over(self.look, colour, &missed, &mut picture);
-                }
-            }
-            Ok(picture)
+            })
         };
         Ok([one(0)?, one(1)?])
+    }
+
+    /// One of them; `None` where it, or what is known of its background, is not there as it was written.
+    fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
+        let mut picture = read_view(&self.path(i, half), &self.geometry)?;
+        match self.background {
+            Background::Environment => self.look.apply_to(&mut picture),
+            Background::Colour(colour) => {
+                let (shape, missed) = npy::read(&self.missed(i, half)).ok()?;
+                (shape == [self.geometry.rows, self.geometry.cols]).then_some(())?;
+                expose_over(self.look, colour, &missed, &mut picture);
+            }
+        }
+        Some(picture)
     }
 
     /// Share of every pixel where no surface is.
@@ -188,42 +179,6 @@ impl References {
 
     fn path(&self, i: usize, half: usize) -> PathBuf {
         self.folder.join(format!("direction_{i:02}-{}.exr", ["a", "b"][half]))
-    }
-}
-
-/// Of a direction whose references can be looked at.
-struct Clean {
-    ssim: Mean,
-    flip: Mean,
-    view: ZoneView,
-}
-
-impl Clean {
-    fn new(
-        direction: ViewGrid,
-        score: DirectionScore,
-        seen: SeenView,
-        [a, b]: [Vec<f32>; 2],
-        brightness: f64,
-        geometry: &FieldGeometry,
-        metric: &Flip,
-    ) -> Self {
-        let target: Vec<f32> = a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
-        let scale = (1.0 / brightness) as f32;
-        // pixels that do not count are taken from the target, so that they are no error and no edge
-        let pixels = seen.radiance.data().chunks_exact(3).zip(target.chunks_exact(3)).zip(&seen.share);
-        let shown: Vec<f32> = pixels
-            .flat_map(|((seen, target), share)| {
-                [0, 1, 2].map(|c| if *share >= LEAST_SHARE { seen[c] * scale } else { target[c] })
-            })
-            .collect();
-        let shape = [geometry.rows, geometry.cols];
-        let counts = |i: usize| seen.share[i] >= LEAST_SHARE;
-        Self {
-            ssim: ssim(&target, &shown, shape).mean_where(counts),
-            flip: metric.compare(&target, &shown, shape).mean_where(counts),
-            view: ZoneView { direction, score, target, seen },
-        }
     }
 }
 

@@ -29,14 +29,14 @@ pub(crate) fn report(input: &ReportInput, measured: &Measured, found: &Found) ->
         "command": input.command,
         "psnr_zone": input.zone.and_then(|zone| zone.score.psnr()).map(figure),
         "psnr_zone_worst_tenth": input.zone.and_then(|zone| zone.score.worst_tenth()).map(figure),
-        "zone": input.zone.map(|zone| json!({
+        "zone": measured.zone.as_ref().zip(input.zone).map(|(looks, zone)| json!({
             "directions": zone.score.directions.iter().map(|direction| json!({
                 "slope": direction.slope,
                 "psnr": (direction.pixels > 0).then(|| figure(direction.psnr())),
                 "pixels": direction.pixels,
             })).collect::<Vec<_>>(),
-            "ssim": figure(zone.ssim),
-            "flip": figure(zone.flip),
+            "ssim": figure(looks.ssim.value()),
+            "flip": figure(looks.flip.value()),
         })),
         "psnr_view": figure(measured.target.psnr_view()),
         "psnr_raw": figure(measured.target.psnr_raw()),

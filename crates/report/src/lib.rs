@@ -26,7 +26,7 @@
 //! | `schema`, `version` | `"lumistack/report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_zone`, `psnr_zone_worst_tenth` | the headline: dB of seen pictures over directions all over the zone, which no solver saw, and over the worst tenth of them; null where the scene's pictures from there are not known |
-//! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), and `ssim` and `flip`, means over the first eight of them |
+//! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), and `ssim` and `flip`, means over those whose references have enough samples, the first eight |
 //! | `psnr_view`, `psnr_raw` | dB, all target views by their pixels' centre rays: how well the solver did |
 //! | `ssim`, `flip` | means over all target views |
 //! | `pixels_per_degree` | of visual angle, for FLIP |
@@ -62,7 +62,7 @@ mod sequence;
 
 use lumistack_core::{Cancelled, Task, Warning};
 use lumistack_display::{
-    DirectionScore, Display, LayerStack, LightField, SeenView, StackError, ViewGrid, WeightError, Weights, ZoneScore,
+    DirectionScore, Display, EmittedView, LayerStack, LightField, StackError, ViewGrid, WeightError, Weights, ZoneScore,
 };
 use thiserror::Error;
 
@@ -147,12 +147,8 @@ pub struct Denoising<'a> {
 pub struct ZoneFigures {
     /// Errors of the seen pictures, direction by direction.
     pub score: ZoneScore,
-    /// Mean structural similarity over some directions.
-    pub ssim: f64,
-    /// Mean FLIP error over the same.
-    pub flip: f64,
-    /// Directions to look at, the worst first.
-    pub shown: Vec<ZoneView>,
+    /// Directions whose references have enough samples for SSIM and FLIP, and to be looked at.
+    pub views: Vec<ZoneView>,
 }
 
 /// A direction to look at.
@@ -164,8 +160,8 @@ pub struct ZoneView {
     pub score: DirectionScore,
     /// The scene's picture from there, `[row][col][rgb]` of the target's size.
     pub target: Vec<f32>,
-    /// The picture that the display shows there.
-    pub seen: SeenView,
+    /// The seen picture that the display shows there.
+    pub seen: EmittedView,
 }
 
 /// A file or folder that the run wrote.

@@ -6,6 +6,7 @@ mod sheets;
 mod shown;
 
 use lumistack_core::Task;
+use lumistack_core::metrics::Mean;
 use lumistack_display::{EmittedView, LightField, RayMap, ViewGrid, Weights};
 
 pub(crate) use names::{left_to_right, outstanding_views, top_to_bottom};
@@ -13,7 +14,8 @@ pub(crate) use score::{FieldScore, Judge, ViewFigures, counting};
 pub(crate) use sheets::Sheets;
 pub(crate) use shown::Comparison;
 
-use crate::{ReportError, ReportInput, picture};
+use crate::{ReportError, ReportInput, ZoneFigures, picture};
+use rayon::prelude::*;
 use sheets::SheetPair;
 use shown::Shown;
 
@@ -21,6 +23,7 @@ use shown::Shown;
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
     pub(crate) target: FieldScore,
+    pub(crate) zone: Option<ZoneLooks>,
     pub(crate) held_out: Option<FieldScore>,
     pub(crate) outside: Option<FieldScore>,
     /// The central view, large.
@@ -34,6 +37,13 @@ pub(crate) struct Measured {
     pub(crate) sheets: Sheets,
     /// Whether any ray of the shown views does not count.
     pub(crate) has_dropped_rays: bool,
+}
+
+/// How seen pictures look, over the directions of the zone that can be looked at.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct ZoneLooks {
+    pub(crate) ssim: Mean,
+    pub(crate) flip: Mean,
 }
 
 /// Pixels of the headline's four pictures together.
@@ -53,12 +63,13 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     if let Some(worst) = target.worst_view().filter(|worst| !keep.contains(worst)) {
         let map = RayMap::new(input.display, &target.geometry);
         let emitted = judge.simulator.view(&map, &target.geometry, worst);
-        let mut view = Shown::new(input, input.target, input.weights, worst, target.view(worst), emitted);
+        let (geometry, of_worst) = (&target.geometry, input.target.view(worst));
+        let mut view = Shown::new(input, geometry, of_worst, input.weights, worst, target.view(worst), emitted);
         view.title = format!("Worst of all: {}", view.title.to_lowercase());
         shown.push(view);
     }
     let targets = shown.len();
-    shown.extend(input.zone.into_iter().flat_map(|zone| &zone.shown).map(|view| Shown::of_zone(input, view)));
+    let zone = input.zone.map(|zone| zone_looks(&judge, zone, &mut shown));
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {
             let keep = names::sample_views(&given.geometry().grid);
@@ -90,9 +101,25 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
         sheets: sheets.embedded(grid)?,
         has_dropped_rays: shown.iter().any(|view| view.counted_share < 1.0),
         target,
+        zone,
         held_out,
         outside,
     })
+}
+
+/// Figures of the zone's directions that can be looked at; the worst and the median of them are shown.
+fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
+    let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();
+    let looks = views.iter().fold(ZoneLooks::default(), |sum, (_, figures)| ZoneLooks {
+        ssim: sum.ssim.merged(figures.ssim),
+        flip: sum.flip.merged(figures.flip),
+    });
+    views.sort_by(|(a, _), (b, _)| b.score.mse.total_cmp(&a.score.mse));
+    let mut places = vec![0, views.len() / 2];
+    places.dedup();
+    let picked = places.into_iter().filter_map(|place| views.get(place));
+    shown.extend(picked.map(|(view, figures)| Shown::of_zone(judge.input, view, figures)));
+    looks
 }
 
 /// Figures of all views of a field, and the views of `keep`, in that order.
@@ -108,7 +135,8 @@ fn field(
     let score = judge.field(field, weights, task, |view, figures, emitted| {
         each(view, &emitted);
         if let Some(place) = keep.iter().position(|kept| *kept == view) {
-            kept[place] = Some(Shown::new(judge.input, field, weights, view, figures, emitted));
+            let (geometry, target) = (field.geometry(), field.view(view));
+            kept[place] = Some(Shown::new(judge.input, geometry, target, weights, view, figures, emitted));
         }
     })?;
     Ok((score, kept.into_iter().flatten().collect()))

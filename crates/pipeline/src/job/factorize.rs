@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use lumistack_display::EyeBox;
 use serde::{Deserialize, Serialize};
 
 /// Factorizer settings.
@@ -65,5 +66,13 @@ impl Default for FactorizeJob {
             eye_floor: 0.05,
             eyes: Vec::new(),
         }
+    }
+}
+
+impl FactorizeJob {
+    /// The expected eyes as the display model takes them.
+    pub(crate) fn eye_boxes(&self) -> Vec<EyeBox> {
+        let boxed = |&EyeJob { eye_mm, sigma_mm, weight }: &EyeJob| EyeBox { eye_mm, sigma_mm, weight };
+        self.eyes.iter().map(boxed).collect()
     }
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use lumistack_core::config::nearest;
 use lumistack_core::{Task, Tensor};
-use lumistack_display::{Display, EyeBox, LayerStack, LightField, StackError, Weights};
+use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
 use lumistack_factorizer::{AUTO, Factorization, Problem, StartKind};
 use lumistack_plugin_host::Time;
 use lumistack_report::{Iteration, Solution};
@@ -235,9 +235,7 @@ pub(crate) fn eye_weights(job: &FactorizeJob, target: &LightField) -> Result<Wei
     if job.eyes.is_empty() {
         return Ok(Weights::Uniform);
     }
-    let boxes: Vec<EyeBox> =
-        job.eyes.iter().map(|eye| EyeBox { eye_mm: eye.eye_mm, sigma_mm: eye.sigma_mm, weight: eye.weight }).collect();
-    Weights::eye_boxes(target.geometry(), &boxes, job.eye_floor as f32)
+    Weights::eye_boxes(target.geometry(), &job.eye_boxes(), job.eye_floor as f32)
         .map_err(|error| PipelineError::value("job", "factorize.eyes", error.expected, error.found))
 }
 

@@ -14,12 +14,15 @@
 //! and so are the bytes. Planes cross one at a time, when the plugin fetches them, as bytes in the pipe. Memory that
 //! both processes map would save one copy, but a child that shortens the file under it ends the program by a bus error.
 //!
-//! [`outside`] is the program's end, [`inside`] the child's.
+//! [`outside`] passes the plugin's functions on, [`session`] holds the child that runs them, and [`requests`] does what it asks for; [`inside`] is the
+//! child's end.
 
 mod inside;
 mod launch;
 mod outside;
 mod protocol;
+mod requests;
+mod session;
 
 use std::ffi::c_void;
 

@@ -6,7 +6,7 @@ use lumistack_core::metrics::{Flip, Mean, SquaredError, ssim};
 use lumistack_display::{EmittedView, FieldGeometry, LightField, RayMap, Simulator, Weights, view_error};
 use rayon::prelude::*;
 
-use crate::{ReportError, ReportInput};
+use crate::{ReportError, ReportInput, ZoneView};
 
 /// What is known about one view; only rays that count.
 #[derive(Clone, Copy, Debug, Default)]
@@ -64,7 +64,7 @@ impl<'a> Judge<'a> {
                 .map(|&view| {
                     let emitted = self.simulator.view(&map, geometry, view);
                     let counts = counting(&emitted, geometry, weights, view);
-                    (self.figures(field, view, &emitted, &counts), emitted)
+                    (self.figures(geometry, field.view(view), &emitted, &counts), emitted)
                 })
                 .collect();
             for (view, (figures, emitted)) in together.iter().zip(done) {
@@ -76,9 +76,15 @@ impl<'a> Judge<'a> {
         Ok(FieldScore { geometry: geometry.clone(), views, brightness: self.input.stack.brightness })
     }
 
-    fn figures(&self, field: &LightField, view: [usize; 2], emitted: &EmittedView, counts: &[bool]) -> ViewFigures {
-        let target = field.view(view);
-        let shape = [field.geometry().rows, field.geometry().cols];
+    /// Figures of a direction of the zone. Its error is that of the score, which knows no noise of the references.
+    pub(crate) fn zone_view(&self, view: &ZoneView) -> ViewFigures {
+        let figures = self.figures(self.input.target.geometry(), &view.target, &view.seen, &view.seen.valid);
+        let count = 3 * view.score.pixels as u64;
+        ViewFigures { error: SquaredError { sum: view.score.mse.max(0.0) * count as f64, count }, ..figures }
+    }
+
+    fn figures(&self, geometry: &FieldGeometry, target: &[f32], emitted: &EmittedView, counts: &[bool]) -> ViewFigures {
+        let shape = [geometry.rows, geometry.cols];
         let weight = |i: usize| if counts[i] { 1.0 } else { 0.0 };
         let shown = seen(emitted, target, self.input.stack.brightness, counts);
         let mean = |rgb: &[f32]| {

@@ -1,7 +1,7 @@
 //! Views that the page shows: target, simulated, difference and FLIP error.
 
-use lumistack_core::metrics::{Flip, SquaredError, ssim};
-use lumistack_display::{EmittedView, FieldGeometry, LEAST_SHARE, LightField, Weights};
+use lumistack_core::metrics::Flip;
+use lumistack_display::{EmittedView, FieldGeometry, Weights};
 
 use super::names::title;
 use super::score::{ViewFigures, counting, seen};
@@ -46,14 +46,13 @@ pub(super) struct Shown {
 impl Shown {
     pub(super) fn new(
         input: &ReportInput,
-        field: &LightField,
+        geometry: &FieldGeometry,
+        target: &[f32],
         weights: &Weights,
         view: [usize; 2],
         figures: &ViewFigures,
         emitted: EmittedView,
     ) -> Self {
-        let geometry = field.geometry();
-        let target = field.view(view);
         let counts = counting(&emitted, geometry, weights, view);
         let flip = Flip::new(input.pixels_per_degree).compare(
             target,
@@ -72,31 +71,12 @@ impl Shown {
         }
     }
 
-    /// A direction of the zone, as an eye sees it.
-    pub(super) fn of_zone(input: &ReportInput, zone_view: &ZoneView) -> Self {
-        let ZoneView { direction, score, target, seen } = zone_view;
-        let geometry = input.target.geometry().with_grid(direction.clone());
-        let counts: Vec<bool> = seen.share.iter().map(|share| *share >= LEAST_SHARE).collect();
-        let emitted = EmittedView { radiance: seen.radiance.clone(), valid: counts.clone() };
-        let shape = [geometry.rows, geometry.cols];
-        let adapted = super::score::seen(&emitted, target, input.stack.brightness, &counts);
-        let flip = Flip::new(input.pixels_per_degree).compare(target, &adapted, shape);
-        let count = 3 * score.pixels as u64;
-        let figures = ViewFigures {
-            error: SquaredError { sum: score.mse.max(0.0) * count as f64, count },
-            ssim: ssim(target, &adapted, shape).mean_where(|i| counts[i]),
-            flip: flip.mean_where(|i| counts[i]),
-            ..ViewFigures::default()
-        };
-        let shown = Self::without_target(input, &geometry, [0, 0], emitted);
-        Self {
-            title: "As an eye sees it".into(),
-            errors: Some(picture::signed_error(&shown.simulated.data, target, |i| counts[i])),
-            flip: Some(flip.values.iter().zip(&counts).map(|(flip, counts)| counts.then_some(*flip)).collect()),
-            figures: Some(figures),
-            target: Some(Linear::new(geometry.rows, geometry.cols, target, 1.0)),
-            ..shown
-        }
+    /// A direction of the zone.
+    pub(super) fn of_zone(input: &ReportInput, view: &ZoneView, figures: &ViewFigures) -> Self {
+        let geometry = input.target.geometry().with_grid(view.direction.clone());
+        let shown = Self::new(input, &geometry, &view.target, &Weights::Uniform, [0, 0], figures, view.seen.clone());
+        // the rim of the zone lies beyond the outermost views
+        Self { title: "Seen picture".into(), ..shown }
     }
 
     pub(super) fn without_target(

@@ -30,8 +30,8 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
         ));
     }
     let mean = |of: fn(&ViewFigures) -> Mean| format::similarity(measured.target.mean(of));
-    let (ssim, flip) = match input.zone {
-        Some(zone) => (format::similarity(zone.ssim), format::similarity(zone.flip)),
+    let (ssim, flip) = match &measured.zone {
+        Some(looks) => (format::similarity(looks.ssim.value()), format::similarity(looks.flip.value())),
         None => (mean(|view| view.ssim), mean(|view| view.flip)),
     };
     figures.extend([

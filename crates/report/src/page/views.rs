@@ -75,22 +75,19 @@ pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
     let one_view = grid.views() == [1, 1];
     let with_target: Vec<&Comparison> = measured.rows.iter().filter(|row| row.target.is_some()).collect();
     let simulated_only = measured.rows.iter().filter(|row| row.target.is_none());
-    let between = input.held_out.map(|_| ()).or(input.zone.map(|_| ()));
-    let missing = match (between, input.outside) {
-        (None, None) => {
+    let missing = match (input.held_out.is_some() || input.zone.is_some(), input.outside.is_some()) {
+        (false, false) => {
             " No target was rendered for in-between and outside views here, so they are shown as simulated only."
         }
-        (None, Some(_)) => {
-            " No target was rendered for the in-between views here, so they are shown as simulated only."
-        }
-        (Some(_), None) => " No target was rendered for the outside views here, so they are shown as simulated only.",
-        (Some(_), Some(_)) => "",
+        (false, true) => " No target was rendered for the in-between views here, so they are shown as simulated only.",
+        (true, false) => " No target was rendered for the outside views here, so they are shown as simulated only.",
+        (true, true) => "",
     };
     html! {
         section {
             h2 { "Views side by side" }
             p {
-                "Corner views are the hardest: their rays lean most, so things far from the display blur or double there first. Pictures as an eye sees them come from directions between the views, which were not targets of the optimization; ghosts and noise that "
+                "Corner views are the hardest: their rays lean most, so things far from the display blur or double there first. Seen pictures, averaged over the area of every pixel, come from directions of the zone that were not targets of the optimization; ghosts and noise that "
                 "only they show mean that the target's views are too far apart. Nothing constrains what an eye beyond the outermost views sees: there the picture may fall apart at once."
                 @if !one_view { (missing) }
                 (shrunk_note(measured.rows_shrunk))

@@ -1,0 +1,241 @@
+//! What a child asks of the program: services of the host, planes and sinks that are lent to a call.
+
+use std::collections::HashMap;
+use std::ffi::c_void;
+use std::sync::PoisonError;
+
+use lumistack_plugin::PlaneView;
+use lumistack_plugin::abi::{ByteSink, Bytes, ErrorSink, HostServices, Plane, Status, Str, View, dtype};
+
+use super::protocol::{Answer, Request, Say};
+use super::session::{HOST, Lent, Session, is_cancelled};
+use super::{keeping, tell};
+
+impl Session {
+    /// Does what a request asks for.
+    pub(super) fn answer(&self, request: u64, what: Request, body: &[u8]) -> (Answer, Vec<u8>) {
+        let mut answer = Answer { request, ..Answer::default() };
+        let mut out = Vec::new();
+        let all = self.lent.read().unwrap_or_else(PoisonError::into_inner);
+        let Some(lent) = all.get(&HOST) else {
+            (answer.status, answer.text) = (Status::FAILED.0, "the output is already closed".into());
+            return (answer, out);
+        };
+        // SAFETY: the lock keeps the table.
+        let host = unsafe { &*lent.host };
+        let mut text = String::new();
+        let error = keeping(&mut text);
+        // SAFETY: what is found under the number of a call is lent for as long as it is found there, which the lock
+        // keeps so; the other arguments are lent for the call.
+        let status = unsafe { self.serve(host, &all, what, body, &mut answer, &mut out, &error) };
+        answer.cancelled = {
+            // SAFETY: as above.
+            unsafe { is_cancelled(host) }
+        };
+        (answer.status, answer.text) = (status.0, text);
+        (answer, out)
+    }
+
+    /// # Safety
+    /// Tables and sinks of `all` and `host` are valid, and so is `error`.
+    unsafe fn serve(
+        &self,
+        host: &HostServices,
+        all: &HashMap<u64, Lent>,
+        what: Request,
+        body: &[u8],
+        answer: &mut Answer,
+        out: &mut Vec<u8>,
+        error: *const ErrorSink,
+    ) -> Status {
+        let nothing = Lent::nothing();
+        let of = |call: u64| all.get(&call).unwrap_or(&nothing);
+        // SAFETY: the caller's promise.
+        let refused = |reason: &str| unsafe {
+            tell(error, reason);
+            Status::REFUSED
+        };
+        let context = host.context;
+        let path = Str { ptr: body.as_ptr(), len: body.len() };
+        // SAFETY: the caller's promise, here and below.
+        unsafe {
+            match what {
+                Request::IsCancelled => Status::OK,
+                Request::FileOpen => {
+                    let status = (host.file_open)(context, path, &mut answer.file, error);
+                    if status == Status::OK {
+                        self.state().files.insert(answer.file, String::from_utf8_lossy(body).into_owned());
+                    }
+                    status
+                }
+                Request::FileAppend { file } => (host.file_append)(context, file, Bytes::new(body), error),
+                Request::FileCommit { file } => {
+                    let status = (host.file_commit)(context, file, error);
+                    self.state().files.remove(&file);
+                    status
+                }
+                Request::FileAbort { file } => {
+                    let status = (host.file_abort)(context, file, error);
+                    self.state().files.remove(&file);
+                    status
+                }
+                Request::LayerPlane { call, layer, frame } => match of(call).data.as_ref() {
+                    Some(data) => {
+                        fetch(answer, out, error, |plane| (data.layer_plane)(data.context, layer, frame, plane, error))
+                    }
+                    None => refused(GONE),
+                },
+                Request::EmissionPlane { call, frame, bin_y, bin_x } => match of(call).data.as_ref() {
+                    Some(data) => fetch(answer, out, error, |plane| {
+                        (data.emission_plane)(data.context, frame, bin_y, bin_x, plane, error)
+                    }),
+                    None => refused(GONE),
+                },
+                Request::ViewPlane { call, view_y, view_x } => match of(call).data.as_ref() {
+                    Some(data) => {
+                        fetch(answer, out, error, |plane| (data.view_plane)(data.context, view_y, view_x, plane, error))
+                    }
+                    None => refused(GONE),
+                },
+                Request::Simulate { call, kind, value_bits } => match of(call).data.as_ref() {
+                    Some(data) => {
+                        let view = View { size: size_of::<View>(), kind, value: value_bits.map(f64::from_bits) };
+                        fetch(answer, out, error, |plane| (host.simulate)(context, data, &view, plane, error))
+                    }
+                    None => refused(GONE),
+                },
+                Request::ReadAsset { call } => match of(call).assets.as_ref() {
+                    Some(assets) => {
+                        let sink =
+                            ByteSink { size: size_of::<ByteSink>(), context: (&raw mut *out).cast(), write: add };
+                        (assets.read)(assets.context, path, &sink, error)
+                    }
+                    None => refused(GONE),
+                },
+                Request::GiveScene { call } => match of(call).scene.as_ref() {
+                    Some(sink) => (sink.write)(sink.context, Bytes::new(body), error),
+                    None => refused(GONE),
+                },
+                Request::GiveGeometry { call } => match of(call).field.as_ref() {
+                    Some(sink) => (sink.geometry)(sink.context, path, error),
+                    None => refused(GONE),
+                },
+                Request::GiveView { call, view_y, view_x, shape } => match of(call).field.as_ref() {
+                    Some(sink) => {
+                        given(body, shape, error, |plane| (sink.view_plane)(sink.context, view_y, view_x, plane, error))
+                    }
+                    None => refused(GONE),
+                },
+                Request::GiveBrightness { call, bits } => match of(call).stack.as_ref() {
+                    Some(sink) => (sink.brightness)(sink.context, f64::from_bits(bits), error),
+                    None => refused(GONE),
+                },
+                Request::GiveLayer { call, layer, frame, shape } => match of(call).stack.as_ref() {
+                    Some(sink) => {
+                        given(body, shape, error, |plane| (sink.layer_plane)(sink.context, layer, frame, plane, error))
+                    }
+                    None => refused(GONE),
+                },
+                Request::GiveEmission { call, frame, bin_y, bin_x, shape } => match of(call).stack.as_ref() {
+                    Some(sink) => given(body, shape, error, |plane| {
+                        (sink.emission_plane)(sink.context, frame, bin_y, bin_x, plane, error)
+                    }),
+                    None => refused(GONE),
+                },
+            }
+        }
+    }
+}
+
+/// What a plugin is told that uses something after the call that lent it.
+const GONE: &str = "that was lent to a call which has returned";
+
+/// Passes on a message.
+///
+/// # Safety
+/// The table is valid.
+pub(super) unsafe fn pass_on(host: &HostServices, say: &Say) {
+    let context = host.context;
+    // SAFETY: the table's own context; the texts are lent for the call.
+    unsafe {
+        match say {
+            Say::Log { level, message } => (host.log)(context, *level, Str::new(message)),
+            Say::ProgressBegin { stage, total, unit } => {
+                (host.progress_begin)(context, Str::new(stage), *total, Str::new(unit));
+            }
+            Say::ProgressAdvance { steps, note } => (host.progress_advance)(context, *steps, Str::new(note)),
+            Say::ProgressEnd => (host.progress_end)(context),
+        }
+    }
+}
+
+/// Copies the plane that the host lends.
+///
+/// # Safety
+/// `error` is a valid sink, and what `lend` fills in on success is a valid plane.
+unsafe fn fetch(
+    answer: &mut Answer,
+    out: &mut Vec<u8>,
+    error: *const ErrorSink,
+    lend: impl FnOnce(*mut Plane) -> Status,
+) -> Status {
+    let mut plane = Plane::empty();
+    let status = lend(&mut plane);
+    if status != Status::OK {
+        return status;
+    }
+    // SAFETY: the caller's promise; it is given back when the view is dropped.
+    let view = match unsafe { PlaneView::new(plane) } {
+        Ok(view) => view,
+        Err(reason) => {
+            // SAFETY: the caller's promise.
+            unsafe { tell(error, &reason.to_string()) };
+            return Status::FAILED;
+        }
+    };
+    answer.shape = [view.rows(), view.cols(), view.channels()];
+    let values = view.values();
+    // SAFETY: any bytes of an `f32` are bytes.
+    out.extend_from_slice(unsafe { std::slice::from_raw_parts(values.as_ptr().cast(), size_of_val(&*values)) });
+    Status::OK
+}
+
+/// Hands a plane of the child to a sink.
+///
+/// # Safety
+/// `error` is a valid sink.
+unsafe fn given(
+    body: &[u8],
+    [rows, cols, channels]: [usize; 3],
+    error: *const ErrorSink,
+    take: impl FnOnce(*const Plane) -> Status,
+) -> Status {
+    let element = size_of::<f32>();
+    let count = rows.checked_mul(cols).and_then(|count| count.checked_mul(channels));
+    if count.and_then(|count| count.checked_mul(element)) != Some(body.len()) {
+        // SAFETY: the caller's promise.
+        unsafe { tell(error, &format!("a plane of shape {:?} in {} bytes", [rows, cols, channels], body.len())) };
+        return Status::REFUSED;
+    }
+    // no overflow: the products are those of a plane that is there
+    let strides = [cols * channels * element, channels * element, element, 0].map(|stride| stride as isize);
+    let shape = [rows, cols, channels, 1];
+    take(&Plane { data: body.as_ptr().cast(), dtype: dtype::F32, ndim: 3, shape, strides, ..Plane::empty() })
+}
+
+/// [`ByteSink::write`] into a vector.
+unsafe extern "C" fn add(context: *mut c_void, bytes: Bytes, error: *const ErrorSink) -> Status {
+    // SAFETY: the host lends the bytes; `context` is the vector of who made the sink and waits for the call.
+    unsafe {
+        match super::lent(bytes.ptr, bytes.len) {
+            Some(bytes) => {
+                (*context.cast::<Vec<u8>>()).extend_from_slice(bytes);
+                Status::OK
+            }
+            None => {
+                tell(error, "bytes nowhere");
+                Status::REFUSED
+            }
+        }
+    }
+}
