@@ -102,7 +102,7 @@ impl LineStep<'_> {
             }
             let mut gain = block.step::<V>(self.rule, self.range, self.levels);
             if let Some(limits) = self.limits {
-                block.darken::<V>(V::load(limits[x..x + V::COUNT].as_ptr()), self.range[0]);
+                block.darken(&limits[x..x + V::COUNT], self.range[0]);
             }
             let room = (self.columns.end - x).min(V::COUNT);
             if room < V::COUNT {

@@ -264,19 +264,21 @@ impl Block {
         unsafe { V::load(gains.as_ptr()) }
     }
 
-    /// Sets to `low` each value whose frame passes so little light through the other factors that Σ w a_m² is at most `limit`, per lane. A negative
-    /// limit leaves all values alone.
+    /// Sets to `low` each value whose frame passes so little light through the other factors that Σ w a_m² is at most that lane's limit. A negative limit leaves
+    /// all values of a lane alone.
     ///
-    /// # Safety
-    /// The machine has `V`'s instruction set.
-    #[inline(always)]
-    pub(crate) unsafe fn darken<V: Lanes>(&mut self, limit: V, low: f32) {
-        let (n, frames) = (V::COUNT, self.frames);
-        // SAFETY: see `step`
-        unsafe {
-            for m in 0..frames {
-                let (f, light) = (get::<V>(&self.values, m * n), get::<V>(&self.gram, (m * frames + m) * n));
-                put(light.above(limit, f, V::splat(low)), &mut self.values, m * n);
+    /// Once per solve, so no vectors: inlined into the kernels, it cost every update a fifth.
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn darken(&mut self, limits: &[f32], low: f32) {
+        let (n, frames) = (limits.len(), self.frames);
+        for m in 0..frames {
+            let light = &self.gram[(m * frames + m) * n..][..n];
+            let values = &mut self.values[m * n..][..n];
+            for ((value, light), limit) in values.iter_mut().zip(light).zip(limits) {
+                if light <= limit {
+                    *value = low;
+                }
             }
         }
     }
