@@ -1,8 +1,6 @@
 //! Real files that other people made, given with nothing but a display: window and light are found, and the result is worth looking at.
 
-mod common;
-
-use common::{assets, lumistack, number, report, succeed};
+use crate::common::{assets, lumistack, number, report, succeed};
 
 /// Share of the window that the object covers, at least: all of it is shown, and a slender one fills no more of a wide window.
 const COVERAGE: f64 = 0.13;

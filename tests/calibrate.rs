@@ -2,23 +2,15 @@
 
 #![cfg(feature = "panels")]
 
-#[path = "common/camera.rs"]
-mod camera;
-mod common;
-#[path = "common/poke.rs"]
-mod poke;
-#[path = "common/session.rs"]
-mod session;
-#[path = "common/show.rs"]
-mod show;
-
 use std::path::Path;
 
-use camera::Camera;
 use lumistack_core::seed::Stream;
 use lumistack_display::{Display, Flip, LayerStack, Panel, Sampling, Transfer};
-use session::{Picture, SWAY, Session, wait_for};
-use show::Show;
+
+use crate::common::camera::Camera;
+use crate::common::session::{Picture, SWAY, Session, wait_for};
+use crate::common::show::Show;
+use crate::common::{self, poke, session};
 
 /// A run whose layers hold smooth pictures, for people and for comparisons.
 fn write_waves(folder: &Path) -> Display {

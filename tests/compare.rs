@@ -1,14 +1,13 @@
 //! `compare` from the command line: displays of one run side by side, and a photograph of panels.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 
-use common::{fail, lumistack, report, succeed};
 use lumistack_core::colour::srgb_code;
 use lumistack_core::seed::Stream;
 use lumistack_field_io::picture::Picture;
 use serde_json::Value;
+
+use crate::common::{fail, lumistack, report, succeed};
 
 /// Cards before and behind two displays.
 fn run_of_two(folder: &Path) -> PathBuf {

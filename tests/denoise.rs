@@ -1,12 +1,11 @@
 //! Denoised runs: reports, caches, resuming, sequences, and what a missing program says.
 
-mod common;
-
 use std::path::Path;
 use std::process::Command;
 
-use common::{fail, files, lumistack, number, report, root, succeed};
 use serde_json::Value;
+
+use crate::common::{fail, files, lumistack, number, report, root, succeed};
 
 const SMALL: [&str; 10] =
     ["--resolution", "64x40", "--frames", "2", "--samples", "4", "--iterations", "5", "--max-bounces", "3"];

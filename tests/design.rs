@@ -1,12 +1,11 @@
 //! `analyze` and `sweep` from the command line.
 
-mod common;
-
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use common::{fail, lumistack, root, succeed};
 use serde_json::Value;
+
+use crate::common::{fail, lumistack, root, succeed};
 
 /// A sweep of 18 small designs on a light field that needs no rendering.
 fn small_sweep(folder: &Path) -> std::path::PathBuf {

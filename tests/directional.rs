@@ -1,11 +1,10 @@
 //! The paper's single panel on a lens array, all the way: a scene becomes emission and a layer, these become the pictures of two panels, and rays that know nothing of
 //! the display model go through layer and lenses to the panel behind them.
 
-mod common;
-
-use common::{lumistack, number, report, root, succeed};
 use lumistack_display::{Backlight, Display, LensletBacklight, Projection};
 use lumistack_plugin_panels::{Picture, Shows};
+
+use crate::common::{lumistack, number, report, root, succeed};
 
 /// How far the traced views may be from what the report says of the display.
 const DECIBELS: f64 = 0.5;

@@ -1,12 +1,10 @@
 //! Whole runs of the binary: jobs in `tests/cases`, foreign light fields, resuming, and the same bytes on any number of threads.
 
-mod common;
-
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use common::{fail, files, light_fields, lumistack, number, python, report, root, succeed, write_test_field};
+use crate::common::{fail, files, light_fields, lumistack, number, python, report, root, succeed, write_test_field};
 
 /// PSNR of the report against an independent forward model, dB.
 const PSNR_AGREEMENT_DB: f64 = 0.01;

@@ -1,10 +1,8 @@
 //! Bad input gets one clear error that names the file, the place in it, what was expected and what was found; nothing half-written is left.
 
-mod common;
-
 use std::path::Path;
 
-use common::{fail, lumistack, root, succeed, write_test_field};
+use crate::common::{self, fail, lumistack, root, succeed, write_test_field};
 
 /// A scene of one triangle; `{}` marks what the test breaks.
 fn triangle(position: &str, extra: &str) -> String {

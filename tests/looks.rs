@@ -1,12 +1,11 @@
 //! What makes a scene look right: tone curves, depth budget, depth that fits the display.
 
-mod common;
-
 use std::path::Path;
 use std::process::Command;
 
-use common::{fail, files, lumistack, number, report, root, succeed};
 use serde_json::Value;
+
+use crate::common::{fail, files, lumistack, number, report, root, succeed};
 
 const SMALL: [&str; 10] =
     ["--resolution", "84x52", "--frames", "3", "--samples", "4", "--iterations", "15", "--max-bounces", "3"];

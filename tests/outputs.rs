@@ -1,11 +1,9 @@
 //! What leaves a run: outputs read by other people's software, light fields from source plugins, files in parameters.
 
-mod common;
-
 use std::path::Path;
 use std::process::Command;
 
-use common::{fail, files, lumistack, number, report, root, succeed};
+use crate::common::{fail, files, lumistack, number, report, root, succeed};
 
 /// Whether a stage of a report came from the run before.
 fn cached(run: &Path, name: &str) -> bool {

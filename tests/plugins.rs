@@ -2,13 +2,11 @@
 
 #![cfg(unix)]
 
-mod common;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{fail, lumistack, root, succeed};
+use crate::common::{fail, lumistack, root, succeed};
 
 /// A name of a library.
 fn file_name(id: &str) -> String {

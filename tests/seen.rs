@@ -1,12 +1,11 @@
 //! A scene with nothing set shows itself: from a side that shows it, lit, as deep as the display can show, and nothing stands in the way.
 
-mod common;
-
 use std::path::Path;
 
-use common::{lumistack, number};
 use lumistack_field_io::picture::Picture;
 use serde_json::{Value, json};
+
+use crate::common::{lumistack, number};
 
 /// Cards of 2 × 2 units that show their fronts to +z before they are turned and moved: translations and rotations (x, y, z, w) of glTF.
 fn scene(cards: &[([f64; 3], [f64; 4])], change: impl FnOnce(&mut Value)) -> String {

@@ -1,13 +1,12 @@
 //! Sequences: warm start from time to time, flicker, resuming, and one error for light fields that do not belong together.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{fail, files, lumistack, number, report, root, succeed, write_test_field};
 use serde_json::Value;
+
+use crate::common::{fail, files, lumistack, number, report, root, succeed, write_test_field};
 
 /// How much 5 iterations from the patterns of the time before may be worse than 30 from nothing, dB, with the paper's rule.
 const WARM_LOSS_DB: f64 = 1.0;

@@ -2,22 +2,16 @@
 
 #![cfg(feature = "panels")]
 
-mod common;
-#[path = "common/poke.rs"]
-mod poke;
-#[path = "common/session.rs"]
-mod session;
-#[path = "common/show.rs"]
-mod show;
-
 use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
 use std::time::Duration;
 
 use lumistack_core::seed::Stream;
 use lumistack_display::{Display, Flip, LayerStack, Panel, Transfer};
-use session::{NESTED, ON_X, Picture, SWAY, Screen, Session, XORG, wait_for};
-use show::Show;
+
+use crate::common::session::{NESTED, ON_X, Picture, SWAY, Screen, Session, XORG, wait_for};
+use crate::common::show::Show;
+use crate::common::{self, poke};
 
 const FRAMES: usize = 4;
 

@@ -1,16 +1,15 @@
 //! What is kept: damaged and stale results are made again, a folder has one owner, nothing foreign is replaced, outputs that would fail do so before the work or
 //! cost nothing but themselves, and what is in the way is swept.
 
-mod common;
-
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-use common::{fail, files, lumistack, report, root, succeed, write_test_field};
 use serde_json::Value;
+
+use crate::common::{fail, files, lumistack, report, root, succeed, write_test_field};
 
 const FIELD: [&str; 4] = ["--fov", "20x20", "--pitch-mm", "3"];
 const SMALL: [&str; 8] = ["--resolution", "24x16", "--samples", "1", "--iterations", "2", "--frames", "2"];

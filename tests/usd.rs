@@ -1,10 +1,8 @@
 //! USD on the command line, as far as it can be tested without OpenUSD: what is said where it is missing.
 
-mod common;
-
 use std::path::Path;
 
-use common::{fail, lumistack, root, succeed};
+use crate::common::{fail, lumistack, root, succeed};
 
 fn file(folder: &Path) -> std::path::PathBuf {
     let path = folder.join("scene.usda");

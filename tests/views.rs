@@ -1,17 +1,14 @@
 //! `lumistack render` for other purposes than a display: scene-linear views, layers, some views only, the environment turned, and a background.
 
-mod common;
-#[path = "common/triangle.rs"]
-mod triangle;
-
 use std::path::Path;
 use std::process::Command;
 
-use common::{fail, files, lumistack, root, succeed};
 use exr::prelude::{FlatSamples, ReadChannels, ReadLayers, read};
 use lumistack_field_io::picture::Picture;
 use serde_json::Value;
-use triangle::write_triangle;
+
+use crate::common::triangle::write_triangle;
+use crate::common::{fail, files, lumistack, root, succeed};
 
 const SMALL: [&str; 6] = ["--resolution", "30x18", "--samples", "4", "--max-bounces", "2"];
 

@@ -1,15 +1,12 @@
 //! What the command says: hints that work, warnings about flags that replace or leave something, errors in units, progress, and closed pipes.
 
-mod common;
-#[path = "common/triangle.rs"]
-mod triangle;
-
 use std::io::Read;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use common::{fail, lumistack, report, succeed};
-use triangle::write_triangle;
+use crate::common;
+use crate::common::triangle::write_triangle;
+use crate::common::{fail, lumistack, report, succeed};
 
 const SMALL: [&str; 10] =
     ["--resolution", "24x15", "--samples", "2", "--max-bounces", "2", "--frames", "2", "--iterations", "3"];

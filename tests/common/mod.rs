@@ -1,6 +1,14 @@
 //! Running the `lumistack` binary and reading what it wrote.
 
-#![allow(dead_code, reason = "every test file uses a part of this")]
+#[cfg(feature = "panels")]
+pub mod camera;
+#[cfg(feature = "panels")]
+pub mod poke;
+#[cfg(feature = "panels")]
+pub mod session;
+#[cfg(feature = "panels")]
+pub mod show;
+pub mod triangle;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::session::{Session, wait_for};
+use super::session::{Session, wait_for};
 
 /// `lumistack show` in a session.
 pub struct Show {

@@ -1,0 +1,23 @@
+//! End-to-end tests: whole runs of the binary, of the repository's own jobs and of other people's files. One program for all, so that one is linked and its tests
+//! share the processors; `cargo test -p lumistack-cli --test end_to_end store::` runs those of one file.
+
+mod common;
+
+mod assets;
+mod calibrate;
+mod compare;
+mod denoise;
+mod design;
+mod directional;
+mod end_to_end;
+mod errors;
+mod looks;
+mod outputs;
+mod plugins;
+mod seen;
+mod sequence;
+mod show;
+mod store;
+mod usd;
+mod views;
+mod words;
