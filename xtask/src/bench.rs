@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::bench_render;
 use crate::fuzz;
-use crate::tools::{self, Outcome, cargo, command, output_of};
+use crate::tools::{self, Outcome, absolute, cargo, command, example, output_of, text};
 use crate::web;
 
 /// What `cargo xtask bench --help` prints.
@@ -144,12 +144,6 @@ fn agreement(samples: &str) -> Outcome {
     tools::run(command(&python).arg(tools::root().join("xtask/bench/agreement.py")).arg(&folder))
 }
 
-pub fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
-    let mut words = vec!["run", "--release", "--package", package, "--example", name, "--"];
-    words.extend(arguments.iter().map(String::as_str));
-    cargo(&words)
-}
-
 /// Python and script of every library that can be had.
 fn peers() -> Vec<[PathBuf; 2]> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
@@ -177,13 +171,4 @@ fn fetch(module: &str, python: &Path) -> Outcome {
         "\nfetching: {module}, in target/python-bench (3 GB on x86-64 Linux; used only to compare our speed with)"
     );
     tools::install(python, &["--no-cache-dir", "--only-binary=:all:", module])
-}
-
-/// A path that the user gave, seen from where they stand.
-pub fn absolute(path: &str) -> String {
-    std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| text(&path))
-}
-
-pub fn text(path: &Path) -> String {
-    path.to_string_lossy().into_owned()
 }

@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::bench::{absolute, example, text};
-use crate::tools::{self, Outcome, command, output_of};
+use crate::tools::{self, Outcome, absolute, command, example, output_of, text};
 
 /// The peers as pip takes them, with what they import as and the script that asks them.
 const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];

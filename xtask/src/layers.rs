@@ -2,11 +2,14 @@
 //!
 //! Each crate names its layer in `[package.metadata.lumistack] layer = n`. Development dependencies are free: tests may look anywhere. Build dependencies run
 //! on the machine that builds and are no part of the program, so a crate of layer 0 may have one of layer 0.
+//!
+//! Within a crate the same holds of its files: none may use each other, directly or around.
 
 use std::collections::HashMap;
 
 use serde_json::Value;
 
+use crate::circles;
 use crate::tools::{Outcome, command, output_of};
 
 /// External crates that only the named workspace crates may depend on.
@@ -63,6 +66,16 @@ pub fn check() -> Outcome {
                 }
             }
         }
+        for target in package["targets"].as_array().into_iter().flatten() {
+            let is_code = ["lib", "cdylib", "rlib", "bin"].iter().any(|kind| target["kind"][0] == **kind);
+            let root = std::path::Path::new(target["src_path"].as_str().unwrap_or_default());
+            if is_code {
+                let found = circles::of_crate(root)?.into_iter();
+                problems.extend(found.map(|[files, uses]| {
+                    format!("{name}: files use each other: {}\n    {}", files.join(", "), uses.join("\n    "))
+                }));
+            }
+        }
         if PORTABLE.contains(&name) {
             let manifest = package["manifest_path"].as_str().unwrap_or_default();
             let source = std::path::Path::new(manifest).with_file_name("src");
@@ -70,7 +83,7 @@ pub fn check() -> Outcome {
         }
     }
     if problems.is_empty() {
-        println!("layers: {} crates, no upward or forbidden edge", layers.len());
+        println!("layers: {} crates, no upward or forbidden edge, no circle of files", layers.len());
         Ok(())
     } else {
         Err(format!("layers:\n  {}", problems.join("\n  ")))

@@ -4,6 +4,7 @@ mod bench;
 mod bench_render;
 mod blender;
 mod ci;
+mod circles;
 mod deny;
 mod fuzz;
 mod gallery;

@@ -224,6 +224,23 @@ pub fn wasm_target() -> bool {
     run(command("rustup").args(["target", "add", "wasm32-unknown-unknown"])).is_ok() && installed()
 }
 
+/// Runs an example of a package as a release build.
+pub fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
+    let mut words = vec!["run", "--release", "--package", package, "--example", name, "--"];
+    words.extend(arguments.iter().map(String::as_str));
+    cargo(&words)
+}
+
+/// A path that the user gave, seen from where they stand.
+pub fn absolute(path: &str) -> String {
+    std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| text(&path))
+}
+
+/// A path as text.
+pub fn text(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,30 +1,6 @@
 //! Which displays make sense.
 
-use lumistack_core::config::ConfigError;
-use thiserror::Error;
-
-use crate::{Backlight, Display, GridError, Layer, LayerColour, Lens, Panel};
-
-/// A display file that cannot be used.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum DisplayError {
-    /// The text does not parse.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The view grid makes no sense.
-    #[error("field: {0}")]
-    Grid(#[from] GridError),
-    /// A value makes no sense.
-    #[error("{key}: expected {expected}, found {found}")]
-    Value {
-        /// The key, for example `layers[2].d_mm`.
-        key: String,
-        /// What was needed.
-        expected: String,
-        /// What was there.
-        found: String,
-    },
-}
+use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel};
 
 /// A matrix whose rows were normalized in another program still sums to one.
 const ROW_SUM_ROUNDING: f64 = 1e-6;

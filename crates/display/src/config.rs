@@ -4,7 +4,8 @@ use lumistack_core::config;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Backlight, ColourOrder, ColourSequence, DisplayError, FieldGeometry, Formation, Layer, Projection, ViewGrid,
+    Backlight, ColourOrder, ColourSequence, DisplayError, FieldGeometry, Formation, Layer, LensletBacklight, Missing,
+    Projection, Sampling, ViewGrid,
 };
 
 /// A tensor display and the light field that it is made for.
@@ -98,28 +99,6 @@ pub enum ProjectionKind {
     Perspective,
 }
 
-/// How a ray reads a layer between pixel centres.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Sampling {
-    /// The pixel it meets: floor(ξ + ½).
-    #[default]
-    Nearest,
-    /// A mixture of the four around it.
-    Bilinear,
-}
-
-/// What a ray reads that leaves a layer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Missing {
-    /// The ray has weight 0.
-    #[default]
-    Drop,
-    /// The value of a layer that is not there: [`Formation::neutral`].
-    Clear,
-}
-
 impl Display {
     /// Value of the key `schema`.
     pub const SCHEMA: &'static str = "lumistack/display";
@@ -211,12 +190,23 @@ impl Display {
             grid: ViewGrid::single(Projection::Oblique, [0.0, 0.0]),
         }
     }
+
+    /// The display without what patterns do not depend on: its panels' calibration. Two displays that differ in nothing else have the same patterns.
+    #[must_use]
+    pub fn without_panels(&self) -> Self {
+        let mut display = Self { colour_order: Default::default(), ..self.clone() };
+        display.layers.iter_mut().for_each(|layer| layer.panel = None);
+        if let Backlight::Lenslets(LensletBacklight { panel, lens, .. }) = &mut display.backlight {
+            (*panel, *lens) = (None, None);
+        }
+        display
+    }
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::{LayerColour, LensletBacklight};
+    use crate::LayerColour;
 
     pub(crate) const SMALL: &str = r#"
 name = "small"

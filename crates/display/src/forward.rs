@@ -12,10 +12,10 @@ use std::borrow::Cow;
 use lumistack_core::Tensor;
 
 use crate::area::AreaMap;
-use crate::{
-    BacklightTap, Display, FieldGeometry, Formation, LEAST_SHARE, LayerStack, Missing, Projection, RayMap, Tap,
-    ViewGrid,
-};
+use crate::{BacklightTap, Display, FieldGeometry, Formation, LayerStack, Missing, Projection, RayMap, Tap, ViewGrid};
+
+/// A pixel of a seen picture is scored where at least this share of its area counts.
+pub const LEAST_SHARE: f32 = 0.5;
 
 /// One emitted view.
 #[derive(Clone, Debug, PartialEq)]

@@ -15,19 +15,19 @@ mod backlight;
 mod blur;
 mod check;
 mod closed_form;
+mod colour_sequence;
 mod config;
 mod depth;
+mod error;
 mod field;
 mod formation;
 pub mod forward;
-
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
-pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 mod grid;
 mod layer;
 mod panel;
 mod raymap;
 mod response;
+mod sampling;
 mod score;
 mod stack;
 mod support;
@@ -39,22 +39,26 @@ mod variation;
 mod weights;
 mod zone;
 
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
 pub use backlight::{Backlight, LensletBacklight, OutsideBins};
-pub use check::DisplayError;
 pub use closed_form::ClosedForm;
-pub use config::{Display, FieldConfig, Missing, ProjectionKind, Sampling};
+pub use colour_sequence::{ColourOrder, ColourSequence};
+pub use config::{Display, FieldConfig, ProjectionKind};
+pub use error::DisplayError;
 pub use field::{LightField, SeenDepth};
 pub use formation::Formation;
-pub use forward::{EmittedView, SeenView, Simulator};
+pub use forward::{EmittedView, LEAST_SHARE, SeenView, Simulator};
 pub use grid::{FieldGeometry, GridError, Projection, ViewGrid};
 pub use layer::{Layer, LayerColour, quantize};
 pub use panel::{Flip, Lens, Panel};
 pub use raymap::{AxisTaps, BacklightMap, BacklightTap, LayerMap, RayMap, Tap};
 pub use response::Response;
+pub use sampling::{Missing, Sampling};
 pub use score::{Score, ViewScore, score, view_error};
 pub use stack::{LayerStack, StackError};
-pub use time::{ColourOrder, ColourSequence};
 pub use transfer::{Channels, Transfer};
 pub use variation::Variation;
 pub use weights::{EyeBox, WeightError, Weights};
-pub use zone::{DirectionScore, LEAST_DIRECTIONS, LEAST_SHARE, Zone, ZoneScore, native_step};
+pub use zone::{DirectionScore, LEAST_DIRECTIONS, Zone, ZoneScore, native_step};

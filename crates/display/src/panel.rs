@@ -10,7 +10,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Backlight, Display, LensletBacklight, Sampling};
+use crate::Sampling;
 
 /// One physical panel. In a browser nothing looks at its numbers, and to read them would take a twentieth of the page: there all is default.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -144,22 +144,10 @@ fn is_regular(m: &[[f64; 3]; 3]) -> bool {
     determinant.is_finite() && determinant.abs() > SINGULAR * norm
 }
 
-impl Display {
-    /// The display without what patterns do not depend on: its panels' calibration. Two displays that differ in nothing else have the same patterns.
-    #[must_use]
-    pub fn without_panels(&self) -> Self {
-        let mut display = Self { colour_order: Default::default(), ..self.clone() };
-        display.layers.iter_mut().for_each(|layer| layer.panel = None);
-        if let Backlight::Lenslets(LensletBacklight { panel, lens, .. }) = &mut display.backlight {
-            (*panel, *lens) = (None, None);
-        }
-        display
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Display;
     use crate::config::tests::SMALL;
 
     const PANEL: &str = "d_mm = 12.0\n[layers.panel]\n";

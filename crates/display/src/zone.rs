@@ -5,10 +5,8 @@
 //! and that no solver saw. The scene's pictures are noisy, so each is given twice with independent noise: the mean product of the two differences is the squared
 //! error without their noise, since E[(e + n₁)(e + n₂)] = e².
 
-use crate::{Backlight, Display, EyeBox, Projection, SeenView, ViewGrid};
+use crate::{Backlight, Display, EyeBox, LEAST_SHARE, Projection, SeenView, ViewGrid};
 
-/// A pixel is scored where at least this share of its area counts.
-pub const LEAST_SHARE: f32 = 0.5;
 /// Directions of a score, at least.
 pub const LEAST_DIRECTIONS: usize = 32;
 /// Radius of the disc that stands for an eye box, in its standard deviations.

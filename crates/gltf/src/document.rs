@@ -14,11 +14,9 @@ use percent_encoding::percent_decode_str;
 use serde_json::Value;
 
 use crate::container::Container;
-use crate::error::{Fault, contained};
-use crate::{AssetResolver, LoadOptions, meshopt};
-
-/// Longest quotation from the file in a message.
-const MAX_QUOTE_CHARS: usize = 60;
+use crate::error::Fault;
+use crate::quote::{quote, shorten};
+use crate::{AssetResolver, LoadOptions};
 
 /// An opened file.
 pub(crate) struct Document<'a> {
@@ -35,7 +33,7 @@ pub(crate) struct Document<'a> {
     /// Of every image the first one with the same URI.
     pub(crate) first_image: Vec<usize>,
     /// Content of buffer views that the file holds compressed.
-    unpacked_views: Vec<OnceCell<Vec<u8>>>,
+    pub(crate) unpacked_views: Vec<OnceCell<Vec<u8>>>,
     resolver: &'a dyn AssetResolver,
     max_decoded_bytes: u64,
     decoded_bytes: Cell<u64>,
@@ -43,13 +41,6 @@ pub(crate) struct Document<'a> {
     picture_bytes: Cell<u64>,
     /// Primitives that were left out: the first reason with its place, and how many there are.
     pub(crate) left_out: RefCell<(Option<String>, usize)>,
-}
-
-/// The bytes of a buffer view.
-pub(crate) struct View<'a> {
-    pub(crate) place: String,
-    pub(crate) bytes: &'a [u8],
-    pub(crate) stride: Option<usize>,
 }
 
 impl<'a> Document<'a> {
@@ -149,26 +140,6 @@ impl<'a> Document<'a> {
         self.max_decoded_bytes.saturating_sub(self.decoded_bytes.get())
     }
 
-    /// The bytes of a buffer view.
-    pub(crate) fn view(&self, index: json::Index<json::buffer::View>, place: &str) -> Result<View<'_>, Fault> {
-        let view = self.get(index, place)?;
-        let place = format!("/bufferViews/{}", index.value());
-        let stride = view.byte_stride.map(|stride| stride.0);
-        let cell = &self.unpacked_views[index.value()];
-        let bytes = match (cell.get(), meshopt::Packed::of(self, view, &place)?) {
-            (Some(bytes), _) => bytes,
-            (None, Some(packed)) => {
-                let bytes = contained(&place, "a sound meshopt stream", || packed.unpack(self))?;
-                cell.get_or_init(|| bytes)
-            }
-            (None, None) => {
-                let offset = view.byte_offset.unwrap_or_default().0;
-                self.range(view.buffer, offset, view.byte_length.0, &place)?
-            }
-        };
-        Ok(View { place, bytes, stride })
-    }
-
     /// A part of a buffer. `place` holds the fields `buffer` and `byteLength`.
     pub(crate) fn range(
         &self,
@@ -256,16 +227,4 @@ fn decode_data_uri(data: &str, place: &str) -> Result<Vec<u8>, Fault> {
         return Ok(percent_decode_str(content).collect());
     }
     BASE64.decode(content).map_err(|error| Fault::new(place, "base64", error))
-}
-
-/// JSON for messages.
-pub(crate) fn quote(value: Option<&Value>) -> String {
-    value.map_or_else(|| "nothing".to_owned(), |value| shorten(&value.to_string()))
-}
-
-fn shorten(text: &str) -> String {
-    match text.char_indices().nth(MAX_QUOTE_CHARS) {
-        Some((end, _)) => format!("{}...", &text[..end]),
-        None => text.to_owned(),
-    }
 }

@@ -8,9 +8,10 @@ use draco_core::{DataType, DecodeLimits, DecoderBuffer, Mesh, MeshDecoder, Point
 use gltf::json::accessor::ComponentType;
 use serde_json::Value;
 
-use crate::document::{Document, quote};
+use crate::document::Document;
 use crate::error::{Fault, contained};
 use crate::fields::Fields;
+use crate::quote::quote;
 
 /// Memory that the decoder may take for one primitive.
 const MAX_PRIMITIVE_BYTES: u64 = 2 << 30;

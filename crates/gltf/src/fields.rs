@@ -3,8 +3,9 @@
 use gltf::json;
 use serde_json::Value;
 
-use crate::document::{Document, quote};
+use crate::document::Document;
 use crate::error::Fault;
+use crate::quote::quote;
 
 /// A JSON object of the file and its place.
 pub(crate) struct Fields<'d> {

@@ -6,11 +6,11 @@
 //! channel is 1 − glossinessFactor · alpha, since no factor on a roughness texture can say the same.
 
 use glam::{Vec3, Vec4};
-use lumistack_scene::{Material, Pixels, Texture};
+use lumistack_scene::{Material, Texture};
 
 use crate::error::Fault;
 use crate::fields::Fields;
-use crate::material::Loader;
+use crate::textures::Loader;
 
 pub(crate) const NAME: &str = "KHR_materials_pbrSpecularGlossiness";
 
@@ -51,16 +51,4 @@ fn roughness_texture(loader: &mut Loader<'_, '_>, glossy: usize, factor: f32, pl
     };
     loader.textures.push(Texture { image, ..source });
     Ok(loader.textures.len() - 1)
-}
-
-/// Pixels whose green channel is 1 − `factor` · alpha.
-pub(crate) fn roughness(glossy: &Pixels, factor: f32) -> Pixels {
-    let rough = |alpha: f32| ((1.0 - factor * alpha) * 255.0).round() as u8;
-    let texel = |roughness: u8| [0, roughness, 0, 255];
-    let pixels = match glossy {
-        Pixels::Rgba8(texels) => texels.iter().map(|&[.., alpha]| texel(rough(f32::from(alpha) / 255.0))).collect(),
-        Pixels::Rgba16(texels) => texels.iter().map(|&[.., alpha]| texel(rough(f32::from(alpha) / 65535.0))).collect(),
-        Pixels::RgbF32(texels) => vec![texel(rough(1.0)); texels.len()],
-    };
-    Pixels::Rgba8(pixels)
 }

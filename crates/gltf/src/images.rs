@@ -12,10 +12,8 @@ use lumistack_scene::{Image, Pixels};
 
 use crate::document::Document;
 use crate::error::{Fault, contained};
-use crate::{glossiness, ktx2};
-
-/// Largest side of a picture in texels.
-pub(crate) const MAX_SIDE: u32 = 1 << 15;
+use crate::ktx2;
+use crate::options::MAX_SIDE;
 
 /// Memory that a decoder may take besides the picture itself: rows, tables, and a copy in another format.
 const DECODER_BYTES: u64 = 64 << 20;
@@ -129,7 +127,7 @@ impl Images {
             document.task.cancel.check()?;
             let at = first + i;
             self.decoded[at].pixels = match waiting {
-                Waiting::Roughness { from, factor } => glossiness::roughness(&self.decoded[from].pixels, factor),
+                Waiting::Roughness { from, factor } => roughness(&self.decoded[from].pixels, factor),
                 Waiting::Picture { content, place, format } => {
                     let bytes = content.bytes(document, &place)?;
                     contained(&place, "a sound picture", || match format {
@@ -256,4 +254,16 @@ fn radiance(document: &Document<'_>, bytes: &[u8], place: &str) -> Result<Pixels
     let (format, decoder) = open(document, bytes, place, &[ImageFormat::Hdr])?;
     let decoded = DynamicImage::from_decoder(decoder).map_err(|error| unreadable(place, format, error))?;
     Ok(Pixels::RgbF32(decoded.into_rgb32f().into_raw().as_chunks::<3>().0.to_vec()))
+}
+
+/// Pixels whose green channel is 1 − `factor` · alpha.
+fn roughness(glossy: &Pixels, factor: f32) -> Pixels {
+    let rough = |alpha: f32| ((1.0 - factor * alpha) * 255.0).round() as u8;
+    let texel = |roughness: u8| [0, roughness, 0, 255];
+    let pixels = match glossy {
+        Pixels::Rgba8(texels) => texels.iter().map(|&[.., alpha]| texel(rough(f32::from(alpha) / 255.0))).collect(),
+        Pixels::Rgba16(texels) => texels.iter().map(|&[.., alpha]| texel(rough(f32::from(alpha) / 65535.0))).collect(),
+        Pixels::RgbF32(texels) => vec![texel(rough(1.0)); texels.len()],
+    };
+    Pixels::Rgba8(pixels)
 }

@@ -11,7 +11,7 @@ use lumistack_scene::Pixels;
 
 use crate::document::Document;
 use crate::error::Fault;
-use crate::images::MAX_SIDE;
+use crate::options::MAX_SIDE;
 
 /// What a KTX2 file starts with.
 pub(crate) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";

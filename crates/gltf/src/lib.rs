@@ -35,6 +35,7 @@
 
 mod accessor;
 mod animation;
+mod attributes;
 mod cause;
 mod container;
 mod document;
@@ -53,8 +54,11 @@ mod mesh;
 mod meshopt;
 mod nodes;
 mod options;
+mod quote;
 mod skin;
+mod textures;
 mod variants;
+mod view;
 
 pub use error::GltfError;
 pub use load::{Contents, contents, load, load_with};

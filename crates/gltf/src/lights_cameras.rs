@@ -12,11 +12,12 @@ use gltf::json::validation::Checked;
 use lumistack_scene::{Camera, Environment, Light, LightKind, Projection};
 use serde_json::Value;
 
-use crate::document::{Document, quote};
+use crate::document::Document;
 use crate::error::Fault;
 use crate::fields::numbers;
 use crate::images::Images;
 use crate::nodes::{Nodes, extras, rotation};
+use crate::quote::quote;
 
 /// The punctual lights of the scene's nodes.
 pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light>, Fault> {

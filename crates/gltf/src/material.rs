@@ -3,21 +3,18 @@
 //! Source: glTF 2.0, section 3.9, and the KHR_materials_* extensions. Occlusion textures are left out: a path tracer finds
 //! occlusion itself.
 
-use std::collections::HashMap;
-
-use glam::{Affine2, Vec2, Vec3, Vec4};
+use glam::{Vec3, Vec4};
 use gltf::json;
-use gltf::json::extensions::texture::TextureTransform;
 use gltf::json::validation::Checked;
 use lumistack_core::Task;
-use lumistack_scene::{AlphaMode, Filter, Lamp, Material, Texture, TextureUse, Wrap};
-use serde_json::Value;
+use lumistack_scene::{AlphaMode, Lamp, Material, Texture};
 
-use crate::document::{Document, quote};
+use crate::document::Document;
 use crate::error::Fault;
-use crate::fields::Fields;
 use crate::images::Images;
 use crate::nodes::extras;
+use crate::quote::quote;
+use crate::textures::{Loader, Reference, plain, untyped_transform};
 use crate::{glossiness, material_extensions};
 
 /// Materials in the file's order, with what they need.
@@ -32,13 +29,7 @@ pub(crate) struct Materials {
 /// Reads the materials of the file. Those that nothing uses keep their place but get no textures, so that a picture which
 /// nobody sees cannot be missing.
 pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, Fault> {
-    let mut loader = Loader {
-        document,
-        textures: Vec::new(),
-        images: Images::default(),
-        position: HashMap::new(),
-        roughness_images: HashMap::new(),
-    };
+    let mut loader = Loader::new(document);
     let (mut materials, mut uv_sets) = (Vec::new(), Vec::new());
     for (i, material) in document.root.materials.iter().enumerate() {
         let (material, sets) = if used.get(i) == Some(&true) {
@@ -51,24 +42,6 @@ pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, 
     }
     let Loader { textures, images, .. } = loader;
     Ok(Materials { materials, uv_sets, textures, images })
-}
-
-pub(crate) struct Loader<'d, 'f> {
-    pub(crate) document: &'d Document<'f>,
-    pub(crate) textures: Vec<Texture>,
-    pub(crate) images: Images,
-    /// From the file's texture number to a position in `textures`.
-    position: HashMap<usize, usize>,
-    /// From an image with glossiness and the bits of the factor on it to the image with roughness.
-    pub(crate) roughness_images: HashMap<(usize, u32), usize>,
-}
-
-/// A texture reference of any of glTF's kinds.
-struct Reference {
-    index: json::Index<json::Texture>,
-    uv_set: u32,
-    transform: Option<TextureTransform>,
-    place: String,
 }
 
 impl Loader<'_, '_> {
@@ -156,97 +129,6 @@ impl Loader<'_, '_> {
             }
         }
     }
-
-    /// The texture that the member of an extension refers to.
-    pub(crate) fn untyped_texture(&mut self, fields: &Fields<'_>, key: &str) -> Result<Option<TextureUse>, Fault> {
-        let place = fields.place(key);
-        let Some(info) = Fields::at(self.document, place.clone())? else { return Ok(None) };
-        let uv_set = info.count("texCoord")?.unwrap_or_default();
-        let uv_set =
-            u32::try_from(uv_set).map_err(|_| Fault::new(info.place("texCoord"), "a set of coordinates", uv_set))?;
-        let transform = self.document.json(&info.place("extensions/KHR_texture_transform"));
-        let transform = transform.map(|value| untyped_transform(value, &place)).transpose()?;
-        self.texture_use(Some(Reference { index: info.needed_index("index")?, uv_set, transform, place }))
-    }
-
-    fn texture_use(&mut self, reference: Option<Reference>) -> Result<Option<TextureUse>, Fault> {
-        let Some(Reference { index, uv_set, transform, place }) = reference else { return Ok(None) };
-        let texture = self.texture(index, &format!("{place}/index"))?;
-        let uv_set = transform.as_ref().and_then(|transform| transform.tex_coord).unwrap_or(uv_set) as usize;
-        let texture_from_mesh = transform.as_ref().map_or(Affine2::IDENTITY, affine);
-        Ok(Some(TextureUse { texture, uv_set, texture_from_mesh }))
-    }
-
-    /// Position of a texture of the file, with its image decoded.
-    fn texture(&mut self, index: json::Index<json::Texture>, used_at: &str) -> Result<usize, Fault> {
-        let document = self.document;
-        let texture = document.get(index, used_at)?;
-        if let Some(&position) = self.position.get(&index.value()) {
-            return Ok(position);
-        }
-        let place = format!("/textures/{}", index.value());
-        let better = ["KHR_texture_basisu", "EXT_texture_webp"].map(|name| format!("{place}/extensions/{name}/source"));
-        // the picture in the better format; `source` is there for readers without the extension
-        let image = match better.iter().find_map(|place| Some((document.json(place)?.as_u64()?, place))) {
-            Some((source, place)) => self.images.texture(document, json::Index::new(source as u32), place)?,
-            None => self.images.texture(document, texture.source, &format!("{place}/source"))?,
-        };
-        let sampler = match texture.sampler {
-            Some(sampler) => Some((document.get(sampler, &format!("{place}/sampler"))?, sampler.value())),
-            None => None,
-        };
-        let (wrap_u, wrap_v, filter) = match sampler {
-            Some((sampler, number)) => (
-                self.wrap(sampler.wrap_s, number, "wrapS")?,
-                self.wrap(sampler.wrap_t, number, "wrapT")?,
-                match sampler.mag_filter {
-                    Some(Checked::Valid(json::texture::MagFilter::Nearest)) => Filter::Nearest,
-                    Some(Checked::Invalid) => return Err(self.sampler_fault(number, "magFilter")),
-                    _ => Filter::Linear,
-                },
-            ),
-            None => Default::default(),
-        };
-        self.position.insert(index.value(), self.textures.len());
-        self.textures.push(Texture { image, wrap_u, wrap_v, filter });
-        Ok(self.textures.len() - 1)
-    }
-
-    fn wrap(&self, mode: Checked<json::texture::WrappingMode>, number: usize, field: &str) -> Result<Wrap, Fault> {
-        use gltf::json::texture::WrappingMode;
-        match mode {
-            Checked::Valid(WrappingMode::Repeat) => Ok(Wrap::Repeat),
-            Checked::Valid(WrappingMode::MirroredRepeat) => Ok(Wrap::MirroredRepeat),
-            Checked::Valid(WrappingMode::ClampToEdge) => Ok(Wrap::ClampToEdge),
-            Checked::Invalid => Err(self.sampler_fault(number, field)),
-        }
-    }
-
-    fn sampler_fault(&self, number: usize, field: &str) -> Fault {
-        let place = format!("/samplers/{number}/{field}");
-        let found = self.document.quote(&place);
-        Fault::new(place, "a value that glTF 2.0 defines", found)
-    }
-}
-
-fn plain(info: &json::texture::Info, parent: &str, slot: &str) -> Reference {
-    let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.clone());
-    Reference { index: info.index, uv_set: info.tex_coord, transform, place: format!("{parent}/{slot}") }
-}
-
-/// The `gltf` crate has no type for extensions of a normal texture.
-fn untyped_transform(value: &Value, place: &str) -> Result<TextureTransform, Fault> {
-    serde_json::from_value(value.clone()).map_err(|_| {
-        let place = format!("{place}/extensions/KHR_texture_transform");
-        Fault::new(place, "offset, rotation, scale, texCoord", quote(Some(value)))
-    })
-}
-
-/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v (v points down, so this is
-/// counter-clockwise to the eye); the extension's text leaves the sense open, its test scene and all common viewers agree.
-fn affine(transform: &TextureTransform) -> Affine2 {
-    let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
-    Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)
 }
 
 /// Assigns the texture coordinate sets of the file that a material uses to the two that a mesh can hold. Returns the file's

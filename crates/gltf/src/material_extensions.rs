@@ -7,7 +7,7 @@ use lumistack_scene::{Anisotropy, Clearcoat, Iridescence, Material, Sheen};
 
 use crate::error::Fault;
 use crate::fields::Fields;
-use crate::material::Loader;
+use crate::textures::Loader;
 
 /// Reads every extension of the material at `place`.
 pub(crate) fn read(loader: &mut Loader<'_, '_>, material: &mut Material, place: &str) -> Result<(), Fault> {

@@ -10,6 +10,7 @@ use gltf::json::validation::Checked;
 use lumistack_scene::{Material, Mesh};
 
 use crate::accessor::{Accessor, Format, Selection};
+use crate::attributes::Attributes;
 use crate::document::Document;
 use crate::draco;
 use crate::error::Fault;
@@ -78,7 +79,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         return Ok(None);
     }
     let decoded = draco::decode(document, place)?;
-    let attributes = Attributes { document, request, decoded: decoded.as_ref() };
+    let attributes = Attributes { document, place, primitive, decoded: decoded.as_ref() };
     let Some(positions) = attributes.open(Semantic::Positions, &POSITION, None)? else {
         document.leave_out(place, "a primitive without POSITION is left out".into());
         return Ok(None);
@@ -136,54 +137,12 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         let colors = colors.assume_normalized().finite::<4>(document, &selection, 1.0)?;
         mesh.colors = clamp_colors(document, place, colors);
     }
-    morph(&attributes, &mut mesh, &selection, count)?;
+    morph(&attributes, request.weights, &mut mesh, &selection, count)?;
     if let Some(pose) = request.pose {
         pose.apply(document, &attributes, &mut mesh, &selection, count)?;
     }
     mend_tangents(document, &mut mesh);
     Ok(Some(mesh))
-}
-
-/// Attributes of the primitive, by meaning.
-pub(crate) struct Attributes<'d, 'f> {
-    document: &'d Document<'f>,
-    request: &'d Request<'d>,
-    /// What a Draco stream holds instead of accessors.
-    decoded: Option<&'d draco::Decoded>,
-}
-
-impl<'d> Attributes<'d, '_> {
-    /// Opens an attribute that the primitive has, and checks that it has `count` elements.
-    pub(crate) fn open(
-        &self,
-        semantic: Semantic,
-        format: &Format,
-        count: Option<usize>,
-    ) -> Result<Option<Accessor<'d>>, Fault> {
-        let name = semantic.to_string();
-        let place = format!("{}/attributes/{name}", self.request.place);
-        let Some(&index) = self.request.primitive.attributes.get(&Checked::Valid(semantic)) else { return Ok(None) };
-        match self.decoded.and_then(|decoded| decoded.attributes.get(&name)) {
-            Some(source) => Accessor::decoded(self.document, index, &place, format, source).map(Some),
-            None => self.open_index(index, &place, format, count).map(Some),
-        }
-    }
-
-    fn open_index(
-        &self,
-        index: json::Index<json::Accessor>,
-        place: &str,
-        format: &Format,
-        count: Option<usize>,
-    ) -> Result<Accessor<'d>, Fault> {
-        let accessor = Accessor::open(self.document, index, place, format)?;
-        match count {
-            Some(count) if count != accessor.count => {
-                Err(Fault::new(place, format!("{count} elements, as POSITION has"), accessor.count))
-            }
-            _ => Ok(accessor),
-        }
-    }
 }
 
 /// Vertex numbers in drawing order, all below `count`.
@@ -248,14 +207,20 @@ fn select_used_vertices(triangles: &mut [[u32; 3]], count: usize) -> Selection {
 }
 
 /// Adds the morph targets at their weights in the file: the shape that it has before any animation.
-fn morph(attributes: &Attributes<'_, '_>, mesh: &mut Mesh, selection: &Selection, count: usize) -> Result<(), Fault> {
+fn morph(
+    attributes: &Attributes<'_, '_>,
+    weights: &[f32],
+    mesh: &mut Mesh,
+    selection: &Selection,
+    count: usize,
+) -> Result<(), Fault> {
     let document = attributes.document;
-    let targets = attributes.request.primitive.targets.iter().flatten();
-    for (i, (target, &weight)) in targets.zip(attributes.request.weights).enumerate() {
+    let targets = attributes.primitive.targets.iter().flatten();
+    for (i, (target, &weight)) in targets.zip(weights).enumerate() {
         if weight == 0.0 {
             continue;
         }
-        let place = |name: &str| format!("{}/targets/{i}/{name}", attributes.request.place);
+        let place = |name: &str| format!("{}/targets/{i}/{name}", attributes.place);
         let read = |index: Option<json::Index<json::Accessor>>, name: &str, format: &Format| {
             let Some(index) = index else { return Ok(None) };
             let accessor = attributes.open_index(index, &place(name), format, Some(count))?;

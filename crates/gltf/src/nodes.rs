@@ -12,8 +12,9 @@ use serde_json::Value;
 
 use crate::accessor::{Accessor, Format, Selection};
 use crate::animation::NodePose;
-use crate::document::{Document, quote};
+use crate::document::Document;
 use crate::error::Fault;
+use crate::quote::quote;
 
 use ComponentType::{F32, I8, I16};
 

@@ -10,9 +10,9 @@ use gltf::json::mesh::Semantic;
 use lumistack_scene::Mesh;
 
 use crate::accessor::{Accessor, Format, Selection};
+use crate::attributes::Attributes;
 use crate::document::Document;
 use crate::error::Fault;
-use crate::mesh::Attributes;
 
 use ComponentType::{F32, U8, U16};
 

@@ -3,9 +3,10 @@
 use gltf::json;
 use serde_json::Value;
 
-use crate::document::{Document, quote};
+use crate::document::Document;
 use crate::error::Fault;
 use crate::fields::Fields;
+use crate::quote::quote;
 
 /// Names of the variants, in the file's order.
 pub(crate) fn names<'d>(document: &'d Document<'_>) -> Vec<Option<&'d str>> {

@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Instant;
 
 use lumistack_core::Task;
@@ -21,21 +21,10 @@ use crate::display::{adapted, display_of};
 use crate::error::{raised, setting};
 use crate::field::LightField;
 use crate::json::{map_of, numbers, parsed, table, table_of, to_python, value_of};
-use crate::plugin::set_launcher;
+use crate::plugin::{registry, set_launcher};
 use crate::scene::Scene;
 use crate::stack::{LayerStack, Solved};
 use crate::work::{command, long};
-
-/// The plugins, found once.
-pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
-    static REGISTRY: OnceLock<Registry> = OnceLock::new();
-    if let Some(registry) = REGISTRY.get() {
-        return Ok(registry);
-    }
-    set_launcher(py);
-    let found = py.detach(|| lumistack_pipeline::plugins(&[])).map_err(|error| raised(py, &error))?;
-    Ok(REGISTRY.get_or_init(|| found))
-}
 
 /// Path-traces the views that a display needs of a scene.
 ///

@@ -12,6 +12,7 @@ mod array;
 mod display;
 mod error;
 mod field;
+mod field_methods;
 mod functions;
 mod json;
 mod plugin;

@@ -2,14 +2,29 @@
 
 use std::ffi::OsString;
 use std::path::PathBuf;
+use std::sync::OnceLock;
 
 use lumistack_cli::Launcher;
+use lumistack_pipeline::Registry;
 use pyo3::prelude::*;
+
+use crate::error::raised;
 
 /// The child's program; its first argument is the folder in which this package lies, which need not be on the child's
 /// own path.
 const BOOT: &str = "import sys; sys.path.insert(0, sys.argv[1]); from lumistack._lumistack import _plugin_child; \
                     sys.exit(_plugin_child(sys.argv[2:]))";
+
+/// The plugins, found once.
+pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
+    static REGISTRY: OnceLock<Registry> = OnceLock::new();
+    if let Some(registry) = REGISTRY.get() {
+        return Ok(registry);
+    }
+    set_launcher(py);
+    let found = py.detach(|| lumistack_pipeline::plugins(&[])).map_err(|error| raised(py, &error))?;
+    Ok(REGISTRY.get_or_init(|| found))
+}
 
 /// Says how a process for a plugin is started. Without a Python to start there is none, which is told where a plugin
 /// needs it.

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use lumistack_pipeline::{ImporterJob, Ingested, LightJob, PoseJob, SceneContents, is_usd, load_scene, take_scene};
 use pyo3::prelude::*;
 
-use crate::functions::registry;
 use crate::json::{table, table_of};
+use crate::plugin::registry;
 use crate::usd;
 use crate::work::long;
 

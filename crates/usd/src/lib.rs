@@ -26,6 +26,7 @@ mod refine;
 mod scene;
 mod setup;
 mod shapes;
+mod slots;
 mod spacing;
 mod subdivide;
 mod texture;

@@ -5,7 +5,7 @@
 
 use glam::Vec3;
 
-use crate::material::{Builder, Inputs, Value};
+use crate::slots::{Builder, Inputs, Value};
 
 /// Inputs without a counterpart, with their defaults.
 const WITHOUT: [(&str, f32); 1] = [("displacement", 0.0)];

@@ -6,7 +6,7 @@
 
 use glam::Vec3;
 
-use crate::material::{Builder, Inputs, Value, grey};
+use crate::slots::{Builder, Inputs, Value, grey};
 
 const WHITE: [f32; 3] = [1.0; 3];
 const UP: [f32; 3] = [0.0, 0.0, 1.0];

@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::{DVec3, Vec3};
 
-use super::Scheme;
+use super::scheme::Scheme;
 use super::stencils::{Stencils, loop_weight, other_end};
 use super::topology::{Edge, Fan, Rule, Topology};
 

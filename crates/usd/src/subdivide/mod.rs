@@ -10,6 +10,7 @@
 //! triangleSubdivisionRule); Halstead, Kass, DeRose 1993 and Biermann, Levin, Zorin 2000 for limits and tangents.
 
 mod limit;
+mod scheme;
 mod stencils;
 mod topology;
 
@@ -18,20 +19,9 @@ use std::ops::Range;
 
 use glam::Vec3;
 
+pub(crate) use self::scheme::Scheme;
 use self::stencils::Stencils;
 use self::topology::Topology;
-
-/// The family of surfaces.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum Scheme {
-    /// Any polygons; each becomes quadrilaterals.
-    #[default]
-    CatmullClark,
-    /// Triangles. Other polygons are cut into fans first.
-    Loop,
-    /// Only cut into quadrilaterals, not smoothed.
-    Bilinear,
-}
 
 /// `interpolateBoundary`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,0 +1,80 @@
+//! Colours that are shown together, or one after another and in which order.
+
+use serde::{Deserialize, Serialize};
+
+/// Whether the colours of a frame are shown together or one after another.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ColourSequence {
+    /// Colour filters beside one another: one refresh per frame.
+    #[default]
+    Simultaneous,
+    /// No colour filters; red, green and blue light in turn: three refreshes per frame. Each colour has its own pattern, so layers keep
+    /// [`LayerColour::Rgb`](crate::LayerColour::Rgb).
+    Field,
+}
+
+impl ColourSequence {
+    /// Refreshes of the panels that one frame takes.
+    pub fn fields(self) -> usize {
+        match self {
+            Self::Simultaneous => 1,
+            Self::Field => 3,
+        }
+    }
+}
+
+/// Which colour each of a frame's three refreshes shows where colours follow one another: a text such as `"rgb"`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct ColourOrder(pub [usize; 3]);
+
+impl Default for ColourOrder {
+    fn default() -> Self {
+        Self([0, 1, 2])
+    }
+}
+
+impl ColourOrder {
+    /// Whether it is red, green, blue.
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl TryFrom<String> for ColourOrder {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let channels: Vec<usize> = text.chars().filter_map(|c| "rgb".find(c)).collect();
+        let mut sorted = channels.clone();
+        sorted.sort_unstable();
+        match <[usize; 3]>::try_from(channels) {
+            Ok(order) if sorted == [0, 1, 2] && text.len() == 3 => Ok(Self(order)),
+            _ => Err(format!("expected r, g and b in some order, such as \"rgb\", found \"{text}\"")),
+        }
+    }
+}
+
+impl From<ColourOrder> for String {
+    fn from(order: ColourOrder) -> Self {
+        order.0.iter().map(|channel| ['r', 'g', 'b'][*channel]).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_come_in_any_order_but_each_once() {
+        for text in ["rgb", "gbr", "bgr"] {
+            let order = ColourOrder::try_from(text.to_string()).unwrap();
+            assert_eq!(String::from(order), text);
+        }
+        assert_eq!(ColourOrder::try_from("brg".to_string()).unwrap().0, [2, 0, 1]);
+        for text in ["", "rg", "rrb", "rgbr", "xrgb", "RGB"] {
+            assert!(ColourOrder::try_from(text.to_string()).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! What can be wrong with a display file.
+
+use lumistack_core::config::ConfigError;
+use thiserror::Error;
+
+use crate::GridError;
+
+/// A display file that cannot be used.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum DisplayError {
+    /// The text does not parse.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The view grid makes no sense.
+    #[error("field: {0}")]
+    Grid(#[from] GridError),
+    /// A value makes no sense.
+    #[error("{key}: expected {expected}, found {found}")]
+    Value {
+        /// The key, for example `layers[2].d_mm`.
+        key: String,
+        /// What was needed.
+        expected: String,
+        /// What was there.
+        found: String,
+    },
+}

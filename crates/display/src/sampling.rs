@@ -1,0 +1,25 @@
+//! How a ray reads a layer.
+
+use serde::{Deserialize, Serialize};
+
+/// How a ray reads a layer between pixel centres.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Sampling {
+    /// The pixel it meets: floor(ξ + ½).
+    #[default]
+    Nearest,
+    /// A mixture of the four around it.
+    Bilinear,
+}
+
+/// What a ray reads that leaves a layer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Missing {
+    /// The ray has weight 0.
+    #[default]
+    Drop,
+    /// The value of a layer that is not there: [`Formation::neutral`].
+    Clear,
+}

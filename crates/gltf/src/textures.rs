@@ -1,0 +1,136 @@
+//! Textures of materials: references of every kind that glTF has, samplers, and the transform of texture coordinates.
+//!
+//! Source: glTF 2.0, sections 3.8 and 3.9, and KHR_texture_transform.
+
+use std::collections::HashMap;
+
+use glam::{Affine2, Vec2};
+use gltf::json;
+use gltf::json::extensions::texture::TextureTransform;
+use gltf::json::validation::Checked;
+use lumistack_scene::{Filter, Texture, TextureUse, Wrap};
+use serde_json::Value;
+
+use crate::document::Document;
+use crate::error::Fault;
+use crate::fields::Fields;
+use crate::images::Images;
+use crate::quote::quote;
+
+/// The textures that materials have asked for so far.
+pub(crate) struct Loader<'d, 'f> {
+    pub(crate) document: &'d Document<'f>,
+    pub(crate) textures: Vec<Texture>,
+    pub(crate) images: Images,
+    /// From the file's texture number to a position in `textures`.
+    position: HashMap<usize, usize>,
+    /// From an image with glossiness and the bits of the factor on it to the image with roughness.
+    pub(crate) roughness_images: HashMap<(usize, u32), usize>,
+}
+
+/// A texture reference of any of glTF's kinds.
+pub(crate) struct Reference {
+    pub(crate) index: json::Index<json::Texture>,
+    pub(crate) uv_set: u32,
+    pub(crate) transform: Option<TextureTransform>,
+    pub(crate) place: String,
+}
+
+impl<'d, 'f> Loader<'d, 'f> {
+    pub(crate) fn new(document: &'d Document<'f>) -> Self {
+        let (position, roughness_images) = (HashMap::new(), HashMap::new());
+        Self { document, textures: Vec::new(), images: Images::default(), position, roughness_images }
+    }
+
+    /// The texture that the member of an extension refers to.
+    pub(crate) fn untyped_texture(&mut self, fields: &Fields<'_>, key: &str) -> Result<Option<TextureUse>, Fault> {
+        let place = fields.place(key);
+        let Some(info) = Fields::at(self.document, place.clone())? else { return Ok(None) };
+        let uv_set = info.count("texCoord")?.unwrap_or_default();
+        let uv_set =
+            u32::try_from(uv_set).map_err(|_| Fault::new(info.place("texCoord"), "a set of coordinates", uv_set))?;
+        let transform = self.document.json(&info.place("extensions/KHR_texture_transform"));
+        let transform = transform.map(|value| untyped_transform(value, &place)).transpose()?;
+        self.texture_use(Some(Reference { index: info.needed_index("index")?, uv_set, transform, place }))
+    }
+
+    pub(crate) fn texture_use(&mut self, reference: Option<Reference>) -> Result<Option<TextureUse>, Fault> {
+        let Some(Reference { index, uv_set, transform, place }) = reference else { return Ok(None) };
+        let texture = self.texture(index, &format!("{place}/index"))?;
+        let uv_set = transform.as_ref().and_then(|transform| transform.tex_coord).unwrap_or(uv_set) as usize;
+        let texture_from_mesh = transform.as_ref().map_or(Affine2::IDENTITY, affine);
+        Ok(Some(TextureUse { texture, uv_set, texture_from_mesh }))
+    }
+
+    /// Position of a texture of the file, with its image decoded.
+    fn texture(&mut self, index: json::Index<json::Texture>, used_at: &str) -> Result<usize, Fault> {
+        let document = self.document;
+        let texture = document.get(index, used_at)?;
+        if let Some(&position) = self.position.get(&index.value()) {
+            return Ok(position);
+        }
+        let place = format!("/textures/{}", index.value());
+        let better = ["KHR_texture_basisu", "EXT_texture_webp"].map(|name| format!("{place}/extensions/{name}/source"));
+        // the picture in the better format; `source` is there for readers without the extension
+        let image = match better.iter().find_map(|place| Some((document.json(place)?.as_u64()?, place))) {
+            Some((source, place)) => self.images.texture(document, json::Index::new(source as u32), place)?,
+            None => self.images.texture(document, texture.source, &format!("{place}/source"))?,
+        };
+        let sampler = match texture.sampler {
+            Some(sampler) => Some((document.get(sampler, &format!("{place}/sampler"))?, sampler.value())),
+            None => None,
+        };
+        let (wrap_u, wrap_v, filter) = match sampler {
+            Some((sampler, number)) => (
+                self.wrap(sampler.wrap_s, number, "wrapS")?,
+                self.wrap(sampler.wrap_t, number, "wrapT")?,
+                match sampler.mag_filter {
+                    Some(Checked::Valid(json::texture::MagFilter::Nearest)) => Filter::Nearest,
+                    Some(Checked::Invalid) => return Err(self.sampler_fault(number, "magFilter")),
+                    _ => Filter::Linear,
+                },
+            ),
+            None => Default::default(),
+        };
+        self.position.insert(index.value(), self.textures.len());
+        self.textures.push(Texture { image, wrap_u, wrap_v, filter });
+        Ok(self.textures.len() - 1)
+    }
+
+    fn wrap(&self, mode: Checked<json::texture::WrappingMode>, number: usize, field: &str) -> Result<Wrap, Fault> {
+        use gltf::json::texture::WrappingMode;
+        match mode {
+            Checked::Valid(WrappingMode::Repeat) => Ok(Wrap::Repeat),
+            Checked::Valid(WrappingMode::MirroredRepeat) => Ok(Wrap::MirroredRepeat),
+            Checked::Valid(WrappingMode::ClampToEdge) => Ok(Wrap::ClampToEdge),
+            Checked::Invalid => Err(self.sampler_fault(number, field)),
+        }
+    }
+
+    fn sampler_fault(&self, number: usize, field: &str) -> Fault {
+        let place = format!("/samplers/{number}/{field}");
+        let found = self.document.quote(&place);
+        Fault::new(place, "a value that glTF 2.0 defines", found)
+    }
+}
+
+/// A reference that the `gltf` crate has a type for, in the slot of the object at `parent`.
+pub(crate) fn plain(info: &json::texture::Info, parent: &str, slot: &str) -> Reference {
+    let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.clone());
+    Reference { index: info.index, uv_set: info.tex_coord, transform, place: format!("{parent}/{slot}") }
+}
+
+/// The `gltf` crate has no type for extensions of a normal texture.
+pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTransform, Fault> {
+    serde_json::from_value(value.clone()).map_err(|_| {
+        let place = format!("{place}/extensions/KHR_texture_transform");
+        Fault::new(place, "offset, rotation, scale, texCoord", quote(Some(value)))
+    })
+}
+
+/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v (v points down, so this is
+/// counter-clockwise to the eye); the extension's text leaves the sense open, its test scene and all common viewers agree.
+fn affine(transform: &TextureTransform) -> Affine2 {
+    let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
+    Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)
+}

@@ -1,0 +1,237 @@
+//! What light fields can do.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use lumistack_display::{FieldGeometry, LightField as Field, Projection, ViewGrid};
+use lumistack_field_io::GeometryFlags;
+use lumistack_pipeline::{PipelineError, expose_field, open_field};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyType};
+use serde_json::{Map, Value};
+
+use crate::array::{Array, Part, Values};
+use crate::display::{Display, display_of};
+use crate::error::{exception, raised, setting};
+use crate::field::LightField;
+use crate::json::{map_of, numbers, table, to_python};
+use crate::work::long;
+
+#[pymethods]
+impl LightField {
+    #[new]
+    #[pyo3(signature = (radiance, *, display=None, pitch_mm=None, fov_deg=None, slope_x=None, slope_y=None, distance_mm=None))]
+    fn new(
+        py: Python<'_>,
+        radiance: &Bound<'_, PyAny>,
+        display: Option<&Bound<'_, PyAny>>,
+        pitch_mm: Option<f64>,
+        fov_deg: Option<&Bound<'_, PyAny>>,
+        slope_x: Option<&Bound<'_, PyAny>>,
+        slope_y: Option<&Bound<'_, PyAny>>,
+        distance_mm: Option<f64>,
+    ) -> PyResult<Self> {
+        let radiance = Values::read(radiance, "radiance")?.tensor("radiance", Field::AXES)?;
+        let [view_rows, view_cols, rows, cols, channels] = radiance.shape();
+        if channels != 3 {
+            let message = format!("radiance: expected 3 channels on the last axis, rgb, found {channels}");
+            return Err(exception(py, "DataError", &message));
+        }
+        let fov_deg: Option<[f64; 2]> = numbers("fov_deg", fov_deg)?;
+        let slope_x: Option<Vec<f64>> = numbers("slope_x", slope_x)?;
+        let slope_y: Option<Vec<f64>> = numbers("slope_y", slope_y)?;
+        let own = [pitch_mm.is_some(), fov_deg.is_some(), slope_x.is_some(), slope_y.is_some(), distance_mm.is_some()];
+        let (grid, pitch_mm, display) = if let Some(display) = display {
+            if own.contains(&true) {
+                return Err(setting(py, "light field: expected either `display` or its numbers, found both"));
+            }
+            let display = display_of(py, Some(display))?;
+            let geometry = display.geometry().map_err(|source| {
+                let path = PathBuf::from(&display.name);
+                raised(py, &PipelineError::Display { path, text: String::new(), source })
+            })?;
+            (geometry.grid, geometry.pitch_mm, Some(display))
+        } else {
+            let Some(pitch_mm) = pitch_mm else {
+                let expected = "light field: expected `display`, or `pitch_mm` and `fov_deg` or slopes";
+                return Err(setting(py, format!("{expected}, found no `pitch_mm`")));
+            };
+            let projection = match distance_mm {
+                None => Projection::Oblique,
+                Some(distance_mm) => Projection::Perspective { distance_mm },
+            };
+            let grid = match (fov_deg, slope_x, slope_y) {
+                (Some(fov_deg), None, None) => ViewGrid::uniform(projection, [view_cols, view_rows], fov_deg)
+                    .map_err(|error| raised(py, &PipelineError::Grid(error)))?,
+                (None, Some(slope_x), Some(slope_y)) => ViewGrid { projection, slope_x, slope_y },
+                (None, None, None) if [view_rows, view_cols] == [1, 1] => ViewGrid::single(projection, [0.0, 0.0]),
+                _ => {
+                    let message = "light field: expected either `fov_deg` or `slope_x` and `slope_y`";
+                    return Err(setting(py, message));
+                }
+            };
+            (grid, pitch_mm, None)
+        };
+        let geometry = FieldGeometry { rows, cols, pitch_mm, grid };
+        let resolution = display.as_ref().map(|display| display.field.resolution);
+        if let Some([display_cols, display_rows]) = resolution.filter(|resolution| *resolution != [cols, rows]) {
+            let message = format!(
+                "radiance: expected views of {display_rows} × {display_cols} pixels (rows × columns) as the display has, found {rows} × {cols}"
+            );
+            return Err(exception(py, "DataError", &message));
+        }
+        let field = Field::new(geometry, radiance).map_err(|error| raised(py, &PipelineError::Grid(error)))?;
+        Ok(Self { field: Arc::new(field), display, info: Map::new() })
+    }
+
+    /// Reads a light field of any kind: a light-field folder or a run's folder, HCI and Stanford folders, a quilt, .npy.
+    ///
+    /// What the files do not say is given, and wins over what they say: grid ("oblique" or "perspective"), fov_deg, pitch_mm, distance_mm, views (to keep),
+    /// quilt and tiles (columns, rows), resolution (to reduce to), focus_px (disparity that is put on the display's plane), mirror (x, y). From `display` come size
+    /// and angles where nothing says them. `callback(stage, fraction)` hears of progress.
+    #[classmethod]
+    #[pyo3(signature = (path, *, display=None, callback=None, **geometry))]
+    fn open(
+        _class: &Bound<'_, PyType>,
+        py: Python<'_>,
+        path: PathBuf,
+        display: Option<&Bound<'_, PyAny>>,
+        callback: Option<&Bound<'_, PyAny>>,
+        geometry: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let flags: GeometryFlags = match geometry {
+            Some(geometry) => crate::json::table_of("geometry", geometry.as_any())?,
+            None => table(py, "geometry", &[])?,
+        };
+        let display = display.map(|display| display_of(py, Some(display))).transpose()?;
+        let field = long(py, callback, |task| open_field(&path, &flags, display.as_deref(), task))?;
+        Ok(Self::plain(field))
+    }
+
+    /// The same light field under another exposure: values times 2^exposure_ev, through a tone curve.
+    ///
+    /// tone: "linear", which clips to 0..1, "khronos-neutral" or "agx", which compress what is bright. One curve serves all views. For light fields with values that
+    /// no display shows; factorize() and report() warn of them.
+    #[pyo3(signature = (exposure_ev=0.0, *, tone="linear"))]
+    fn exposed(&self, py: Python<'_>, exposure_ev: f64, tone: &str) -> PyResult<Self> {
+        let field = py.detach(|| expose_field(&self.field, exposure_ev, tone)).map_err(|error| raised(py, &error))?;
+        Ok(Self { field: Arc::new(field), display: self.display.clone(), info: self.info.clone() })
+    }
+
+    /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per view.
+    #[pyo3(signature = (folder, *, info=None))]
+    fn save(&self, py: Python<'_>, folder: PathBuf, info: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let mut all = self.info.clone();
+        if let Some(info) = info {
+            all.extend(map_of("info", info)?);
+        }
+        long(py, None, |_| lumistack_field_io::write_field(&folder, &self.field, &all).map_err(PipelineError::Field))
+    }
+
+    /// All values, [view_y, view_x, row, col, rgb], as a read-only array of NumPy: no copy is made.
+    #[getter]
+    fn radiance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        Array::numpy(py, Part::Field(self.field.clone()))
+    }
+
+    /// The same for those without NumPy: memoryview(light_field.array).
+    #[getter]
+    fn array(&self) -> Array {
+        Array::new(Part::Field(self.field.clone()))
+    }
+
+    /// Lengths of the axes (view_y, view_x, row, col, rgb).
+    #[getter]
+    fn shape(&self) -> (usize, usize, usize, usize, usize) {
+        self.field.radiance().shape().into()
+    }
+
+    /// Pixel pitch on the plane of zero parallax, millimetres.
+    #[getter]
+    fn pitch_mm(&self) -> f64 {
+        self.field.geometry().pitch_mm
+    }
+
+    /// Tangents of the view columns, left to right.
+    #[getter]
+    fn slope_x(&self) -> Vec<f64> {
+        self.field.geometry().grid.slope_x.clone()
+    }
+
+    /// Tangents of the view rows, y up, top to bottom.
+    #[getter]
+    fn slope_y(&self) -> Vec<f64> {
+        self.field.geometry().grid.slope_y.clone()
+    }
+
+    /// Viewing distance of perspective views, millimetres; None of parallel projections.
+    #[getter]
+    fn distance_mm(&self) -> Option<f64> {
+        match self.field.geometry().grid.projection {
+            Projection::Oblique => None,
+            Projection::Perspective { distance_mm } => Some(distance_mm),
+        }
+    }
+
+    /// The display that it was made for, if any.
+    #[getter]
+    fn display(&self) -> Option<Display> {
+        self.display.clone().map(Display)
+    }
+
+    /// How it was made: of a rendered one exposure, tone, depth_scale and what its depth asks of the display.
+    #[getter]
+    fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &Value::Object(self.info.clone()))
+    }
+
+    #[pyo3(signature = (dtype=None, copy=None))]
+    fn __array__<'py>(
+        &self,
+        py: Python<'py>,
+        dtype: Option<&Bound<'py, PyAny>>,
+        copy: Option<bool>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        as_array(self.radiance(py)?, dtype, copy)
+    }
+
+    fn __repr__(&self) -> String {
+        let (view_rows, view_cols, rows, cols, _) = self.shape();
+        let kind = if self.distance_mm().is_some() { "perspective" } else { "parallel" };
+        format!("<lumistack.LightField: {view_cols}×{view_rows} {kind} views of {cols}×{rows}, {} mm>", self.pitch_mm())
+    }
+
+    fn __reduce__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyAny>, Bound<'py, PyDict>))> {
+        let how = PyDict::new(py);
+        how.set_item("pitch_mm", self.pitch_mm())?;
+        how.set_item("slope_x", self.slope_x())?;
+        how.set_item("slope_y", self.slope_y())?;
+        how.set_item("distance_mm", self.distance_mm())?;
+        let rebuild = py.import("lumistack._pickle")?.getattr("light_field")?;
+        Ok((rebuild, (self.radiance(py)?, how)))
+    }
+}
+
+/// What `__array__` gives.
+pub(crate) fn as_array<'py>(
+    array: Bound<'py, PyAny>,
+    dtype: Option<&Bound<'py, PyAny>>,
+    copy: Option<bool>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = array.py();
+    let is_other = match dtype {
+        Some(dtype) => !array.getattr("dtype")?.eq(dtype)?,
+        None => false,
+    };
+    if is_other && copy == Some(false) {
+        return Err(setting(py, "a light field of another dtype cannot be had without a copy"));
+    }
+    match dtype {
+        Some(dtype) if is_other => array.call_method1("astype", (dtype,)),
+        _ if copy == Some(true) => array.call_method0("copy"),
+        _ => Ok(array),
+    }
+}

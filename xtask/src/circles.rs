@@ -1,0 +1,294 @@
+//! Files of a crate that use each other, directly or around: whoever reads one of them must have read the others first.
+//!
+//! A file uses another when its code names something defined there, however it came into reach: `use` declarations and whole paths are followed through
+//! re-exports to the definition. Re-exports themselves and `mod` lines are no use, and neither is anything in tests.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use syn::visit::{self, Visit};
+use syn::{Attribute, File, Item, ItemMod, ItemUse, UseTree, Visibility};
+
+/// Names of modules from the crate's root.
+type Names = Vec<String>;
+
+/// One file, with the modules that stand in it.
+struct Source {
+    path: PathBuf,
+    /// Its module.
+    module: Names,
+    /// Names that `use` brings into reach, each with the whole path; first those that are re-exported.
+    known: BTreeMap<String, Names>,
+    /// Modules that every name is taken from.
+    globs: Vec<Names>,
+    /// Paths that the code names, whole.
+    named: BTreeSet<Names>,
+}
+
+/// Circles of the crate whose root file this is: of each its files, and after them a line for every use within it.
+pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
+    let mut files = BTreeMap::new();
+    read(root, Vec::new(), &mut files)?;
+    // of every file those that it uses, with a name that it uses there
+    let edges: BTreeMap<&Names, BTreeMap<Names, String>> = files
+        .iter()
+        .map(|(module, source)| {
+            let used = source.named.iter().filter_map(|path| Some((home_of(&files, path, 0)?, path.join("::"))));
+            (module, used.filter(|(home, _)| home != module).collect())
+        })
+        .collect();
+    let reached = |from: &Names| -> BTreeSet<Names> {
+        let (mut seen, mut todo) = (BTreeSet::new(), vec![from.clone()]);
+        while let Some(module) = todo.pop() {
+            for next in edges.get(&module).into_iter().flat_map(BTreeMap::keys) {
+                if seen.insert(next.clone()) {
+                    todo.push(next.clone());
+                }
+            }
+        }
+        seen
+    };
+    let reach: BTreeMap<&Names, BTreeSet<Names>> = edges.keys().map(|module| (*module, reached(module))).collect();
+    let folder = root.parent().unwrap_or(Path::new(""));
+    let name = |module: &Names| files[module].path.strip_prefix(folder).unwrap_or(root).display().to_string();
+    let mut circles = BTreeSet::new();
+    for (module, seen) in reach.iter().filter(|(module, seen)| seen.contains(**module)) {
+        let back = |other: &Names| seen.contains(other) && reach[other].contains(*module);
+        let members: Vec<&Names> = edges.keys().copied().filter(|other| back(other)).collect();
+        let uses = members.iter().flat_map(|from| {
+            let within = edges[from].iter().filter(|(to, _)| back(to));
+            within.map(|(to, by)| format!("{} uses {}: {by}", name(from), name(to)))
+        });
+        circles.insert([members.iter().map(|module| name(module)).collect(), uses.collect()]);
+    }
+    Ok(circles.into_iter().collect())
+}
+
+/// Reads a file and those of its modules.
+fn read(path: &Path, module: Names, files: &mut BTreeMap<Names, Source>) -> Result<(), String> {
+    let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    let file: File = syn::parse_file(&text).map_err(|error| format!("{}: {error}", path.display()))?;
+    let is_root = matches!(path.file_stem().and_then(|stem| stem.to_str()), Some("lib" | "main" | "mod"));
+    let folder = if is_root { path.with_file_name("") } else { path.with_extension("") };
+    let mut reader = Reader {
+        source: Source {
+            path: path.to_owned(),
+            module: module.clone(),
+            known: BTreeMap::new(),
+            globs: Vec::new(),
+            named: BTreeSet::new(),
+        },
+        inner: Vec::new(),
+        children: Vec::new(),
+    };
+    reader.visit_file(&file);
+    let children = std::mem::take(&mut reader.children);
+    files.insert(module.clone(), reader.source);
+    for (name, place) in children {
+        let child = match place {
+            Some(place) => path.with_file_name(place),
+            None => {
+                let plain = folder.join(format!("{name}.rs"));
+                if plain.is_file() { plain } else { folder.join(&name).join("mod.rs") }
+            }
+        };
+        let module = module.iter().cloned().chain([name]).collect();
+        read(&child, module, files)?;
+    }
+    Ok(())
+}
+
+struct Reader {
+    source: Source,
+    /// Names of the modules within the file that are being read.
+    inner: Names,
+    /// Modules in files of their own, with the place that an attribute gives.
+    children: Vec<(String, Option<String>)>,
+}
+
+impl Reader {
+    /// A path as the code has it, from the crate's root; `None` where it leads elsewhere or to what the file defines itself.
+    fn whole(&self, path: &[String]) -> Option<Names> {
+        let here = || self.source.module.iter().chain(&self.inner).cloned();
+        let (first, rest) = path.split_first()?;
+        let mut base: Names = match first.as_str() {
+            "crate" => Vec::new(),
+            "self" => here().collect(),
+            "super" => here().take(self.source.module.len() + self.inner.len() - 1).collect(),
+            _ => return None,
+        };
+        for name in rest {
+            if name == "super" {
+                base.pop();
+            } else if name != "self" {
+                base.push(name.clone());
+            }
+        }
+        Some(base)
+    }
+
+    fn take(&mut self, tree: &UseTree, before: &mut Names, exported: bool) {
+        match tree {
+            UseTree::Path(path) => {
+                before.push(path.ident.to_string());
+                self.take(&path.tree, before, exported);
+                before.pop();
+            }
+            UseTree::Group(group) => group.items.iter().for_each(|tree| self.take(tree, before, exported)),
+            UseTree::Name(name) => self.bring(name.ident.to_string(), &name.ident.to_string(), before, exported),
+            UseTree::Rename(name) => self.bring(name.rename.to_string(), &name.ident.to_string(), before, exported),
+            UseTree::Glob(_) => {
+                if let Some(module) = self.whole(before) {
+                    if !exported {
+                        self.source.named.insert(module.clone());
+                    }
+                    self.source.globs.push(module);
+                }
+            }
+        }
+    }
+
+    fn bring(&mut self, name: String, item: &str, before: &[String], exported: bool) {
+        let path: Names = before.iter().cloned().chain([item.to_string()]).collect();
+        // `use child::Thing` of a module declared here
+        let whole = self.whole(&path).or_else(|| {
+            let declared = before.first().is_some_and(|first| self.children.iter().any(|(child, _)| child == first));
+            declared.then(|| self.source.module.iter().cloned().chain(path).collect())
+        });
+        let Some(whole) = whole else { return };
+        if !exported {
+            self.source.named.insert(whole.clone());
+        }
+        self.source.known.entry(name).or_insert(whole);
+    }
+}
+
+impl<'ast> Visit<'ast> for Reader {
+    fn visit_file(&mut self, file: &'ast File) {
+        // modules first: `use` may stand before their lines
+        for item in &file.items {
+            if let Item::Mod(ItemMod { attrs, ident, content: None, .. }) = item
+                && !for_tests(attrs)
+            {
+                let place = attrs.iter().find_map(|attribute| match &attribute.meta {
+                    syn::Meta::NameValue(pair) if pair.path.is_ident("path") => match &pair.value {
+                        syn::Expr::Lit(syn::ExprLit { lit: syn::Lit::Str(text), .. }) => Some(text.value()),
+                        _ => None,
+                    },
+                    _ => None,
+                });
+                self.children.push((ident.to_string(), place));
+            }
+        }
+        visit::visit_file(self, file);
+    }
+
+    fn visit_item(&mut self, item: &'ast Item) {
+        let attributes = match item {
+            Item::Fn(item) => &item.attrs,
+            Item::Impl(item) => &item.attrs,
+            Item::Mod(item) => &item.attrs,
+            Item::Use(item) => &item.attrs,
+            _ => &Vec::new(),
+        };
+        if !for_tests(attributes) {
+            visit::visit_item(self, item);
+        }
+    }
+
+    fn visit_item_mod(&mut self, module: &'ast ItemMod) {
+        if module.content.is_some() {
+            self.inner.push(module.ident.to_string());
+            visit::visit_item_mod(self, module);
+            self.inner.pop();
+        }
+    }
+
+    fn visit_item_use(&mut self, item: &'ast ItemUse) {
+        self.take(&item.tree, &mut Vec::new(), !matches!(item.vis, Visibility::Inherited));
+    }
+
+    /// `pub(crate)` names no item.
+    fn visit_visibility(&mut self, _: &'ast Visibility) {}
+
+    fn visit_path(&mut self, path: &'ast syn::Path) {
+        let names: Names = path.segments.iter().map(|segment| segment.ident.to_string()).collect();
+        let child = self.children.iter().any(|(child, _)| Some(child) == names.first());
+        if let Some(whole) = self.whole(&names) {
+            self.source.named.insert(whole);
+        } else if child && names.len() > 1 && self.inner.is_empty() {
+            self.source.named.insert(self.source.module.iter().cloned().chain(names).collect());
+        }
+        visit::visit_path(self, path);
+    }
+}
+
+/// The module whose file defines what a whole path names; `None` where that is no file of ours.
+fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Option<Names> {
+    let module = (0..=path.len()).rev().map(|count| &path[..count]).find(|module| files.contains_key(*module))?;
+    let source = &files[module];
+    let Some(name) = path.get(module.len()) else { return Some(module.to_vec()) };
+    if depth < 16 {
+        if let Some(from) = source.known.get(name) {
+            let from: Names = from.iter().chain(&path[module.len() + 1..]).cloned().collect();
+            return home_of(files, &from, depth + 1);
+        }
+        // a name behind a glob: taken for the glob's own where only one stands here
+        if let [glob] = source.globs.as_slice()
+            && !source_defines(source, name)
+        {
+            let from: Names = glob.iter().chain(&path[module.len()..]).cloned().collect();
+            return home_of(files, &from, depth + 1);
+        }
+    }
+    Some(module.to_vec())
+}
+
+/// Whether a file holds the name of an item that it defines.
+fn source_defines(source: &Source, name: &str) -> bool {
+    let text = std::fs::read_to_string(&source.path).unwrap_or_default();
+    ["fn ", "struct ", "enum ", "trait ", "type ", "const ", "static ", "union "]
+        .iter()
+        .any(|kind| text.contains(&format!("{kind}{name}")))
+}
+
+/// Whether code is there for tests only.
+fn for_tests(attributes: &[Attribute]) -> bool {
+    attributes.iter().any(|attribute| match &attribute.meta {
+        syn::Meta::List(list) if list.path.is_ident("cfg") => list.tokens.to_string() == "test",
+        _ => false,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn circles(name: &str, sources: &[(&str, &str)]) -> Vec<[Vec<String>; 2]> {
+        let folder = std::env::temp_dir().join(format!("circles-{}-{name}", std::process::id()));
+        for (name, text) in sources {
+            let path = folder.join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        }
+        let found = of_crate(&folder.join("lib.rs")).unwrap();
+        std::fs::remove_dir_all(&folder).unwrap();
+        found
+    }
+
+    #[test]
+    fn circles_are_found_through_names_and_paths() {
+        let lib = ("lib.rs", "mod a; mod b; pub use a::A; pub use b::B;");
+        let line = [lib, ("a.rs", "use crate::A; pub struct A;"), ("b.rs", "use crate::A; pub struct B(A);")];
+        assert!(circles("line", &line).is_empty());
+        // each through the root's re-export, so neither names the other's file
+        let both = [lib, ("a.rs", "use crate::B; pub struct A(B);"), ("b.rs", "pub struct B; fn f(_: crate::A) {}")];
+        let uses = ["a.rs uses b.rs: B", "b.rs uses a.rs: A"];
+        assert_eq!(circles("both", &both), [[vec!["a.rs", "b.rs"], uses.to_vec()]]);
+        let parent = ("a.rs", "mod c; use c::C; pub struct A(C); pub struct D;");
+        let child = ("a/c.rs", "use super::D; pub struct C(D);");
+        let rest = ("b.rs", "pub struct B; #[cfg(test)] mod tests { use crate::A; }");
+        let found = circles("parent", &[lib, parent, child, rest]);
+        assert_eq!(found.iter().map(|[files, _]| files).collect::<Vec<_>>(), [&["a.rs", "a/c.rs"]]);
+    }
+}
