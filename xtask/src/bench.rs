@@ -41,7 +41,7 @@ cargo xtask bench [what]
   web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
                 and per frame, through WebGL2 and on the processor
   fuzz          random changes to files of every kind that is read, whole and packed, from our own and the corpora of
-                others; anything but a value or a message is a failure. Needs a nightly compiler and a C++ compiler; fetches
+                others; anything but a value or a message is a failure. Needs a C++ compiler, takes a nightly Rust where there is one; fetches
                 cargo-fuzz
       --minutes N    for each target, default 10
       --target NAME  one only: load (glTF and its pictures), light_field, quilt, npy, picture, obj, display, job, stack, calibration
