@@ -11,6 +11,7 @@ mod design;
 mod directional;
 mod end_to_end;
 mod errors;
+mod golden;
 mod looks;
 mod outputs;
 mod plugins;
