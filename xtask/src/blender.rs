@@ -21,7 +21,7 @@ pub fn build(wheels: &[&str]) -> Outcome {
     let mut there = platforms_of(&wheels)?;
     let own = machine()?;
     if !there.contains(&own) {
-        wheels.push(wheel(&python, "release")?);
+        wheels.push(wheel(&python, python::build)?);
         there = platforms_of(&wheels)?;
     }
     extension(&python, &wheels, &there).map(|_| ())
@@ -36,7 +36,7 @@ pub fn check(full: bool) -> Outcome {
             return Ok(());
         }
     };
-    let wheels = [wheel(&python, "dev")?];
+    let wheels = [wheel(&python, python::pack)?];
     program(&python, &wheels[0])?;
     let zip = extension(&python, &wheels, &platforms_of(&wheels)?)?;
     cases(&python, &zip, BLENDER, if full { "full" } else { "all" })?;
@@ -132,12 +132,12 @@ fn python_of_blender() -> Option<String> {
         .find(|python| output_of(command(python).args(["-c", test])).is_some_and(|said| said.trim() == PYTHON))
 }
 
-/// The wheel of this machine.
-fn wheel(python: &Path, profile: &str) -> Outcome<PathBuf> {
+/// The wheel of this machine, as `make` makes it.
+fn wheel(python: &Path, make: fn(&Path) -> Outcome<PathBuf>) -> Outcome<PathBuf> {
     if output_of(command(python).args(["-c", "import maturin"])).is_none() {
         install(python, &TOOLS)?;
     }
-    python::build(python, profile)
+    make(python)
 }
 
 /// The zips, each with the wheel of its platform in it; the one of this machine.

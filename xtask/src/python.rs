@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::tools::{self, Outcome, command, install, output_of, run};
+use crate::tools::{self, EVERYTHING, Outcome, command, install, output_of, run};
 
 /// What builds and checks the package, as pip takes it.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "maturin==1.16.*", "pytest==9.*", "mypy==2.*"];
@@ -10,7 +10,7 @@ const TOOLS: [&str; 4] = ["--only-binary=:all:", "maturin==1.16.*", "pytest==9.*
 /// The oldest Python for which the wheel is made.
 const OLDEST: (u32, u32) = (3, 11);
 
-/// Builds the wheel from the artefacts of the workspace's tests, installs it, and checks and measures it. Skips with a message where this machine's Python is too old or
+/// Packs the wheel from the artefacts of the workspace's tests, installs it, and checks and measures it. Skips with a message where this machine's Python is too old or
 /// the tools cannot be fetched.
 pub fn check() -> Outcome {
     let python = tools::python()?;
@@ -27,7 +27,7 @@ pub fn check() -> Outcome {
             return Ok(());
         }
     }
-    let wheel = build(&python, "dev")?;
+    let wheel = pack(&python)?;
     install(&python, &["--force-reinstall", "--no-deps", &wheel.to_string_lossy()])?;
     types(&python)?;
     run(command(&python).args(["-m", "pytest", "-q", "--durations=5"]))?;
@@ -41,7 +41,7 @@ pub fn release() -> Outcome {
     if !can_import(&python, "maturin") {
         install(&python, &TOOLS)?;
     }
-    let wheel = build(&python, "release")?;
+    let wheel = build(&python)?;
     install(&python, &["--force-reinstall", "--no-deps", &wheel.to_string_lossy()])?;
     measure(&python, &wheel)
 }
@@ -55,14 +55,41 @@ fn is_new_enough(python: &Path) -> bool {
     output_of(command(python).args(["-c", &test])).is_some()
 }
 
-/// Builds the wheel with a profile of the workspace; its path.
-pub fn build(python: &Path, profile: &str) -> Outcome<PathBuf> {
-    let folder = tools::root().join("target/wheels").join(profile);
-    let _ = std::fs::remove_dir_all(&folder);
+/// Builds the wheel as users get it; its path.
+pub fn build(python: &Path) -> Outcome<PathBuf> {
+    let folder = empty("target/wheels/release")?;
     let maturin = python.with_file_name("maturin");
-    run(command(maturin).args(["build", "--profile", profile, "--interpreter"]).arg(python).arg("--out").arg(&folder))?;
-    let mut files = std::fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?.flatten();
-    files.next().map(|file| file.path()).ok_or_else(|| format!("maturin left no wheel in {}", folder.display()))
+    run(command(maturin).args(["build", "--release", "--interpreter"]).arg(python).arg("--out").arg(&folder))?;
+    only_file(&folder)
+}
+
+/// Packs a wheel of what the tests of the workspace have compiled, which maturin would compile again with other features; its path. Everything but the
+/// module is as maturin has it.
+pub fn pack(python: &Path) -> Outcome<PathBuf> {
+    tools::cargo(&[&["build", "--quiet", "--lib"], &EVERYTHING[..]].concat())?;
+    let (info, folder) = (empty("target/wheels/info")?, empty("target/wheels/dev")?);
+    let mut maturin = command(python.with_file_name("maturin"));
+    run(maturin
+        .args(["pep517", "write-dist-info", "--interpreter"])
+        .arg(python)
+        .arg("--metadata-directory")
+        .arg(&info))?;
+    let mut pack = command(python);
+    pack.arg("xtask/python/pack.py").arg(only_file(&info)?).arg("crates/python/python");
+    run(pack.arg("target/debug/liblumistack_python.so").arg(&folder))?;
+    only_file(&folder)
+}
+
+fn empty(folder: &str) -> Outcome<PathBuf> {
+    let folder = tools::root().join(folder);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    Ok(folder)
+}
+
+fn only_file(folder: &Path) -> Outcome<PathBuf> {
+    let mut files = std::fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?.flatten();
+    files.next().map(|file| file.path()).ok_or_else(|| format!("maturin left nothing in {}", folder.display()))
 }
 
 /// mypy over the examples and tests, and the stubs against the module.
