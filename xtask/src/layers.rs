@@ -20,7 +20,8 @@ const FORBIDDEN: [(&str, &[&str]); 3] = [
 ];
 
 /// Crates that must compile to wasm32 and so take no file system, clock or terminal.
-pub const PORTABLE: [&str; 6] = [
+pub const PORTABLE: [&str; 7] = [
+    "lumistack-simd",
     "lumistack-core",
     "lumistack-scene",
     "lumistack-display",

@@ -12,8 +12,11 @@ struct Machine {
 }
 
 /// What has kernels, and which tests run them: the package, options, and words of test names.
-const TESTS: [(&str, &[&str], &str); 2] =
-    [("lumistack-factorizer", &["--no-default-features"], "updates"), ("lumistack-pathtracer", &[], "bvh")];
+const TESTS: [(&str, &[&str], &str); 3] = [
+    ("lumistack-simd", &[], ""),
+    ("lumistack-factorizer", &["--no-default-features"], "updates"),
+    ("lumistack-pathtracer", &[], "bvh"),
+];
 
 /// Runs the tests on every machine that can be had.
 pub fn check() -> Outcome {

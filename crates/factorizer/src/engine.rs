@@ -3,15 +3,15 @@
 use lumistack_display::{Backlight, LayerStack, Response};
 
 use crate::aligned::Aligned;
-use crate::errors::{ErrorSum, RowErrors};
+use crate::errors::{ErrorFunctions, ErrorSum, RowErrors};
 use crate::factor::{Factor, Layout};
-use crate::gather::{self, GatherLine};
-use crate::lanes::{InstructionSet, dispatch};
-use crate::line::{LineOf, LineStep, Outcome, quantities_of};
+use crate::gather::{self, GatherFunctions, GatherLine};
+use crate::line::{LineOf, LineStep, Outcome, StepFunctions, quantities_of};
 use crate::plan::Plan;
 use crate::respond::{self, Pulled, StepLine};
+use crate::scratch::Scratch;
 use crate::step::{Block, Levels, Rule};
-use crate::sums::{self, SumLine};
+use crate::sums::SumLine;
 use crate::{FactorizeError, Objective, Problem, bands, unlit};
 
 /// Patterns under way.
@@ -31,7 +31,6 @@ pub(crate) struct Engine {
     ranges: Vec<[f32; 2]>,
     /// What was handed in; gives the downloaded stack its shapes. Empty where patterns are fetched row by row.
     shapes: LayerStack,
-    set: InstructionSet,
     fast: bool,
     /// Where L̃ is not linear in a factor: whether updates try the curvature at the present point before the bound that holds everywhere.
     pub(crate) bold: bool,
@@ -69,20 +68,7 @@ impl Engine {
         let shapes = LayerStack { brightness: display.brightness, ..start };
         let rays = plan.rays();
         let (latest, spare) = (Vec::new(), Aligned::default());
-        Ok(Self {
-            plan,
-            factors,
-            stored,
-            levels,
-            latest,
-            spare,
-            ranges,
-            shapes,
-            set: InstructionSet::detect(),
-            fast: true,
-            bold: false,
-            rays,
-        })
+        Ok(Self { plan, factors, stored, levels, latest, spare, ranges, shapes, fast: true, bold: false, rays })
     }
 
     /// For patterns that never leave as a whole: begins at `start(factor, channel, line, values)`, which fills a line's rows frame by frame.
@@ -116,8 +102,7 @@ impl Engine {
         let shapes = LayerStack { layers: Vec::new(), emission: None, brightness };
         let (stored, levels) = (factors.iter().map(|_| None).collect(), vec![None; factors.len()]);
         let (latest, spare, rays) = (Vec::new(), Aligned::default(), plan.rays());
-        let set = InstructionSet::detect();
-        Self { plan, factors, stored, levels, latest, spare, ranges, shapes, set, fast: true, bold: false, rays }
+        Self { plan, factors, stored, levels, latest, spare, ranges, shapes, fast: true, bold: false, rays }
     }
 
     /// One row of a pattern.
@@ -128,8 +113,8 @@ impl Engine {
 
     /// Chooses the instruction set and whether the fast kernel may be used.
     #[cfg(test)]
-    pub(crate) fn use_kernel(&mut self, set: InstructionSet, fast: bool) {
-        self.set = set;
+    pub(crate) fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
+        self.plan.use_backend(backend);
         self.fast = fast;
     }
 
@@ -223,16 +208,18 @@ impl Engine {
         let steps = Steps::new(&layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let latest = beyond.map(|_| &mut self.latest[n]);
         let mut lines = lines_of(&layout, &mut stored.values, beyond.zip(latest), None);
-        let set = self.set;
+        let functions = steps.functions(&self.plan, layout.frames);
         bands::for_each_chunk(
             &mut lines,
             1,
-            || Block::new(layout.frames),
-            |block, index, line| {
+            || (Block::new(layout.frames), vec![0.0; line_sums]),
+            |(block, sums), index, line| {
                 let (channel, at) = (index / layout.stored_lines(), index % layout.stored_lines());
                 if at < layout.lines() {
-                    let step = StepLine { pulled: &pulled, channel, line: at, step: steps.of(at, &mut line[0]), block };
-                    line[0].outcome = dispatch(set, step);
+                    let step = steps.of(at, &mut line[0]);
+                    let line_of =
+                        StepLine { pulled: &pulled, channel, line: at, step, functions: &functions, block, sums };
+                    line[0].outcome = line_of.update();
                 }
             },
         );
@@ -252,7 +239,7 @@ impl Engine {
         values: &mut [f32],
         sums: Option<&mut [f32]>,
     ) -> Outcome {
-        let (plan, factors, set, fast) = (&self.plan, &self.factors, self.set, self.is_fast(n));
+        let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
         let latest = beyond.map(|_| &mut self.latest[n]);
         let mut lines = lines_of(layout, values, beyond.zip(latest), sums);
@@ -266,7 +253,9 @@ impl Engine {
             (rule == Rule::Settle && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
         let steps = Steps::new(layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let is_line = |at: &LineOf| at.line < layout.lines();
+        let functions = steps.functions(plan, layout.frames);
         if fast {
+            let functions = GatherFunctions::new(plan.backend, rule, layout.frames, factors.len() - 1, functions);
             bands::for_each_chunk(
                 &mut lines,
                 1,
@@ -274,11 +263,9 @@ impl Engine {
                 |scratch, index, line| {
                     let at = line_of(index);
                     if is_line(&at) {
-                        let outcome = dispatch(
-                            set,
-                            GatherLine { plan, factors, at, step: steps.of(at.line, &mut line[0]), scratch },
-                        );
-                        line[0].outcome = outcome;
+                        let step = steps.of(at.line, &mut line[0]);
+                        let gathered = GatherLine { plan, factors, at, functions: &functions, step, scratch };
+                        line[0].outcome = gathered.update();
                     }
                 },
             );
@@ -286,15 +273,13 @@ impl Engine {
             bands::for_each_chunk(
                 &mut lines,
                 1,
-                || sums::Scratch::new(plan, n),
+                || Scratch::new(plan, n),
                 |scratch, index, line| {
                     let at = line_of(index);
                     if is_line(&at) {
-                        let outcome = dispatch(
-                            set,
-                            SumLine { plan, factors, at, local, step: steps.of(at.line, &mut line[0]), scratch },
-                        );
-                        line[0].outcome = outcome;
+                        let step = steps.of(at.line, &mut line[0]);
+                        let summed = SumLine { plan, factors, at, local, functions: &functions, step, scratch };
+                        line[0].outcome = summed.update();
                     }
                 },
             );
@@ -355,13 +340,14 @@ impl Engine {
 
     /// The objective of what rays read.
     pub(crate) fn objective(&self) -> Objective {
-        let (plan, factors, set) = (&self.plan, &self.factors, self.set);
+        let (plan, factors) = (&self.plan, &self.factors);
+        let functions = ErrorFunctions::new(plan);
         let sums = bands::map(
             plan.target.channels * plan.rows,
-            || sums::Scratch::new(plan, 0),
+            || Scratch::new(plan, 0),
             |scratch, index| {
                 let (channel, row) = (index / plan.rows, index % plan.rows);
-                dispatch(set, RowErrors { plan, factors, channel, row, scratch })
+                RowErrors { plan, factors, channel, row, functions: &functions, scratch }.sum()
             },
         );
         let total = sums.iter().fold(ErrorSum::default(), |total, sum| total.merged(*sum));
@@ -432,6 +418,10 @@ struct Steps<'a> {
 impl<'s> Steps<'s> {
     fn new(layout: &Layout, rule: Rule, range: [f32; 2], levels: Option<&'s Levels>, limits: Option<Vec<f32>>) -> Self {
         Self { rule, range, levels, columns: layout.pad..layout.pad + layout.cols(), stride: layout.stride, limits }
+    }
+
+    fn functions(&self, plan: &Plan, frames: usize) -> StepFunctions {
+        StepFunctions::new(plan.backend, self.rule, self.levels.is_some(), frames)
     }
 
     fn of<'a>(&'a self, at: usize, line: &'a mut Line) -> LineStep<'a> {

@@ -1,13 +1,13 @@
 //! The objective: errors of one field row over all views.
 
-use crate::expand::{Rays, coefficients};
+use lumistack_simd::{Function, Kernel, Lanes};
+
+use crate::expand::{Rays, coefficients, errors};
 use crate::factor::{Factor, PAD};
-use crate::gather::mask;
-use crate::lanes::{Kernel, Lanes};
 use crate::plan::Plan;
-use crate::step::sum;
-use crate::sums::Scratch;
+use crate::scratch::Scratch;
 use crate::target::Row;
+use crate::vector::{mask, sum};
 
 /// Error sums of some rays.
 #[derive(Clone, Copy, Debug, Default)]
@@ -30,25 +30,35 @@ pub(crate) struct RowErrors<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) channel: usize,
     pub(crate) row: usize,
+    pub(crate) functions: &'a ErrorFunctions,
     pub(crate) scratch: &'a mut Scratch,
 }
 
-impl Kernel for RowErrors<'_> {
-    type Output = ErrorSum;
+/// The functions of one instruction set.
+pub(crate) struct ErrorFunctions {
+    shifted: Function<Shifted>,
+    squared: Function<Squared>,
+}
 
-    #[inline(always)]
-    unsafe fn run<V: Lanes>(self) -> ErrorSum {
-        let Self { plan, factors, channel, row, scratch } = self;
+impl ErrorFunctions {
+    pub(crate) fn new(plan: &Plan) -> Self {
+        Self { shifted: plan.backend.function::<Shifted>(), squared: plan.backend.function::<Squared>() }
+    }
+}
+
+impl RowErrors<'_> {
+    /// Over all views.
+    pub(crate) fn sum(self) -> ErrorSum {
+        let Self { plan, factors, channel, row, functions, scratch } = self;
         let mut total = ErrorSum::default();
-        let mut errors = vec![0.0; plan.cols];
         for view_y in (0..plan.views[0]).filter(|&view_y| plan.valid_rows[view_y][row]) {
             for view_x in 0..plan.views[1] {
                 for run in &plan.runs[view_x] {
                     let rays = Rays { channel, view: [view_y, view_x], row, run };
                     let weights = plan.target.weights(plan.view(view_y, view_x), row);
                     if plan.shifted {
-                        // SAFETY: the machine has V; the tables are constant shifts
-                        let errors = unsafe { squared_shifted::<V>(plan, factors, &rays, weights) };
+                        // SAFETY: the tables are constant shifts
+                        let errors = unsafe { (functions.shifted)((plan, factors, &rays, weights)) };
                         // beyond 1e19 a square needs f64
                         if errors.plain.is_finite() {
                             total = total.merged(errors);
@@ -56,10 +66,11 @@ impl Kernel for RowErrors<'_> {
                         }
                     }
                     coefficients(plan, factors, None, &rays, scratch);
-                    let errors = &mut errors[..run.len()];
-                    plan.target.errors(&rays, plan, &scratch.emitted, errors);
-                    total =
-                        total.merged(squared(errors, weights.map(|weights| &weights[PAD + run.start..PAD + run.end])));
+                    let e = &mut scratch.errors[..run.len()];
+                    errors(plan, &rays, &scratch.emitted, e);
+                    let weights = weights.map(|weights| &weights[PAD + run.start..PAD + run.end]);
+                    // SAFETY: the kernel makes no demands
+                    total = total.merged(unsafe { (functions.squared)((e, weights)) });
                 }
             }
         }
@@ -70,8 +81,20 @@ impl Kernel for RowErrors<'_> {
 /// Blocks whose squares are added in f32 before they go to an f64 sum.
 const BLOCKS_PER_SUM: usize = 4;
 
-/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant shift.
-///
+/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant shift: [`Plan::shifted`] must hold.
+struct Shifted;
+
+impl Kernel for Shifted {
+    type Args<'a> = (&'a Plan, &'a [Factor], &'a Rays<'a>, Option<&'a [f32]>);
+    type Output = ErrorSum;
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((plan, factors, rays, root_weights): Self::Args<'_>) -> ErrorSum {
+        // SAFETY: passed on from the caller
+        unsafe { squared_shifted::<V>(plan, factors, rays, root_weights) }
+    }
+}
+
 /// # Safety
 /// The machine has `V`'s instruction set, and [`Plan::shifted`] holds.
 #[inline(always)]
@@ -120,7 +143,7 @@ unsafe fn squared_shifted<V: Lanes>(
                 let root = V::load(roots[PAD + col..][..V::COUNT].as_ptr());
                 let rooted = root.mul(error);
                 weighted = rooted.mul_add(rooted, weighted);
-                error = root.above(zero, error, zero);
+                error = error.where_else(zero.below(root), zero);
             }
             plain = error.mul_add(error, plain);
             if (index + 1) % BLOCKS_PER_SUM == 0 || col + V::COUNT >= run.end {
@@ -161,6 +184,18 @@ unsafe fn emitted_by<V: Lanes, const R: usize>(lines: &[Line], m: usize, col: us
 }
 
 /// Squared errors of a run, added in eight interleaved `f64` sums.
+struct Squared;
+
+impl Kernel for Squared {
+    type Args<'a> = (&'a [f32], Option<&'a [f32]>);
+    type Output = ErrorSum;
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((errors, root_weights): Self::Args<'_>) -> ErrorSum {
+        squared(errors, root_weights)
+    }
+}
+
 #[inline(always)]
 fn squared(errors: &[f32], root_weights: Option<&[f32]>) -> ErrorSum {
     const LANES: usize = 8;

@@ -6,7 +6,8 @@ use lumistack_display::LayerStack;
 use crate::coarse::Coarse;
 use crate::engine::Engine;
 use crate::quantize::{has_levels, reoptimize_on_levels, round_to_levels};
-use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, solver, start_patterns, unlit};
+use crate::solvers::{AUTO, solver};
+use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, start_patterns, unlit};
 
 /// How to factorize.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,9 +30,6 @@ pub struct Settings {
     /// Whether patterns for layers of few bits are re-optimized on the panels' levels; otherwise they stay continuous.
     pub levels: bool,
 }
-
-/// Name of the choice of solver by what the benchmarks show to be best.
-pub const AUTO: &str = "auto";
 
 impl Default for Settings {
     fn default() -> Self {

@@ -16,6 +16,7 @@
 mod aligned;
 mod bands;
 mod block_exact;
+mod buffers;
 mod coarse;
 mod engine;
 mod errors;
@@ -23,31 +24,37 @@ mod expand;
 mod factor;
 mod factorize;
 mod gather;
-mod lanes;
 mod line;
+mod map;
 mod multiplicative;
 mod plan;
 mod problem;
 mod quantize;
 mod rays;
+mod registers;
 mod respond;
+mod rows;
+mod scratch;
 mod solver;
+mod solvers;
 mod start;
 mod step;
 mod stream;
 mod sums;
 mod target;
 mod unlit;
+mod vector;
 
 #[cfg(test)]
 mod tests;
 
 pub use block_exact::{BlockExact, Extrapolated};
-pub use factorize::{AUTO, Factorization, Iteration, LevelsLoss, Settings, factorize, warm_start_pays};
+pub use factorize::{Factorization, Iteration, LevelsLoss, Settings, factorize, warm_start_pays};
 pub use multiplicative::Multiplicative;
 pub use problem::{FactorizeError, Problem};
 pub use quantize::{has_levels, reoptimize_on_levels, round_to_levels};
-pub use solver::{Objective, Run, Solver, solver, solvers};
+pub use solver::{Objective, Run, Solver};
+pub use solvers::{AUTO, solver, solvers};
 pub use start::{FLOOR, StartKind, random_start, start_patterns};
 pub use stream::{ChannelRun, Estimate};
 pub use target::LentTarget;

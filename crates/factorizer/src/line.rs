@@ -1,8 +1,9 @@
 //! What becomes of one line of a factor once its sums are known.
 
-use crate::factor::PAD;
-use crate::lanes::Lanes;
-use crate::step::{Block, Levels, Rule};
+use lumistack_simd::{Backend, Function, Kernel, Lanes};
+
+use crate::step::{Block, Levels, Rule, Step, StepFunction, step_function};
+use crate::vector::{self, Vector};
 
 /// Which line is updated.
 #[derive(Clone, Copy, Debug)]
@@ -51,83 +52,164 @@ pub(crate) fn quantities_of(rule: Rule, frames: usize) -> usize {
     if rule.needs_gram() { frames + frames * (frames + 1) / 2 } else { 2 * frames }
 }
 
-impl LineStep<'_> {
-    /// Fills a block with the values at x and with sums: `fetch` writes one quantity after another.
-    #[inline(always)]
-    pub(crate) fn fetch_block<V: Lanes>(&self, block: &mut Block, x: usize, mut fetch: impl FnMut(usize, &mut [f32])) {
-        let frames = block.frames;
-        for m in 0..frames {
-            let from = &self.values[m * self.stride + x..][..V::COUNT];
-            block.values[m * V::COUNT..][..V::COUNT].copy_from_slice(from);
+/// The functions of an update after the sums, for one instruction set, rule and number of frames.
+pub(crate) struct StepFunctions {
+    lanes: usize,
+    step: StepFunction,
+    fetch: Function<Fetch>,
+    hand_over: Function<HandOver>,
+    put: Function<Put>,
+}
+
+impl StepFunctions {
+    pub(crate) fn new(backend: Backend, rule: Rule, levels: bool, frames: usize) -> Self {
+        Self {
+            lanes: backend.lanes(),
+            step: step_function(backend, rule, levels, frames),
+            fetch: backend.function::<Fetch>(),
+            hand_over: backend.function::<HandOver>(),
+            put: backend.function::<Put>(),
         }
-        (0..frames).for_each(|m| fetch(m, &mut block.residual[m * V::COUNT..][..V::COUNT]));
-        if self.rule.needs_gram() {
-            let mut quantity = frames;
+    }
+}
+
+impl LineStep<'_> {
+    /// Steps all pixels from their sums, `[r and the upper triangle of G, or n and d][x]`; returns the gain.
+    pub(crate) fn by_sums(&mut self, functions: &StepFunctions, sums: &[f32], block: &mut Block) -> f64 {
+        let mut gain = 0.0;
+        for x in self.columns.clone().step_by(functions.lanes) {
+            // SAFETY: the kernel makes no demands
+            unsafe { (functions.fetch)((self, sums, block, x)) };
+            self.finish_block(functions, block, x);
+            gain += vector::sum_of(&block.gain[..functions.lanes]);
+        }
+        gain
+    }
+
+    /// Steps one vector of pixels, whose sums and values are in `block`, and leaves there what is gained; `x` + lanes lies within the padded rows.
+    pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
+        let lanes = functions.lanes;
+        if let Some(sums) = &mut self.sums {
+            block.gain = Vector::default();
+            // SAFETY: the kernel makes no demands
+            unsafe { (functions.hand_over)((block, &mut sums[x..], self.stride, self.rule.needs_gram())) };
+            return;
+        }
+        let step = Step { block: &mut *block, sweeps: self.rule.sweeps(), range: self.range, levels: self.levels };
+        // SAFETY: the function is for the block's number of frames
+        unsafe { (functions.step)(step) };
+        if let Some(limits) = self.limits {
+            block.darken(&limits[x..x + lanes], self.range[0]);
+        }
+        // rays that miss the layer add to its padding
+        let room = (self.columns.end - x).min(lanes);
+        block.gain[room..].fill(0.0);
+        if self.rule != Rule::Probe {
+            let beyond = self.beyond.as_mut().map(|(far, latest)| (*far, &mut latest[x..]));
+            let to = Stepped { values: &mut self.values[x..], beyond, stride: self.stride, range: self.range };
+            // SAFETY: the kernel makes no demands
+            unsafe { (functions.put)((block, to, room)) };
+        }
+    }
+}
+
+/// Fills a block with the values at x, and with sums.
+struct Fetch;
+
+impl Kernel for Fetch {
+    type Args<'a> = (&'a LineStep<'a>, &'a [f32], &'a mut Block, usize);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((line, sums, block, x): Self::Args<'_>) {
+        let frames = block.frames;
+        let copy = |from: &[f32], to: &mut [f32], at: usize| {
+            let (from, to) = (&from[..V::COUNT], &mut to[at * V::COUNT..][..V::COUNT]);
+            // SAFETY: the machine has V; both parts have COUNT values
+            unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
+        };
+        for m in 0..frames {
+            copy(&line.values[m * line.stride + x..], &mut block.values, m);
+        }
+        let mut rows = sums[x..].chunks(line.stride);
+        let mut next = || rows.next().unwrap_or_default();
+        for m in 0..frames {
+            copy(next(), &mut block.residual, m);
+        }
+        if line.rule.needs_gram() {
             for m in 0..frames {
                 for k in m..frames {
-                    fetch(quantity, &mut block.gram[(m * frames + k) * V::COUNT..][..V::COUNT]);
-                    quantity += 1;
+                    copy(next(), &mut block.gram, m * frames + k);
                 }
             }
         } else {
-            (0..frames).for_each(|m| fetch(frames + m, &mut block.emitted[m * V::COUNT..][..V::COUNT]));
+            for m in 0..frames {
+                copy(next(), &mut block.emitted, m);
+            }
         }
     }
+}
 
-    /// Steps one vector of pixels, whose sums and values are in `block`; returns what [`Block::step`] returns.
-    ///
-    /// # Safety
-    /// The machine has `V`'s instruction set, and x + COUNT lies within the padded rows.
+/// Hands the sums of a block over to another step: to rows that begin at the block, and whether they are r and G.
+struct HandOver;
+
+impl Kernel for HandOver {
+    type Args<'a> = (&'a Block, &'a mut [f32], usize, bool);
+    type Output = ();
+
     #[inline(always)]
-    pub(crate) unsafe fn finish_block<V: Lanes>(&mut self, block: &mut Block, x: usize) -> V {
-        let (frames, stride) = (block.frames, self.stride);
-        // SAFETY: see above
-        unsafe {
-            if let Some(sums) = &mut self.sums {
-                let mut quantity = 0;
-                let mut hand_over = |from: &[f32], at: usize| {
-                    V::load(from[at..at + V::COUNT].as_ptr())
-                        .store(sums[quantity * stride + x..][..V::COUNT].as_mut_ptr());
-                    quantity += 1;
-                };
-                (0..frames).for_each(|m| hand_over(&block.residual, m * V::COUNT));
-                if self.rule.needs_gram() {
-                    for m in 0..frames {
-                        (m..frames).for_each(|k| hand_over(&block.gram, (m * frames + k) * V::COUNT));
-                    }
-                } else {
-                    (0..frames).for_each(|m| hand_over(&block.emitted, m * V::COUNT));
-                }
-                return V::splat(0.0);
-            }
-            let mut gain = block.step::<V>(self.rule, self.range, self.levels);
-            if let Some(limits) = self.limits {
-                block.darken(&limits[x..x + V::COUNT], self.range[0]);
-            }
-            let room = (self.columns.end - x).min(V::COUNT);
-            if room < V::COUNT {
-                // rays that miss the layer add to its padding
-                let mut lanes = [0.0f32; PAD];
-                put(gain, &mut lanes, room);
-                gain = V::load(lanes.as_ptr());
-            }
-            if self.rule == Rule::Probe {
-                return gain;
-            }
+    unsafe fn run<V: Lanes>((block, sums, stride, gram): Self::Args<'_>) {
+        let frames = block.frames;
+        let mut rows = sums.chunks_mut(stride);
+        let mut hand_over = |from: &[f32], at: usize| {
+            let (from, to) = (&from[at * V::COUNT..][..V::COUNT], &mut rows.next().unwrap_or_default()[..V::COUNT]);
+            // SAFETY: the machine has V; both parts have COUNT values
+            unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
+        };
+        (0..frames).for_each(|m| hand_over(&block.residual, m));
+        if gram {
             for m in 0..frames {
+                (m..frames).for_each(|k| hand_over(&block.gram, m * frames + k));
+            }
+        } else {
+            (0..frames).for_each(|m| hand_over(&block.emitted, m));
+        }
+    }
+}
+
+/// Where a block's values go: lines from its first pixel on, and their box.
+struct Stepped<'a> {
+    values: &'a mut [f32],
+    beyond: Option<(f32, &'a mut [f32])>,
+    stride: usize,
+    range: [f32; 2],
+}
+
+/// Writes the first so many of a block's stepped values to the line, or goes beyond them.
+struct Put;
+
+impl Kernel for Put {
+    type Args<'a> = (&'a Block, Stepped<'a>, usize);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((block, to, room): Self::Args<'_>) {
+        let Stepped { values, mut beyond, stride, range } = to;
+        // SAFETY: the machine has V; slices check lengths
+        unsafe {
+            for m in 0..block.frames {
                 let moved = V::load(block.values[m * V::COUNT..][..V::COUNT].as_ptr());
-                let at = m * stride + x;
-                let Some((beyond, latest)) = &mut self.beyond else {
-                    put(moved, &mut self.values[at..], room);
+                let at = m * stride;
+                let Some((far, latest)) = &mut beyond else {
+                    put(moved, &mut values[at..], room);
                     continue;
                 };
                 let before = V::load(latest[at..at + V::COUNT].as_ptr());
-                let further = moved.sub(before).mul_add(V::splat(*beyond), moved);
-                let further = further.max(V::splat(self.range[0])).min(V::splat(self.range[1]));
+                let further = moved.sub(before).mul_add(V::splat(*far), moved);
+                let further = further.max(V::splat(range[0])).min(V::splat(range[1]));
                 put(moved, &mut latest[at..], room);
-                put(further, &mut self.values[at..], room);
+                put(further, &mut values[at..], room);
             }
-            gain
         }
     }
 }
@@ -140,7 +222,7 @@ unsafe fn put<V: Lanes>(vector: V, to: &mut [f32], room: usize) {
         if room == V::COUNT {
             vector.store(to[..V::COUNT].as_mut_ptr());
         } else {
-            let mut lanes = [0.0f32; PAD];
+            let mut lanes = Vector::default();
             vector.store(lanes.as_mut_ptr());
             to[..room].copy_from_slice(&lanes[..room]);
         }

@@ -3,13 +3,14 @@
 use std::marker::PhantomData;
 use std::ops::Range;
 
+use lumistack_simd::{Lanes, prefetch};
+
 use crate::expand::{Rays, expand_factor};
 use crate::factor::{Factor, PAD};
-use crate::gather::mask;
-use crate::lanes::Lanes;
 use crate::line::LineOf;
 use crate::plan::Plan;
 use crate::target::Row;
+use crate::vector::mask;
 
 /// Where the value of a row at x = 0 would stand; x counts in the padded storage of the line under update.
 #[derive(Clone)]
@@ -86,14 +87,10 @@ pub(crate) struct RowsOfView<'a, const K: usize> {
 
 impl<const K: usize> RowsOfView<'_, K> {
     /// Asks for what will be read at x of some rows.
-    ///
-    /// # Safety
-    /// The machine has V.
     #[inline(always)]
-    pub(crate) unsafe fn ask<V: Lanes>(&self, x: usize) {
+    pub(crate) fn ask(&self, x: usize) {
         for row in self.ahead {
-            // SAFETY: the machine has V
-            unsafe { V::prefetch(row.wrapping_add(x)) };
+            prefetch(row.wrapping_add(x));
         }
     }
 }
@@ -143,14 +140,10 @@ impl LineRays<'_> {
     }
 
     /// Asks for what will be read at x of the rows that no view asks for.
-    ///
-    /// # Safety
-    /// The machine has V.
     #[inline(always)]
-    pub(crate) unsafe fn ask_for_rest<V: Lanes>(&self, x: usize, by_views: bool) {
+    pub(crate) fn ask_for_rest(&self, x: usize, by_views: bool) {
         for row in &self.ahead[if by_views { (ASKED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
-            // SAFETY: the machine has V
-            unsafe { V::prefetch(row.wrapping_add(x)) };
+            prefetch(row.wrapping_add(x));
         }
     }
 
@@ -180,7 +173,6 @@ pub(crate) fn expanded_stride(plan: &Plan) -> usize {
 }
 
 /// Lists the rays of a line in the storage of `rays`, and expands what is not at a constant shift. `own` are the line's rows, to be asked for ahead.
-#[inline(always)]
 pub(crate) fn rays_through<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,

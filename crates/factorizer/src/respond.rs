@@ -16,8 +16,7 @@ use lumistack_display::Response;
 use crate::aligned::Aligned;
 use crate::bands;
 use crate::factor::{Factor, Layout};
-use crate::lanes::{Kernel, Lanes};
-use crate::line::{LineStep, Outcome, quantities_of};
+use crate::line::{LineStep, Outcome, StepFunctions, quantities_of};
 use crate::step::{Block, Rule};
 
 /// Sums of all lines of a factor as planes of stored pixels: `[quantity][channel][line · cols + col]`.
@@ -78,28 +77,21 @@ pub(crate) struct StepLine<'a, 'b> {
     pub(crate) channel: usize,
     pub(crate) line: usize,
     pub(crate) step: LineStep<'b>,
+    pub(crate) functions: &'a StepFunctions,
     pub(crate) block: &'a mut Block,
+    /// Storage for the line's sums, `[quantity][x]`.
+    pub(crate) sums: &'a mut [f32],
 }
 
-impl Kernel for StepLine<'_, '_> {
-    type Output = Outcome;
-
-    #[inline(always)]
-    unsafe fn run<V: Lanes>(self) -> Outcome {
-        let Self { pulled, channel, line, mut step, block } = self;
+impl StepLine<'_, '_> {
+    /// Steps.
+    pub(crate) fn update(self) -> Outcome {
+        let Self { pulled, channel, line, mut step, functions, block, sums } = self;
         let columns = step.columns.clone();
-        let mut outcome = Outcome::default();
-        for x in columns.clone().step_by(V::COUNT) {
-            let room = (columns.end - x).min(V::COUNT);
-            let from = line * columns.len() + x - columns.start;
-            step.fetch_block::<V>(block, x, |quantity, to| {
-                to.fill(0.0);
-                to[..room].copy_from_slice(&pulled.planes[quantity][channel][from..from + room]);
-            });
-            // SAFETY: the machine has V; padding covers the last block
-            outcome.gain += unsafe { crate::step::sum::<V>(step.finish_block::<V>(block, x)) };
+        for (plane, row) in pulled.planes.iter().zip(sums.chunks_exact_mut(step.stride)) {
+            row[columns.clone()].copy_from_slice(&plane[channel][line * columns.len()..][..columns.len()]);
         }
-        outcome
+        Outcome { gain: step.by_sums(functions, sums, block), ..Outcome::default() }
     }
 }
 

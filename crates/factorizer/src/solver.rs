@@ -3,7 +3,7 @@
 use lumistack_core::{Cancel, Cancelled};
 use lumistack_display::LayerStack;
 
-use crate::{BlockExact, Extrapolated, FactorizeError, Multiplicative, Problem};
+use crate::problem::{FactorizeError, Problem};
 
 /// A method that improves patterns iteration by iteration.
 pub trait Solver: Sync {
@@ -57,25 +57,4 @@ pub struct Objective {
     pub value: f64,
     /// PSNR in dB of L̃/β against L, peak 1, over all rays with w > 0 and all channels; NaN when no ray counts.
     pub psnr_view: f64,
-}
-
-/// All solvers.
-pub fn solvers() -> &'static [&'static dyn Solver] {
-    &[&Multiplicative, &BlockExact, &Extrapolated]
-}
-
-/// The solver of a name; [`crate::AUTO`] is the best known.
-///
-/// # Errors
-/// If there is none; the error lists all names.
-pub fn solver(name: &str) -> Result<&'static dyn Solver, FactorizeError> {
-    let name = if name == crate::AUTO { Extrapolated.name() } else { name };
-    solvers().iter().copied().find(|solver| solver.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {
-        expected: [crate::AUTO]
-            .into_iter()
-            .chain(solvers().iter().map(|solver| solver.name()))
-            .collect::<Vec<_>>()
-            .join(", "),
-        found: name.into(),
-    })
 }

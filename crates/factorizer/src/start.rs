@@ -3,10 +3,9 @@
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{Display, Formation, Layer, LayerStack};
 
-use crate::expand::Rays;
+use crate::expand::{Rays, wanted};
 use crate::line::LineOf;
 use crate::plan::Plan;
-use crate::sums::scatter;
 use crate::{Problem, bands};
 
 /// Smallest value of a pattern: solvers whose rule multiplies never go below it.
@@ -147,16 +146,16 @@ pub(crate) fn line_means(plan: &Plan, at: LineOf) -> Vec<[f32; 2]> {
     let map = &plan.maps[at.factor];
     let layout = &map.layout;
     let (mut sum, mut count) = (vec![0.0f32; layout.stride], vec![0.0f32; layout.stride]);
-    let mut wanted = vec![0.0; plan.cols];
+    let mut radiance = vec![0.0; plan.cols];
     for view_y in 0..plan.views[0] {
         for &(row, _) in map.rays_of_line(view_y, at.line) {
             for view_x in 0..plan.views[1] {
                 for run in &plan.runs[view_x] {
                     let rays = Rays { channel: at.channel, view: [view_y, view_x], row: row as usize, run };
-                    plan.target.wanted(&rays, plan, &mut wanted[..run.len()]);
+                    wanted(plan, &rays, &mut radiance[..run.len()]);
                     let ones = &plan.ones[..run.len()];
-                    scatter(&map.x[view_x], run, ones, &wanted[..run.len()], &mut sum);
-                    scatter(&map.x[view_x], run, ones, ones, &mut count);
+                    plan.row.scatter(&map.x[view_x], run, ones, &radiance[..run.len()], &mut sum);
+                    plan.row.scatter(&map.x[view_x], run, ones, ones, &mut count);
                 }
             }
         }

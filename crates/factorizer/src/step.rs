@@ -13,10 +13,10 @@
 //! Sums are kept in units of u, so that no inner loop multiplies by 1/M.
 
 use lumistack_display::quantize;
+use lumistack_simd::{Backend, Kernel, Lanes, MAX_LANES};
 
 use crate::aligned::Aligned;
-use crate::factor::PAD;
-use crate::lanes::Lanes;
+use crate::vector::{Vector, load as get, store as put};
 
 /// How a pixel's M values follow from its sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,6 +39,11 @@ impl Rule {
     /// Whether the rule needs the Gram matrix; otherwise it needs the wanted and the emitted sums.
     pub(crate) fn needs_gram(self) -> bool {
         !matches!(self, Self::Multiplicative)
+    }
+
+    /// Rounds of coordinate steps.
+    pub(crate) fn sweeps(self) -> u32 {
+        if let Self::Block { sweeps } = self { sweeps } else { 0 }
     }
 }
 
@@ -79,11 +84,13 @@ pub(crate) struct Block {
     before: Aligned,
     /// Change of u.
     change: Aligned,
+    /// By how much the last step lowers the objective, per lane, in weights relative to the largest; 0 by the multiplicative rule, which does not know.
+    pub(crate) gain: Vector,
 }
 
 impl Block {
     pub(crate) fn new(frames: usize) -> Self {
-        let vectors = |count: usize| Aligned::filled(0.0, count * PAD);
+        let vectors = |count: usize| Aligned::filled(0.0, count * MAX_LANES);
         Self {
             frames,
             residual: vectors(frames),
@@ -92,59 +99,22 @@ impl Block {
             values: vectors(frames),
             before: vectors(frames),
             change: vectors(frames),
-        }
-    }
-
-    /// Moves the values by the rule, within `range`. Returns by how much the objective falls, per lane (in weights relative to the largest); the
-    /// multiplicative rule does not know and returns 0.
-    ///
-    /// # Safety
-    /// The machine has `V`'s instruction set.
-    #[inline(always)]
-    pub(crate) unsafe fn step<V: Lanes>(&mut self, rule: Rule, range: [f32; 2], levels: Option<&Levels>) -> V {
-        // SAFETY: every buffer holds `frames` (or frames²) vectors of at most PAD values
-        unsafe {
-            match rule {
-                Rule::Multiplicative => self.multiply::<V>(range),
-                Rule::Block { sweeps } => match levels {
-                    None => self.descend::<V>(sweeps, range),
-                    Some(levels) => self.descend_levels::<V>(sweeps, range, levels),
-                },
-                Rule::Probe | Rule::Settle => self.unsettled::<V>(range),
-            }
+            gain: Vector::default(),
         }
     }
 
     #[inline(always)]
     unsafe fn multiply<V: Lanes>(&mut self, [low, high]: [f32; 2]) -> V {
-        // SAFETY: see `step`
+        // SAFETY: see `kernel`
         unsafe {
             for m in 0..self.frames {
                 let at = m * V::COUNT;
                 let (f, n, d) = (get::<V>(&self.values, at), get::<V>(&self.residual, at), get::<V>(&self.emitted, at));
                 let moved = f.mul(n.div(d)).max(V::splat(low)).min(V::splat(high));
                 // where d is 0 (below f32's normal range) the value is left alone
-                put(d.above(V::splat(f32::MIN_POSITIVE), moved, f), &mut self.values, at);
+                put(moved.where_else(V::splat(f32::MIN_POSITIVE).below(d), f), &mut self.values, at);
             }
             V::splat(0.0)
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn descend<V: Lanes>(&mut self, sweeps: u32, range: [f32; 2]) -> V {
-        // SAFETY: see `step`
-        unsafe {
-            match self.frames {
-                1 => self.descend_in_registers::<V, 1>(sweeps, range),
-                2 => self.descend_in_registers::<V, 2>(sweeps, range),
-                3 => self.descend_in_registers::<V, 3>(sweeps, range),
-                4 => self.descend_in_registers::<V, 4>(sweeps, range),
-                5 => self.descend_in_registers::<V, 5>(sweeps, range),
-                6 => self.descend_in_registers::<V, 6>(sweeps, range),
-                7 => self.descend_in_registers::<V, 7>(sweeps, range),
-                8 => self.descend_in_registers::<V, 8>(sweeps, range),
-                _ => self.descend_in_memory::<V>(sweeps, range),
-            }
         }
     }
 
@@ -152,7 +122,7 @@ impl Block {
     #[inline(always)]
     unsafe fn descend_in_registers<V: Lanes, const M: usize>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
-        // SAFETY: see `step`
+        // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / M as f32));
             // G/M in the upper triangle, M/G_mm on the diagonal
@@ -195,7 +165,7 @@ impl Block {
     unsafe fn descend_in_memory<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
         let frames = self.frames;
-        // SAFETY: see `step`
+        // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / frames as f32));
             for m in 0..frames {
@@ -239,7 +209,7 @@ impl Block {
     #[inline(always)]
     unsafe fn descend_levels<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2], levels: &Levels) -> V {
         let (n, frames) = (V::COUNT, self.frames);
-        let mut gains = [0.0f32; PAD];
+        let mut gains = Vector::default();
         for (lane, gain) in gains.iter_mut().enumerate().take(n) {
             let gram = |m: usize, k: usize| self.gram[(m.min(k) * frames + m.max(k)) * n + lane];
             for _ in 0..sweeps {
@@ -260,7 +230,7 @@ impl Block {
                 }
             }
         }
-        // SAFETY: see `step`
+        // SAFETY: see `kernel`
         unsafe { V::load(gains.as_ptr()) }
     }
 
@@ -286,7 +256,7 @@ impl Block {
     #[inline(always)]
     unsafe fn unsettled<V: Lanes>(&mut self, [low, high]: [f32; 2]) -> V {
         let (n, frames) = (V::COUNT, self.frames);
-        // SAFETY: see `step`
+        // SAFETY: see `kernel`
         unsafe {
             let mut sum = V::splat(0.0);
             for m in 0..frames {
@@ -301,25 +271,75 @@ impl Block {
     }
 }
 
-#[inline(always)]
-unsafe fn get<V: Lanes>(from: &[f32], at: usize) -> V {
-    debug_assert!(at + V::COUNT <= from.len(), "{at} + {} > {}", V::COUNT, from.len());
-    // SAFETY: the caller guarantees the range
-    unsafe { V::load(from.as_ptr().add(at)) }
+/// One vector of pixels, to be moved within `range` by the rule.
+pub(crate) struct Step<'a> {
+    pub(crate) block: &'a mut Block,
+    /// Rounds over the frames.
+    pub(crate) sweeps: u32,
+    pub(crate) range: [f32; 2],
+    pub(crate) levels: Option<&'a Levels>,
 }
 
-#[inline(always)]
-unsafe fn put<V: Lanes>(vector: V, to: &mut [f32], at: usize) {
-    debug_assert!(at + V::COUNT <= to.len(), "{at} + {} > {}", V::COUNT, to.len());
-    // SAFETY: the caller guarantees the range
-    unsafe { vector.store(to.as_mut_ptr().add(at)) }
+/// Moves the values of a block whose sums are known, and leaves the gain there. The block's number of frames must be the function's.
+pub(crate) type StepFunction = for<'a> unsafe fn(Step<'a>);
+
+/// The function for an instruction set and a case; `levels` says whether some frames keep to levels.
+pub(crate) fn step_function(backend: Backend, rule: Rule, levels: bool, frames: usize) -> StepFunction {
+    match (rule, levels, frames) {
+        (Rule::Multiplicative, ..) => backend.function::<Multiply>(),
+        (Rule::Probe | Rule::Settle, ..) => backend.function::<Unsettled>(),
+        (Rule::Block { .. }, true, _) => backend.function::<DescendLevels>(),
+        (Rule::Block { .. }, false, 1) => backend.function::<Descend<1>>(),
+        (Rule::Block { .. }, false, 2) => backend.function::<Descend<2>>(),
+        (Rule::Block { .. }, false, 3) => backend.function::<Descend<3>>(),
+        (Rule::Block { .. }, false, 4) => backend.function::<Descend<4>>(),
+        (Rule::Block { .. }, false, 5) => backend.function::<Descend<5>>(),
+        (Rule::Block { .. }, false, 6) => backend.function::<Descend<6>>(),
+        (Rule::Block { .. }, false, 7) => backend.function::<Descend<7>>(),
+        (Rule::Block { .. }, false, 8) => backend.function::<Descend<8>>(),
+        (Rule::Block { .. }, false, _) => backend.function::<DescendInMemory>(),
+    }
 }
 
-/// Sum of all lanes in f64.
-#[inline(always)]
-pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
-    let mut lanes = [0.0f32; PAD];
-    // SAFETY: a vector has at most PAD lanes
-    unsafe { vector.store(lanes.as_mut_ptr()) };
-    lanes[..V::COUNT].iter().map(|&lane| f64::from(lane)).sum()
+/// A kernel of one method of [`Block`].
+macro_rules! kernel {
+    ($name:ident $(<const $frames:ident>)?, |$step:ident| $method:ident::<V $(, $arg:ident)?>($($value:expr),*)) => {
+        struct $name $(<const $frames: usize>)?;
+
+        impl $(<const $frames: usize>)? Kernel for $name $(<$frames>)? {
+            type Args<'a> = Step<'a>;
+            type Output = ();
+
+            #[inline(always)]
+            unsafe fn run<V: Lanes>($step: Step<'_>) {
+                // SAFETY: passed on from the caller; every buffer holds `frames` (or frames²) vectors of at most MAX_LANES values
+                unsafe {
+                    let gain = $step.block.$method::<V $(, $arg)?>($($value),*);
+                    put(gain, &mut $step.block.gain, 0);
+                }
+            }
+        }
+    };
+}
+
+kernel!(Multiply, |step| multiply::<V>(step.range));
+kernel!(Unsettled, |step| unsettled::<V>(step.range));
+kernel!(Descend<const M>, |step| descend_in_registers::<V, M>(step.sweeps, step.range));
+kernel!(DescendInMemory, |step| descend_in_memory::<V>(step.sweeps, step.range));
+
+struct DescendLevels;
+
+impl Kernel for DescendLevels {
+    type Args<'a> = Step<'a>;
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>(step: Step<'_>) {
+        let Some(levels) = step.levels else { return };
+        // SAFETY: as in `kernel`
+        unsafe {
+            let gain = step.block.descend_levels::<V>(step.sweeps, step.range, levels);
+            put(gain, &mut step.block.gain, 0);
+        }
+    }
 }

@@ -7,11 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use lumistack_core::pages::prefer_large_pages;
 use lumistack_display::{FieldGeometry, Weights};
 
-use crate::expand::Rays;
+use crate::bands;
 use crate::factor::PAD;
-use crate::lanes::float_from_half;
-use crate::plan::Plan;
-use crate::{Problem, bands};
+use crate::problem::Problem;
 
 /// Target L, brightness β and weights w.
 #[derive(Clone, Debug)]
@@ -134,24 +132,6 @@ impl Target {
                 Row::Half(&(*lent.values).as_ref()[at..at + self.stride])
             }
         }
-    }
-
-    /// βL along rays.
-    #[inline(always)]
-    pub(crate) fn wanted(&self, rays: &Rays, plan: &Plan, to: &mut [f32]) {
-        let part = PAD + rays.run.start..PAD + rays.run.end;
-        let beta = self.brightness;
-        match self.row(rays.channel, plan.view(rays.view[0], rays.view[1]), rays.row) {
-            Row::Half(row) => to.iter_mut().zip(&row[part]).for_each(|(to, &half)| *to = beta * float_from_half(half)),
-            Row::Float(row) => to.iter_mut().zip(&row[part]).for_each(|(to, &value)| *to = beta * value),
-        }
-    }
-
-    /// e = βL − L̃ along rays.
-    #[inline(always)]
-    pub(crate) fn errors(&self, rays: &Rays, plan: &Plan, emitted: &[f32], to: &mut [f32]) {
-        self.wanted(rays, plan, to);
-        to.iter_mut().zip(emitted).for_each(|(to, &emitted)| *to -= emitted);
     }
 
     /// One padded row of √w, weights relative to the largest, or `None` where all are 1.

@@ -8,7 +8,6 @@ use lumistack_display::LayerStack;
 
 use crate::bands;
 use crate::plan::Plan;
-use crate::sums::scatter;
 
 /// Root mean square of a_m over a pixel's rays, relative to the brightness β, up to which the pixel counts as unlit in frame m. The whole range of
 /// its value then changes what a viewer sees by a third of the smallest step of an 8-bit sRGB picture at most.
@@ -42,7 +41,7 @@ pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
                                     weighted.iter_mut().zip(roots).for_each(|(w, root)| *w = line_weight * root * root);
                                 }
                             }
-                            scatter(&map.x[view_x], run, weighted, &plan.ones[..run.len()], limits);
+                            plan.row.scatter(&map.x[view_x], run, weighted, &plan.ones[..run.len()], limits);
                         }
                     }
                 }

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DVec3, Mat3, Vec2, Vec3, Vec4};
 use lumistack_core::pages::in_large_pages;
 use lumistack_scene::{Bounds, Instance, Material, Mesh, Scene};
+use lumistack_simd::prefetch;
 
 use crate::bvh::{Hit, NO_INSTANCE, Placement};
 
@@ -272,18 +273,9 @@ impl Geometry {
     /// Asks for what a hit needs to know of its triangle before it is needed.
     #[inline]
     pub(crate) fn prefetch(&self, triangle: u32) {
-        #[cfg(target_arch = "x86_64")]
-        {
-            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-            let record = self.records.as_ptr().wrapping_add(triangle as usize).cast::<i8>();
-            // SAFETY: a prefetch may name any address, and every x86-64 has the instruction
-            unsafe {
-                _mm_prefetch::<_MM_HINT_T0>(record);
-                _mm_prefetch::<_MM_HINT_T0>(record.wrapping_add(64));
-            }
-        }
-        #[cfg(not(target_arch = "x86_64"))]
-        let _ = triangle;
+        let record = self.records.as_ptr().wrapping_add(triangle as usize).cast::<u8>();
+        prefetch(record);
+        prefetch(record.wrapping_add(64));
     }
 
     /// The point of a triangle of no shared mesh with these vertex weights (in render-space winding).

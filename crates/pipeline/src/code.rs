@@ -8,6 +8,7 @@ const PIPELINE: &str = env!("LUMISTACK_FINGERPRINT");
 const CORE: &str = lumistack_core::FINGERPRINT;
 const DISPLAY: &str = lumistack_display::FINGERPRINT;
 const FIELD_IO: &str = lumistack_field_io::FINGERPRINT;
+const SIMD: &str = lumistack_simd::FINGERPRINT;
 
 /// From scene files to a lit scene.
 pub(crate) const SCENE: Code =
@@ -22,6 +23,7 @@ pub(crate) const VIEWS: Code = &[
     lumistack_gltf::FINGERPRINT,
     lumistack_usd::FINGERPRINT,
     DISPLAY,
+    SIMD,
     lumistack_pathtracer::FINGERPRINT,
 ];
 
@@ -29,11 +31,11 @@ pub(crate) const VIEWS: Code = &[
 pub(crate) const FIELDS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY];
 
 /// From a light field to patterns.
-pub(crate) const PATTERNS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_factorizer::FINGERPRINT];
+pub(crate) const PATTERNS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY, SIMD, lumistack_factorizer::FINGERPRINT];
 
 /// From a light field to a row of a sweep's table.
 pub(crate) const DESIGNS: Code =
-    &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_factorizer::FINGERPRINT, lumistack_design::FINGERPRINT];
+    &[PIPELINE, CORE, FIELD_IO, DISPLAY, SIMD, lumistack_factorizer::FINGERPRINT, lumistack_design::FINGERPRINT];
 
 /// What plugins are given and how it is written, beside the plugins' own code.
 pub(crate) const PLUGINS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_plugin_host::PLUGIN_FINGERPRINT];
@@ -66,10 +68,10 @@ mod tests {
         let scene = ["pipeline", "core", "scene", "gltf", "usd", "field-io"];
         holds(SCENE, &scene);
         holds(VIEWS, &scene);
-        holds(VIEWS, &["display", "pathtracer"]);
+        holds(VIEWS, &["display", "simd", "pathtracer"]);
         holds(FIELDS, &["pipeline", "core", "display", "field-io"]);
-        holds(PATTERNS, &["pipeline", "core", "display", "field-io", "factorizer"]);
-        holds(DESIGNS, &["pipeline", "core", "display", "field-io", "factorizer", "design"]);
+        holds(PATTERNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer"]);
+        holds(DESIGNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer", "design"]);
         holds(PLUGINS, &["pipeline", "core", "display", "field-io", "plugin"]);
         holds(REPORTS, &["pipeline", "core", "display", "report"]);
     }

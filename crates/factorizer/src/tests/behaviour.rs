@@ -199,7 +199,7 @@ fn one_lent_channel_is_solved_like_a_channel_of_the_whole() {
         .map(|i| if i * 37 % 257 == 0 { 0 } else { 0x3c00 - (i * 37 % 257) as u16 * 8 })
         .collect();
     let pixels = owned.target.radiance_mut().data_mut().chunks_exact_mut(3);
-    pixels.zip(&halves).for_each(|(pixel, &half)| pixel.fill(crate::lanes::float_from_half(half)));
+    pixels.zip(&halves).for_each(|(pixel, &half)| pixel.fill(lumistack_simd::float_from_half(half)));
     let mut channel = ChannelRun::start(&owned.display, &geometry, Arc::new(halves.clone()), 3).unwrap();
     let mut stack = LayerStack::filled(&owned.display, 0.0);
     let fetch = |run: &ChannelRun, stack: &mut LayerStack| {

@@ -2,10 +2,10 @@
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerStack, RayMap};
+use lumistack_simd::Backend;
 
 use super::problems::{Kind, Owned, display, random};
 use crate::engine::Engine;
-use crate::lanes::InstructionSet;
 use crate::{Settings, StartKind, factorize, random_start};
 
 /// What the end of a run may cost, dB.
@@ -103,7 +103,7 @@ fn the_end_of_a_run_costs_nothing_and_is_the_same_by_every_kernel() {
     let problem = owned.problem();
     let (stack, _) = solve(&owned, &Settings { iterations: 0, ..Settings::default() }, None);
     let mut settled = Vec::new();
-    for (set, fast) in InstructionSet::available().into_iter().flat_map(|set| [(set, false), (set, true)]) {
+    for (set, fast) in Backend::available().iter().flat_map(|backend| [(*backend, false), (*backend, true)]) {
         let mut engine = Engine::new(&problem, stack.clone(), 0.0).unwrap();
         for _ in 0..10 {
             (0..engine.factor_count()).for_each(|n| {

@@ -2,11 +2,11 @@
 
 use lumistack_core::Cancel;
 use lumistack_display::score;
+use lumistack_simd::Backend;
 
 use super::oracle::Oracle;
 use super::problems::{Kind, random};
 use crate::engine::Engine;
-use crate::lanes::InstructionSet;
 use crate::step::Rule;
 use crate::{FLOOR, random_start};
 
@@ -32,8 +32,8 @@ const SEEN_TOLERANCE: f64 = 1e-5;
 const SEEDS: [u64; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 
 /// Every kernel that this machine can run: instruction sets, with and without the fast path.
-fn kernels() -> Vec<(InstructionSet, bool)> {
-    InstructionSet::available().into_iter().flat_map(|set| [(set, false), (set, true)]).collect()
+fn kernels() -> Vec<(Backend, bool)> {
+    Backend::available().iter().flat_map(|backend| [(*backend, false), (*backend, true)]).collect()
 }
 
 /// Every rule with the floor of its solver, and the number of sweeps for the oracle.

@@ -14,9 +14,12 @@
 //!
 //! On FlightHelmet (16 samples of a pixel) this took 60 % of the time of blocks tested ray by ray, which was that of single rays.
 
-use super::lanes::{InstructionSet, Lanes, Portable, WIDTH};
-use super::traverse::{Corners, Edges, SLAB_ROUNDING, SMALLEST_SLOPE, Shear, Test, eight};
-use super::{Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, LEAF, NO_INSTANCE, Ray, Stack};
+use std::marker::PhantomData;
+
+use lumistack_simd::{Kernel, Lanes};
+
+use super::traverse::{Corners, Edges, SLAB_ROUNDING, SMALLEST_SLOPE, Shear, Stack, Test, eight};
+use super::tree::{Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, LEAF, NO_INSTANCE, Ray, WIDTH};
 
 /// The most rays of a beam.
 pub(crate) const BEAM: usize = 16;
@@ -58,18 +61,8 @@ impl Bvh {
             *hits = [None; BEAM];
             return self.alone(rays, hits, stack, accept);
         }
-        // SAFETY: an `InstructionSet` is only made where the machine has it
-        unsafe {
-            match self.set {
-                InstructionSet::Portable => self.beam_in::<Portable>(rays, hits, stack, accept),
-                #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx2 => self.beam_avx2(rays, hits, stack, accept),
-                #[cfg(target_arch = "aarch64")]
-                InstructionSet::Neon => self.beam_in::<super::lanes::neon::Neon>(rays, hits, stack, accept),
-                #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-                InstructionSet::Simd128 => self.beam_in::<super::lanes::wasm::Simd128>(rays, hits, stack, accept),
-            }
-        }
+        // SAFETY: the kernel makes no demands
+        unsafe { self.backend.call_eight::<NearestOfBeam<_>>((self, rays, hits, stack, accept)) }
     }
 
     /// Hits of the rays one by one, nearer than those that are known.
@@ -86,23 +79,10 @@ impl Bvh {
         }
     }
 
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    unsafe fn beam_avx2(
-        &self,
-        rays: &[Ray],
-        hits: &mut [Option<Hit>; BEAM],
-        stack: &mut Stack,
-        accept: impl FnMut(usize, &Hit) -> bool,
-    ) {
-        // SAFETY: passed on from the caller
-        unsafe { self.beam_in::<super::lanes::x86::Avx2>(rays, hits, stack, accept) }
-    }
-
     /// # Safety
     /// The machine has `V`'s instruction set.
     #[inline(always)]
-    pub(super) unsafe fn beam_in<V: Lanes>(
+    unsafe fn beam_in<V: Lanes>(
         &self,
         rays: &[Ray],
         hits: &mut [Option<Hit>; BEAM],
@@ -141,7 +121,7 @@ impl Bvh {
                 if current & LEAF == 0 {
                     let node = self.nodes.get_unchecked(current as usize);
                     let (t_near, mut entered) = beam.enters(&node.bounds, t_max);
-                    let t_near = t_near.store();
+                    let t_near: [f32; WIDTH] = t_near.to_array();
                     let base = depth;
                     while entered != 0 {
                         let lane = entered.trailing_zeros() as usize;
@@ -179,6 +159,20 @@ impl Bvh {
     }
 }
 
+/// [`Bvh::nearest_of_beam`] of three rays or more, without instances, with `F` as its `accept`.
+pub(super) struct NearestOfBeam<F>(PhantomData<F>);
+
+impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
+    type Args<'a> = (&'a Bvh, &'a [Ray], &'a mut [Option<Hit>; BEAM], &'a mut Stack, F);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((bvh, rays, hits, stack, accept): Self::Args<'_>) {
+        // SAFETY: passed on from the caller
+        unsafe { bvh.beam_in::<V>(rays, hits, stack, accept) }
+    }
+}
+
 /// The rays of a beam prepared for the triangle test, one per lane, and the nearest hit of each. All are longest along the same axis.
 struct Sheared<V> {
     /// As [`Shear::axes`].
@@ -207,12 +201,12 @@ unsafe fn bounds<V: Lanes>(block: &Block) -> [[f32; WIDTH]; 6] {
         // SAFETY: the caller has the instruction set
         unsafe {
             let [a, b, c] = [
-                V::load(&block.vertices[0][axis]),
-                V::load(&block.vertices[1][axis]),
-                V::load(&block.vertices[2][axis]),
+                V::from_array(&block.vertices[0][axis]),
+                V::from_array(&block.vertices[1][axis]),
+                V::from_array(&block.vertices[2][axis]),
             ];
-            bounds[axis] = a.min(b).min(c).store();
-            bounds[axis + 3] = a.max(b).max(c).store();
+            bounds[axis] = a.min(b).min(c).to_array();
+            bounds[axis + 3] = a.max(b).max(c).to_array();
         }
     }
     bounds
@@ -253,15 +247,18 @@ impl<V: Lanes> Sheared<V> {
             for vector in 0..VECTORS {
                 let at = vector * WIDTH;
                 let [x, y, z] = [
-                    V::load(eight(&directions[0], at)),
-                    V::load(eight(&directions[1], at)),
-                    V::load(eight(&directions[2], at)),
+                    V::from_array(eight(&directions[0], at)),
+                    V::from_array(eight(&directions[1], at)),
+                    V::from_array(eight(&directions[2], at)),
                 ];
                 let along = V::splat(1.0).div(z);
                 sheared.shear[vector] = [x.mul(along), y.mul(along), along];
-                sheared.origin[vector] =
-                    [V::load(eight(&origins[0], at)), V::load(eight(&origins[1], at)), V::load(eight(&origins[2], at))];
-                sheared.t[vector] = V::load(eight(&t_max, at));
+                sheared.origin[vector] = [
+                    V::from_array(eight(&origins[0], at)),
+                    V::from_array(eight(&origins[1], at)),
+                    V::from_array(eight(&origins[2], at)),
+                ];
+                sheared.t[vector] = V::from_array(eight(&t_max, at));
             }
             sheared
         }
@@ -319,7 +316,7 @@ impl<V: Lanes> Sheared<V> {
                         let hit = test.hit(at, reference, NO_INSTANCE);
                         agreed[at] = f32::from(u8::from(accept(vector * WIDTH + at, &hit)));
                     }
-                    met = V::both(met, zero.below(V::load(&agreed)));
+                    met = V::both(met, zero.below(V::from_array(&agreed)));
                     bits = V::bits(met);
                 }
                 any |= bits != 0;
@@ -345,7 +342,7 @@ impl<V: Lanes> Sheared<V> {
             for &t in &self.t[1..] {
                 farthest = farthest.max(t);
             }
-            farthest.store().into_iter().fold(0.0, f32::max)
+            farthest.to_array::<WIDTH>().into_iter().fold(0.0, f32::max)
         }
     }
 
@@ -411,12 +408,12 @@ impl<V: Lanes> Beam<V> {
             let planes = boxes.as_flattened();
             let mut entry = V::splat(0.0);
             for bound in self.near.get_unchecked(..self.near_count) {
-                entry = entry.max(V::load(eight(planes, bound.row)).mul_add(bound.inverse, bound.shift));
+                entry = entry.max(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));
             }
             // children that do not exist are entered at infinity, and a beam that spreads to all sides never leaves
             let mut exit = V::splat(t_max.min(f32::MAX));
             for bound in self.far.get_unchecked(..self.far_count) {
-                exit = exit.min(V::load(eight(planes, bound.row)).mul_add(bound.inverse, bound.shift));
+                exit = exit.min(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));
             }
             (entry, V::bits(entry.at_most(exit)))
         }

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use glam::{Vec3, Vec3A};
 use lumistack_core::pages::in_large_pages;
+use lumistack_simd::Backend;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
@@ -11,9 +12,8 @@ use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
 use obvhs::splits::split_aabbs_preset;
 use obvhs::triangle::Triangle;
 
-use super::lanes::{InstructionSet, WIDTH};
 use super::plan::Plan;
-use super::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed};
+use super::tree::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed, WIDTH};
 
 /// Share of the nodes tried per reinsertion round: obvhs' figure for a slow, good build, and more where it takes no time: all of still-life's
 /// (0.04 s) give 3 to 4 % more rays, all of FlightHelmet's (0.4 s) or half of 15 copies' (4 s more) 1 to 2 %.
@@ -43,7 +43,7 @@ impl Bvh {
             root: EMPTY,
             extent: 0.0,
             stack_depth: 0,
-            set: InstructionSet::detect(),
+            backend: Backend::best(),
         };
         let shared: Vec<Tree> = input.shared.iter().map(|range| bvh.add_tree(input, range.clone(), &[])).collect();
         let mut boxes = Vec::with_capacity(input.placements.len());

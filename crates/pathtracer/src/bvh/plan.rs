@@ -8,7 +8,7 @@
 
 use obvhs::bvh2::Bvh2;
 
-use super::lanes::WIDTH;
+use super::tree::WIDTH;
 
 /// Per subtree and number of children, less one: how many of them go to the first child of the binary tree. At 0: the same for the eight
 /// children of a node, or [`END`].

@@ -1,10 +1,11 @@
 //! The traversal against every triangle in turn, against its scalar twin, and against flattened instances.
 
-use glam::{DVec3, Mat3, Quat};
+use glam::{DVec3, Mat3, Quat, Vec3};
 use lumistack_core::seed::Stream;
+use lumistack_simd::Backend;
 
-use super::lanes::Portable;
-use super::*;
+use super::BEAM;
+use super::tree::*;
 
 /// Distances of the f32 test and the f64 oracle agree to this share of the scene's size.
 const DISTANCE_TOLERANCE: f64 = 2e-5;
@@ -219,6 +220,7 @@ fn vectors_and_scalars_give_the_same_bits() {
     triangles.extend(soup(3000, 0.1, 5));
     let flags: Vec<u32> = (0..triangles.len()).map(|i| [0, CULL_BACK, ALPHA][i % 3]).collect();
     let bvh = build(&triangles, &flags);
+    let portable = Bvh { backend: Backend::available()[0], ..build(&triangles, &flags) };
     let mut stack = bvh.stack();
     let mut stream = Stream::new(8);
     let mut found = 0;
@@ -227,13 +229,8 @@ fn vectors_and_scalars_give_the_same_bits() {
         let accept = |hit: &Hit| hit.triangle.is_multiple_of(2);
         let pass = |hit: &Hit| Vec3::splat(if hit.triangle.is_multiple_of(2) { 0.5 } else { 1.0 });
         let fast = bvh.nearest(&ray, &mut stack, accept);
-        // SAFETY: every machine has the portable set
-        let (slow, slow_passed) = unsafe {
-            (
-                bvh.nearest_in::<Portable, true>(&ray, &mut stack, accept),
-                bvh.transmittance_in::<Portable, true>(&ray, &mut stack, pass),
-            )
-        };
+        let slow = portable.nearest(&ray, &mut stack, accept);
+        let slow_passed = portable.transmittance(&ray, &mut stack, pass);
         found += usize::from(fast.is_some());
         let bits = |hit: Option<Hit>| {
             hit.map(|h| (h.t.to_bits(), h.triangle, h.front, h.flags, h.barycentric.map(f32::to_bits)))
@@ -341,6 +338,7 @@ fn a_beam_meets_what_its_rays_meet_alone() {
     triangles.extend(soup(3000, 0.1, 14));
     let flags: Vec<u32> = (0..triangles.len()).map(|i| [0, CULL_BACK, ALPHA][i % 3]).collect();
     let bvh = build(&triangles, &flags);
+    let portable = Bvh { backend: Backend::available()[0], ..build(&triangles, &flags) };
     let mut stack = bvh.stack();
     let mut stream = Stream::new(15);
     let mut found = 0;
@@ -358,8 +356,7 @@ fn a_beam_meets_what_its_rays_meet_alone() {
         let accept = |ray: usize, hit: &Hit| !(hit.triangle as usize + ray).is_multiple_of(3);
         let (mut hits, mut slow) = ([None; BEAM], [None; BEAM]);
         bvh.nearest_of_beam(&rays, &mut hits, &mut stack, accept);
-        // SAFETY: every machine has the portable set
-        unsafe { bvh.beam_in::<Portable>(&rays, &mut slow, &mut stack, accept) };
+        portable.nearest_of_beam(&rays, &mut slow, &mut stack, accept);
         for (index, ray) in rays.iter().enumerate() {
             let alone = bvh.nearest(ray, &mut stack, |hit| accept(index, hit));
             let t = |hit: Option<Hit>| hit.map(|hit| hit.t.to_bits());

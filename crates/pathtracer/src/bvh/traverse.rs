@@ -27,10 +27,14 @@
 //! rounded and the other not is not the opposite of c·d − a·b. Boxes are widened by the rounding of the slab test, see
 //! [`SLAB_ROUNDING`].
 
-use glam::Vec3;
+use std::marker::PhantomData;
 
-use super::lanes::{InstructionSet, Lanes, Portable, WIDTH};
-use super::{Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, INSTANCE, LEAF, NO_INSTANCE, Node, Ray};
+use glam::Vec3;
+use lumistack_simd::{Kernel, Lanes, prefetch};
+
+use super::tree::{
+    Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, INSTANCE, LEAF, NO_INSTANCE, Node, Placed, Ray, WIDTH,
+};
 
 /// Direction components below this are replaced by it in the slab test, so that 0 · ∞ cannot occur.
 pub(super) const SMALLEST_SLOPE: f32 = 1e-18;
@@ -114,98 +118,31 @@ impl Bvh {
         accept: impl FnMut(&Hit) -> bool,
         found: &mut Option<Hit>,
     ) {
-        // SAFETY: an `InstructionSet` is only made where the machine has it
-        unsafe {
-            match self.set {
-                InstructionSet::Portable => *found = self.nearest_in::<Portable, true>(ray, stack, accept),
-                #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx2 => self.nearest_avx2(ray, stack, accept, found),
-                #[cfg(target_arch = "aarch64")]
-                InstructionSet::Neon => *found = self.nearest_in::<super::lanes::neon::Neon, true>(ray, stack, accept),
-                #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-                InstructionSet::Simd128 => {
-                    *found = self.nearest_in::<super::lanes::wasm::Simd128, true>(ray, stack, accept);
-                }
-            }
-        }
+        // SAFETY: the kernel makes no demands
+        unsafe { self.backend.call_eight::<Nearest<_>>((self, ray, stack, accept, found)) }
     }
 
     /// Product of `transmittance` over all triangles that the segment crosses; it is asked only for triangles with flags other than
     /// [`CULL_BACK`], at most once each; the others are opaque. Stops at zero.
     #[inline]
     pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
-        // SAFETY: an `InstructionSet` is only made where the machine has it
-        unsafe {
-            match self.set {
-                InstructionSet::Portable => self.transmittance_in::<Portable, true>(ray, stack, transmittance),
-                #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx2 => self.transmittance_avx2(ray, stack, transmittance),
-                #[cfg(target_arch = "aarch64")]
-                InstructionSet::Neon => {
-                    self.transmittance_in::<super::lanes::neon::Neon, true>(ray, stack, transmittance)
-                }
-                #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-                InstructionSet::Simd128 => {
-                    self.transmittance_in::<super::lanes::wasm::Simd128, true>(ray, stack, transmittance)
-                }
-            }
-        }
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    unsafe fn nearest_avx2(
-        &self,
-        ray: &Ray,
-        stack: &mut Stack,
-        accept: impl FnMut(&Hit) -> bool,
-        found: &mut Option<Hit>,
-    ) {
-        // SAFETY: passed on from the caller
-        unsafe {
-            *found = if self.instances.is_empty() {
-                self.nearest_in::<super::lanes::x86::Avx2, false>(ray, stack, accept)
-            } else {
-                self.nearest_in::<super::lanes::x86::Avx2, true>(ray, stack, accept)
-            };
-        }
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    unsafe fn transmittance_avx2(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
-        // SAFETY: passed on from the caller
-        unsafe {
-            if self.instances.is_empty() {
-                self.transmittance_in::<super::lanes::x86::Avx2, false>(ray, stack, transmittance)
-            } else {
-                self.transmittance_in::<super::lanes::x86::Avx2, true>(ray, stack, transmittance)
-            }
-        }
+        // SAFETY: the kernel makes no demands
+        unsafe { self.backend.call_eight::<Transmittance<_>>((self, ray, stack, transmittance)) }
     }
 
     /// Asks for a child's memory, which a ray waits for more than for anything else; sorting its siblings hides a part of that.
     #[inline(always)]
     fn prefetch(&self, child: u32) {
-        #[cfg(target_arch = "x86_64")]
-        {
-            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-            let base = if child & LEAF == 0 {
-                self.nodes.as_ptr().wrapping_add(child as usize).cast::<i8>()
-            } else {
-                self.blocks.as_ptr().wrapping_add((child & !(LEAF | INSTANCE)) as usize).cast::<i8>()
-            };
-            // SAFETY: a prefetch may name any address, and every x86-64 has the instruction
-            unsafe {
-                _mm_prefetch::<_MM_HINT_T0>(base);
-                _mm_prefetch::<_MM_HINT_T0>(base.wrapping_add(64));
-                _mm_prefetch::<_MM_HINT_T0>(base.wrapping_add(128));
-                _mm_prefetch::<_MM_HINT_T0>(base.wrapping_add(192));
-                _mm_prefetch::<_MM_HINT_T0>(base.wrapping_add(256));
-            }
-        }
-        #[cfg(not(target_arch = "x86_64"))]
-        let _ = child;
+        let base = if child & LEAF == 0 {
+            self.nodes.as_ptr().wrapping_add(child as usize).cast::<u8>()
+        } else {
+            self.blocks.as_ptr().wrapping_add((child & !(LEAF | INSTANCE)) as usize).cast::<u8>()
+        };
+        prefetch(base);
+        prefetch(base.wrapping_add(64));
+        prefetch(base.wrapping_add(128));
+        prefetch(base.wrapping_add(192));
+        prefetch(base.wrapping_add(256));
     }
 
     /// Without `INSTANCED` there are no instances, and rays never change.
@@ -213,7 +150,7 @@ impl Bvh {
     /// # Safety
     /// The machine has `V`'s instruction set.
     #[inline(always)]
-    pub(super) unsafe fn nearest_in<V: Lanes, const INSTANCED: bool>(
+    unsafe fn nearest_in<V: Lanes, const INSTANCED: bool>(
         &self,
         ray: &Ray,
         stack: &mut Stack,
@@ -266,7 +203,7 @@ impl Bvh {
                     if hits == 0 {
                         continue;
                     }
-                    let t_near = t_near.store();
+                    let t_near: [f32; WIDTH] = t_near.to_array();
                     self.prefetch(current);
                     let one = u64::from(t_near.get_unchecked(first).to_bits()) << 32 | u64::from(current);
                     macro_rules! next {
@@ -351,7 +288,7 @@ impl Bvh {
     /// # Safety
     /// The machine has `V`'s instruction set.
     #[inline(always)]
-    pub(super) unsafe fn transmittance_in<V: Lanes, const INSTANCED: bool>(
+    unsafe fn transmittance_in<V: Lanes, const INSTANCED: bool>(
         &self,
         ray: &Ray,
         stack: &mut Stack,
@@ -434,7 +371,47 @@ impl Bvh {
     }
 }
 
-impl super::Placed {
+/// [`Bvh::find_nearest`] with `F` as its `accept`.
+pub(super) struct Nearest<F>(PhantomData<F>);
+
+impl<F: FnMut(&Hit) -> bool> Kernel for Nearest<F> {
+    type Args<'a> = (&'a Bvh, &'a Ray, &'a mut Stack, F, &'a mut Option<Hit>);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((bvh, ray, stack, accept, found): Self::Args<'_>) {
+        // SAFETY: passed on from the caller
+        unsafe {
+            *found = if bvh.instances.is_empty() {
+                bvh.nearest_in::<V, false>(ray, stack, accept)
+            } else {
+                bvh.nearest_in::<V, true>(ray, stack, accept)
+            };
+        }
+    }
+}
+
+/// [`Bvh::transmittance`] with `F` for one triangle's.
+pub(super) struct Transmittance<F>(PhantomData<F>);
+
+impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
+    type Args<'a> = (&'a Bvh, &'a Ray, &'a mut Stack, F);
+    type Output = Vec3;
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((bvh, ray, stack, transmittance): Self::Args<'_>) -> Vec3 {
+        // SAFETY: passed on from the caller
+        unsafe {
+            if bvh.instances.is_empty() {
+                bvh.transmittance_in::<V, false>(ray, stack, transmittance)
+            } else {
+                bvh.transmittance_in::<V, true>(ray, stack, transmittance)
+            }
+        }
+    }
+}
+
+impl Placed {
     /// The same points at the same t in the space of the tree.
     #[inline(always)]
     fn tree_ray(&self, ray: &Ray) -> Ray {
@@ -490,7 +467,7 @@ impl<V: Lanes> Slabs<V> {
     /// Distances to a plane of an axis of eight boxes; `row` is an entry of `near` or `far`.
     #[inline(always)]
     unsafe fn distance(&self, node: &Node, row: usize, axis: usize, shift: V) -> V {
-        unsafe { V::load(eight(node.bounds.as_flattened(), row)).mul_add(self.inverse[axis], shift) }
+        unsafe { V::from_array(eight(node.bounds.as_flattened(), row)).fused_mul_add(self.inverse[axis], shift) }
     }
 
     /// Distances at which the ray enters eight boxes, and a bit per box that it enters before `t_max`.
@@ -580,7 +557,11 @@ impl Shear {
     unsafe fn vertex<V: Lanes>(&self, block: &Block, vertex: usize) -> [V; 3] {
         unsafe {
             let rows = block.vertices.get_unchecked(vertex).as_flattened();
-            [V::load(eight(rows, self.axes[0])), V::load(eight(rows, self.axes[1])), V::load(eight(rows, self.axes[2]))]
+            [
+                V::from_array(eight(rows, self.axes[0])),
+                V::from_array(eight(rows, self.axes[1])),
+                V::from_array(eight(rows, self.axes[2])),
+            ]
         }
     }
 }
@@ -606,7 +587,7 @@ impl<V: Lanes> Corners<V> {
     pub(super) unsafe fn corner(vertex: [V; 3], origin: &[V; 3], shear: &[V; 3]) -> [V; 3] {
         unsafe {
             let [x, y, z] = [vertex[0].sub(origin[0]), vertex[1].sub(origin[1]), vertex[2].sub(origin[2])];
-            [shear[0].neg_mul_add(z, x), shear[1].neg_mul_add(z, y), z]
+            [shear[0].fused_neg_mul_add(z, x), shear[1].fused_neg_mul_add(z, y), z]
         }
     }
 
@@ -632,7 +613,7 @@ impl<V: Lanes> Corners<V> {
     pub(super) unsafe fn distance(&self, edges: &Edges<V>, along: V) -> V {
         unsafe {
             let [[.., az], [.., bz], [.., cz]] = self.0;
-            edges.w.mul_add(cz, edges.v.mul_add(bz, edges.u.mul(az))).mul(along).div(edges.determinant)
+            edges.w.fused_mul_add(cz, edges.v.fused_mul_add(bz, edges.u.mul(az))).mul(along).div(edges.determinant)
         }
     }
 }
@@ -643,7 +624,12 @@ impl<V: Lanes> Test<V> {
     #[inline(always)]
     pub(super) unsafe fn store(self) -> Test<[f32; WIDTH]> {
         unsafe {
-            Test { t: self.t.store(), u: self.u.store(), v: self.v.store(), determinant: self.determinant.store() }
+            Test {
+                t: self.t.to_array(),
+                u: self.u.to_array(),
+                v: self.v.to_array(),
+                determinant: self.determinant.to_array(),
+            }
         }
     }
 }

@@ -1,0 +1,166 @@
+//! The sums of one block with accumulators that stay in registers, for a fixed number of frames M and of other factors K.
+
+use lumistack_simd::{Kernel, Lanes};
+
+use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, Sight, Tiles, wanted};
+use crate::rays::{LineRays, RowsOfView};
+use crate::vector::{load, store};
+
+/// n and d of all frames; `MASKED` where the rays of some view do not count in full.
+pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool>;
+
+/// r of all frames and G: tiles along its diagonal at once, the rest from buffered a_m. `MASKED` as in [`Pairs`].
+pub(crate) struct Gram<const M: usize, const K: usize, const MASKED: bool>;
+
+/// Accumulators, a_m, and a few values more.
+const fn registers_for_pairs(frames: usize) -> usize {
+    3 * frames + 4
+}
+
+const fn registers_for_gram(frames: usize) -> usize {
+    let (tile, tiles) = (tile_of(frames), frames.div_ceil(tile_of(frames)));
+    2 * frames + tiles * tile * (tile + 1) / 2 + 5
+}
+
+/// Which part of G is summed while a_m is at hand: all of it, or tiles of so many frames along its diagonal.
+const fn tile_of(frames: usize) -> usize {
+    if frames <= 4 { frames } else { 3 }
+}
+
+impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Pairs<M, K, MASKED> {
+    type Args<'a> = BlockOfLine<'a>;
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>(mut at: BlockOfLine<'_>) {
+        // SAFETY: passed on from the caller
+        unsafe {
+            if registers_for_pairs(M) > V::REGISTERS {
+                return V::call::<ByBuffers>(at);
+            }
+            at.begin::<V>(M, true);
+            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let lit = Lit::<K>::new(rays, x, sight, &buffers.scaled);
+            let mut squares = V::splat(0.0);
+            let (mut above, mut below) = ([V::splat(0.0); M], [V::splat(0.0); M]);
+            for rows in rays.by_view::<K>() {
+                let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                let error = wanted.sub(emitted);
+                squares = error.mul_add(error, squares);
+                for m in 0..M {
+                    above[m] = products[m].mul_add(wanted, above[m]);
+                    below[m] = products[m].mul_add(emitted, below[m]);
+                }
+            }
+            for m in 0..M {
+                store(above[m], &mut buffers.block.residual, m * V::COUNT);
+                store(below[m], &mut buffers.block.emitted, m * V::COUNT);
+            }
+            store(squares, &mut buffers.squares, 0);
+        }
+    }
+}
+
+impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, MASKED> {
+    type Args<'a> = BlockOfLine<'a>;
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>(mut at: BlockOfLine<'_>) {
+        // SAFETY: passed on from the caller
+        unsafe {
+            if registers_for_gram(M) > V::REGISTERS {
+                return V::call::<ByBuffers>(at);
+            }
+            at.begin::<V>(M, true);
+            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let Buffers { block, products: buffered, errors, emitted, scaled, squares: all } = buffers;
+            let tile = tile_of(M);
+            let lit = Lit::<K>::new(rays, x, sight, scaled);
+            let mut squares = V::splat(0.0);
+            let (mut residual, mut gram) = ([V::splat(0.0); M], [[V::splat(0.0); M]; M]);
+            let mut active = 0;
+            for rows in rays.by_view::<K>() {
+                let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                let error = wanted.sub(emitted);
+                squares = error.mul_add(error, squares);
+                for m in 0..M {
+                    residual[m] = products[m].mul_add(error, residual[m]);
+                    for k in m..M {
+                        if m / tile == k / tile {
+                            gram[m][k] = products[m].mul_add(products[k], gram[m][k]);
+                        }
+                    }
+                    if tile < M {
+                        store(products[m], buffered, (active * M + m) * V::COUNT);
+                    }
+                }
+                active += 1;
+            }
+            for m in 0..M {
+                store(residual[m], &mut block.residual, m * V::COUNT);
+                for k in m..M {
+                    if m / tile == k / tile {
+                        store(gram[m][k], &mut block.gram, (m * M + k) * V::COUNT);
+                    }
+                }
+            }
+            if tile < M {
+                let tiles = Tiles { frames: M, views: active, products: buffered, errors, emitted };
+                V::call::<BetweenTiles>((tiles, block));
+            }
+            store(squares, all, 0);
+        }
+    }
+}
+
+/// a_m of all frames, βL and L̃ of one view and block, times √w.
+struct Seen<V, const M: usize> {
+    products: [V; M],
+    wanted: V,
+    emitted: V,
+}
+
+/// What is alike for all views of a block, at hand.
+struct Lit<'a, const K: usize> {
+    x: usize,
+    sight: Sight,
+    /// f/M.
+    scaled: &'a [f32],
+    strides: [usize; K],
+}
+
+impl<'a, const K: usize> Lit<'a, K> {
+    #[inline(always)]
+    fn new(rays: &LineRays, x: usize, sight: Sight, scaled: &'a [f32]) -> Self {
+        Self { x, sight, scaled, strides: std::array::from_fn(|k| rays.strides[k]) }
+    }
+
+    /// What one view sees of the block; `None` where none of its rays counts.
+    #[inline(always)]
+    unsafe fn seen<V: Lanes, const M: usize, const MASKED: bool>(&self, rows: &RowsOfView<K>) -> Option<Seen<V, M>> {
+        // SAFETY: see the caller
+        unsafe {
+            rows.ask(self.x + AHEAD * V::COUNT);
+            let weight = if MASKED { rows.view.weight::<V>(self.x)? } else { V::splat(1.0) };
+            let mut wanted = wanted::<V>(rows.target, self.x, self.sight);
+            if MASKED {
+                wanted = wanted.mul(weight);
+            }
+            let others: [_; K] = std::array::from_fn(|k| rows.others[k].at::<V>(self.x));
+            let (mut products, mut emitted) = ([V::splat(0.0); M], V::splat(0.0));
+            for m in 0..M {
+                let value = |k: usize| V::load(others[k].wrapping_add(m * self.strides[k]));
+                products[m] = value(0);
+                for k in 1..K {
+                    products[m] = products[m].mul(value(k));
+                }
+                if MASKED {
+                    products[m] = products[m].mul(weight);
+                }
+                emitted = products[m].mul_add(load::<V>(self.scaled, m * V::COUNT), emitted);
+            }
+            Some(Seen { products, wanted, emitted })
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! Loops along one row, each a small function compiled for the instruction set: reading a factor by its map, adding to a line's sums, and plain
+//! arithmetic. The compiler makes their vectors; no result depends on the instruction set.
+
+use std::marker::PhantomData;
+use std::ops::{AddAssign, Mul, Range};
+
+use lumistack_simd::{Backend, Function, Kernel, Lanes, float_from_half};
+
+use crate::map::{Access, ColumnTaps};
+use crate::target::Row;
+
+/// The functions of one instruction set. None makes demands on its arguments that are not checked.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RowFunctions {
+    read: Function<Read<false>>,
+    multiply: Function<Read<true>>,
+    scatter: Function<Scatter<f32>>,
+    scatter_long: Function<Scatter<f64>>,
+    weigh: Function<Weigh>,
+    radiance: Function<Radiance>,
+    add: Function<Add>,
+    add_products: Function<AddProducts>,
+}
+
+// SAFETY of every block below: the kernels make no demands beyond the instruction set, which the functions were chosen for
+#[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
+impl RowFunctions {
+    pub(crate) fn new(backend: Backend) -> Self {
+        Self {
+            read: backend.function::<Read<false>>(),
+            multiply: backend.function::<Read<true>>(),
+            scatter: backend.function::<Scatter<f32>>(),
+            scatter_long: backend.function::<Scatter<f64>>(),
+            weigh: backend.function::<Weigh>(),
+            radiance: backend.function::<Radiance>(),
+            add: backend.function::<Add>(),
+            add_products: backend.function::<AddProducts>(),
+        }
+    }
+
+    /// Writes a factor's values along the rays.
+    pub(crate) fn read(&self, from: Reading, to: &mut [f32]) {
+        unsafe { (self.read)((from, to)) }
+    }
+
+    /// Multiplies by a factor's values along the rays.
+    pub(crate) fn multiply(&self, from: Reading, to: &mut [f32]) {
+        unsafe { (self.multiply)((from, to)) }
+    }
+
+    /// Adds a·b of every ray to the pixels that it reads, by their shares; rays that miss the line add to the padding, which is never read.
+    pub(crate) fn scatter(&self, x: &ColumnTaps, run: &Range<usize>, a: &[f32], b: &[f32], sums: &mut [f32]) {
+        unsafe { (self.scatter)((x, run, a, b, sums)) }
+    }
+
+    /// [`scatter`](Self::scatter) into sums of 64 bits.
+    pub(crate) fn scatter_long(&self, x: &ColumnTaps, run: &Range<usize>, a: &[f32], b: &[f32], sums: &mut [f64]) {
+        unsafe { (self.scatter_long)((x, run, a, b, sums)) }
+    }
+
+    /// value · share · w; `root_weights` is √w.
+    pub(crate) fn weigh(&self, values: &[f32], share: f32, root_weights: Option<&[f32]>, to: &mut [f32]) {
+        unsafe { (self.weigh)((values, share, root_weights, to)) }
+    }
+
+    /// βL of the first columns of a row of the target.
+    pub(crate) fn radiance(&self, row: Row, brightness: f32, to: &mut [f32]) {
+        unsafe { (self.radiance)((row, brightness, to)) }
+    }
+
+    /// sum + value.
+    pub(crate) fn add(&self, sum: &mut [f32], values: &[f32]) {
+        unsafe { (self.add)((sum, values)) }
+    }
+
+    /// sum + a·b.
+    pub(crate) fn add_products(&self, sum: &mut [f32], a: &[f32], b: &[f32]) {
+        unsafe { (self.add_products)((sum, a, b)) }
+    }
+}
+
+/// One factor along the rays of a part of a field row.
+#[derive(Clone, Copy)]
+pub(crate) struct Reading<'a> {
+    pub(crate) x: &'a ColumnTaps,
+    pub(crate) run: &'a Range<usize>,
+    /// The row that the rays read.
+    pub(crate) upper: &'a [f32],
+    /// A second row, and its weight.
+    pub(crate) lower: Option<(&'a [f32], f32)>,
+}
+
+fn mix(a: f32, b: f32, t: f32) -> f32 {
+    a + t * (b - a)
+}
+
+struct Read<const MULTIPLY: bool>;
+
+impl<const MULTIPLY: bool> Kernel for Read<MULTIPLY> {
+    type Args<'a> = (Reading<'a>, &'a mut [f32]);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((Reading { x, run, upper, lower }, to): Self::Args<'_>) {
+        let put = |to: &mut f32, value: f32| if MULTIPLY { *to *= value } else { *to = value };
+        for (cols, access) in x.pieces_within(run) {
+            let to = &mut to[cols.start - run.start..cols.end - run.start];
+            let len = to.len();
+            let value = |i: usize| lower.map_or(upper[i], |(lower, t)| mix(upper[i], lower[i], t));
+            match access {
+                Access::Shift { by, t } => {
+                    let start = (cols.start as isize + by) as usize;
+                    let pixels = start..start + len + usize::from(t != 0.0);
+                    let upper = &upper[pixels.clone()];
+                    let lower = lower.map(|(lower, row_t)| (&lower[pixels], row_t));
+                    match (t == 0.0, lower) {
+                        (true, None) => to.iter_mut().zip(upper).for_each(|(to, &a)| put(to, a)),
+                        (true, Some((lower, row_t))) => {
+                            let pairs = upper.iter().zip(lower);
+                            to.iter_mut().zip(pairs).for_each(|(to, (&a, &b))| put(to, mix(a, b, row_t)));
+                        }
+                        (false, None) => {
+                            let pairs = upper[..len].iter().zip(&upper[1..]);
+                            to.iter_mut().zip(pairs).for_each(|(to, (&a, &b))| put(to, mix(a, b, t)));
+                        }
+                        (false, Some((lower, row_t))) => {
+                            let left = upper[..len].iter().zip(&lower[..len]);
+                            let right = upper[1..].iter().zip(&lower[1..]);
+                            for (to, ((&a, &b), (&c, &d))) in to.iter_mut().zip(left.zip(right)) {
+                                put(to, mix(mix(a, b, row_t), mix(c, d, row_t), t));
+                            }
+                        }
+                    }
+                }
+                Access::Indexed => {
+                    to.iter_mut().zip(&x.first[cols]).for_each(|(to, &i)| put(to, value(i as usize)));
+                }
+                Access::Mixed => {
+                    let taps = x.first[cols.clone()].iter().zip(&x.second[cols.clone()]).zip(&x.t[cols]);
+                    for (to, ((&first, &second), &t)) in to.iter_mut().zip(taps) {
+                        put(to, mix(value(first as usize), value(second as usize), t));
+                    }
+                }
+            }
+        }
+    }
+}
+
+struct Scatter<T>(PhantomData<T>);
+
+impl<T: Copy + From<f32> + AddAssign + Mul<Output = T> + 'static> Kernel for Scatter<T> {
+    type Args<'a> = (&'a ColumnTaps, &'a Range<usize>, &'a [f32], &'a [f32], &'a mut [T]);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((x, run, a, b, sums): Self::Args<'_>) {
+        for (cols, access) in x.pieces_within(run) {
+            let part = cols.start - run.start..cols.end - run.start;
+            let values = a[part.clone()].iter().zip(&b[part]).map(|(&a, &b)| T::from(a) * T::from(b));
+            match access {
+                Access::Shift { by, t } => {
+                    let start = (cols.start as isize + by) as usize;
+                    let share = T::from(1.0 - t);
+                    if t == 0.0 {
+                        sums[start..].iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+                    } else {
+                        sums[start..].iter_mut().zip(values.clone()).for_each(|(sum, value)| *sum += share * value);
+                        let share = T::from(t);
+                        sums[start + 1..].iter_mut().zip(values).for_each(|(sum, value)| *sum += share * value);
+                    }
+                }
+                Access::Indexed => {
+                    for (&i, value) in x.first[cols].iter().zip(values) {
+                        sums[i as usize] += value;
+                    }
+                }
+                Access::Mixed => {
+                    for (col, value) in cols.zip(values) {
+                        sums[x.first[col] as usize] += T::from(1.0 - x.t[col]) * value;
+                        sums[x.second[col] as usize] += T::from(x.t[col]) * value;
+                    }
+                }
+            }
+        }
+    }
+}
+
+struct Weigh;
+
+impl Kernel for Weigh {
+    type Args<'a> = (&'a [f32], f32, Option<&'a [f32]>, &'a mut [f32]);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((values, share, root_weights, to): Self::Args<'_>) {
+        match root_weights {
+            None => to.iter_mut().zip(values).for_each(|(to, &value)| *to = share * value),
+            Some(roots) => {
+                let weighed = values.iter().zip(roots).map(|(&value, &root)| share * root * root * value);
+                to.iter_mut().zip(weighed).for_each(|(to, value)| *to = value);
+            }
+        }
+    }
+}
+
+struct Radiance;
+
+impl Kernel for Radiance {
+    type Args<'a> = (Row<'a>, f32, &'a mut [f32]);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((row, brightness, to): Self::Args<'_>) {
+        match row {
+            Row::Half(row) => to.iter_mut().zip(row).for_each(|(to, &half)| *to = brightness * float_from_half(half)),
+            Row::Float(row) => to.iter_mut().zip(row).for_each(|(to, &value)| *to = brightness * value),
+        }
+    }
+}
+
+struct Add;
+
+impl Kernel for Add {
+    type Args<'a> = (&'a mut [f32], &'a [f32]);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((sum, values): Self::Args<'_>) {
+        sum.iter_mut().zip(values).for_each(|(sum, &value)| *sum += value);
+    }
+}
+
+struct AddProducts;
+
+impl Kernel for AddProducts {
+    type Args<'a> = (&'a mut [f32], &'a [f32], &'a [f32]);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((sum, a, b): Self::Args<'_>) {
+        sum.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (&a, &b))| *sum += a * b);
+    }
+}

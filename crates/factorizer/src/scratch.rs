@@ -1,0 +1,50 @@
+//! Buffers of the general way, for one thread.
+
+use crate::factor::PAD;
+use crate::line::quantities_of;
+use crate::plan::Plan;
+use crate::step::{Block, Rule};
+
+/// Buffers of one thread, reused from line to line.
+pub(crate) struct Scratch {
+    /// a_m, `[frame][column of the run]`.
+    pub(crate) product: Vec<f32>,
+    /// Sums of rotations per frame, where layers rotate.
+    pub(crate) phase: Vec<f32>,
+    /// One factor's values along a run.
+    pub(crate) values: Vec<f32>,
+    /// L̃ along a run.
+    pub(crate) emitted: Vec<f32>,
+    /// e along a run.
+    pub(crate) errors: Vec<f32>,
+    /// Curvature along a run, where the Gram matrix does not bound it.
+    pub(crate) curvature: Vec<f32>,
+    /// Weights times e, L̃, a_m or the curvature.
+    pub(crate) weighted: Vec<f32>,
+    /// r and the upper triangle of G, or n and d: `[quantity][x]`.
+    pub(crate) sums: Vec<f32>,
+    /// The same while it is added up, where pixels may get very many rays; else empty.
+    pub(crate) long_sums: Vec<f64>,
+    pub(crate) block: Block,
+}
+
+impl Scratch {
+    /// For lines of factor `n`.
+    pub(crate) fn new(plan: &Plan, n: usize) -> Self {
+        let frames = plan.frames;
+        let row = || vec![0.0; plan.cols + PAD];
+        let sums = quantities_of(Rule::Probe, frames).max(2 * frames) * plan.maps[n].layout.stride;
+        Self {
+            product: vec![0.0; frames * plan.cols],
+            phase: if plan.is_product() { Vec::new() } else { vec![0.0; frames * plan.cols] },
+            values: row(),
+            emitted: row(),
+            errors: row(),
+            curvature: row(),
+            weighted: row(),
+            sums: vec![0.0; sums],
+            long_sums: vec![0.0; if plan.maps[n].short_sums { 0 } else { sums }],
+            block: Block::new(frames),
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! The list of solvers.
+
+use crate::block_exact::{BlockExact, Extrapolated};
+use crate::multiplicative::Multiplicative;
+use crate::problem::FactorizeError;
+use crate::solver::Solver;
+
+/// Name of the choice of solver by what the benchmarks show to be best.
+pub const AUTO: &str = "auto";
+
+/// All solvers.
+pub fn solvers() -> &'static [&'static dyn Solver] {
+    &[&Multiplicative, &BlockExact, &Extrapolated]
+}
+
+/// The solver of a name; [`AUTO`] is the best known.
+///
+/// # Errors
+/// If there is none; the error lists all names.
+pub fn solver(name: &str) -> Result<&'static dyn Solver, FactorizeError> {
+    let name = if name == AUTO { Extrapolated.name() } else { name };
+    solvers().iter().copied().find(|solver| solver.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {
+        expected: [AUTO].into_iter().chain(solvers().iter().map(|solver| solver.name())).collect::<Vec<_>>().join(", "),
+        found: name.into(),
+    })
+}

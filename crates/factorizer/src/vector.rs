@@ -1,0 +1,69 @@
+//! Vectors as parts of slices.
+
+use lumistack_simd::{Lanes, MAX_LANES};
+
+/// The lanes of one vector, the rest 0: what functions for different instruction sets exchange.
+pub(crate) type Vector = [f32; MAX_LANES];
+
+/// The vector at `at`.
+///
+/// # Safety
+/// The machine has V, and `at` + COUNT is at most the length.
+#[inline(always)]
+pub(crate) unsafe fn load<V: Lanes>(from: &[f32], at: usize) -> V {
+    debug_assert!(at + V::COUNT <= from.len(), "{at} + {} > {}", V::COUNT, from.len());
+    // SAFETY: the caller guarantees the range
+    unsafe { V::load(from.as_ptr().add(at)) }
+}
+
+/// Writes a vector to `at`.
+///
+/// # Safety
+/// As [`load`].
+#[inline(always)]
+pub(crate) unsafe fn store<V: Lanes>(vector: V, to: &mut [f32], at: usize) {
+    debug_assert!(at + V::COUNT <= to.len(), "{at} + {} > {}", V::COUNT, to.len());
+    // SAFETY: the caller guarantees the range
+    unsafe { vector.store(to.as_mut_ptr().add(at)) }
+}
+
+/// 1 in lanes low..high, else 0.
+///
+/// # Safety
+/// The machine has V; low and high are at most COUNT.
+#[inline(always)]
+pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
+    static STEPS: [f32; 3 * MAX_LANES] = {
+        let mut steps = [0.0; 3 * MAX_LANES];
+        let mut i = MAX_LANES;
+        while i < 2 * MAX_LANES {
+            steps[i] = 1.0;
+            i += 1;
+        }
+        steps
+    };
+    // SAFETY: low and high are at most V::COUNT ≤ MAX_LANES
+    unsafe { load::<V>(&STEPS, MAX_LANES - low).mul(load::<V>(&STEPS, 2 * MAX_LANES - high)) }
+}
+
+/// Sum of all lanes in f64.
+///
+/// # Safety
+/// The machine has V.
+#[inline(always)]
+pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
+    let mut lanes = Vector::default();
+    // SAFETY: a vector has at most MAX_LANES lanes
+    unsafe { vector.store(lanes.as_mut_ptr()) };
+    sum_of(&lanes[..V::COUNT])
+}
+
+/// Sum in f64.
+pub(crate) fn sum_of(lanes: &[f32]) -> f64 {
+    lanes.iter().map(|&lane| f64::from(lane)).sum()
+}
+
+/// Adds lane by lane.
+pub(crate) fn add(sum: &mut Vector, other: &Vector) {
+    sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += other);
+}

@@ -1,0 +1,98 @@
+//! The traits of vectors and of kernels.
+
+/// A vector of [`COUNT`](Self::COUNT) values.
+///
+/// # Safety
+/// Every method may only run where the machine has the instruction set of the type. Loads and stores need `COUNT` values at the pointer, at any
+/// alignment.
+#[expect(clippy::missing_safety_doc, reason = "one section for all methods, above")]
+pub trait Lanes: Copy {
+    /// A truth value per lane.
+    type Mask: Copy;
+    /// Number of values; divides [`MAX_LANES`](crate::MAX_LANES).
+    const COUNT: usize;
+    /// Number of vectors that registers hold; 0 where the compiler decides what a vector is.
+    const REGISTERS: usize;
+
+    /// The same value in all lanes.
+    unsafe fn splat(value: f32) -> Self;
+    /// Reads `COUNT` values.
+    unsafe fn load(from: *const f32) -> Self;
+    /// Reads `COUNT` finite IEEE half floats.
+    unsafe fn load_half(from: *const u16) -> Self;
+    /// Writes `COUNT` values.
+    unsafe fn store(self, to: *mut f32);
+
+    /// self + other.
+    unsafe fn add(self, other: Self) -> Self;
+    /// self − other.
+    unsafe fn sub(self, other: Self) -> Self;
+    /// self · other.
+    unsafe fn mul(self, other: Self) -> Self;
+    /// self / other.
+    unsafe fn div(self, other: Self) -> Self;
+    /// The lesser, of numbers only: the result for NaN is open.
+    unsafe fn min(self, other: Self) -> Self;
+    /// The greater, of numbers only: the result for NaN is open.
+    unsafe fn max(self, other: Self) -> Self;
+    /// self · factor + addend, rounded once where the machine has an instruction for it, else twice.
+    unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
+    /// addend − self · factor, rounded as [`mul_add`](Self::mul_add).
+    unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
+    /// self · factor + addend, rounded once on every machine but WebAssembly's: the same bits everywhere, at the price of a library call per lane where the
+    /// machine has no instruction.
+    unsafe fn fused_mul_add(self, factor: Self, addend: Self) -> Self;
+    /// addend − self · factor, rounded as [`fused_mul_add`](Self::fused_mul_add).
+    unsafe fn fused_neg_mul_add(self, factor: Self, addend: Self) -> Self;
+
+    /// self ≤ other; false for NaN.
+    unsafe fn at_most(self, other: Self) -> Self::Mask;
+    /// self < other; false for NaN.
+    unsafe fn below(self, other: Self) -> Self::Mask;
+    /// a ∧ b.
+    unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// a ∨ b.
+    unsafe fn either(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// `self` where the mask is true, `other` elsewhere.
+    unsafe fn where_else(self, mask: Self::Mask, other: Self) -> Self;
+    /// One bit per lane, lane 0 lowest.
+    unsafe fn bits(mask: Self::Mask) -> u32;
+
+    /// Calls another kernel with the same vectors, out of line unless the compiler finds inlining cheap.
+    unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output;
+
+    /// Reads an array of exactly `COUNT` values.
+    #[inline(always)]
+    unsafe fn from_array<const N: usize>(values: &[f32; N]) -> Self {
+        const { assert!(N == Self::COUNT, "an array of another length") };
+        // SAFETY: passed on from the caller; the array has COUNT values
+        unsafe { Self::load(values.as_ptr()) }
+    }
+
+    /// The lanes as an array of exactly `COUNT` values.
+    #[inline(always)]
+    unsafe fn to_array<const N: usize>(self) -> [f32; N] {
+        const { assert!(N == Self::COUNT, "an array of another length") };
+        let mut values = [0.0; N];
+        // SAFETY: passed on from the caller; the array has COUNT values
+        unsafe { self.store(values.as_mut_ptr()) };
+        values
+    }
+}
+
+/// A computation that is compiled once per instruction set.
+pub trait Kernel {
+    /// Arguments; a tuple or a struct where there are several.
+    type Args<'a>;
+    /// Result.
+    type Output;
+
+    /// Runs the kernel; must be `#[inline(always)]`, or the vector operations become calls.
+    ///
+    /// # Safety
+    /// The machine has `V`'s instruction set, and the arguments are as this kernel demands.
+    unsafe fn run<V: Lanes>(args: Self::Args<'_>) -> Self::Output;
+}
+
+/// A kernel compiled for one instruction set. Kernels with the same arguments and results have functions of the same type.
+pub type Function<K> = for<'a> unsafe fn(<K as Kernel>::Args<'a>) -> <K as Kernel>::Output;

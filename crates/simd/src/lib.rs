@@ -1,0 +1,50 @@
+//! Vectors of `f32` over one trait, and the instruction sets that carry them.
+//!
+//! ```text
+//! Kernel::run::<V: Lanes>      written once
+//!     Backend::function        one small function per kernel and instruction set, to be put into tables
+//!     Backend::call_eight      the same with vectors of exactly eight lanes, called at once
+//!     Lanes::call              from one kernel to another, out of line
+//! ```
+//!
+//! A kernel is generic over [`Lanes`]. Each function that a [`Backend`] returns is compiled with the right `target_feature`, and the vector operations are
+//! inlined into it. Code stays small as long as kernels are: a kernel inlines all that it does not [`call`](Lanes::call).
+//!
+//! [`Portable`] is the scalar twin: it compiles everywhere, and the tests compare every other backend with it, operation by operation.
+
+mod backend;
+mod half;
+mod lanes;
+mod pair;
+mod portable;
+mod prefetch;
+
+#[cfg(target_arch = "aarch64")]
+mod neon;
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+mod wasm;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+#[cfg(test)]
+mod tests;
+
+pub use backend::Backend;
+pub use half::float_from_half;
+pub use lanes::{Function, Kernel, Lanes};
+pub use pair::Pair;
+pub use portable::Portable;
+pub use prefetch::{prefetch, prefetch_far};
+
+#[cfg(target_arch = "aarch64")]
+pub use neon::Neon;
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+pub use wasm::Simd128;
+#[cfg(target_arch = "x86_64")]
+pub use x86::{Avx2, Avx512};
+
+/// The most lanes of any vector: 16. Every lane count divides it.
+pub const MAX_LANES: usize = 16;
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

@@ -1,0 +1,27 @@
+//! Requests for memory that will soon be read. They may do nothing, and any address is allowed.
+
+/// Requests a cache line into all caches.
+#[inline(always)]
+pub fn prefetch<T>(from: *const T) {
+    // SAFETY: a prefetch may name any address, and every x86-64 has the instruction
+    #[cfg(target_arch = "x86_64")]
+    unsafe {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        _mm_prefetch::<_MM_HINT_T0>(from.cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = from;
+}
+
+/// Requests a cache line, but no nearer than the second-level cache.
+#[inline(always)]
+pub fn prefetch_far<T>(from: *const T) {
+    // SAFETY: a prefetch may name any address, and every x86-64 has the instruction
+    #[cfg(target_arch = "x86_64")]
+    unsafe {
+        use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
+        _mm_prefetch::<_MM_HINT_T1>(from.cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = from;
+}
