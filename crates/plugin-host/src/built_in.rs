@@ -1,6 +1,6 @@
 //! Which code the compiled-in plugins are.
 
-/// Hash of the sources of what plugins and their outputs are made with, for keys of kept results.
+/// Hash of the sources of the plugins' side of the boundary, for keys of kept results.
 pub const PLUGIN_FINGERPRINT: &str = lumistack_plugin::FINGERPRINT;
 
 /// Hash of the sources of the compiled-in plugin `id`, for keys of kept results; `None` of others. A plugin's version stays the same while somebody works

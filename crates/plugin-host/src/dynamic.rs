@@ -11,10 +11,10 @@ use std::ffi::OsString;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use crate::serve::Plugin;
 use libloading::Library as Shared;
 use lumistack_plugin::abi::{ENTRY_PREFIX, Entry};
 use lumistack_plugin::is_plugin_id;
-use lumistack_plugin::serve::Plugin;
 use object::{Architecture, BinaryFormat, FileKind, Object, ObjectKind, ReadCache};
 
 use crate::child::{Launcher, Limits};

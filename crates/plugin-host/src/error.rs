@@ -3,8 +3,8 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::serve::PluginKind;
 use lumistack_plugin::PluginError;
-use lumistack_plugin::serve::PluginKind;
 use thiserror::Error;
 
 /// Why an output was not written. Nothing new is in its folder then.

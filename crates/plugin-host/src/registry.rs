@@ -4,8 +4,8 @@ use std::fmt;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
+use crate::serve::{Plugin, PluginInfo, PluginKind};
 use lumistack_core::config::nearest;
-use lumistack_plugin::serve::{Plugin, PluginInfo, PluginKind};
 use serde_json::{Map, Value};
 
 use crate::{HostError, LoadError};

@@ -5,8 +5,8 @@ use lumistack_plugin::core::seed::Stream;
 use lumistack_plugin::display::{
     Backlight, Display, LayerStack, LensletBacklight, LightField, RayMap, Simulator, Weights, score,
 };
-use lumistack_plugin::testkit::{conformance, made_by};
 use lumistack_plugin_log_tomography::PLUGIN;
+use lumistack_plugin_testkit::{conformance, made_by};
 
 fn display(frames: usize) -> Display {
     Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], frames)

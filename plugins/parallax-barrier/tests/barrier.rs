@@ -2,8 +2,8 @@
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, RayMap, Simulator};
-use lumistack_plugin::testkit::{conformance, made_by, random_field};
 use lumistack_plugin_parallax_barrier::PLUGIN;
+use lumistack_plugin_testkit::{conformance, made_by, random_field};
 
 /// Rounding of sums of a few f32 values.
 const ROUNDING: f32 = 1e-5;

@@ -2,7 +2,7 @@
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, LayerStack, RayMap, Weights, score};
-use lumistack_plugin::testkit::{conformance, made_by, random_field};
+use lumistack_plugin_testkit::{conformance, made_by, random_field};
 use lumistack_plugin_two_layer_nmf::PLUGIN;
 
 /// Single precision over some updates.

@@ -16,12 +16,12 @@ use lumistack_plugin::PlaneView;
 use lumistack_plugin::abi::{
     Assets, ByteSink, Bytes, Data, ErrorSink, FieldSink, HostServices, Plane, StackSink, Status, Str, Time, View, dtype,
 };
-use lumistack_plugin::serve::Plugin;
+use lumistack_plugin::wire::{keeping, lent_bytes, lent_lossy, tell};
 
 use super::protocol::{self, Answer, Call, FromChild, Loaded, PART, Request, Say, ToChild, read_frame, write_frame};
-use super::{keeping, lent, tell};
 use crate::LoadError;
 use crate::dynamic;
+use crate::serve::Plugin;
 
 /// For how long an answer to "has the user asked to stop" holds; every other answer of the program brings a newer one.
 const FRESH: Duration = Duration::from_millis(2);
@@ -229,7 +229,7 @@ unsafe fn link_of(context: *const c_void) -> &'static Link {
 /// The plugin lends the text for the call.
 unsafe fn text(text: Str) -> String {
     // SAFETY: the caller's promise.
-    String::from_utf8_lossy(unsafe { lent(text.ptr, text.len) }.unwrap_or_default()).into_owned()
+    unsafe { lent_lossy(text) }.into_owned()
 }
 
 /// Bytes of the plugin, or the status that refuses them.
@@ -239,9 +239,8 @@ unsafe fn text(text: Str) -> String {
 unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorSink) -> Result<&'a [u8], Status> {
     // SAFETY: the caller's promise.
     unsafe {
-        lent(ptr, len).ok_or_else(|| {
-            let place = if ptr.is_null() { "nowhere" } else { "somewhere" };
-            tell(error, &format!("{what}: {len} bytes {place}, which cannot be"));
+        lent_bytes(Bytes { ptr, len }, what).map_err(|refused| {
+            tell(error, &refused.to_string());
             Status::REFUSED
         })
     }
@@ -405,8 +404,8 @@ unsafe fn fetch(
     if answer.status != Status::OK.0 {
         return Status(answer.status);
     }
-    let element = size_of::<f32>() as isize;
     let [rows, cols, channels] = answer.shape;
+    let element = size_of::<f32>() as isize;
     let owner = Box::new(body);
     let filled = Plane {
         size,

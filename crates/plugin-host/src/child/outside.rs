@@ -7,13 +7,15 @@ use std::sync::Arc;
 use lumistack_plugin::abi::{
     Assets, ByteSink, Data, ErrorSink, FieldSink, HostServices, StackSink, Status, Str, level,
 };
-use lumistack_plugin::serve::{Functions, Plugin};
+use lumistack_plugin::wire::{keeping, lent_lossy};
 use lumistack_plugin::{PluginError, abi};
 
+use super::launch::{Launcher, Limits};
 use super::protocol::{self, Call, Loaded};
-use super::session::{Lent, Owner, Stopped, is_cancelled};
-use super::{Launcher, Limits, keeping};
+use super::requests::{Lent, is_cancelled};
+use super::session::{Owner, Stopped};
 use crate::LoadError;
+use crate::serve::{Functions, Plugin};
 
 /// Loads a library in a child, and returns its plugin, whose functions start a child each.
 pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits) -> Result<Plugin, LoadError> {
@@ -82,7 +84,7 @@ impl Remote {
 /// The text is lent for the call.
 unsafe fn text(text: Str) -> String {
     // SAFETY: the caller's promise.
-    String::from_utf8_lossy(unsafe { super::lent(text.ptr, text.len) }.unwrap_or_default()).into_owned()
+    unsafe { lent_lossy(text) }.into_owned()
 }
 
 /// # Safety

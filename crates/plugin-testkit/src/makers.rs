@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{Display, LayerStack, LensletBacklight, LightField};
+use lumistack_plugin::{Export, PluginError, Time};
+use lumistack_plugin_host::serve::{Plugin, PluginKind, import, make_field, make_stack, resolved};
 use serde_json::{Value, json};
 
-use crate::serve::{Plugin, import, make_field, make_stack, resolved};
-use crate::testkit::MemoryHost;
-use crate::testkit::conformance::{Broken, bad_parameters_are_refused, closed, defaults_and_ends, require, rule};
-use crate::{Export, PluginError, Time};
+use crate::memory_host::MemoryHost;
+use crate::rules::{Broken, bad_parameters_are_refused, closed, defaults_and_ends, require, rule};
 
 type Made<T> = Result<T, PluginError>;
 
@@ -50,11 +50,11 @@ fn field_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display)
     make_field(plugin, host, params, display, Time::default())
 }
 
-pub(super) fn node_conformance(plugin: &Plugin) -> Result<(), Broken> {
+pub(crate) fn node_conformance(plugin: &Plugin) -> Result<(), Broken> {
     maker_conformance(plugin, stack_of)
 }
 
-pub(super) fn source_conformance(plugin: &Plugin) -> Result<(), Broken> {
+pub(crate) fn source_conformance(plugin: &Plugin) -> Result<(), Broken> {
     maker_conformance(plugin, field_of)
 }
 
@@ -107,7 +107,7 @@ fn garbage() -> [Vec<u8>; 4] {
     [Vec::new(), vec![0; 100], b"no such format\n\xff\xfe\n1 2 3".to_vec(), noise]
 }
 
-pub(super) fn importer_conformance(plugin: &Plugin) -> Result<(), Broken> {
+pub(crate) fn importer_conformance(plugin: &Plugin) -> Result<(), Broken> {
     let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
     let file = format!("a.{}", plugin.info().extensions[0]);
     for bytes in garbage() {
@@ -164,8 +164,7 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
 }
 
 /// Whether two builds make the same of these parameters; returns how many results were compared.
-pub(super) fn same(plugin: &Plugin, other: &Plugin, params: &Value) -> Result<usize, Broken> {
-    use crate::serve::PluginKind;
+pub(crate) fn same(plugin: &Plugin, other: &Plugin, params: &Value) -> Result<usize, Broken> {
     let params = rule("takes its own parameters", resolved(plugin, params))?;
     let mut count = 0;
     for display in displays() {

@@ -10,14 +10,18 @@ use crate::PluginError;
 /// Shapes and geometry of submitted data.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "port", rename_all = "snake_case")]
-pub(crate) enum Description {
+pub enum Description {
+    /// Patterns of a tensor display.
     LayerStack {
+        /// Brightness β.
         brightness: f64,
+        /// Number of frames.
         frames: usize,
         /// [rows, cols], rearmost first.
         layers: Vec<[usize; 2]>,
         /// [bins_y, bins_x, lenslet_rows, lenslet_cols].
         emission: Option<[usize; 4]>,
+        /// The light field that the patterns were made for.
         target: Geometry,
         /// Whether the target's views are lent; hosts before this key lend none.
         #[serde(default)]
@@ -26,7 +30,9 @@ pub(crate) enum Description {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         target_depth: Option<Depth>,
     },
+    /// Radiance of many views.
     LightField {
+        /// Its rays.
         geometry: Geometry,
         /// How deep the middle view sees.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -36,7 +42,7 @@ pub(crate) enum Description {
 
 /// How deep a light field's middle view sees.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Depth {
+pub struct Depth {
     rows: usize,
     cols: usize,
     /// `[row][col]`, millimetres towards the viewer; null where nothing is met.
@@ -67,7 +73,7 @@ impl TryFrom<Depth> for SeenDepth {
 
 /// A field geometry.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Geometry {
+pub struct Geometry {
     rows: usize,
     cols: usize,
     pitch_mm: f64,

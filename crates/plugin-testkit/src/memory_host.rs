@@ -5,8 +5,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use lumistack_core::Cancel;
 
-use crate::PluginError;
-use crate::serve::{LogLevel, Services, path_parts};
+use lumistack_plugin::PluginError;
+use lumistack_plugin_host::serve::{LogLevel, Services, path_parts};
 
 /// A host in memory.
 #[derive(Debug, Default)]

@@ -9,10 +9,12 @@ use lumistack_plugin_abi::{Bytes, ErrorSink, Status, Str};
 use crate::PluginError;
 
 /// Calls the other side, with a sink for its error text.
-pub(crate) fn call(function: impl FnOnce(*const ErrorSink) -> Status) -> Result<(), PluginError> {
+///
+/// # Errors
+/// The status that the other side returns, with the text that it wrote to the sink.
+pub fn call(function: impl FnOnce(*const ErrorSink) -> Status) -> Result<(), PluginError> {
     let mut text = String::new();
-    let sink = ErrorSink { size: size_of::<ErrorSink>(), context: (&raw mut text).cast(), write: keep_text };
-    let status = function(&sink);
+    let status = function(&keeping(&mut text));
     if text.is_empty() {
         text = format!("no reason given (status {})", status.0);
     }
@@ -29,7 +31,7 @@ pub(crate) fn call(function: impl FnOnce(*const ErrorSink) -> Status) -> Result<
 ///
 /// # Safety
 /// `error` is null or a valid sink.
-pub(crate) unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
+pub unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
     // What the closure touches is either given up after a panic (the plugin's instance refuses further calls) or guarded by its own lock.
     let outcome = catch_unwind(AssertUnwindSafe(function))
         .unwrap_or_else(|payload| Err(PluginError::Panicked(panic_text(payload))));
@@ -41,11 +43,27 @@ pub(crate) unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> 
         Err(PluginError::Panicked(text)) => (Status::PANICKED, text),
     };
     // SAFETY: the caller's promise.
-    if let Some(sink) = unsafe { error.as_ref() } {
-        // SAFETY: the sink's function takes its own context and copies the text.
-        unsafe { (sink.write)(sink.context, Str::new(&text)) };
-    }
+    unsafe { tell(error, &text) };
     status
+}
+
+/// Copies an error text to a sink.
+///
+/// # Safety
+/// `error` is null or a valid sink.
+pub unsafe fn tell(error: *const ErrorSink, text: &str) {
+    // SAFETY: the caller's promise.
+    if let Some(sink) = unsafe { error.as_ref() }
+        && !text.is_empty()
+    {
+        // SAFETY: the sink's function takes its own context and copies the text.
+        unsafe { (sink.write)(sink.context, Str::new(text)) };
+    }
+}
+
+/// A sink that keeps the text that is written to it; valid as long as `text` is.
+pub fn keeping(text: &mut String) -> ErrorSink {
+    ErrorSink { size: size_of::<ErrorSink>(), context: (&raw mut *text).cast(), write: keep_text }
 }
 
 /// The message of a panic. Drops the payload where a panic of its destructor cannot unwind further.
@@ -60,21 +78,36 @@ pub(crate) fn panic_text(payload: Box<dyn Any + Send>) -> String {
     text
 }
 
-/// Text lent by the other side.
+/// Text lent by the other side; `what` names it in errors.
+///
+/// # Errors
+/// If its length is that of no array, or it is not UTF-8.
 ///
 /// # Safety
 /// `text` points to `len` readable bytes (or `len` is 0) for as long as the result is used.
-pub(crate) unsafe fn lent_text<'a>(text: Str, what: &str) -> Result<&'a str, PluginError> {
+pub unsafe fn lent_text<'a>(text: Str, what: &str) -> Result<&'a str, PluginError> {
     // SAFETY: the caller's promise.
     let bytes = unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, what)? };
     std::str::from_utf8(bytes).map_err(|error| PluginError::failed(what, error))
 }
 
-/// Bytes lent by the other side.
+/// Text lent by the other side, with whatever is not UTF-8 replaced; empty where its length is that of no array.
+///
+/// # Safety
+/// As for [`lent_text`].
+pub unsafe fn lent_lossy<'a>(text: Str) -> std::borrow::Cow<'a, str> {
+    // SAFETY: the caller's promise.
+    String::from_utf8_lossy(unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, "text") }.unwrap_or_default())
+}
+
+/// Bytes lent by the other side; `what` names them in errors.
+///
+/// # Errors
+/// If their length is that of no array.
 ///
 /// # Safety
 /// `bytes` points to `len` readable bytes (or `len` is 0) for as long as the result is used.
-pub(crate) unsafe fn lent_bytes<'a>(bytes: Bytes, what: &str) -> Result<&'a [u8], PluginError> {
+pub unsafe fn lent_bytes<'a>(bytes: Bytes, what: &str) -> Result<&'a [u8], PluginError> {
     if bytes.len == 0 {
         return Ok(&[]);
     }
@@ -86,13 +119,33 @@ pub(crate) unsafe fn lent_bytes<'a>(bytes: Bytes, what: &str) -> Result<&'a [u8]
     Ok(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
 }
 
-/// [`ErrorSink::write`] of [`call`].
+/// [`ErrorSink::write`] of [`keeping`].
 unsafe extern "C" fn keep_text(context: *mut c_void, text: Str) {
-    // SAFETY: the callee lends the text for this call.
-    let bytes = unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, "error text") }.unwrap_or_default();
-    // SAFETY: `context` is the string of `call`, which waits for the callee.
-    let kept = unsafe { &mut *context.cast::<String>() };
-    *kept = String::from_utf8_lossy(bytes).into_owned();
+    // SAFETY: the callee lends the text for this call; `context` is the string of `keeping`, whose owner waits for the callee.
+    unsafe { *context.cast::<String>() = lent_lossy(text).into_owned() };
+}
+
+/// [`ByteSink::write`](lumistack_plugin_abi::ByteSink::write) into a `Vec<u8>`, to which `context` points.
+///
+/// # Safety
+/// `context` points to a vector that nobody else uses meanwhile; the bytes are lent for the call; `error` is null or a valid sink.
+pub unsafe extern "C" fn append(context: *mut c_void, bytes: Bytes, error: *const ErrorSink) -> Status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        answer(error, || {
+            (*context.cast::<Vec<u8>>()).extend_from_slice(lent_bytes(bytes, "bytes")?);
+            Ok(())
+        })
+    }
+}
+
+/// Refuses a struct of an older host.
+pub(crate) fn needs(size: usize, least: usize) -> Result<(), PluginError> {
+    if size < least {
+        let text = format!("the host offers a struct of {size} bytes, the plugin needs {least}");
+        return Err(PluginError::Refused(text));
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Names of files that plugins write.
 
-use crate::PluginError;
+use lumistack_plugin::PluginError;
 
 /// Most bytes of a part, which every usual file system takes.
 const LONGEST_PART: usize = 255;

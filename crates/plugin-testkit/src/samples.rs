@@ -5,8 +5,8 @@ use lumistack_display::{
     Backlight, Display, FieldGeometry, Layer, LayerStack, LensletBacklight, LightField, Projection, Transfer, ViewGrid,
 };
 
-use crate::Port;
-use crate::serve::OutputData;
+use lumistack_plugin::Port;
+use lumistack_plugin_host::serve::OutputData;
 
 /// A display with data for one port.
 #[derive(Clone, Debug)]

@@ -3,11 +3,11 @@
 use lumistack_plugin::abi::{self, ErrorSink, Plane, StackSink, Status};
 use lumistack_plugin::display::{Backlight, Display, LayerStack, LensletBacklight, LightField};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::serve::{Output, Plugin, import, make_field, make_stack};
-use lumistack_plugin::testkit::{MemoryHost, conformance};
 use lumistack_plugin::{
     Assets, FieldInput, Host, ImporterPlugin, NodePlugin, Param, PluginError, Schema, SourcePlugin, Time,
 };
+use lumistack_plugin_testkit::serve::{Output, Plugin, import, make_field, make_stack};
+use lumistack_plugin_testkit::{MemoryHost, conformance};
 
 #[derive(Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]

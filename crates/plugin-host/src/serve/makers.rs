@@ -5,16 +5,14 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use lumistack_core::Tensor;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField};
-use lumistack_plugin_abi::{self as abi, Assets, ByteSink, ErrorSink, FieldSink, Plane, StackSink, Status, Str};
+use lumistack_plugin::abi::{self as abi, Assets, ByteSink, ErrorSink, FieldSink, Plane, StackSink, Status, Str};
+use lumistack_plugin::wire::{Geometry, answer, append, call, lent_text};
+use lumistack_plugin::{PlaneView, PluginError, Time};
 use serde_json::Value;
 
-use crate::boundary::{answer, call, lent_text};
-use crate::describe::Geometry;
-use crate::makers::append;
-use crate::serve::lend::Lent;
-use crate::serve::services::table;
-use crate::serve::{OutputData, Plugin, PluginKind, Services};
-use crate::{PlaneView, PluginError, Time};
+use crate::serve::lend::{Lent, OutputData};
+use crate::serve::plugin::{Plugin, PluginKind};
+use crate::serve::services::{Services, table};
 
 /// Most numbers of a light field that a plugin makes: 16 GiB.
 const MOST_NUMBERS: usize = 1 << 32;

@@ -4,10 +4,9 @@ use std::ffi::c_void;
 use std::sync::OnceLock;
 
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, RayMap, Simulator, ViewGrid};
-use lumistack_plugin_abi::{Data, ErrorSink, Plane, Status, Str, View, dtype, view};
-
-use crate::describe::{Depth, Description, Geometry};
-use crate::{PluginError, Port};
+use lumistack_plugin::abi::{Data, ErrorSink, Plane, Status, Str, View, view};
+use lumistack_plugin::wire::{Depth, Description, Geometry, answer, dense};
+use lumistack_plugin::{PluginError, Port};
 
 /// What an output is given at one time.
 #[derive(Clone, Copy, Debug)]
@@ -115,7 +114,7 @@ unsafe extern "C" fn layer_plane(
         unsafe { give(plane, values.block([frame]), [rows, cols, channels]) }
     };
     // SAFETY: null or a valid sink.
-    unsafe { crate::boundary::answer(error, lend) }
+    unsafe { answer(error, lend) }
 }
 
 unsafe extern "C" fn emission_plane(
@@ -142,7 +141,7 @@ unsafe extern "C" fn emission_plane(
         unsafe { give(plane, emission.block([frame, bin_y, bin_x]), [rows, cols, channels]) }
     };
     // SAFETY: null or a valid sink.
-    unsafe { crate::boundary::answer(error, lend) }
+    unsafe { answer(error, lend) }
 }
 
 unsafe extern "C" fn view_plane(
@@ -165,7 +164,7 @@ unsafe extern "C" fn view_plane(
         unsafe { give(plane, field.view([view_y, view_x]), [rows, cols, channels]) }
     };
     // SAFETY: null or a valid sink.
-    unsafe { crate::boundary::answer(error, lend) }
+    unsafe { answer(error, lend) }
 }
 
 /// Computes a view of a lent layer stack; the plane owns its values.
@@ -218,20 +217,8 @@ unsafe fn give(plane: *mut Plane, values: &[f32], shape: [usize; 3]) -> Result<(
     if size < size_of::<Plane>() {
         return Err(PluginError::Refused(format!("a plane of {size} bytes")));
     }
-    let element = size_of::<f32>() as isize;
-    let [rows, cols, channels] = shape;
-    let filled = Plane {
-        size,
-        data: values.as_ptr().cast(),
-        dtype: dtype::F32,
-        ndim: 3,
-        shape: [rows, cols, channels, 1],
-        strides: [(cols * channels) as isize * element, channels as isize * element, element, 0],
-        owner: std::ptr::null_mut(),
-        release: None,
-    };
     // SAFETY: the caller's promise; a newer plugin's plane is longer, and its end stays as the plugin left it.
-    unsafe { *plane = filled };
+    unsafe { *plane = Plane { size, ..dense(values, shape) } };
     Ok(())
 }
 

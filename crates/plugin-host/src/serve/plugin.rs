@@ -3,15 +3,14 @@
 use std::fmt;
 use std::sync::Arc;
 
-use lumistack_plugin_abi::{
+use lumistack_plugin::abi::{
     ABI_MAJOR, ABI_MINOR, Descriptor, ImporterVtable, NodeVtable, OutputVtable, SourceVtable, Str, kind,
 };
+use lumistack_plugin::wire::lent_text;
+use lumistack_plugin::{Export, PluginError, Port, Schema, is_plugin_id};
 use serde::{Deserialize, Serialize};
 
-use crate::boundary::lent_text;
-use crate::serve::Functions;
-use crate::serve::functions::Vtable;
-use crate::{Export, PluginError, Port, Schema, is_plugin_id};
+use crate::serve::functions::{Functions, Vtable};
 
 /// What a plugin is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

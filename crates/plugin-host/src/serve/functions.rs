@@ -2,13 +2,12 @@
 
 use std::ffi::c_void;
 
-use lumistack_plugin_abi::{
+use lumistack_plugin::PluginError;
+use lumistack_plugin::abi::{
     Assets, ByteSink, Data, ErrorSink, FieldSink, HostServices, ImporterVtable, NodeVtable, OutputVtable, SourceVtable,
     StackSink, Status, Str, Time,
 };
-
-use crate::PluginError;
-use crate::boundary::answer;
+use lumistack_plugin::wire::answer;
 
 /// The functions of the boundary's tables, for every kind of plugin: those of a library in this process, or of another
 /// process that passes the calls on. Functions of another kind than the plugin's return [`Status::REFUSED`].

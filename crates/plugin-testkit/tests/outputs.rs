@@ -3,11 +3,11 @@
 use std::sync::{LazyLock, Mutex};
 
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::serve::{Output, OutputData, Plugin};
-use lumistack_plugin::testkit::{MemoryHost, Sample, conformance, samples};
 use lumistack_plugin::{
     Display, Export, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, Time, ViewPoint, abi, export_plugin,
 };
+use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
+use lumistack_plugin_testkit::{MemoryHost, Sample, conformance, samples};
 use serde_json::{Value, json};
 
 /// Writes all it gets as text, and misbehaves as told by its text parameter.

@@ -3,10 +3,10 @@
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use lumistack_plugin_abi::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, View, level};
+use lumistack_plugin::PluginError;
+use lumistack_plugin::abi::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, View, level};
+use lumistack_plugin::wire::{answer, lent_bytes, lent_lossy, lent_text};
 
-use crate::PluginError;
-use crate::boundary::{answer, lent_bytes};
 use crate::serve::lend;
 
 /// How much a message matters.
@@ -81,15 +81,6 @@ unsafe fn services<'a, S: Services>(context: *const c_void) -> &'a S {
     unsafe { &*context.cast::<S>() }
 }
 
-/// Text of a plugin, with whatever is not UTF-8 replaced.
-///
-/// # Safety
-/// The plugin lends the text for as long as the result is used.
-unsafe fn text<'a>(text: Str) -> std::borrow::Cow<'a, str> {
-    // SAFETY: the caller's promise.
-    String::from_utf8_lossy(unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, "text") }.unwrap_or_default())
-}
-
 /// Runs a service that cannot fail; a panic in it stays here.
 fn contained<T>(function: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(function)).ok()
@@ -103,17 +94,17 @@ unsafe extern "C" fn log<S: Services>(context: *const c_void, level: u32, messag
         _ => LogLevel::Debug,
     };
     // SAFETY: the plugin passes back the table's context and lends the text.
-    contained(|| unsafe { services::<S>(context).log(level, &text(message)) });
+    contained(|| unsafe { services::<S>(context).log(level, &lent_lossy(message)) });
 }
 
 unsafe extern "C" fn progress_begin<S: Services>(context: *const c_void, stage: Str, total: u64, unit: Str) {
     // SAFETY: as in `log`.
-    contained(|| unsafe { services::<S>(context).progress_begin(&text(stage), total, &text(unit)) });
+    contained(|| unsafe { services::<S>(context).progress_begin(&lent_lossy(stage), total, &lent_lossy(unit)) });
 }
 
 unsafe extern "C" fn progress_advance<S: Services>(context: *const c_void, steps: u64, note: Str) {
     // SAFETY: as in `log`.
-    contained(|| unsafe { services::<S>(context).progress_advance(steps, &text(note)) });
+    contained(|| unsafe { services::<S>(context).progress_advance(steps, &lent_lossy(note)) });
 }
 
 unsafe extern "C" fn progress_end<S: Services>(context: *const c_void) {
@@ -135,7 +126,7 @@ unsafe extern "C" fn file_open<S: Services>(
     // SAFETY: as in `log`; the plugin provides the place for the handle.
     unsafe {
         answer(error, || {
-            let path = crate::boundary::lent_text(path, "file name")?;
+            let path = lent_text(path, "file name")?;
             *file = services::<S>(context).file_open(path)?;
             Ok(())
         })

@@ -3,22 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
+use lumistack_plugin::{Export, Kind, PluginError, Time};
+use lumistack_plugin_host::serve::{Output, OutputData, Plugin, PluginKind};
 use serde_json::{Map, Value, json};
-use thiserror::Error;
 
-use crate::serve::{Output, OutputData, Plugin, PluginKind};
-use crate::testkit::{MemoryHost, Sample, makers, samples};
-use crate::{Export, Kind, Param, PluginError, Time};
-
-/// A rule that a plugin breaks.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("{rule}: {found}")]
-pub struct Broken {
-    /// The rule.
-    pub rule: &'static str,
-    /// What happened.
-    pub found: String,
-}
+use crate::makers;
+use crate::memory_host::MemoryHost;
+use crate::rules::{Broken, allowed, bad_parameters_are_refused, closed, defaults_and_ends, require, rule, varied};
+use crate::samples::{Sample, samples};
 
 type Files = BTreeMap<String, Vec<u8>>;
 
@@ -44,7 +36,7 @@ pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str
 /// thread, stops when asked, reports a full disk, leaves nothing open, and writes nowhere but through the host; most rules are tried with default parameters and again with
 /// everything switched on, but for the parameters in `at_default`. A node or a source makes the same again,
 /// stops when asked, and takes or refuses with a reason every display; an importer fails without a panic on files that are none. What an importer makes of
-/// real files is checked by [`import_conformance`](crate::testkit::import_conformance).
+/// real files is checked by [`import_conformance`](crate::import_conformance).
 ///
 /// # Errors
 /// The first rule that is broken.
@@ -128,28 +120,6 @@ pub fn same_outputs(plugin: &Plugin, other: &Plugin, at_default: &[&str]) -> Res
     Ok(count)
 }
 
-/// Default parameters, and every end of every parameter's range.
-pub(super) fn defaults_and_ends<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = Value> + 'a {
-    let ends = varied(plugin, at_default).flat_map(allowed);
-    std::iter::once(json!({})).chain(ends.map(|(name, value)| Value::Object(Map::from_iter([(name, value)]))))
-}
-
-/// The plugin itself refuses what its schema does not allow: a host in another language need not have checked.
-pub(super) fn bad_parameters_are_refused(
-    plugin: &Plugin,
-    refusal: impl Fn(&str) -> Option<PluginError>,
-) -> Result<(), Broken> {
-    let params = &plugin.info().schema.params;
-    let unknown = [("no_such_parameter".to_string(), json!(1))];
-    for (name, value) in unknown.into_iter().chain(params.iter().flat_map(forbidden)) {
-        let given = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
-        let result = refusal(&given.to_string());
-        let named = matches!(&result, Some(PluginError::Refused(text)) if text.contains(&name));
-        require("refuses bad parameters by name", named, || format!("{given}: {result:?}"))?;
-    }
-    require("refuses what is not JSON", refusal("{").is_some(), || "accepted `{`".into())
-}
-
 fn described(plugin: &Plugin) -> Result<(), Broken> {
     let info = plugin.info();
     let version: Vec<&str> = info.version.split('.').collect();
@@ -168,10 +138,6 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
         require("numbers have a unit (`1` for a plain number)", unit, expected)?;
     }
     Ok(())
-}
-
-fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = &'a Param> {
-    plugin.info().schema.params.iter().filter(|param| !at_default.contains(&param.name.as_str()))
 }
 
 /// Every switch on, as far as the plugin takes them together: each one in turn is switched on if what is on by then is still taken.
@@ -319,41 +285,6 @@ fn appends(plugin: &Plugin, sample: &Sample, params: &Value) -> usize {
     host.appends()
 }
 
-/// The ends of a parameter's range, but for its default.
-fn allowed(param: &Param) -> Vec<(String, Value)> {
-    let values = match &param.kind {
-        Kind::Bool { .. } => vec![json!(false), json!(true)],
-        Kind::Int { min, max, .. } => vec![json!(min), json!(max)],
-        Kind::Float { min, max, .. } => vec![json!(min), json!(max)],
-        Kind::Choice { options, .. } => options.iter().map(|option| json!(option.value)).collect(),
-        Kind::Text { default } => vec![json!(default), json!("")],
-        Kind::File => vec![json!(""), json!("no such file")],
-    };
-    let others = values.into_iter().filter(|value| *value != param.default_value());
-    others.map(|value| (param.name.clone(), value)).collect()
-}
-
-/// Values of the wrong type or beyond a parameter's range.
-fn forbidden(param: &Param) -> Vec<(String, Value)> {
-    let values = match &param.kind {
-        Kind::Bool { .. } => vec![json!("yes"), json!(1)],
-        Kind::Int { min, max, .. } => {
-            let beyond = [min.checked_sub(1), max.checked_add(1)].into_iter().flatten().map(|n| json!(n));
-            beyond.chain([json!(0.5), json!("1")]).collect()
-        }
-        Kind::Float { min, max, .. } => vec![json!(min - 1.0 - min.abs()), json!(max + 1.0 + max.abs()), json!("1")],
-        Kind::Choice { .. } => vec![json!("no such choice"), json!(0)],
-        Kind::Text { .. } | Kind::File => vec![json!(0)],
-    };
-    values.into_iter().map(|value| (param.name.clone(), value)).collect()
-}
-
-pub(super) fn closed(host: &MemoryHost, when: &str) -> Result<(), Broken> {
-    let (stages, open) = host.stages();
-    require("no file stays open", host.open_files().is_empty(), || format!("{when}: {:?}", host.open_files()))?;
-    require("every stage of progress ends", open == 0, || format!("{when}: {open} of {stages:?} did not"))
-}
-
 fn difference(found: &Files, expected: &Files) -> String {
     let names = |files: &Files| files.keys().cloned().collect::<BTreeSet<_>>();
     let unequal: Vec<_> =
@@ -364,12 +295,4 @@ fn difference(found: &Files, expected: &Files) -> String {
 fn listing() -> BTreeSet<String> {
     let entries = std::fs::read_dir(".").into_iter().flatten().flatten();
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
-}
-
-pub(super) fn rule<T>(rule: &'static str, result: Result<T, PluginError>) -> Result<T, Broken> {
-    result.map_err(|error| Broken { rule, found: format!("{error:?}") })
-}
-
-pub(super) fn require(rule: &'static str, holds: bool, found: impl FnOnce() -> String) -> Result<(), Broken> {
-    if holds { Ok(()) } else { Err(Broken { rule, found: found() }) }
 }

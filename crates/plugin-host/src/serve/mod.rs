@@ -1,7 +1,7 @@
-//! The host's side of the boundary: describes plugins, lends data, offers services, and drives outputs through their C functions,
-//! the same way for plugins that are compiled in and that are loaded.
+//! The boundary from the host's side: describes plugins, lends data, offers services, and drives plugins through their C functions, the same way
+//! whether they are compiled in or loaded.
 //!
-//! The host proper (`lumistack-plugin-host`) adds a registry and files on disk, the test kit files in memory.
+//! The rest of this crate adds a registry and files on disk, the test kit files in memory.
 
 mod functions;
 mod lend;

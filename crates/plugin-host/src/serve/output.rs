@@ -6,14 +6,15 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use lumistack_display::Display;
-use lumistack_plugin_abi::{HostServices, Str};
+use lumistack_plugin::abi::{HostServices, Str};
+use lumistack_plugin::wire::call;
+use lumistack_plugin::{PluginError, Port, Time};
 use serde_json::Value;
 
-use crate::boundary::call;
-use crate::serve::lend::Lent;
-use crate::serve::services::table;
-use crate::serve::{Functions, OutputData, Plugin, PluginKind, Services};
-use crate::{PluginError, Port, Time};
+use crate::serve::functions::Functions;
+use crate::serve::lend::{Lent, OutputData};
+use crate::serve::plugin::{Plugin, PluginKind};
+use crate::serve::services::{Services, table};
 
 /// An open output of a plugin; closed when dropped, abandoned unless it was finished.
 pub struct Output<'a> {
