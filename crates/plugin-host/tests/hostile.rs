@@ -325,6 +325,7 @@ fn the_process_ends_with_the_program() {
     let library = hostile(folder.path(), "hostile", "OUTPUT", "spin");
     let mut child = Command::new(common::child().program)
         .arg(&library)
+        .arg("hostile")
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .spawn()

@@ -57,8 +57,8 @@
 //! Importers, sources and nodes implement [`ImporterPlugin`], [`SourcePlugin`] or [`NodePlugin`], one function each, and end with
 //! `export_plugin!("id", Type as importer)` (`as source`, `as node`).
 //!
-//! A plugin is a plain library. Compiled in, the host lists its `PLUGIN`; loaded, the host finds the symbol
-//! `lumistack_plugin_entry_<id>` in `lumistack_plugin_<id>`. Both ways every call goes through the same C functions, and a panic of the
+//! A crate of plugins is a plain library, with a module for each plugin where it has several. Compiled in, the host lists their `PLUGIN`s; loaded, the
+//! host finds the symbols `lumistack_plugin_entry_<id>` in `lumistack_plugin_<name>`. Both ways every call goes through the same C functions, and a panic of the
 //! plugin comes back as an error.
 //!
 //! The other side of the boundary is `lumistack-plugin-host`; tests of a plugin take it from `lumistack-plugin-testkit`. [`wire`] holds what both sides share.

@@ -31,16 +31,18 @@ const STACK: usize = 8 << 20;
 const FAREWELL: Duration = Duration::from_secs(5);
 
 /// The whole work of a process that runs a plugin for another: `args` are what [`Launcher`](crate::Launcher) adds, the
-/// library's path. Call it from the main thread before anything else uses standard input and output, and end the
+/// library's path and the plugin's id. Call it from the main thread before anything else uses standard input and output, and end the
 /// process with the code that it returns.
 ///
 /// What the library prints to standard output goes to standard error, since the former belongs to the program.
 pub fn plugin_child(args: &[OsString]) -> u8 {
-    let [library] = args else {
-        eprintln!("error: expected the path of a plugin's library; this command is for the program itself");
+    let [library, id] = args else {
+        eprintln!(
+            "error: expected the path of a library and the id of a plugin; this command is for the program itself"
+        );
         return 2;
     };
-    match serve(Path::new(library)) {
+    match serve(Path::new(library), &id.to_string_lossy()) {
         Ok(()) => 0,
         Err(error) => {
             eprintln!("error: {}: the program that started this process cannot be reached: {error}", library.display());
@@ -49,7 +51,7 @@ pub fn plugin_child(args: &[OsString]) -> u8 {
     }
 }
 
-fn serve(library: &Path) -> io::Result<()> {
+fn serve(library: &Path, id: &str) -> io::Result<()> {
     let (mut from, to) = take_over()?;
     let (calls, waiting) = channel();
     let link: &'static Link = Box::leak(Box::new(Link {
@@ -85,7 +87,7 @@ fn serve(library: &Path) -> io::Result<()> {
         end_now();
     });
 
-    let (plugin, loaded) = match dynamic::open(library) {
+    let (plugin, loaded) = match dynamic::open(library, id) {
         Ok(plugin) => {
             let info = plugin.info().clone();
             (Some(plugin), Loaded::Plugin(info))

@@ -22,7 +22,7 @@ pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits
     let path = || library.to_path_buf();
     // an absolute path, since the loader looks for a bare name elsewhere
     let absolute = std::path::absolute(library).map_err(|source| LoadError::Read { path: path(), source })?;
-    let remote = Remote { library: absolute, launcher, limits };
+    let remote = Remote { library: absolute, id: id.into(), launcher, limits };
     let (_session, loaded) = match remote.start(&|| false) {
         Ok(started) => started,
         Err(Stopped::Cancelled) => unreachable!("nobody can cancel a look at a library"),
@@ -46,6 +46,7 @@ pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits
 /// A plugin's functions, in children.
 struct Remote {
     library: PathBuf,
+    id: String,
     launcher: Launcher,
     limits: Limits,
 }
@@ -53,7 +54,7 @@ struct Remote {
 impl Remote {
     /// Starts a child and waits until it has loaded the library.
     fn start(&self, cancelled: &dyn Fn() -> bool) -> Result<(Owner, Loaded), Stopped> {
-        Owner::start(&self.library, &self.launcher, self.limits, cancelled)
+        Owner::start(&self.library, &self.id, &self.launcher, self.limits, cancelled)
     }
 
     /// Runs one function of the plugin in a child of its own.

@@ -47,13 +47,14 @@ impl Owner {
     /// Starts a child and waits until it has loaded the library.
     pub(super) fn start(
         library: &Path,
+        id: &str,
         launcher: &Launcher,
         limits: Limits,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<(Self, Loaded), Stopped> {
         let Launcher { program, args } = launcher;
         let mut command = Command::new(program);
-        command.args(args).arg(library);
+        command.args(args).arg(library).arg(id);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Ctrl-C reaches all of a terminal's foreground group, but a plugin learns of it from the host
         #[cfg(unix)]

@@ -2,7 +2,7 @@
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};
-use lumistack_plugin_integral_imaging::PLUGIN;
+use lumistack_plugin_baselines::integral_imaging::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by, random_field};
 
 /// Rounding of f32 values.

@@ -19,9 +19,6 @@ use lumistack_plugin::{
     Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
 };
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
-pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
-
 /// The plugin.
 pub struct TwoLayerNmf;
 

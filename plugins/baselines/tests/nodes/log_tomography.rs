@@ -5,7 +5,7 @@ use lumistack_plugin::core::seed::Stream;
 use lumistack_plugin::display::{
     Backlight, Display, LayerStack, LensletBacklight, LightField, RayMap, Simulator, Weights, score,
 };
-use lumistack_plugin_log_tomography::PLUGIN;
+use lumistack_plugin_baselines::log_tomography::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by};
 
 fn display(frames: usize) -> Display {

@@ -2,7 +2,7 @@
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, RayMap, Simulator};
-use lumistack_plugin_parallax_barrier::PLUGIN;
+use lumistack_plugin_baselines::parallax_barrier::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by, random_field};
 
 /// Rounding of sums of a few f32 values.

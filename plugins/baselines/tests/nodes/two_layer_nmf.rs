@@ -2,8 +2,8 @@
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, LayerStack, RayMap, Weights, score};
+use lumistack_plugin_baselines::two_layer_nmf::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by, random_field};
-use lumistack_plugin_two_layer_nmf::PLUGIN;
 
 /// Single precision over some updates.
 const ROUNDING: f64 = 2e-3;
