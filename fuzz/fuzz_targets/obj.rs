@@ -7,8 +7,8 @@ use lumistack_fuzz::{parts, reads};
 use lumistack_gltf::{AssetResolver, LoadOptions, load_with};
 use lumistack_plugin::PluginError;
 use lumistack_plugin::serde_json::json;
-use lumistack_plugin::serve::{Plugin, import, resolved};
-use lumistack_plugin::testkit::MemoryHost;
+use lumistack_plugin_testkit::serve::{Plugin, import, resolved};
+use lumistack_plugin_testkit::MemoryHost;
 
 /// A PNG of one texel.
 const PICTURE: &[u8] = &[

@@ -38,7 +38,8 @@ pub(crate) const DESIGNS: Code =
     &[PIPELINE, CORE, FIELD_IO, DISPLAY, SIMD, lumistack_factorizer::FINGERPRINT, lumistack_design::FINGERPRINT];
 
 /// What plugins are given and how it is written, beside the plugins' own code.
-pub(crate) const PLUGINS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_plugin_host::PLUGIN_FINGERPRINT];
+pub(crate) const PLUGINS: Code =
+    &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_plugin_host::PLUGIN_FINGERPRINT, lumistack_plugin_host::FINGERPRINT];
 
 /// From patterns to a report.
 pub(crate) const REPORTS: Code = &[PIPELINE, CORE, DISPLAY, lumistack_report::FINGERPRINT];
@@ -72,7 +73,7 @@ mod tests {
         holds(FIELDS, &["pipeline", "core", "display", "field-io"]);
         holds(PATTERNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer"]);
         holds(DESIGNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer", "design"]);
-        holds(PLUGINS, &["pipeline", "core", "display", "field-io", "plugin"]);
+        holds(PLUGINS, &["pipeline", "core", "display", "field-io", "plugin", "plugin-host"]);
         holds(REPORTS, &["pipeline", "core", "display", "report"]);
     }
 }

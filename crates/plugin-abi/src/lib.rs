@@ -1,7 +1,7 @@
 //! The C boundary between the host and its plugins: `repr(C)` types only, no dependencies.
 //!
 //! One boundary serves plugins that are compiled in and plugins that are loaded. A plugin offers one [`Descriptor`]; the host finds
-//! it through a function named [`ENTRY_PREFIX`] + id (the suffix keeps two plugins in one binary apart).
+//! it through a function named [`ENTRY_PREFIX`] + id, of which a library exports one for every plugin that it holds.
 //!
 //! ```text
 //! host                                   plugin

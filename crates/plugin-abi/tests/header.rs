@@ -24,7 +24,7 @@ const CONSTANTS: [(&str, &[&str]); 6] = [
 const TOP: &str = "\
 /* Plugins of Lumistack, for C. Made from the Rust types of lumistack-plugin-abi; do not edit.
  *
- * A plugin ID is a shared library lumistack_plugin_ID (with the system's prefix and suffix) that exports
+ * A shared library lumistack_plugin_NAME (with the system's prefix and suffix) exports for every plugin ID that it holds
  *
  *     const LumistackDescriptor *lumistack_plugin_entry_ID(void);
  *

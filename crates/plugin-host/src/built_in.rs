@@ -1,51 +1,64 @@
-//! Which code the compiled-in plugins are.
+//! The plugins that are compiled in.
 
-/// Hash of the sources of what plugins and their outputs are made with, for keys of kept results.
+use std::sync::LazyLock;
+
+use lumistack_plugin::Export;
+
+/// Hash of the sources of the plugins' side of the boundary, for keys of kept results.
 pub const PLUGIN_FINGERPRINT: &str = lumistack_plugin::FINGERPRINT;
+
+/// Lists plugins: the feature that brings a crate in, and the module that ends with `export_plugin!`. The hash is that of the crate's sources.
+macro_rules! plugins {
+    ($($feature:literal: $krate:ident $(:: $module:ident)*;)*) => {
+        pub(crate) static BUILT_IN: &[(&LazyLock<Export>, &str)] = &[$(
+            #[cfg(feature = $feature)]
+            (&$krate $(:: $module)* ::PLUGIN, $krate::FINGERPRINT),
+        )*];
+    };
+}
+
+// an explicit list, since registration by linker section silently drops crates that nobody references
+plugins! {
+    "baselines": lumistack_plugin_baselines::directional_sequence;
+    "baselines": lumistack_plugin_baselines::integral_imaging;
+    "baselines": lumistack_plugin_baselines::log_tomography;
+    "baselines": lumistack_plugin_baselines::parallax_barrier;
+    "baselines": lumistack_plugin_baselines::two_layer_nmf;
+    "images": lumistack_plugin_images;
+    "obj": lumistack_plugin_obj;
+    "quilt": lumistack_plugin_quilt;
+    "test-views": lumistack_plugin_test_views;
+    "transparencies": lumistack_plugin_transparencies;
+    "web-simulator": lumistack_plugin_web_simulator;
+}
+
+/// Whether two spellings name one plugin: hyphens and underscores are the same.
+pub(crate) fn same_id(a: &str, b: &str) -> bool {
+    let plain = |byte: u8| if byte == b'-' { b'_' } else { byte };
+    a.len() == b.len() && a.bytes().zip(b.bytes()).all(|(a, b)| plain(a) == plain(b))
+}
 
 /// Hash of the sources of the compiled-in plugin `id`, for keys of kept results; `None` of others. A plugin's version stays the same while somebody works
 /// on it, its sources do not.
 pub fn fingerprint_of(id: &str) -> Option<&'static str> {
-    Some(match id {
-        #[cfg(feature = "directional-sequence")]
-        "directional_sequence" => lumistack_plugin_directional_sequence::FINGERPRINT,
-        #[cfg(feature = "images")]
-        "images" => lumistack_plugin_images::FINGERPRINT,
-        #[cfg(feature = "integral-imaging")]
-        "integral_imaging" => lumistack_plugin_integral_imaging::FINGERPRINT,
-        #[cfg(feature = "log-tomography")]
-        "log_tomography" => lumistack_plugin_log_tomography::FINGERPRINT,
-        #[cfg(feature = "obj")]
-        "obj" => lumistack_plugin_obj::FINGERPRINT,
-        #[cfg(feature = "parallax-barrier")]
-        "parallax_barrier" => lumistack_plugin_parallax_barrier::FINGERPRINT,
-        #[cfg(feature = "quilt")]
-        "quilt" => lumistack_plugin_quilt::FINGERPRINT,
-        #[cfg(feature = "test-views")]
-        "test_views" => lumistack_plugin_test_views::FINGERPRINT,
-        #[cfg(feature = "transparencies")]
-        "transparencies" => lumistack_plugin_transparencies::FINGERPRINT,
-        #[cfg(feature = "two-layer-nmf")]
-        "two_layer_nmf" => lumistack_plugin_two_layer_nmf::FINGERPRINT,
-        #[cfg(feature = "web-simulator")]
-        "web_simulator" => lumistack_plugin_web_simulator::FINGERPRINT,
-        _ => return None,
-    })
+    BUILT_IN.iter().find(|(export, _)| same_id(export.id(), id)).map(|(_, fingerprint)| *fingerprint)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Registry;
 
     #[test]
-    fn every_compiled_in_plugin_has_a_fingerprint_of_its_own() {
-        let registry = Registry::built_in().unwrap();
-        let mut all: Vec<&str> = registry.infos().map(|info| fingerprint_of(&info.id).expect(&info.id)).collect();
-        let count = all.len();
+    fn every_compiled_in_plugin_has_the_fingerprint_of_its_crate() {
+        let mut all: Vec<&str> = BUILT_IN.iter().map(|(_, fingerprint)| *fingerprint).collect();
+        assert!(all.iter().all(|fingerprint| !fingerprint.is_empty()));
+        all.dedup();
+        let crates = all.len();
         all.sort_unstable();
         all.dedup();
-        assert_eq!(all.len(), count);
+        assert_eq!(all.len(), crates, "two crates have one fingerprint");
         assert_eq!(fingerprint_of("no_such_plugin"), None);
+        let [a, b] = ["parallax_barrier", "parallax-barrier"].map(fingerprint_of);
+        assert!(a.is_some() && a == b);
     }
 }

@@ -1,9 +1,9 @@
 //! Whether an output would accept its parameters and the display, asked before any work begins.
 
+use crate::serve::{LogLevel, Output, PluginKind, Services};
 use lumistack_core::{Cancel, Task};
 use lumistack_display::Display;
 use lumistack_plugin::PluginError;
-use lumistack_plugin::serve::{LogLevel, Output, PluginKind, Services};
 use serde_json::Value;
 
 use crate::{HostError, Registry};

@@ -6,9 +6,9 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use crate::serve::{LogLevel, Services, path_parts};
 use lumistack_core::Task;
 use lumistack_plugin::PluginError;
-use lumistack_plugin::serve::{LogLevel, Services, path_parts};
 
 /// A host whose files go to a folder.
 pub(crate) struct DiskHost<'a> {

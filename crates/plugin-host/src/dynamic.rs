@@ -1,8 +1,8 @@
 //! Plugins in shared libraries.
 //!
-//! A plugin `id` lies in a file `lumistack_plugin_<id>` (with the system's prefix and suffix for shared libraries) and is found through
-//! its function `lumistack_plugin_entry_<id>`. Name, kind of file and machine are checked without running the library's code. It is loaded
-//! when its plugin is asked for, in a child process (see [`crate::child`]), and never unloaded there: its threads, thread-local destructors and lent
+//! Plugins lie in a file `lumistack_plugin_<name>` (with the system's prefix and suffix for shared libraries), and each is found through a function
+//! `lumistack_plugin_entry_<id>` that the library exports. Name, kind of file, machine and exports are read without running the library's code. It is
+//! loaded when one of its plugins is asked for, in a child process (see [`crate::child`]), and never unloaded there: its threads, thread-local destructors and lent
 //! texts may outlive any use.
 
 use std::env::consts::{ARCH, DLL_PREFIX, DLL_SUFFIX};
@@ -11,10 +11,10 @@ use std::ffi::OsString;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use crate::serve::Plugin;
 use libloading::Library as Shared;
 use lumistack_plugin::abi::{ENTRY_PREFIX, Entry};
 use lumistack_plugin::is_plugin_id;
-use lumistack_plugin::serve::Plugin;
 use object::{Architecture, BinaryFormat, FileKind, Object, ObjectKind, ReadCache};
 
 use crate::child::{Launcher, Limits};
@@ -101,14 +101,15 @@ impl Registry {
     }
 
     fn add_library(&mut self, path: &Path, launcher: Option<Launcher>, limits: Limits) {
-        let found = id_of(path).and_then(|id| check_file(path).map(|()| id));
-        let id = match found {
-            Ok(id) => id,
+        let ids = match name_of(path).and_then(|name| ids_of(path, name)) {
+            Ok(ids) => ids,
             Err(error) => return self.failed.push(error),
         };
-        match self.origin(&id).cloned() {
-            Some(first) => self.failed.push(LoadError::Duplicate { path: path.into(), id, first }),
-            None => self.libraries.push(Library::new(id, Origin::Library(path.into()), launcher, limits)),
+        for id in ids {
+            match self.origin(&id).cloned() {
+                Some(first) => self.failed.push(LoadError::Duplicate { path: path.into(), id, first }),
+                None => self.libraries.push(Library::new(id, Origin::Library(path.into()), launcher.clone(), limits)),
+            }
         }
     }
 }
@@ -130,21 +131,20 @@ fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The id that a library's name says.
-fn id_of(path: &Path) -> Result<String, LoadError> {
+/// What a library's file is called after its stem.
+fn name_of(path: &Path) -> Result<String, LoadError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let id = name
+    let own = name
         .strip_prefix(DLL_PREFIX)
         .and_then(|name| name.strip_prefix(STEM))
         .and_then(|name| name.strip_suffix(DLL_SUFFIX))
-        .filter(|id| is_plugin_id(id));
-    id.map(String::from)
-        .ok_or_else(|| LoadError::Name { path: path.into(), expected: format!("{DLL_PREFIX}{STEM}ID{DLL_SUFFIX}") })
+        .filter(|own| is_plugin_id(own));
+    own.map(String::from)
+        .ok_or_else(|| LoadError::Name { path: path.into(), expected: format!("{DLL_PREFIX}{STEM}NAME{DLL_SUFFIX}") })
 }
 
-/// Opens a library in this process and takes its plugin; `path` is absolute, since the loader looks for a bare name elsewhere.
-pub(crate) fn open(path: &Path) -> Result<Plugin, LoadError> {
-    let id = id_of(path)?;
+/// Opens a library in this process and takes the plugin `id`; `path` is absolute, since the loader looks for a bare name elsewhere.
+pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     // SAFETY: whoever names a plugin wants its code to run; the initializers of a library that was built as a plugin make no demands.
     let library = unsafe { Shared::new(path) }
         .map_err(|error| LoadError::Open { path: path.into(), reason: said_by_loader(&error) })?;
@@ -161,7 +161,7 @@ pub(crate) fn open(path: &Path) -> Result<Plugin, LoadError> {
     if *found == id {
         Ok(plugin)
     } else {
-        Err(LoadError::OtherId { path: path.into(), expected: id, found: found.clone() })
+        Err(LoadError::OtherId { path: path.into(), expected: id.into(), found: found.clone() })
     }
 }
 
@@ -170,24 +170,24 @@ fn said_by_loader(error: &libloading::Error) -> String {
     std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string)
 }
 
-/// Whether a file is a shared library for this machine. The system's own loader says "no such file" to some that are not.
-fn check_file(path: &Path) -> Result<(), LoadError> {
+/// The plugins that a file exports, if it is a shared library for this machine. The system's own loader says "no such file" to some that are not.
+fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     let read = |source| LoadError::Read { path: path.into(), source };
-    let other = |found: String| Err(LoadError::NotALibrary { path: path.into(), found });
+    let other = |found: String| LoadError::NotALibrary { path: path.into(), found };
     let file = File::open(path).map_err(read)?;
     if file.metadata().map_err(read)?.is_dir() {
-        return other("a folder".into());
+        return Err(other("a folder".into()));
     }
     let data = ReadCache::new(file);
     match FileKind::parse(&data) {
-        // several machines in one file, from which the loader takes its own
-        Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(()),
+        // several machines in one file, from which the loader takes its own: one plugin of the file's name
+        Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(vec![name]),
         Ok(_) => {}
-        Err(_) => return other("a file of another kind".into()),
+        Err(_) => return Err(other("a file of another kind".into())),
     }
     let library = match object::File::parse(&data) {
         Ok(library) => library,
-        Err(error) => return other(format!("a damaged one: {error}")),
+        Err(error) => return Err(other(format!("a damaged one: {error}"))),
     };
     let (format, machine) = (library.format(), library.architecture());
     if format != BinaryFormat::native_object() || native().is_some_and(|native| native != machine) {
@@ -195,10 +195,20 @@ fn check_file(path: &Path) -> Result<(), LoadError> {
         let expected = format!("{ARCH} ({:?})", BinaryFormat::native_object()).to_lowercase();
         return Err(LoadError::Machine { path: path.into(), expected, found });
     }
-    match library.kind() {
-        ObjectKind::Dynamic => Ok(()),
-        kind => other(format!("a file of another kind ({kind:?})").to_lowercase()),
+    let kind = library.kind();
+    if kind != ObjectKind::Dynamic {
+        return Err(other(format!("a file of another kind ({kind:?})").to_lowercase()));
     }
+    let exports = library.exports().map_err(|error| other(format!("a damaged one: {error}")))?;
+    let names = exports.iter().filter_map(|export| std::str::from_utf8(export.name()).ok());
+    // Mach-O puts an underscore before every name of C
+    let ids = names.filter_map(|name| name.strip_prefix('_').unwrap_or(name).strip_prefix(ENTRY_PREFIX));
+    let mut ids: Vec<String> = ids.filter(|id| is_plugin_id(id)).map(String::from).collect();
+    ids.sort_unstable();
+    if ids.is_empty() {
+        return Err(LoadError::NoEntry { path: path.into(), symbol: format!("{ENTRY_PREFIX}{name}") });
+    }
+    Ok(ids)
 }
 
 /// This machine in the words of library files; `None` where nobody has looked it up.

@@ -3,8 +3,8 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::serve::PluginKind;
 use lumistack_plugin::PluginError;
-use lumistack_plugin::serve::PluginKind;
 use thiserror::Error;
 
 /// Why an output was not written. Nothing new is in its folder then.
@@ -116,8 +116,8 @@ pub enum LoadError {
         /// The system's answer.
         source: io::Error,
     },
-    /// The name does not say which plugin it is.
-    #[error("{}: expected a file named `{expected}`, which says the plugin's id", path.display())]
+    /// The name is not that of a library of plugins.
+    #[error("{}: expected a file named `{expected}`", path.display())]
     Name {
         /// The file.
         path: PathBuf,
@@ -166,12 +166,12 @@ pub enum LoadError {
         /// What is wrong.
         reason: PluginError,
     },
-    /// The file's name and its descriptor differ.
-    #[error("{}: expected a plugin `{expected}` by the file's name, found `{found}`", path.display())]
+    /// The name of the entry function and the descriptor differ.
+    #[error("{}: expected a plugin `{expected}` by the name of its entry function, found `{found}`", path.display())]
     OtherId {
         /// The file.
         path: PathBuf,
-        /// By the file's name.
+        /// By the function's name.
         expected: String,
         /// By the descriptor.
         found: String,

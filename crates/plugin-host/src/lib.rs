@@ -27,6 +27,7 @@ mod make;
 mod publish;
 mod registry;
 mod run;
+pub mod serve;
 
 pub use built_in::{PLUGIN_FINGERPRINT, fingerprint_of};
 pub use check::check_output;
@@ -39,5 +40,8 @@ pub use make::{import_scene, make_field, make_stack};
 pub use registry::{Origin, Registry};
 pub use run::{OpenOutput, OutputContext, run_output, with_output};
 
-pub use lumistack_plugin::serve::{OutputData, Plugin, PluginInfo, PluginKind, ReadAsset};
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
 pub use lumistack_plugin::{Choice, Kind, Param, ParamError, PluginError, Port, Schema, Time};
+pub use serve::{OutputData, Plugin, PluginInfo, PluginKind, ReadAsset};

@@ -1,8 +1,8 @@
 //! Importers, sources and nodes: messages, progress and cancellation go to the task, files nowhere.
 
+use crate::serve::{self, LogLevel, Plugin, PluginKind, ReadAsset, Services};
 use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack, LightField};
-use lumistack_plugin::serve::{self, LogLevel, Plugin, PluginKind, ReadAsset, Services};
 use lumistack_plugin::{PluginError, Time};
 use serde_json::Value;
 

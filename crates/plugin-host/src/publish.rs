@@ -143,7 +143,7 @@ fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
 fn earlier_files(out_dir: &Path) -> Vec<String> {
     let listing = fs::read(out_dir.join(LISTING)).ok().and_then(|text| serde_json::from_slice::<Listing>(&text).ok());
     let mut files = listing.map_or_else(Vec::new, |listing| listing.files);
-    files.retain(|file| lumistack_plugin::serve::path_parts(file).is_ok());
+    files.retain(|file| crate::serve::path_parts(file).is_ok());
     files
 }
 

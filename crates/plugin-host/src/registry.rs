@@ -4,10 +4,11 @@ use std::fmt;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
+use crate::serve::{Plugin, PluginInfo, PluginKind};
 use lumistack_core::config::nearest;
-use lumistack_plugin::serve::{Plugin, PluginInfo, PluginKind};
 use serde_json::{Map, Value};
 
+use crate::built_in::{BUILT_IN, same_id};
 use crate::{HostError, LoadError};
 
 /// Plugins by id: those that are compiled in, and libraries, which are loaded when somebody asks for their plugin.
@@ -74,36 +75,15 @@ impl fmt::Display for Origin {
 }
 
 impl Registry {
-    /// The plugins that are compiled in: an explicit list, since registration by linker section silently drops crates that nobody
-    /// references.
+    /// The plugins that are compiled in.
     ///
     /// # Errors
     /// If a plugin describes itself badly, a mistake in the plugin.
     pub fn built_in() -> Result<Self, HostError> {
         let mut registry = Self::default();
-        #[cfg(feature = "directional-sequence")]
-        registry
-            .add(Plugin::compiled_in(&lumistack_plugin_directional_sequence::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "images")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_images::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "integral-imaging")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_integral_imaging::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "log-tomography")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_log_tomography::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "obj")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_obj::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "parallax-barrier")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_parallax_barrier::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "quilt")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_quilt::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "test-views")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_test_views::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "transparencies")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_transparencies::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "two-layer-nmf")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_two_layer_nmf::PLUGIN).map_err(HostError::BadPlugin)?)?;
-        #[cfg(feature = "web-simulator")]
-        registry.add(Plugin::compiled_in(&lumistack_plugin_web_simulator::PLUGIN).map_err(HostError::BadPlugin)?)?;
+        for (export, _) in BUILT_IN {
+            registry.add(Plugin::compiled_in(export).map_err(HostError::BadPlugin)?)?;
+        }
         Ok(registry)
     }
 
@@ -121,15 +101,15 @@ impl Registry {
         }
     }
 
-    /// The plugin with this id. Its library, if it has one, is loaded in a child process where it was not before.
+    /// The plugin with this id, in which hyphens and underscores are the same. Its library, if it has one, is loaded in a child process where it was not before.
     ///
     /// # Errors
     /// If there is none, which names the id that is spelled most like it, or its library cannot be used.
     pub fn get(&self, id: &str) -> Result<&Plugin, HostError> {
-        if let Some(plugin) = self.plugins.iter().find(|plugin| plugin.info().id == id) {
+        if let Some(plugin) = self.plugins.iter().find(|plugin| same_id(&plugin.info().id, id)) {
             return Ok(plugin);
         }
-        if let Some(library) = self.libraries.iter().find(|library| library.id == id) {
+        if let Some(library) = self.libraries.iter().find(|library| same_id(&library.id, id)) {
             return library.plugin().map_err(|error| HostError::NotLoaded { id: id.into(), reason: error.to_string() });
         }
         let mut known: Vec<&str> = self.plugins.iter().map(|plugin| plugin.info().id.as_str()).collect();
@@ -157,10 +137,10 @@ impl Registry {
 
     /// Where a plugin came from; loads nothing.
     pub fn origin(&self, id: &str) -> Option<&Origin> {
-        if self.plugins.iter().any(|plugin| plugin.info().id == id) {
+        if self.plugins.iter().any(|plugin| same_id(&plugin.info().id, id)) {
             return Some(&Origin::CompiledIn);
         }
-        self.libraries.iter().find(|library| library.id == id).map(|library| &library.origin)
+        self.libraries.iter().find(|library| same_id(&library.id, id)).map(|library| &library.origin)
     }
 
     /// The importer of files with this extension: one that is compiled in, else, by loading all libraries, one of theirs. Of several the

@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::serve::{Output, OutputData, PluginKind};
 use lumistack_core::Task;
 use lumistack_display::Display;
 use lumistack_plugin::Time;
-use lumistack_plugin::serve::{Output, OutputData, PluginKind};
 use serde_json::Value;
 
 use crate::disk::DiskHost;

@@ -10,11 +10,11 @@ use std::time::{Duration, Instant};
 
 use lumistack_core::{Cancel, Collector, NoProgress, Task};
 use lumistack_display::{Display, LayerStack};
-use lumistack_plugin::serve::OutputData;
-use lumistack_plugin::testkit::{Sample, random_field, samples};
+use lumistack_plugin_host::serve::OutputData;
 use lumistack_plugin_host::{
     HostError, Limits, OutputContext, PluginPaths, Registry, Time, import_scene, make_field, make_stack, run_output,
 };
+use lumistack_plugin_testkit::{Sample, random_field, samples};
 use serde_json::json;
 
 mod common;
@@ -325,6 +325,7 @@ fn the_process_ends_with_the_program() {
     let library = hostile(folder.path(), "hostile", "OUTPUT", "spin");
     let mut child = Command::new(common::child().program)
         .arg(&library)
+        .arg("hostile")
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .spawn()

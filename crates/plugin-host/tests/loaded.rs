@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use lumistack_plugin::serve::import;
-use lumistack_plugin::testkit::{MemoryHost, conformance_of, import_conformance, same_outputs};
 use lumistack_plugin_host::Registry;
+use lumistack_plugin_host::serve::import;
+use lumistack_plugin_testkit::{MemoryHost, conformance_of, import_conformance, same_outputs};
 
 mod common;
 
@@ -64,8 +64,8 @@ mod c {
     use std::process::Command;
 
     use lumistack_plugin::Time;
-    use lumistack_plugin::serve::Output;
-    use lumistack_plugin::testkit::{MemoryHost, conformance_of, samples};
+    use lumistack_plugin_host::serve::Output;
+    use lumistack_plugin_testkit::{MemoryHost, conformance_of, samples};
     use serde_json::json;
 
     use super::common;

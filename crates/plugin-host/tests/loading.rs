@@ -88,7 +88,7 @@ fn libraries_for_other_machines_are_told_apart() {
     let mine = ELF_MACHINES.iter().find(|(_, name)| here.starts_with(name));
     if let Some((number, _)) = mine {
         let message = failure(&write(folder.path(), "hollow", &elf_header(*number)));
-        assert!(message.starts_with("cannot be loaded: "), "{message}");
+        assert!(message.starts_with("expected the function `lumistack_plugin_entry_hollow`"), "{message}");
     }
     // a program is no library, though it has the same format and machine
     let program = folder.path().join(file_name("program"));
@@ -101,16 +101,17 @@ fn names_and_places_are_checked() {
     let folder = tempfile::tempdir().unwrap();
     let misnamed = folder.path().join("faulty.so");
     fs::copy(example("faulty"), &misnamed).unwrap();
-    assert_eq!(failure(&misnamed), format!("expected a file named `{}`, which says the plugin's id", file_name("ID")));
+    assert_eq!(failure(&misnamed), format!("expected a file named `{}`", file_name("NAME")));
     let upper = folder.path().join(file_name("Faulty"));
     fs::copy(example("faulty"), &upper).unwrap();
     assert!(failure(&upper).starts_with("expected a file named"));
     let missing = failure(&folder.path().join("nothing"));
     assert!(missing.starts_with("expected a plugin or a folder of plugins, found: "), "{missing}");
-    // a file of the right kind under another plugin's name
+    // what a library exports counts, not what it is called
     let renamed = folder.path().join(file_name("other"));
     fs::copy(example("faulty"), &renamed).unwrap();
-    assert_eq!(failure(&renamed), "expected the function `lumistack_plugin_entry_other`, found none of that name");
+    let registry = load(&[&renamed]);
+    assert!(registry.failed().is_empty() && registry.get("faulty").is_ok());
 }
 
 #[test]
@@ -217,6 +218,39 @@ fn libraries_of_other_versions_are_told_apart() {
     let registry = load(&[&descriptor_in_c(folder.path(), "grown", &code)]);
     assert!(registry.failed().is_empty(), "{:?}", registry.failed());
     assert_eq!(registry.get("grown").unwrap().info().version, "1.0.0");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_library_may_hold_several_plugins() {
+    let folder = tempfile::tempdir().unwrap();
+    let (size, vtable) = (size_of::<Descriptor>(), size_of::<OutputVtable>());
+    let functions = format!(
+        "static int open_(const void *h, struct str p, struct str d, void **i, const void *e) {{ *i = 0; return 0; }}\n\
+         static int submit(void *i, const void *t, const void *d, const void *e) {{ return 0; }}\n\
+         static int finish(void *i, const void *e) {{ return 0; }}\n\
+         static void close_(void *i) {{ }}\n\
+         static const struct {{ size_t size; const void *open, *submit, *run, *finish, *close; }} v =\n\
+           {{ {vtable}, open_, submit, 0, finish, close_ }};\n"
+    );
+    let plugin = |id: &str, told: &str| {
+        format!(
+            "static const struct descriptor d_{id} = {{ {ABI_MAJOR}, {ABI_MINOR}, {size}, 4, 4,\n\
+               STR(\"{told}\"), STR(\"1.0.0\"), STR(\"A sentence.\"), STR(\"{{\\\"params\\\": []}}\"), &v }};\n\
+             const void *lumistack_plugin_entry_{id}(void) {{ return &d_{id}; }}\n"
+        )
+    };
+    let code = functions + &plugin("first", "first") + &plugin("second", "second") + &plugin("third", "other");
+    let library = descriptor_in_c(folder.path(), "pair", &code);
+    let registry = load(&[&library]);
+    for id in ["first", "second"] {
+        assert_eq!(registry.get(id).unwrap().info().id, id);
+        assert_eq!(registry.origin(id).unwrap().to_string(), library.display().to_string());
+    }
+    // one that cannot be used keeps no other from working
+    let texts: Vec<String> = registry.failed().iter().map(ToString::to_string).collect();
+    let expected = "expected a plugin `third` by the name of its entry function, found `other`";
+    assert_eq!(texts, [format!("{}: {expected}", library.display())]);
 }
 
 #[test]

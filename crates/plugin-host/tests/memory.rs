@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, LayerStack};
-use lumistack_plugin::serve::OutputData;
+use lumistack_plugin_host::serve::OutputData;
 use lumistack_plugin_host::{OutputContext, Registry, Time, run_output};
 use serde_json::{Value, json};
 

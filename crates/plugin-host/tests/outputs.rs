@@ -7,8 +7,8 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use lumistack_core::{Cancel, Collector, NoProgress, Progress, Task};
-use lumistack_plugin::testkit::{Sample, same_outputs, samples};
 use lumistack_plugin_host::{HostError, Origin, OutputContext, Plugin, Registry, Time, run_output, with_output};
+use lumistack_plugin_testkit::{Sample, same_outputs, samples};
 use serde_json::{Value, json};
 
 mod common;

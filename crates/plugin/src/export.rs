@@ -52,7 +52,10 @@ impl std::fmt::Display for Port {
 
 /// The descriptor of a plugin that was written against this crate's safe traits.
 #[derive(Clone, Copy, Debug)]
-pub struct Export(Descriptor);
+pub struct Export {
+    id: &'static str,
+    descriptor: Descriptor,
+}
 
 impl Export {
     /// Describes an output plugin. Called once per plugin, by [`export_plugin!`](crate::export_plugin): the texts are kept for good.
@@ -89,7 +92,7 @@ impl Export {
         vtable: &'static V,
     ) -> Self {
         let schema_json: &'static str = schema.to_json().leak();
-        Self(Descriptor {
+        let descriptor = Descriptor {
             abi_major: ABI_MAJOR,
             abi_minor: ABI_MINOR,
             size: size_of::<Descriptor>(),
@@ -100,12 +103,18 @@ impl Export {
             doc: Str::new(doc),
             schema_json: Str::new(schema_json),
             vtable: (&raw const *vtable).cast(),
-        })
+        };
+        Self { id, descriptor }
+    }
+
+    /// Name in job files and on the command line.
+    pub fn id(&self) -> &'static str {
+        self.id
     }
 
     /// The C descriptor.
     pub fn descriptor(&self) -> &Descriptor {
-        &self.0
+        &self.descriptor
     }
 }
 
@@ -128,7 +137,7 @@ pub const fn is_plugin_id(id: &str) -> bool {
     !id.is_empty()
 }
 
-/// `export_plugin!("id", Type)` at the end of a plugin's file: the public static `PLUGIN`, which a host lists that has the plugin compiled
+/// `export_plugin!("id", Type)` at the end of a plugin's file, a module of its own where a crate has several: the public static `PLUGIN`, which a host lists that has the plugin compiled
 /// in, and the symbol `lumistack_plugin_entry_<id>`, which a host looks for that loads it. The version is the crate's. Plugins of other kinds than
 /// outputs say so: `export_plugin!("id", Type as importer)`, `as source`, `as node`.
 #[macro_export]

@@ -6,7 +6,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use lumistack_core::Cancelled;
 use lumistack_plugin_abi::{Bytes, Data, HostServices, Plane, Str, View, level};
 
-use crate::boundary::call;
+use crate::wire::{call, needs};
 use crate::{PlaneView, PluginError, ViewPoint};
 
 /// The host's services; clones share them. They end when the output is closed: a clone that outlives it gets errors.
@@ -126,6 +126,36 @@ impl Host {
 impl std::fmt::Debug for Host {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Host")
+    }
+}
+
+/// Ends a host's services unless they are kept: also on a panic in `open`.
+pub(crate) struct CloseHost(Option<Host>);
+
+impl CloseHost {
+    /// # Safety
+    /// `host` is a table of services that is valid until this is dropped or what it keeps is closed.
+    pub(crate) unsafe fn checked(host: *const HostServices) -> Result<Self, PluginError> {
+        // SAFETY: the caller's promise; the size comes first in every version.
+        needs(unsafe { (*host).size }, size_of::<HostServices>())?;
+        // SAFETY: the caller's promise.
+        Ok(Self(Some(unsafe { Host::new(host) })))
+    }
+
+    pub(crate) fn get(&self) -> Host {
+        self.0.clone().expect("not yet kept")
+    }
+
+    pub(crate) fn keep(mut self) -> Host {
+        self.0.take().expect("not yet kept")
+    }
+}
+
+impl Drop for CloseHost {
+    fn drop(&mut self) {
+        if let Some(host) = &self.0 {
+            host.close();
+        }
     }
 }
 

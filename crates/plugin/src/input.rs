@@ -5,8 +5,7 @@ use std::marker::PhantomData;
 use lumistack_display::{FieldGeometry, Projection, SeenDepth};
 use lumistack_plugin_abi::{Data, ErrorSink, Plane, Status, view};
 
-use crate::boundary::{call, lent_text};
-use crate::describe::Description;
+use crate::wire::{Description, call, lent_text};
 use crate::{Host, PlaneView, PluginError, Port};
 
 /// What one `submit` brings. More ports may come.

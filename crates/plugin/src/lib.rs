@@ -1,5 +1,4 @@
-//! What a plugin author depends on: safe traits over the C boundary of `lumistack-plugin-abi`, a parameter schema, the export macro, and
-//! (feature `testkit`) conformance checks.
+//! What a plugin author depends on: safe traits over the C boundary of `lumistack-plugin-abi`, a parameter schema, and the export macro.
 //!
 //! An output plugin is a type that implements [`OutputPlugin`] and one line at the end of the file:
 //!
@@ -58,18 +57,17 @@
 //! Importers, sources and nodes implement [`ImporterPlugin`], [`SourcePlugin`] or [`NodePlugin`], one function each, and end with
 //! `export_plugin!("id", Type as importer)` (`as source`, `as node`).
 //!
-//! A plugin is a plain library. Compiled in, the host lists its `PLUGIN`; loaded, the host finds the symbol
-//! `lumistack_plugin_entry_<id>` in `lumistack_plugin_<id>`. Both ways every call goes through the same C functions, and a panic of the
+//! A crate of plugins is a plain library, with a module for each plugin where it has several. Compiled in, the host lists their `PLUGIN`s; loaded, the
+//! host finds the symbols `lumistack_plugin_entry_<id>` in `lumistack_plugin_<name>`. Both ways every call goes through the same C functions, and a panic of the
 //! plugin comes back as an error.
 //!
-//! [`serve`] is the other side of the same boundary, for the host and the test kit.
+//! The other side of the boundary is `lumistack-plugin-host`; tests of a plugin take it from `lumistack-plugin-testkit`. [`wire`] holds what both sides share.
 
-mod boundary;
-mod describe;
 pub mod encoding;
 mod error;
 pub mod expects;
 mod export;
+mod given;
 mod host;
 mod input;
 pub mod lenslets;
@@ -77,18 +75,18 @@ mod makers;
 mod output;
 mod plane;
 mod schema;
-pub mod serve;
-#[cfg(any(test, feature = "testkit"))]
-pub mod testkit;
+mod time;
+pub mod wire;
 
 pub use error::PluginError;
 pub use export::{Export, Port, entry_of, is_plugin_id};
 pub use host::{Host, OutputFile, Stage};
 pub use input::{FieldInput, Input, StackInput, ViewPoint};
 pub use makers::{Assets, ImporterPlugin, NodePlugin, SourcePlugin};
-pub use output::{OutputPlugin, Time};
+pub use output::OutputPlugin;
 pub use plane::PlaneView;
 pub use schema::{Choice, Kind, Param, ParamError, Schema};
+pub use time::Time;
 
 pub use lumistack_core as core;
 pub use lumistack_display as display;

@@ -2,16 +2,17 @@
 
 use lumistack_display::{Display, LayerStack, LightField};
 use lumistack_plugin_abi::{
-    self as abi, ByteSink, Bytes, Data, ErrorSink, FieldSink, HostServices, ImporterVtable, NodeVtable, Plane,
-    SourceVtable, StackSink, Status, Str, dtype,
+    self as abi, ByteSink, Bytes, Data, ErrorSink, FieldSink, HostServices, ImporterVtable, NodeVtable, SourceVtable,
+    StackSink, Status, Str,
 };
 use serde::de::DeserializeOwned;
-use serde_json::Value;
 
-use crate::boundary::{answer, call, lent_bytes, lent_text};
-use crate::describe::{Geometry, display_from_json};
-use crate::output::CloseHost;
-use crate::{FieldInput, Host, Input, PluginError, Schema, Time};
+use crate::given::params_of;
+use crate::host::CloseHost;
+use crate::input::{FieldInput, Input};
+use crate::time::Time;
+use crate::wire::{Geometry, answer, append, call, dense, display_from_json, lent_text, needs};
+use crate::{Host, PluginError, Schema};
 
 /// A plugin that turns files of some format into scenes.
 pub trait ImporterPlugin: 'static {
@@ -96,21 +97,6 @@ impl Assets<'_> {
     }
 }
 
-/// [`ByteSink::write`] into a vector.
-pub(crate) unsafe extern "C" fn append(
-    context: *mut std::ffi::c_void,
-    bytes: Bytes,
-    error: *const ErrorSink,
-) -> Status {
-    // SAFETY: the other side lends the bytes; `context` is the vector of who made the sink and waits for the call.
-    unsafe {
-        answer(error, || {
-            (*context.cast::<Vec<u8>>()).extend_from_slice(lent_bytes(bytes, "bytes")?);
-            Ok(())
-        })
-    }
-}
-
 /// The C functions of an importer.
 pub(crate) fn importer_vtable<P: ImporterPlugin>() -> ImporterVtable {
     let extensions: &'static str = P::EXTENSIONS.join(" ").leak();
@@ -163,7 +149,7 @@ unsafe extern "C" fn make_field<P: SourcePlugin>(
         let (params, host) = unsafe { (params_of(P::schema(), params_json)?, CloseHost::checked(host)?) };
         // SAFETY: as above.
         let (display, time, sink) =
-            unsafe { (display_from_json(lent_text(display_json, "display")?)?, time_of(time)?, &*field) };
+            unsafe { (display_from_json(lent_text(display_json, "display")?)?, Time::from_abi(time)?, &*field) };
         needs(sink.size, size_of::<FieldSink>())?;
         let made = P::make(&host.get(), params, &display, time)?;
         let geometry = serde_json::to_string(&Geometry::from(made.geometry()))
@@ -196,7 +182,7 @@ unsafe extern "C" fn make_stack<P: NodePlugin>(
         let (params, host) = unsafe { (params_of(P::schema(), params_json)?, CloseHost::checked(host)?) };
         // SAFETY: as above.
         let (display, time, sink) =
-            unsafe { (display_from_json(lent_text(display_json, "display")?)?, time_of(time)?, &*stack) };
+            unsafe { (display_from_json(lent_text(display_json, "display")?)?, Time::from_abi(time)?, &*stack) };
         needs(sink.size, size_of::<StackSink>())?;
         // SAFETY: as above.
         let input = unsafe {
@@ -230,49 +216,4 @@ unsafe extern "C" fn make_stack<P: NodePlugin>(
     };
     // SAFETY: the host passes null or a valid sink.
     unsafe { answer(error, work) }
-}
-
-/// The parameters that were given, checked, with the defaults of the others.
-///
-/// # Safety
-/// The text is lent for the call.
-pub(crate) unsafe fn params_of<T: DeserializeOwned>(schema: Schema, params_json: Str) -> Result<T, PluginError> {
-    // SAFETY: the caller's promise.
-    let text = unsafe { lent_text(params_json, "parameters")? };
-    let given: Value = serde_json::from_str(text).map_err(|error| PluginError::failed("parameters", error))?;
-    let resolved = schema.resolve(&given)?;
-    serde_json::from_value(Value::Object(resolved))
-        .map_err(|error| PluginError::failed("parameters differ from the plugin's schema", error))
-}
-
-/// # Safety
-/// `time` is lent for the call.
-unsafe fn time_of(time: *const abi::Time) -> Result<Time, PluginError> {
-    // SAFETY: the caller's promise.
-    unsafe {
-        needs((*time).size, size_of::<abi::Time>())?;
-        Ok(Time { index: (*time).index, seconds: (*time).seconds })
-    }
-}
-
-/// Refuses a struct of an older host.
-pub(crate) fn needs(size: usize, least: usize) -> Result<(), PluginError> {
-    if size < least {
-        let text = format!("the host offers a struct of {size} bytes, the plugin needs {least}");
-        return Err(PluginError::Refused(text));
-    }
-    Ok(())
-}
-
-/// Lends values that lie `[row][col][channel]`.
-pub(crate) fn dense(values: &[f32], [rows, cols, channels]: [usize; 3]) -> Plane {
-    let element = size_of::<f32>() as isize;
-    Plane {
-        data: values.as_ptr().cast(),
-        dtype: dtype::F32,
-        ndim: 3,
-        shape: [rows, cols, channels, 1],
-        strides: [(cols * channels) as isize * element, channels as isize * element, element, 0],
-        ..Plane::empty()
-    }
 }

@@ -8,25 +8,12 @@ use lumistack_display::Display;
 use lumistack_plugin_abi::{self as abi, Data, ErrorSink, HostServices, OutputVtable, Status, Str};
 use serde::de::DeserializeOwned;
 
-use crate::boundary::{answer, lent_text, panic_text};
-use crate::describe::display_from_json;
-use crate::makers::{needs, params_of};
-use crate::{Host, Input, PluginError, Port, Schema};
-
-/// Place in a sequence.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Time {
-    /// Number of the time in this output, from 0; a still has only 0.
-    pub index: u64,
-    /// Time in the scene, seconds.
-    pub seconds: f64,
-}
-
-impl Time {
-    pub(crate) fn to_abi(self) -> abi::Time {
-        abi::Time { size: size_of::<abi::Time>(), index: self.index, seconds: self.seconds }
-    }
-}
+use crate::given::params_of;
+use crate::host::CloseHost;
+use crate::input::Input;
+use crate::time::Time;
+use crate::wire::{answer, display_from_json, lent_text, needs, panic_text};
+use crate::{Host, PluginError, Port, Schema};
 
 /// A plugin that takes what the graph makes and puts it somewhere. Its life: [`open`](Self::open), [`submit`](Self::submit) for every time,
 /// [`run`](Self::run) for presenters, [`finish`](Self::finish); or it is dropped where the work is abandoned.
@@ -147,36 +134,6 @@ unsafe extern "C" fn open<P: OutputPlugin>(
     unsafe { answer(error, start) }
 }
 
-/// Ends a host's services unless they are kept: also on a panic in `open`.
-pub(crate) struct CloseHost(Option<Host>);
-
-impl CloseHost {
-    /// # Safety
-    /// `host` is a table of services that is valid until this is dropped or what it keeps is closed.
-    pub(crate) unsafe fn checked(host: *const HostServices) -> Result<Self, PluginError> {
-        // SAFETY: the caller's promise; the size comes first in every version.
-        needs(unsafe { (*host).size }, size_of::<HostServices>())?;
-        // SAFETY: the caller's promise.
-        Ok(Self(Some(unsafe { Host::new(host) })))
-    }
-
-    pub(crate) fn get(&self) -> Host {
-        self.0.clone().expect("not yet kept")
-    }
-
-    fn keep(mut self) -> Host {
-        self.0.take().expect("not yet kept")
-    }
-}
-
-impl Drop for CloseHost {
-    fn drop(&mut self) {
-        if let Some(host) = &self.0 {
-            host.close();
-        }
-    }
-}
-
 unsafe extern "C" fn submit<P: OutputPlugin>(
     instance: *mut c_void,
     time: *const abi::Time,
@@ -188,10 +145,8 @@ unsafe extern "C" fn submit<P: OutputPlugin>(
     this.guarded(error, || {
         // SAFETY: the host lends both until this call returns.
         let (time, input) = unsafe {
-            if (*data).size < size_of::<Data>() || (*time).size < size_of::<abi::Time>() {
-                return Err(PluginError::Refused("the host's data are of an older version".into()));
-            }
-            (Time { index: (*time).index, seconds: (*time).seconds }, Input::new(data, this.host.clone())?)
+            needs((*data).size, size_of::<Data>())?;
+            (Time::from_abi(time)?, Input::new(data, this.host.clone())?)
         };
         this.with_plugin(|plugin| plugin.submit(time, &input))
     })

@@ -88,6 +88,6 @@ export_plugin!("means", Means);
 mod tests {
     #[test]
     fn keeps_the_rules_of_plugins() {
-        lumistack_plugin::testkit::conformance(&super::PLUGIN).unwrap();
+        lumistack_plugin_testkit::conformance(&super::PLUGIN).unwrap();
     }
 }

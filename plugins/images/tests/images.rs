@@ -12,10 +12,10 @@ use lumistack_plugin::encoding::{decode, encode};
 use lumistack_plugin::field_io::picture::Picture;
 use lumistack_plugin::field_io::{GeometryDefaults, GeometryFlags};
 use lumistack_plugin::serde_json::{Value, from_slice, json};
-use lumistack_plugin::serve::{Output, OutputData, Plugin};
-use lumistack_plugin::testkit::{MemoryHost, Sample, conformance, samples};
 use lumistack_plugin::{PluginError, Time};
 use lumistack_plugin_images::PLUGIN;
+use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
+use lumistack_plugin_testkit::{MemoryHost, Sample, conformance, samples};
 
 /// Rounding to the nearest code: half a code, and the error of f32 arithmetic in units of a 16-bit code.
 const HALF_CODE: f32 = 0.5 + 0.02;

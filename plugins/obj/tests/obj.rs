@@ -6,9 +6,9 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_gltf::AssetResolver;
 use lumistack_plugin::PluginError;
 use lumistack_plugin::serde_json::{Value, json};
-use lumistack_plugin::serve::{LogLevel, Plugin, import, resolved};
-use lumistack_plugin::testkit::{MemoryHost, conformance, import_conformance};
 use lumistack_plugin_obj::PLUGIN;
+use lumistack_plugin_testkit::serve::{LogLevel, Plugin, import, resolved};
+use lumistack_plugin_testkit::{MemoryHost, conformance, import_conformance};
 
 /// A quad and a triangle with two materials, in the way that modelling programs write them.
 const OBJ: &str = "mtllib looks.mtl\no Card\nv 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n\

@@ -9,10 +9,10 @@ use lumistack_plugin::display::{Display, FieldGeometry, LightField, Projection, 
 use lumistack_plugin::encoding::{codes8, encode};
 use lumistack_plugin::field_io::{GeometryDefaults, GeometryFlags, open};
 use lumistack_plugin::serde_json::{Value, from_slice, json};
-use lumistack_plugin::serve::{LogLevel, Output, OutputData, Plugin};
-use lumistack_plugin::testkit::{MemoryHost, conformance_but_for, samples};
 use lumistack_plugin::{PluginError, Time};
 use lumistack_plugin_quilt::PLUGIN;
+use lumistack_plugin_testkit::serve::{LogLevel, Output, OutputData, Plugin};
+use lumistack_plugin_testkit::{MemoryHost, conformance_but_for, samples};
 
 type Files = BTreeMap<String, Vec<u8>>;
 

@@ -2,9 +2,9 @@
 
 use lumistack_plugin::Time;
 use lumistack_plugin::display::{Display, LightField};
-use lumistack_plugin::serve::{Plugin, make_field};
-use lumistack_plugin::testkit::{MemoryHost, conformance};
 use lumistack_plugin_test_views::PLUGIN;
+use lumistack_plugin_testkit::serve::{Plugin, make_field};
+use lumistack_plugin_testkit::{MemoryHost, conformance};
 
 fn made(display: &Display, params: &str) -> LightField {
     let plugin = Plugin::compiled_in(&PLUGIN).unwrap();

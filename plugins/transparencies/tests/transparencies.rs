@@ -6,9 +6,9 @@ use std::process::Command;
 use lumistack_plugin::core::seed::Stream;
 use lumistack_plugin::display::{Display, Formation, Layer, LayerStack};
 use lumistack_plugin::serde_json::{Value, from_slice, json};
-use lumistack_plugin::serve::{LogLevel, Output, OutputData, Plugin};
-use lumistack_plugin::testkit::{MemoryHost, conformance};
 use lumistack_plugin::{PluginError, Time};
+use lumistack_plugin_testkit::serve::{LogLevel, Output, OutputData, Plugin};
+use lumistack_plugin_testkit::{MemoryHost, conformance};
 use lumistack_plugin_transparencies::PLUGIN;
 use lumistack_plugin_transparencies::curve::Film;
 

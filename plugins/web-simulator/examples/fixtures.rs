@@ -12,8 +12,8 @@ use lumistack_plugin::display::{
     Backlight, Display, Layer, LayerStack, LensletBacklight, LightField, Missing, RayMap, Sampling, Simulator, ViewGrid,
 };
 use lumistack_plugin::serde_json::{Value, json};
-use lumistack_plugin::serve::{Output, OutputData, Plugin};
-use lumistack_plugin::testkit::MemoryHost;
+use lumistack_plugin_testkit::MemoryHost;
+use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_web_simulator::PLUGIN;
 
 /// Of every case; the front layer lets no more through, so that nothing is clipped and every error shows.

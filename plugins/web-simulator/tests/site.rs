@@ -7,8 +7,8 @@ use lumistack_plugin::core::metrics::SquaredError;
 use lumistack_plugin::core::seed::Stream;
 use lumistack_plugin::display::{Display, LayerStack, LightField, Simulator};
 use lumistack_plugin::serde_json::{Value, from_slice, json};
-use lumistack_plugin::serve::{Output, OutputData, Plugin};
-use lumistack_plugin::testkit::{MemoryHost, conformance, samples};
+use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
+use lumistack_plugin_testkit::{MemoryHost, conformance, samples};
 use lumistack_plugin_web_simulator::{PLUGIN, PREVIEW_JSON};
 use lumistack_web::Model;
 

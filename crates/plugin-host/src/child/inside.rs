@@ -16,12 +16,12 @@ use lumistack_plugin::PlaneView;
 use lumistack_plugin::abi::{
     Assets, ByteSink, Bytes, Data, ErrorSink, FieldSink, HostServices, Plane, StackSink, Status, Str, Time, View, dtype,
 };
-use lumistack_plugin::serve::Plugin;
+use lumistack_plugin::wire::{keeping, lent_bytes, lent_lossy, tell};
 
 use super::protocol::{self, Answer, Call, FromChild, Loaded, PART, Request, Say, ToChild, read_frame, write_frame};
-use super::{keeping, lent, tell};
 use crate::LoadError;
 use crate::dynamic;
+use crate::serve::Plugin;
 
 /// For how long an answer to "has the user asked to stop" holds; every other answer of the program brings a newer one.
 const FRESH: Duration = Duration::from_millis(2);
@@ -31,16 +31,18 @@ const STACK: usize = 8 << 20;
 const FAREWELL: Duration = Duration::from_secs(5);
 
 /// The whole work of a process that runs a plugin for another: `args` are what [`Launcher`](crate::Launcher) adds, the
-/// library's path. Call it from the main thread before anything else uses standard input and output, and end the
+/// library's path and the plugin's id. Call it from the main thread before anything else uses standard input and output, and end the
 /// process with the code that it returns.
 ///
 /// What the library prints to standard output goes to standard error, since the former belongs to the program.
 pub fn plugin_child(args: &[OsString]) -> u8 {
-    let [library] = args else {
-        eprintln!("error: expected the path of a plugin's library; this command is for the program itself");
+    let [library, id] = args else {
+        eprintln!(
+            "error: expected the path of a library and the id of a plugin; this command is for the program itself"
+        );
         return 2;
     };
-    match serve(Path::new(library)) {
+    match serve(Path::new(library), &id.to_string_lossy()) {
         Ok(()) => 0,
         Err(error) => {
             eprintln!("error: {}: the program that started this process cannot be reached: {error}", library.display());
@@ -49,7 +51,7 @@ pub fn plugin_child(args: &[OsString]) -> u8 {
     }
 }
 
-fn serve(library: &Path) -> io::Result<()> {
+fn serve(library: &Path, id: &str) -> io::Result<()> {
     let (mut from, to) = take_over()?;
     let (calls, waiting) = channel();
     let link: &'static Link = Box::leak(Box::new(Link {
@@ -85,7 +87,7 @@ fn serve(library: &Path) -> io::Result<()> {
         end_now();
     });
 
-    let (plugin, loaded) = match dynamic::open(library) {
+    let (plugin, loaded) = match dynamic::open(library, id) {
         Ok(plugin) => {
             let info = plugin.info().clone();
             (Some(plugin), Loaded::Plugin(info))
@@ -229,7 +231,7 @@ unsafe fn link_of(context: *const c_void) -> &'static Link {
 /// The plugin lends the text for the call.
 unsafe fn text(text: Str) -> String {
     // SAFETY: the caller's promise.
-    String::from_utf8_lossy(unsafe { lent(text.ptr, text.len) }.unwrap_or_default()).into_owned()
+    unsafe { lent_lossy(text) }.into_owned()
 }
 
 /// Bytes of the plugin, or the status that refuses them.
@@ -239,9 +241,8 @@ unsafe fn text(text: Str) -> String {
 unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorSink) -> Result<&'a [u8], Status> {
     // SAFETY: the caller's promise.
     unsafe {
-        lent(ptr, len).ok_or_else(|| {
-            let place = if ptr.is_null() { "nowhere" } else { "somewhere" };
-            tell(error, &format!("{what}: {len} bytes {place}, which cannot be"));
+        lent_bytes(Bytes { ptr, len }, what).map_err(|refused| {
+            tell(error, &refused.to_string());
             Status::REFUSED
         })
     }
@@ -405,8 +406,8 @@ unsafe fn fetch(
     if answer.status != Status::OK.0 {
         return Status(answer.status);
     }
-    let element = size_of::<f32>() as isize;
     let [rows, cols, channels] = answer.shape;
+    let element = size_of::<f32>() as isize;
     let owner = Box::new(body);
     let filled = Plane {
         size,

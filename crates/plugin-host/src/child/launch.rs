@@ -10,7 +10,7 @@ const SILENCE: &str = "LUMISTACK_PLUGIN_SILENCE_S";
 /// Longest time to load a library, seconds; 0 for any.
 const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
 
-/// A program that runs one plugin: these words, and then the library's path. It calls
+/// A program that runs one plugin: these words, then the library's path and the plugin's id. It calls
 /// [`plugin_child`](crate::plugin_child).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Launcher {

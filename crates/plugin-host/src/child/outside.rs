@@ -7,20 +7,22 @@ use std::sync::Arc;
 use lumistack_plugin::abi::{
     Assets, ByteSink, Data, ErrorSink, FieldSink, HostServices, StackSink, Status, Str, level,
 };
-use lumistack_plugin::serve::{Functions, Plugin};
+use lumistack_plugin::wire::{keeping, lent_lossy};
 use lumistack_plugin::{PluginError, abi};
 
+use super::launch::{Launcher, Limits};
 use super::protocol::{self, Call, Loaded};
-use super::session::{Lent, Owner, Stopped, is_cancelled};
-use super::{Launcher, Limits, keeping};
+use super::requests::{Lent, is_cancelled};
+use super::session::{Owner, Stopped};
 use crate::LoadError;
+use crate::serve::{Functions, Plugin};
 
 /// Loads a library in a child, and returns its plugin, whose functions start a child each.
 pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits) -> Result<Plugin, LoadError> {
     let path = || library.to_path_buf();
     // an absolute path, since the loader looks for a bare name elsewhere
     let absolute = std::path::absolute(library).map_err(|source| LoadError::Read { path: path(), source })?;
-    let remote = Remote { library: absolute, launcher, limits };
+    let remote = Remote { library: absolute, id: id.into(), launcher, limits };
     let (_session, loaded) = match remote.start(&|| false) {
         Ok(started) => started,
         Err(Stopped::Cancelled) => unreachable!("nobody can cancel a look at a library"),
@@ -44,6 +46,7 @@ pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits
 /// A plugin's functions, in children.
 struct Remote {
     library: PathBuf,
+    id: String,
     launcher: Launcher,
     limits: Limits,
 }
@@ -51,7 +54,7 @@ struct Remote {
 impl Remote {
     /// Starts a child and waits until it has loaded the library.
     fn start(&self, cancelled: &dyn Fn() -> bool) -> Result<(Owner, Loaded), Stopped> {
-        Owner::start(&self.library, &self.launcher, self.limits, cancelled)
+        Owner::start(&self.library, &self.id, &self.launcher, self.limits, cancelled)
     }
 
     /// Runs one function of the plugin in a child of its own.
@@ -82,7 +85,7 @@ impl Remote {
 /// The text is lent for the call.
 unsafe fn text(text: Str) -> String {
     // SAFETY: the caller's promise.
-    String::from_utf8_lossy(unsafe { super::lent(text.ptr, text.len) }.unwrap_or_default()).into_owned()
+    unsafe { lent_lossy(text) }.into_owned()
 }
 
 /// # Safety

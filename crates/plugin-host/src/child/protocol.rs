@@ -6,7 +6,7 @@
 
 use std::io::{self, Read, Write};
 
-use lumistack_plugin::serve::PluginInfo;
+use crate::serve::PluginInfo;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 

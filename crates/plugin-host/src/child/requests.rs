@@ -1,22 +1,79 @@
 //! What a child asks of the program: services of the host, planes and sinks that are lent to a call.
 
-use std::collections::HashMap;
-use std::ffi::c_void;
-use std::sync::PoisonError;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use lumistack_plugin::PlaneView;
-use lumistack_plugin::abi::{ByteSink, Bytes, ErrorSink, HostServices, Plane, Status, Str, View, dtype};
+use lumistack_plugin::abi::{
+    Assets, ByteSink, Bytes, Data, ErrorSink, FieldSink, HostServices, Plane, StackSink, Status, Str, View, dtype,
+};
+use lumistack_plugin::wire::{append, keeping, tell};
 
 use super::protocol::{Answer, Request, Say};
-use super::session::{HOST, Lent, Session, is_cancelled};
-use super::{keeping, tell};
 
-impl Session {
+/// What the calls that a child runs lend to it.
+#[derive(Default)]
+pub(super) struct Lending {
+    /// By the number of the call; that of the output itself is [`HOST`].
+    all: RwLock<HashMap<u64, Lent>>,
+    /// Files that the plugin writes, by their handles.
+    files: Mutex<BTreeMap<u64, String>>,
+}
+
+/// What one call lends; null what it does not.
+#[derive(Clone, Copy)]
+pub(super) struct Lent {
+    pub(super) host: *const HostServices,
+    pub(super) data: *const Data,
+    pub(super) assets: *const Assets,
+    pub(super) scene: *const ByteSink,
+    pub(super) field: *const FieldSink,
+    pub(super) stack: *const StackSink,
+}
+
+impl Lent {
+    pub(super) const fn nothing() -> Self {
+        use std::ptr::null;
+        Self { host: null(), data: null(), assets: null(), scene: null(), field: null(), stack: null() }
+    }
+}
+
+// SAFETY: the boundary lets all of these be used from any thread; sinks for one at a time have their own locks.
+unsafe impl Send for Lent {}
+// SAFETY: as above.
+unsafe impl Sync for Lent {}
+
+/// The number under which the host's table is kept between `open` and `close`, when no call need be running.
+pub(super) const HOST: u64 = 0;
+
+/// # Safety
+/// `host` is a valid table.
+pub(super) unsafe fn is_cancelled(host: *const HostServices) -> bool {
+    // SAFETY: the caller's promise.
+    unsafe { ((*host).is_cancelled)((*host).context) != 0 }
+}
+
+impl Lending {
+    /// What every call lends; held for as long as it is used.
+    pub(super) fn all(&self) -> RwLockReadGuard<'_, HashMap<u64, Lent>> {
+        self.all.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The same for change; waits for those who use it.
+    pub(super) fn all_mut(&self) -> RwLockWriteGuard<'_, HashMap<u64, Lent>> {
+        self.all.write().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The files that are being written.
+    pub(super) fn files(&self) -> MutexGuard<'_, BTreeMap<u64, String>> {
+        self.files.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Does what a request asks for.
     pub(super) fn answer(&self, request: u64, what: Request, body: &[u8]) -> (Answer, Vec<u8>) {
         let mut answer = Answer { request, ..Answer::default() };
         let mut out = Vec::new();
-        let all = self.lent.read().unwrap_or_else(PoisonError::into_inner);
+        let all = self.all();
         let Some(lent) = all.get(&HOST) else {
             (answer.status, answer.text) = (Status::FAILED.0, "the output is already closed".into());
             return (answer, out);
@@ -64,19 +121,19 @@ impl Session {
                 Request::FileOpen => {
                     let status = (host.file_open)(context, path, &mut answer.file, error);
                     if status == Status::OK {
-                        self.state().files.insert(answer.file, String::from_utf8_lossy(body).into_owned());
+                        self.files().insert(answer.file, String::from_utf8_lossy(body).into_owned());
                     }
                     status
                 }
                 Request::FileAppend { file } => (host.file_append)(context, file, Bytes::new(body), error),
                 Request::FileCommit { file } => {
                     let status = (host.file_commit)(context, file, error);
-                    self.state().files.remove(&file);
+                    self.files().remove(&file);
                     status
                 }
                 Request::FileAbort { file } => {
                     let status = (host.file_abort)(context, file, error);
-                    self.state().files.remove(&file);
+                    self.files().remove(&file);
                     status
                 }
                 Request::LayerPlane { call, layer, frame } => match of(call).data.as_ref() {
@@ -107,7 +164,7 @@ impl Session {
                 Request::ReadAsset { call } => match of(call).assets.as_ref() {
                     Some(assets) => {
                         let sink =
-                            ByteSink { size: size_of::<ByteSink>(), context: (&raw mut *out).cast(), write: add };
+                            ByteSink { size: size_of::<ByteSink>(), context: (&raw mut *out).cast(), write: append };
                         (assets.read)(assets.context, path, &sink, error)
                     }
                     None => refused(GONE),
@@ -221,21 +278,4 @@ unsafe fn given(
     let strides = [cols * channels * element, channels * element, element, 0].map(|stride| stride as isize);
     let shape = [rows, cols, channels, 1];
     take(&Plane { data: body.as_ptr().cast(), dtype: dtype::F32, ndim: 3, shape, strides, ..Plane::empty() })
-}
-
-/// [`ByteSink::write`] into a vector.
-unsafe extern "C" fn add(context: *mut c_void, bytes: Bytes, error: *const ErrorSink) -> Status {
-    // SAFETY: the host lends the bytes; `context` is the vector of who made the sink and waits for the call.
-    unsafe {
-        match super::lent(bytes.ptr, bytes.len) {
-            Some(bytes) => {
-                (*context.cast::<Vec<u8>>()).extend_from_slice(bytes);
-                Status::OK
-            }
-            None => {
-                tell(error, "bytes nowhere");
-                Status::REFUSED
-            }
-        }
-    }
 }

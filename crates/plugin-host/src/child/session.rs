@@ -5,20 +5,21 @@
 //! whether the user wants to stop, whether the child is still there and whether it still says something. None of the
 //! three threads is waited for where a call ends, since a process that the plugin started may hold the pipes open.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::io::{Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use lumistack_plugin::abi::{Assets, ByteSink, Data, ErrorSink, FieldSink, HostServices, StackSink, Status};
+use lumistack_plugin::abi::{ErrorSink, HostServices, Status};
+use lumistack_plugin::wire::tell;
 
+use super::launch::{Launcher, Limits};
 use super::protocol::{Call, FromChild, Loaded, Request, ToChild, read_frame, write_frame};
-use super::requests::pass_on;
-use super::{Launcher, Limits, tell};
+use super::requests::{HOST, Lending, Lent, is_cancelled, pass_on};
 
 /// How often who waits looks around.
 const TICK: Duration = Duration::from_millis(20);
@@ -46,13 +47,14 @@ impl Owner {
     /// Starts a child and waits until it has loaded the library.
     pub(super) fn start(
         library: &Path,
+        id: &str,
         launcher: &Launcher,
         limits: Limits,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<(Self, Loaded), Stopped> {
         let Launcher { program, args } = launcher;
         let mut command = Command::new(program);
-        command.args(args).arg(library);
+        command.args(args).arg(library).arg(id);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Ctrl-C reaches all of a terminal's foreground group, but a plugin learns of it from the host
         #[cfg(unix)]
@@ -76,7 +78,7 @@ impl Owner {
             child: Mutex::new(child),
             outgoing,
             state: Mutex::new(State { last_sign: Instant::now(), ..State::new() }),
-            lent: RwLock::default(),
+            lending: Lending::default(),
             said: Mutex::default(),
         });
         let (loaded, waits) = channel();
@@ -115,7 +117,7 @@ impl std::ops::Deref for Owner {
 impl Drop for Owner {
     fn drop(&mut self) {
         // the table ends with the output; requests that use it have returned once the lock is here
-        self.lent.write().unwrap_or_else(PoisonError::into_inner).clear();
+        self.lending.all_mut().clear();
         self.farewell();
     }
 }
@@ -129,7 +131,8 @@ pub(super) struct Session {
     /// `None` is the last.
     outgoing: Sender<Option<(ToChild, Vec<u8>)>>,
     state: Mutex<State>,
-    pub(super) lent: RwLock<HashMap<u64, Lent>>,
+    /// What its running calls lend.
+    lending: Lending,
     /// The end of what the plugin printed, and whether it is all.
     said: Mutex<(Vec<u8>, bool)>,
 }
@@ -140,8 +143,6 @@ pub(super) struct State {
     /// Who waits for the end of a call.
     calls: HashMap<u64, Sender<(Status, String)>>,
     last_call: u64,
-    /// Files that the plugin writes, by their handles.
-    pub(super) files: BTreeMap<u64, String>,
     last_sign: Instant,
     /// Requests that are being worked on, during which the child waits.
     requests: usize,
@@ -151,43 +152,9 @@ pub(super) struct State {
 
 impl State {
     fn new() -> Self {
-        Self {
-            loaded: None,
-            calls: HashMap::new(),
-            last_call: 0,
-            files: BTreeMap::new(),
-            last_sign: Instant::now(),
-            requests: 0,
-            ended: false,
-        }
+        Self { loaded: None, calls: HashMap::new(), last_call: 0, last_sign: Instant::now(), requests: 0, ended: false }
     }
 }
-
-/// What one call lends; null what it does not.
-#[derive(Clone, Copy)]
-pub(super) struct Lent {
-    pub(super) host: *const HostServices,
-    pub(super) data: *const Data,
-    pub(super) assets: *const Assets,
-    pub(super) scene: *const ByteSink,
-    pub(super) field: *const FieldSink,
-    pub(super) stack: *const StackSink,
-}
-
-impl Lent {
-    pub(super) const fn nothing() -> Self {
-        use std::ptr::null;
-        Self { host: null(), data: null(), assets: null(), scene: null(), field: null(), stack: null() }
-    }
-}
-
-// SAFETY: the boundary lets all of these be used from any thread; sinks for one at a time have their own locks.
-unsafe impl Send for Lent {}
-// SAFETY: as above.
-unsafe impl Sync for Lent {}
-
-/// The number under which the host's table is kept between `open` and `close`, when no call need be running.
-pub(super) const HOST: u64 = 0;
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -225,7 +192,7 @@ impl Session {
             state.last_call
         };
         {
-            let mut all = self.lent.write().unwrap_or_else(PoisonError::into_inner);
+            let mut all = self.lending.all_mut();
             all.insert(call, Lent { host, ..lent });
             all.insert(HOST, Lent { host, ..Lent::nothing() });
         }
@@ -234,7 +201,7 @@ impl Session {
         let result = self.wait(&waits, doing, limit, &|| unsafe { is_cancelled(host) });
         {
             // waits for requests that use it
-            let mut all = self.lent.write().unwrap_or_else(PoisonError::into_inner);
+            let mut all = self.lending.all_mut();
             all.remove(&call);
         }
         self.state().calls.remove(&call);
@@ -295,10 +262,10 @@ impl Session {
 
     /// What the child was busy with.
     fn doing(&self, call: &str) -> String {
-        let state = self.state();
-        let mut names: Vec<String> = state.files.values().take(NAMED).map(|name| format!("`{name}`")).collect();
-        if state.files.len() > NAMED {
-            names.push(format!("{} more", state.files.len() - NAMED));
+        let files = self.lending.files();
+        let mut names: Vec<String> = files.values().take(NAMED).map(|name| format!("`{name}`")).collect();
+        if files.len() > NAMED {
+            names.push(format!("{} more", files.len() - NAMED));
         }
         if names.is_empty() { call.into() } else { format!("it wrote {}", names.join(", ")) }
     }
@@ -399,7 +366,7 @@ impl Session {
                 }
             }
             FromChild::Say(say) => {
-                let all = self.lent.read().unwrap_or_else(PoisonError::into_inner);
+                let all = self.lending.all();
                 if let Some(lent) = all.get(&HOST) {
                     // SAFETY: the lock keeps the table.
                     unsafe { pass_on(&*lent.host, &say) };
@@ -409,7 +376,7 @@ impl Session {
                 self.state().requests += 1;
                 let session = self.clone();
                 let work = move || {
-                    let (answer, body) = session.answer(request, what, &body);
+                    let (answer, body) = session.lending.answer(request, what, &body);
                     {
                         let mut state = session.state();
                         state.requests -= 1;
@@ -441,13 +408,6 @@ impl Stopped {
         unsafe { tell(error, &text) };
         status
     }
-}
-
-/// # Safety
-/// `host` is a valid table.
-pub(super) unsafe fn is_cancelled(host: *const HostServices) -> bool {
-    // SAFETY: the caller's promise.
-    unsafe { ((*host).is_cancelled)((*host).context) != 0 }
 }
 
 /// How a process ended, in words.

@@ -1,0 +1,223 @@
+//! The C functions of a plugin, wherever they run.
+
+use std::ffi::c_void;
+
+use lumistack_plugin::PluginError;
+use lumistack_plugin::abi::{
+    Assets, ByteSink, Data, ErrorSink, FieldSink, HostServices, ImporterVtable, NodeVtable, OutputVtable, SourceVtable,
+    StackSink, Status, Str, Time,
+};
+use lumistack_plugin::wire::answer;
+
+/// The functions of the boundary's tables, for every kind of plugin: those of a library in this process, or of another
+/// process that passes the calls on. Functions of another kind than the plugin's return [`Status::REFUSED`].
+///
+/// # Safety
+/// An implementation keeps the boundary's rules for a plugin: it uses nothing lent after the call returns, and `host`
+/// of [`open`](Self::open) not after [`close`](Self::close). Callers keep the rules for a host, as the documentation of
+/// the tables says.
+#[expect(clippy::missing_safety_doc, reason = "the tables' documentation has it, function by function")]
+pub unsafe trait Functions: Send + Sync {
+    /// [`ImporterVtable::import`].
+    unsafe fn import(
+        &self,
+        host: *const HostServices,
+        params_json: Str,
+        file: Str,
+        assets: *const Assets,
+        scene: *const ByteSink,
+        error: *const ErrorSink,
+    ) -> Status;
+
+    /// [`SourceVtable::make`].
+    unsafe fn make_field(
+        &self,
+        host: *const HostServices,
+        params_json: Str,
+        display_json: Str,
+        time: *const Time,
+        field: *const FieldSink,
+        error: *const ErrorSink,
+    ) -> Status;
+
+    /// [`NodeVtable::make`].
+    unsafe fn make_stack(
+        &self,
+        host: *const HostServices,
+        params_json: Str,
+        display_json: Str,
+        time: *const Time,
+        data: *const Data,
+        stack: *const StackSink,
+        error: *const ErrorSink,
+    ) -> Status;
+
+    /// [`OutputVtable::open`].
+    unsafe fn open(
+        &self,
+        host: *const HostServices,
+        params_json: Str,
+        display_json: Str,
+        instance: *mut *mut c_void,
+        error: *const ErrorSink,
+    ) -> Status;
+
+    /// [`OutputVtable::submit`].
+    unsafe fn submit(
+        &self,
+        instance: *mut c_void,
+        time: *const Time,
+        data: *const Data,
+        error: *const ErrorSink,
+    ) -> Status;
+
+    /// [`OutputVtable::run`].
+    unsafe fn run(&self, instance: *mut c_void, error: *const ErrorSink) -> Status;
+
+    /// [`OutputVtable::finish`].
+    unsafe fn finish(&self, instance: *mut c_void, error: *const ErrorSink) -> Status;
+
+    /// [`OutputVtable::close`].
+    unsafe fn close(&self, instance: *mut c_void);
+}
+
+/// The functions of a plugin's kind, in this process.
+#[derive(Clone, Copy)]
+pub(crate) enum Vtable {
+    Importer(&'static ImporterVtable),
+    Source(&'static SourceVtable),
+    Node(&'static NodeVtable),
+    Output(&'static OutputVtable),
+}
+
+impl Vtable {
+    fn output<F>(&self, function: impl FnOnce(&OutputVtable) -> Option<F>) -> Option<F> {
+        match self {
+            Self::Output(table) => function(table),
+            _ => None,
+        }
+    }
+}
+
+/// A function that the plugin does not have.
+///
+/// # Safety
+/// `error` is null or a valid sink.
+unsafe fn missing(error: *const ErrorSink) -> Status {
+    // SAFETY: the caller's promise.
+    unsafe { answer(error, || Err(PluginError::Refused("the plugin does not have this function".into()))) }
+}
+
+// SAFETY: every call goes to the plugin's own function with what the caller lent, and nothing is kept.
+#[expect(
+    clippy::undocumented_unsafe_blocks,
+    reason = "every function passes its caller's promise on, as the impl says"
+)]
+unsafe impl Functions for Vtable {
+    unsafe fn import(
+        &self,
+        host: *const HostServices,
+        params_json: Str,
+        file: Str,
+        assets: *const Assets,
+        scene: *const ByteSink,
+        error: *const ErrorSink,
+    ) -> Status {
+        // SAFETY: the caller's promise, here and in the other functions.
+        match self {
+            Self::Importer(ImporterVtable { import: Some(import), .. }) => unsafe {
+                import(host, params_json, file, assets, scene, error)
+            },
+            _ => unsafe { missing(error) },
+        }
+    }
+
+    unsafe fn make_field(
+        &self,
+        host: *const HostServices,
+        params_json: Str,
+        display_json: Str,
+        time: *const Time,
+        field: *const FieldSink,
+        error: *const ErrorSink,
+    ) -> Status {
+        // SAFETY: as in `import`.
+        match self {
+            Self::Source(SourceVtable { make: Some(make), .. }) => unsafe {
+                make(host, params_json, display_json, time, field, error)
+            },
+            _ => unsafe { missing(error) },
+        }
+    }
+
+    unsafe fn make_stack(
+        &self,
+        host: *const HostServices,
+        params_json: Str,
+        display_json: Str,
+        time: *const Time,
+        data: *const Data,
+        stack: *const StackSink,
+        error: *const ErrorSink,
+    ) -> Status {
+        // SAFETY: as in `import`.
+        match self {
+            Self::Node(NodeVtable { make: Some(make), .. }) => unsafe {
+                make(host, params_json, display_json, time, data, stack, error)
+            },
+            _ => unsafe { missing(error) },
+        }
+    }
+
+    unsafe fn open(
+        &self,
+        host: *const HostServices,
+        params_json: Str,
+        display_json: Str,
+        instance: *mut *mut c_void,
+        error: *const ErrorSink,
+    ) -> Status {
+        // SAFETY: as in `import`.
+        match self.output(|table| table.open) {
+            Some(open) => unsafe { open(host, params_json, display_json, instance, error) },
+            None => unsafe { missing(error) },
+        }
+    }
+
+    unsafe fn submit(
+        &self,
+        instance: *mut c_void,
+        time: *const Time,
+        data: *const Data,
+        error: *const ErrorSink,
+    ) -> Status {
+        // SAFETY: as in `import`.
+        match self.output(|table| table.submit) {
+            Some(submit) => unsafe { submit(instance, time, data, error) },
+            None => unsafe { missing(error) },
+        }
+    }
+
+    unsafe fn run(&self, instance: *mut c_void, error: *const ErrorSink) -> Status {
+        // SAFETY: as in `import`.
+        match self.output(|table| table.run) {
+            Some(run) => unsafe { run(instance, error) },
+            None => unsafe { missing(error) },
+        }
+    }
+
+    unsafe fn finish(&self, instance: *mut c_void, error: *const ErrorSink) -> Status {
+        // SAFETY: as in `import`.
+        match self.output(|table| table.finish) {
+            Some(finish) => unsafe { finish(instance, error) },
+            None => unsafe { missing(error) },
+        }
+    }
+
+    unsafe fn close(&self, instance: *mut c_void) {
+        if let Some(close) = self.output(|table| table.close) {
+            // SAFETY: as in `import`.
+            unsafe { close(instance) };
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! Lends layer stacks and light fields, one plane at a time.
+
+use std::ffi::c_void;
+use std::sync::OnceLock;
+
+use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, RayMap, Simulator, ViewGrid};
+use lumistack_plugin::abi::{Data, ErrorSink, Plane, Status, Str, View, view};
+use lumistack_plugin::wire::{Depth, Description, Geometry, answer, dense};
+use lumistack_plugin::{PluginError, Port};
+
+/// What an output is given at one time.
+#[derive(Clone, Copy, Debug)]
+pub enum OutputData<'a> {
+    /// The patterns of a tensor display, and the light field that they were made for, whose views are lent too. Without one, its geometry is the
+    /// display's own.
+    LayerStack(&'a LayerStack, Option<&'a LightField>),
+    /// Linear radiance of many views.
+    LightField(&'a LightField),
+}
+
+impl OutputData<'_> {
+    /// The port that these data belong to.
+    pub fn port(&self) -> Port {
+        match self {
+            Self::LayerStack(..) => Port::LayerStack,
+            Self::LightField(_) => Port::LightField,
+        }
+    }
+}
+
+/// Data that are being lent: what the C struct's context points to.
+pub(crate) struct Lent<'a> {
+    data: OutputData<'a>,
+    display: &'a Display,
+    /// The light field that the patterns were made for; for a light field its own.
+    geometry: FieldGeometry,
+    /// Made when the first view is asked for.
+    simulator: OnceLock<Simulator<'a>>,
+    description: String,
+}
+
+impl<'a> Lent<'a> {
+    /// # Errors
+    /// If a stack does not fit its display, or a geometry makes no sense.
+    pub(crate) fn new(display: &'a Display, data: OutputData<'a>) -> Result<Self, PluginError> {
+        let refused = |error: String| PluginError::Refused(error);
+        let (geometry, description) = match data {
+            OutputData::LayerStack(stack, target) => {
+                stack.check(display).map_err(|error| refused(format!("layer stack: {error}")))?;
+                let geometry = match target {
+                    Some(field) => field.geometry().clone(),
+                    None => display.geometry().map_err(|error| refused(error.to_string()))?,
+                };
+                geometry.check().map_err(|error| refused(format!("target: {error}")))?;
+                let description = Description::LayerStack {
+                    brightness: stack.brightness,
+                    frames: stack.frames(),
+                    layers: stack.layers.iter().map(|layer| [layer.shape()[1], layer.shape()[2]]).collect(),
+                    emission: stack.emission.as_ref().map(|emission| {
+                        let [_, bins_y, bins_x, rows, cols, _] = emission.shape();
+                        [bins_y, bins_x, rows, cols]
+                    }),
+                    target: Geometry::from(&geometry),
+                    target_views: target.is_some(),
+                    target_depth: target.and_then(LightField::depth).map(Depth::from),
+                };
+                (geometry, description)
+            }
+            OutputData::LightField(field) => {
+                let geometry = field.geometry().clone();
+                let depth = field.depth().map(Depth::from);
+                (geometry, Description::LightField { geometry: Geometry::from(field.geometry()), depth })
+            }
+        };
+        let description =
+            serde_json::to_string(&description).map_err(|error| PluginError::failed("description", error))?;
+        Ok(Self { data, display, geometry, simulator: OnceLock::new(), description })
+    }
+
+    pub(crate) fn port(&self) -> Port {
+        self.data.port()
+    }
+
+    /// The C struct; valid while `self` is.
+    pub(crate) fn to_abi(&self) -> Data {
+        Data {
+            size: size_of::<Data>(),
+            port: self.port().bit(),
+            context: (&raw const *self).cast(),
+            description_json: Str::new(&self.description),
+            layer_plane,
+            emission_plane,
+            view_plane,
+        }
+    }
+}
+
+unsafe extern "C" fn layer_plane(
+    context: *const c_void,
+    layer: usize,
+    frame: usize,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    let lend = || {
+        // SAFETY: the plugin passes back the context of `to_abi` during submit.
+        let OutputData::LayerStack(stack, _) = (unsafe { lent(context) }).data else {
+            return Err(wrong_port("layers"));
+        };
+        let values = stack.layers.get(layer).ok_or_else(|| beyond("layer", layer, stack.layers.len()))?;
+        let [frames, rows, cols, channels] = values.shape();
+        within("frame", frame, frames)?;
+        // SAFETY: the plugin provides the place for the plane.
+        unsafe { give(plane, values.block([frame]), [rows, cols, channels]) }
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, lend) }
+}
+
+unsafe extern "C" fn emission_plane(
+    context: *const c_void,
+    frame: usize,
+    bin_y: usize,
+    bin_x: usize,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    let lend = || {
+        // SAFETY: as in `layer_plane`.
+        let OutputData::LayerStack(stack, _) = (unsafe { lent(context) }).data else {
+            return Err(wrong_port("emission"));
+        };
+        let Some(emission) = &stack.emission else {
+            return Err(PluginError::Refused("the backlight is uniform and has no emission".into()));
+        };
+        let [frames, bins_y, bins_x, rows, cols, channels] = emission.shape();
+        within("frame", frame, frames)?;
+        within("bin_y", bin_y, bins_y)?;
+        within("bin_x", bin_x, bins_x)?;
+        // SAFETY: as in `layer_plane`.
+        unsafe { give(plane, emission.block([frame, bin_y, bin_x]), [rows, cols, channels]) }
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, lend) }
+}
+
+unsafe extern "C" fn view_plane(
+    context: *const c_void,
+    view_y: usize,
+    view_x: usize,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    let lend = || {
+        // SAFETY: as in `layer_plane`.
+        let (OutputData::LightField(field) | OutputData::LayerStack(_, Some(field))) = (unsafe { lent(context) }).data
+        else {
+            return Err(wrong_port("views"));
+        };
+        let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
+        within("view_y", view_y, views_y)?;
+        within("view_x", view_x, views_x)?;
+        // SAFETY: as in `layer_plane`.
+        unsafe { give(plane, field.view([view_y, view_x]), [rows, cols, channels]) }
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, lend) }
+}
+
+/// Computes a view of a lent layer stack; the plane owns its values.
+///
+/// # Safety
+/// `data` comes from [`Lent::to_abi`] and is still lent; `from` is a valid view and `plane` a place for a plane.
+pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut Plane) -> Result<(), PluginError> {
+    // SAFETY: the caller's promise.
+    let (lent, kind, value) = unsafe { (lent((*data).context), (*from).kind, (*from).value) };
+    let OutputData::LayerStack(stack, _) = lent.data else { return Err(wrong_port("simulated views")) };
+    let [x, y, z] = value;
+    let grid = match kind {
+        view::SLOPE => ViewGrid::single(Projection::Oblique, [x, y]),
+        view::EYE => ViewGrid::single(Projection::Perspective { distance_mm: z }, [x / z, y / z]),
+        other => return Err(PluginError::Refused(format!("view of kind {other}"))),
+    };
+    let geometry = lent.geometry.with_grid(grid);
+    geometry.check().map_err(|error| PluginError::Refused(format!("view: {error}")))?;
+    let simulator = lent.simulator.get_or_init(|| Simulator::new(lent.display, stack));
+    let view = simulator.view(&RayMap::new(lent.display, &geometry), &geometry, [0, 0]);
+    let owner = Box::new(view.radiance.into_data());
+    // SAFETY: the caller's promise; on success the plane owns the values, which a box does not move.
+    unsafe {
+        give(plane, &owner, [geometry.rows, geometry.cols, 3])?;
+        (*plane).owner = Box::into_raw(owner).cast();
+        (*plane).release = Some(release);
+    }
+    Ok(())
+}
+
+unsafe extern "C" fn release(owner: *mut c_void) {
+    // SAFETY: the owner of a plane of `simulate`, given back once.
+    drop(unsafe { Box::from_raw(owner.cast::<Vec<f32>>()) });
+}
+
+/// # Safety
+/// `context` is that of [`Lent::to_abi`], and still lent.
+unsafe fn lent<'a>(context: *const c_void) -> &'a Lent<'a> {
+    // SAFETY: the caller's promise.
+    unsafe { &*context.cast::<Lent<'a>>() }
+}
+
+/// Fills in a plane of dense values.
+///
+/// # Safety
+/// `plane` is a place for a plane that says its own size.
+unsafe fn give(plane: *mut Plane, values: &[f32], shape: [usize; 3]) -> Result<(), PluginError> {
+    // SAFETY: the caller's promise.
+    let size = unsafe { (*plane).size };
+    if size < size_of::<Plane>() {
+        return Err(PluginError::Refused(format!("a plane of {size} bytes")));
+    }
+    // SAFETY: the caller's promise; a newer plugin's plane is longer, and its end stays as the plugin left it.
+    unsafe { *plane = Plane { size, ..dense(values, shape) } };
+    Ok(())
+}
+
+fn within(what: &str, index: usize, count: usize) -> Result<(), PluginError> {
+    if index < count { Ok(()) } else { Err(beyond(what, index, count)) }
+}
+
+fn beyond(what: &str, index: usize, count: usize) -> PluginError {
+    PluginError::Refused(format!("{what} {index} of {count}"))
+}
+
+fn wrong_port(what: &str) -> PluginError {
+    PluginError::Refused(format!("data of this port have no {what}"))
+}

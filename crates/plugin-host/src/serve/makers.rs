@@ -1,0 +1,345 @@
+//! Runs importers, sources and nodes, and checks what they make.
+
+use std::ffi::c_void;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use lumistack_core::Tensor;
+use lumistack_display::{Display, FieldGeometry, LayerStack, LightField};
+use lumistack_plugin::abi::{self as abi, Assets, ByteSink, ErrorSink, FieldSink, Plane, StackSink, Status, Str};
+use lumistack_plugin::wire::{Geometry, answer, append, call, lent_text};
+use lumistack_plugin::{PlaneView, PluginError, Time};
+use serde_json::Value;
+
+use crate::serve::lend::{Lent, OutputData};
+use crate::serve::plugin::{Plugin, PluginKind};
+use crate::serve::services::{Services, table};
+
+/// Most numbers of a light field that a plugin makes: 16 GiB.
+const MOST_NUMBERS: usize = 1 << 32;
+
+/// Reads files for an importer: a path relative to the folder of the imported file, to the file's bytes.
+pub type ReadAsset<'a> = dyn Fn(&str) -> Result<Vec<u8>, PluginError> + Sync + 'a;
+
+/// Has an importer turn the file `file` into a glTF document, which is not yet validated.
+///
+/// # Errors
+/// If the plugin is no importer, or what it returns.
+pub fn import<S: Services>(
+    plugin: &Plugin,
+    services: &S,
+    params_json: &str,
+    file: &str,
+    read: &ReadAsset<'_>,
+) -> Result<Vec<u8>, PluginError> {
+    let functions = plugin.of_kind(PluginKind::Importer)?;
+    let assets = Assets { size: size_of::<Assets>(), context: (&raw const read).cast(), read: read_asset };
+    let mut bytes: Vec<u8> = Vec::new();
+    let sink = ByteSink { size: size_of::<ByteSink>(), context: (&raw mut bytes).cast(), write: append };
+    let host = table(services);
+    // SAFETY: everything is lent for the call.
+    call(|error| unsafe { functions.import(&host, Str::new(params_json), Str::new(file), &assets, &sink, error) })?;
+    Ok(bytes)
+}
+
+unsafe extern "C" fn read_asset(
+    context: *const c_void,
+    path: Str,
+    bytes: *const ByteSink,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: the plugin passes back the context of `import`, a reference that is lent until it returns, and lends text and sink.
+    unsafe {
+        answer(error, || {
+            let read = *context.cast::<&ReadAsset<'_>>();
+            let content = read(lent_text(path, "file name")?)?;
+            let sink = &*bytes;
+            call(|error| (sink.write)(sink.context, abi::Bytes::new(&content), error))
+        })
+    }
+}
+
+/// Has a source make the light field of one time.
+///
+/// # Errors
+/// If the plugin is no source, what it returns, or what is wrong with the light field.
+pub fn make_field<S: Services>(
+    plugin: &Plugin,
+    services: &S,
+    params_json: &str,
+    display: &Display,
+    time: Time,
+) -> Result<LightField, PluginError> {
+    let functions = plugin.of_kind(PluginKind::Source)?;
+    let display_json = display_json(display)?;
+    let builder = Builder::<Field>::new(Field { made: None });
+    let sink = FieldSink {
+        size: size_of::<FieldSink>(),
+        context: (&raw const builder).cast_mut().cast(),
+        geometry: field_geometry,
+        view_plane: field_view,
+    };
+    let (host, time) = (table(services), time.to_abi());
+    // SAFETY: everything is lent for the call.
+    call(|error| unsafe {
+        functions.make_field(&host, Str::new(params_json), Str::new(&display_json), &time, &sink, error)
+    })?;
+    let Field { made } = builder.into_inner();
+    let (field, given) = made.ok_or_else(|| PluginError::Failed("the plugin gave no light field".into()))?;
+    let views = field.geometry().grid.views();
+    all_given(&given, |i| format!("view {}, {}", i / views[1], i % views[1]))?;
+    Ok(field)
+}
+
+/// Has a node make the layer stack of one time; `field` must have the display's own geometry.
+///
+/// # Errors
+/// If the plugin is no node, what it returns, or what is wrong with the stack.
+pub fn make_stack<S: Services>(
+    plugin: &Plugin,
+    services: &S,
+    params_json: &str,
+    display: &Display,
+    time: Time,
+    field: &LightField,
+) -> Result<LayerStack, PluginError> {
+    let functions = plugin.of_kind(PluginKind::Node)?;
+    let display_json = display_json(display)?;
+    let lent = Lent::new(display, OutputData::LightField(field))?;
+    let stack = LayerStack::filled(display, 0.0);
+    let frames = stack.frames();
+    let bins = stack.emission.as_ref().map_or([0, 0], |emission| [emission.shape()[1], emission.shape()[2]]);
+    let given_layers = vec![false; stack.layers.len() * frames];
+    let given_bins = vec![false; frames * bins[0] * bins[1]];
+    let builder = Builder::new(Stack { stack, frames, bins, given_layers, given_bins });
+    let sink = StackSink {
+        size: size_of::<StackSink>(),
+        context: (&raw const builder).cast_mut().cast(),
+        brightness: stack_brightness,
+        layer_plane: stack_layer,
+        emission_plane: stack_emission,
+    };
+    let (host, time, data) = (table(services), time.to_abi(), lent.to_abi());
+    // SAFETY: everything is lent for the call.
+    call(|error| unsafe {
+        functions.make_stack(&host, Str::new(params_json), Str::new(&display_json), &time, &data, &sink, error)
+    })?;
+    let Stack { stack, given_layers, given_bins, .. } = builder.into_inner();
+    all_given(&given_layers, |i| format!("layer {}, frame {}", i / frames, i % frames))?;
+    all_given(&given_bins, |i| {
+        format!("emission of frame {}, bin {}, {}", i / (bins[0] * bins[1]), i / bins[1] % bins[0], i % bins[1])
+    })?;
+    stack.check(display).map_err(|error| PluginError::Failed(format!("the plugin gave a wrong stack: {error}")))?;
+    Ok(stack)
+}
+
+/// What a sink's context points to; a plugin may call from several threads although it should not.
+struct Builder<T>(Mutex<T>);
+
+/// A light field on its way in: its values, and which views were given.
+struct Field {
+    made: Option<(LightField, Vec<bool>)>,
+}
+
+struct Stack {
+    stack: LayerStack,
+    frames: usize,
+    /// Of the emission: [bins_y, bins_x].
+    bins: [usize; 2],
+    /// `[layer][frame]`.
+    given_layers: Vec<bool>,
+    /// `[frame][bin_y][bin_x]`.
+    given_bins: Vec<bool>,
+}
+
+impl<T> Builder<T> {
+    fn new(value: T) -> Self {
+        Self(Mutex::new(value))
+    }
+
+    fn into_inner(self) -> T {
+        self.0.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// # Safety
+    /// `context` is that of a sink whose builder is of this type and still there.
+    unsafe fn of<'a>(context: *mut c_void) -> MutexGuard<'a, T> {
+        // SAFETY: the caller's promise.
+        unsafe { &*context.cast_const().cast::<Self>() }.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+unsafe extern "C" fn field_geometry(context: *mut c_void, geometry_json: Str, error: *const ErrorSink) -> Status {
+    let take = || {
+        // SAFETY: the plugin passes back the sink's context and lends the text.
+        let (mut field, text) = unsafe { (Builder::<Field>::of(context), lent_text(geometry_json, "geometry")?) };
+        if field.made.is_some() {
+            return Err(PluginError::Refused("the geometry was already given".into()));
+        }
+        let geometry: Geometry = serde_json::from_str(text).map_err(|error| PluginError::failed("geometry", error))?;
+        let geometry = FieldGeometry::try_from(geometry)?;
+        let shape = LightField::shape_of(&geometry);
+        if Tensor::<5>::element_count(shape).is_none_or(|count| count > MOST_NUMBERS) {
+            return Err(PluginError::Refused(format!("a light field of shape {shape:?} is too large")));
+        }
+        let views = shape[0] * shape[1];
+        let black = LightField::black(geometry).map_err(|error| PluginError::Refused(error.to_string()))?;
+        field.made = Some((black, vec![false; views]));
+        Ok(())
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, take) }
+}
+
+unsafe extern "C" fn field_view(
+    context: *mut c_void,
+    view_y: usize,
+    view_x: usize,
+    plane: *const Plane,
+    error: *const ErrorSink,
+) -> Status {
+    let take = || {
+        // SAFETY: as above.
+        let mut field = unsafe { Builder::<Field>::of(context) };
+        let Some((field, given)) = &mut field.made else {
+            return Err(PluginError::Refused("a view came before the geometry".into()));
+        };
+        let what = || format!("view {view_y}, {view_x}");
+        let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
+        if view_y >= views_y || view_x >= views_x {
+            return Err(PluginError::Refused(format!("{} of {views_y} × {views_x}", what())));
+        }
+        // SAFETY: the plugin lends the plane for the call.
+        let values = unsafe { values_of(plane, [rows, cols, channels], f32::MAX, &what)? };
+        mark(given, view_y * views_x + view_x, &what)?;
+        field.view_mut([view_y, view_x]).copy_from_slice(&values);
+        Ok(())
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, take) }
+}
+
+unsafe extern "C" fn stack_brightness(context: *mut c_void, brightness: f64, error: *const ErrorSink) -> Status {
+    let take = || {
+        if !(brightness > 0.0 && brightness <= 1.0) {
+            return Err(PluginError::Refused(format!("brightness: expected above 0, at most 1, found {brightness}")));
+        }
+        // SAFETY: as above.
+        unsafe { Builder::<Stack>::of(context) }.stack.brightness = brightness;
+        Ok(())
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, take) }
+}
+
+unsafe extern "C" fn stack_layer(
+    context: *mut c_void,
+    layer: usize,
+    frame: usize,
+    plane: *const Plane,
+    error: *const ErrorSink,
+) -> Status {
+    let take = || {
+        // SAFETY: as above.
+        let mut built = unsafe { Builder::<Stack>::of(context) };
+        let Stack { stack, frames, given_layers, .. } = &mut *built;
+        let what = || format!("layer {layer}, frame {frame}");
+        if layer >= stack.layers.len() || frame >= *frames {
+            let text = format!("{} of {} layers and {frames} frames", what(), stack.layers.len());
+            return Err(PluginError::Refused(text));
+        }
+        let [_, rows, cols, channels] = stack.layers[layer].shape();
+        // SAFETY: the plugin lends the plane for the call.
+        let values = unsafe { values_of(plane, [rows, cols, channels], 1.0, &what)? };
+        mark(given_layers, layer * *frames + frame, &what)?;
+        stack.layers[layer].block_mut([frame]).copy_from_slice(&values);
+        Ok(())
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, take) }
+}
+
+unsafe extern "C" fn stack_emission(
+    context: *mut c_void,
+    frame: usize,
+    bin_y: usize,
+    bin_x: usize,
+    plane: *const Plane,
+    error: *const ErrorSink,
+) -> Status {
+    let take = || {
+        // SAFETY: as above.
+        let mut built = unsafe { Builder::<Stack>::of(context) };
+        let Stack { stack, frames, bins, given_bins, .. } = &mut *built;
+        let what = || format!("emission of frame {frame}, bin {bin_y}, {bin_x}");
+        let Some(emission) = &mut stack.emission else {
+            return Err(PluginError::Refused("the backlight is uniform and takes no emission".into()));
+        };
+        if frame >= *frames || bin_y >= bins[0] || bin_x >= bins[1] {
+            return Err(PluginError::Refused(format!("{} of {frames} frames, {bins:?} bins", what())));
+        }
+        let [_, _, _, rows, cols, channels] = emission.shape();
+        // SAFETY: the plugin lends the plane for the call.
+        let values = unsafe { values_of(plane, [rows, cols, channels], 1.0, &what)? };
+        mark(given_bins, (frame * bins[0] + bin_y) * bins[1] + bin_x, &what)?;
+        emission.block_mut([frame, bin_y, bin_x]).copy_from_slice(&values);
+        Ok(())
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, take) }
+}
+
+/// The values of a plane that a plugin lends, if it has this shape and all lie in 0..`most`.
+///
+/// # Safety
+/// `plane` points to a plane that says its own size, and whose pointer, shape, strides and type describe readable memory.
+unsafe fn values_of(
+    plane: *const Plane,
+    shape: [usize; 3],
+    most: f32,
+    what: &dyn Fn() -> String,
+) -> Result<Vec<f32>, PluginError> {
+    let refused = |text: String| Err(PluginError::Refused(format!("{}: {text}", what())));
+    // SAFETY: the caller's promise.
+    let size = unsafe { (*plane).size };
+    if size < size_of::<Plane>() {
+        return refused(format!("a plane of {size} bytes"));
+    }
+    // SAFETY: the caller's promise; it stays the plugin's, so that nothing is released.
+    let view = unsafe { PlaneView::new(Plane { release: None, ..*plane })? };
+    let found = [view.rows(), view.cols(), view.channels()];
+    if found != shape {
+        return refused(format!("expected {shape:?} values, found {found:?}"));
+    }
+    let values = view.to_vec();
+    match values.iter().find(|value| !(0.0..=most).contains(*value)) {
+        Some(value) if most == 1.0 => refused(format!("expected values in 0..1, found {value}")),
+        Some(value) => refused(format!("expected finite values that are not below 0, found {value}")),
+        None => Ok(values),
+    }
+}
+
+fn mark(given: &mut [bool], index: usize, what: &dyn Fn() -> String) -> Result<(), PluginError> {
+    if std::mem::replace(&mut given[index], true) {
+        return Err(PluginError::Refused(format!("{} was already given", what())));
+    }
+    Ok(())
+}
+
+fn all_given(given: &[bool], name: impl Fn(usize) -> String) -> Result<(), PluginError> {
+    match given.iter().position(|given| !given) {
+        Some(index) => Err(PluginError::Failed(format!("the plugin did not give {}", name(index)))),
+        None => Ok(()),
+    }
+}
+
+fn display_json(display: &Display) -> Result<String, PluginError> {
+    serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))
+}
+
+/// The parameters of a plugin as it gets them: checked, with defaults.
+///
+/// # Errors
+/// [`PluginError::Refused`] for parameters that the plugin's schema does not allow.
+pub fn resolved(plugin: &Plugin, params: &Value) -> Result<String, PluginError> {
+    Ok(Value::Object(plugin.info().schema.resolve(params)?).to_string())
+}

@@ -1,0 +1,234 @@
+//! A plugin as a host sees it.
+
+use std::fmt;
+use std::sync::Arc;
+
+use lumistack_plugin::abi::{
+    ABI_MAJOR, ABI_MINOR, Descriptor, ImporterVtable, NodeVtable, OutputVtable, SourceVtable, Str, kind,
+};
+use lumistack_plugin::wire::lent_text;
+use lumistack_plugin::{Export, PluginError, Port, Schema, is_plugin_id};
+use serde::{Deserialize, Serialize};
+
+use crate::serve::functions::{Functions, Vtable};
+
+/// What a plugin is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PluginKind {
+    /// Makes scenes from files.
+    Importer,
+    /// Makes light fields.
+    Source,
+    /// Turns light fields into layer stacks.
+    Node,
+    /// Takes what the graph makes and puts it somewhere.
+    Output,
+}
+
+impl PluginKind {
+    /// Its name in listings.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Importer => "importer",
+            Self::Source => "source",
+            Self::Node => "node",
+            Self::Output => "output",
+        }
+    }
+}
+
+impl fmt::Display for PluginKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = self.name();
+        write!(f, "{} {name}", if name.starts_with(['i', 'o']) { "an" } else { "a" })
+    }
+}
+
+/// What a plugin says about itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PluginInfo {
+    /// Name in job files and on the command line.
+    pub id: String,
+    /// What it is.
+    pub kind: PluginKind,
+    /// Version of the plugin.
+    pub version: String,
+    /// What it does; the first sentence stands in lists.
+    pub doc: String,
+    /// What it accepts.
+    pub ports: Vec<Port>,
+    /// Of an importer: extensions of the files that it takes, without the dot.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub extensions: Vec<String>,
+    /// Whether it runs until the user closes it.
+    pub presents: bool,
+    /// Its parameters.
+    #[serde(flatten)]
+    pub schema: Schema,
+}
+
+/// A plugin whose descriptor was checked.
+#[derive(Clone)]
+pub struct Plugin {
+    info: PluginInfo,
+    functions: Arc<dyn Functions>,
+}
+
+impl Plugin {
+    /// Takes a plugin that is compiled in: the `PLUGIN` of its crate.
+    ///
+    /// # Errors
+    /// If the plugin describes itself badly.
+    pub fn compiled_in(export: &'static Export) -> Result<Self, PluginError> {
+        // SAFETY: an `Export` holds a valid descriptor whose texts and functions are static.
+        unsafe { Self::from_descriptor(export.descriptor()) }
+    }
+
+    /// Takes a plugin from its entry function.
+    ///
+    /// # Errors
+    /// If it was built for another version of the boundary, is of a kind that this host does not drive, or describes itself badly.
+    ///
+    /// # Safety
+    /// `descriptor` is null or points to a descriptor at least as far as its `size` says, and all that it points to is as the documentation
+    /// of [`Descriptor`] says and lives as long as the process.
+    pub unsafe fn from_descriptor(descriptor: *const Descriptor) -> Result<Self, PluginError> {
+        if descriptor.is_null() {
+            return Err(PluginError::Refused("the plugin could not describe itself".into()));
+        }
+        // SAFETY: version and size come first in every version of the struct.
+        let (major, minor, size) = unsafe { ((*descriptor).abi_major, (*descriptor).abi_minor, (*descriptor).size) };
+        if major != ABI_MAJOR {
+            let remedy = if major > ABI_MAJOR { "it needs a newer program" } else { "it must be built anew" };
+            return Err(PluginError::Refused(format!(
+                "built for version {major}.{minor} of the plugin boundary, this program has {ABI_MAJOR}.{ABI_MINOR}: {remedy}"
+            )));
+        }
+        if size < size_of::<Descriptor>() {
+            return Err(PluginError::Refused(format!(
+                "its descriptor says version {major}.{minor} and {size} bytes, of which that version has {} or more",
+                size_of::<Descriptor>()
+            )));
+        }
+        // SAFETY: it is at least as long as this version's struct.
+        let descriptor = unsafe { &*descriptor };
+        // SAFETY: the texts live as long as the process.
+        let text = |text: Str, what: &str| unsafe { lent_text(text, what) };
+        let id = text(descriptor.id, "id")?.to_string();
+        if !is_plugin_id(&id) {
+            return Err(PluginError::Refused(format!("`{id}` cannot be a plugin's id")));
+        }
+        let refused = |what: String| PluginError::Refused(format!("plugin `{id}`: {what}"));
+        let schema: Schema = serde_json::from_str(text(descriptor.schema_json, "parameters")?)
+            .map_err(|error| refused(format!("parameters: {error}")))?;
+        schema.check().map_err(refused)?;
+        // SAFETY: a descriptor points to the functions of its kind.
+        let (kind, vtable) = unsafe { vtable_of(descriptor) }.map_err(refused)?;
+        let ports: Vec<Port> = Port::ALL.into_iter().filter(|port| descriptor.ports & port.bit() != 0).collect();
+        if ports.is_empty() && kind != PluginKind::Source {
+            return Err(refused("it accepts nothing".into()));
+        }
+        let mut extensions = Vec::new();
+        if let Vtable::Importer(importer) = vtable {
+            extensions.extend(text(importer.extensions, "extensions")?.split_whitespace().map(String::from));
+            if extensions.is_empty()
+                || extensions.iter().any(|word| word.starts_with('.') || *word != word.to_lowercase())
+            {
+                return Err(refused("an importer names extensions in lower case, without dots".into()));
+            }
+        }
+        let info = PluginInfo {
+            kind,
+            version: text(descriptor.version, "version")?.into(),
+            doc: text(descriptor.doc, "doc")?.into(),
+            ports,
+            extensions,
+            presents: matches!(vtable, Vtable::Output(output) if output.run.is_some()),
+            schema,
+            id,
+        };
+        Ok(Self { info, functions: Arc::new(vtable) })
+    }
+
+    /// A plugin whose functions run elsewhere, described by what its process says.
+    ///
+    /// # Errors
+    /// If the description is none that [`from_descriptor`](Self::from_descriptor) would give.
+    pub fn elsewhere(info: PluginInfo, functions: Arc<dyn Functions>) -> Result<Self, PluginError> {
+        let refused = |what: String| PluginError::Refused(format!("plugin `{}`: {what}", info.id));
+        if !is_plugin_id(&info.id) {
+            return Err(PluginError::Refused(format!("`{}` cannot be a plugin's id", info.id)));
+        }
+        info.schema.check().map_err(refused)?;
+        Ok(Self { info, functions })
+    }
+
+    /// Its functions, if it is of this kind.
+    pub(crate) fn of_kind(&self, wanted: PluginKind) -> Result<&Arc<dyn Functions>, PluginError> {
+        if self.info.kind != wanted {
+            let text = format!("`{}` is no {} but {}", self.info.id, wanted.name(), self.info.kind);
+            return Err(PluginError::Refused(text));
+        }
+        Ok(&self.functions)
+    }
+
+    /// Its functions, for a process that runs them for another.
+    pub fn functions(&self) -> &Arc<dyn Functions> {
+        &self.functions
+    }
+
+    /// What it says about itself.
+    pub fn info(&self) -> &PluginInfo {
+        &self.info
+    }
+}
+
+impl fmt::Debug for Plugin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Plugin").field(&self.info.id).finish()
+    }
+}
+
+/// The functions of a plugin's kind, if all that must be there are.
+///
+/// # Safety
+/// The descriptor's `vtable` is null or points to the functions of its kind, at least as far as their `size` says, which live as long as the process.
+unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), String> {
+    let missing = |kind: PluginKind| format!("a function of {kind} is missing");
+    let table = descriptor.vtable;
+    // SAFETY: every table starts with its size.
+    let size = if table.is_null() { 0 } else { unsafe { *table.cast::<usize>() } };
+    match descriptor.kind {
+        kind::IMPORTER if size >= size_of::<ImporterVtable>() => {
+            // SAFETY: the caller's promise, and it is long enough.
+            let found = unsafe { &*table.cast::<ImporterVtable>() };
+            let whole = found.import.is_some();
+            whole
+                .then_some((PluginKind::Importer, Vtable::Importer(found)))
+                .ok_or_else(|| missing(PluginKind::Importer))
+        }
+        kind::SOURCE if size >= size_of::<SourceVtable>() => {
+            // SAFETY: as above.
+            let found = unsafe { &*table.cast::<SourceVtable>() };
+            found.make.map(|_| (PluginKind::Source, Vtable::Source(found))).ok_or_else(|| missing(PluginKind::Source))
+        }
+        kind::NODE if size >= size_of::<NodeVtable>() => {
+            // SAFETY: as above.
+            let found = unsafe { &*table.cast::<NodeVtable>() };
+            found.make.map(|_| (PluginKind::Node, Vtable::Node(found))).ok_or_else(|| missing(PluginKind::Node))
+        }
+        kind::OUTPUT if size >= size_of::<OutputVtable>() => {
+            // SAFETY: as above.
+            let found = unsafe { &*table.cast::<OutputVtable>() };
+            let whole =
+                found.open.is_some() && found.submit.is_some() && found.finish.is_some() && found.close.is_some();
+            whole.then_some((PluginKind::Output, Vtable::Output(found))).ok_or_else(|| missing(PluginKind::Output))
+        }
+        kind::IMPORTER => Err(missing(PluginKind::Importer)),
+        kind::SOURCE => Err(missing(PluginKind::Source)),
+        kind::NODE => Err(missing(PluginKind::Node)),
+        kind::OUTPUT => Err(missing(PluginKind::Output)),
+        other => Err(format!("plugins of kind {other} are not driven by this version")),
+    }
+}

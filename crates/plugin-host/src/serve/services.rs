@@ -1,0 +1,165 @@
+//! A host's services as a trait, and the C table made from them.
+
+use std::ffi::c_void;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use lumistack_plugin::PluginError;
+use lumistack_plugin::abi::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, View, level};
+use lumistack_plugin::wire::{answer, lent_bytes, lent_lossy, lent_text};
+
+use crate::serve::lend;
+
+/// How much a message matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LogLevel {
+    /// Something failed and the plugin goes on without it.
+    Error,
+    /// The user should know.
+    Warn,
+    /// The user may want to know.
+    Info,
+    /// For whoever develops the plugin.
+    Debug,
+}
+
+/// What a host does for its plugins. Calls come from any thread.
+pub trait Services: Sync {
+    /// Takes a message.
+    fn log(&self, level: LogLevel, message: &str);
+    /// A stage of `total` steps of kind `unit` starts.
+    fn progress_begin(&self, stage: &str, total: u64, unit: &str);
+    /// Some steps are done.
+    fn progress_advance(&self, steps: u64, note: &str);
+    /// The stage has ended.
+    fn progress_end(&self);
+    /// Whether the user asked to stop.
+    fn is_cancelled(&self) -> bool;
+    /// Starts a file at a path relative to the output's folder; returns its handle.
+    ///
+    /// # Errors
+    /// If the path leaves the folder or the file cannot be made.
+    fn file_open(&self, path: &str) -> Result<u64, PluginError>;
+    /// Adds bytes at the end of an open file.
+    ///
+    /// # Errors
+    /// If the handle is not that of an open file or the bytes cannot be written.
+    fn file_append(&self, file: u64, bytes: &[u8]) -> Result<(), PluginError>;
+    /// The file is whole.
+    ///
+    /// # Errors
+    /// If the handle is not that of an open file or the file cannot be finished.
+    fn file_commit(&self, file: u64) -> Result<(), PluginError>;
+    /// Drops the file.
+    ///
+    /// # Errors
+    /// If the handle is not that of an open file or the file cannot be removed.
+    fn file_abort(&self, file: u64) -> Result<(), PluginError>;
+}
+
+/// The C table of a host; it borrows the services, whose type the functions remember.
+pub(crate) fn table<S: Services>(services: &S) -> HostServices {
+    HostServices {
+        size: size_of::<HostServices>(),
+        context: (&raw const *services).cast(),
+        log: log::<S>,
+        progress_begin: progress_begin::<S>,
+        progress_advance: progress_advance::<S>,
+        progress_end: progress_end::<S>,
+        is_cancelled: is_cancelled::<S>,
+        file_open: file_open::<S>,
+        file_append: file_append::<S>,
+        file_commit: file_commit::<S>,
+        file_abort: file_abort::<S>,
+        simulate,
+    }
+}
+
+/// # Safety
+/// `context` is that of [`table`] for the same `S`, whose services are still there.
+unsafe fn services<'a, S: Services>(context: *const c_void) -> &'a S {
+    // SAFETY: the caller's promise.
+    unsafe { &*context.cast::<S>() }
+}
+
+/// Runs a service that cannot fail; a panic in it stays here.
+fn contained<T>(function: impl FnOnce() -> T) -> Option<T> {
+    catch_unwind(AssertUnwindSafe(function)).ok()
+}
+
+unsafe extern "C" fn log<S: Services>(context: *const c_void, level: u32, message: Str) {
+    let level = match level {
+        level::ERROR => LogLevel::Error,
+        level::WARN => LogLevel::Warn,
+        level::INFO => LogLevel::Info,
+        _ => LogLevel::Debug,
+    };
+    // SAFETY: the plugin passes back the table's context and lends the text.
+    contained(|| unsafe { services::<S>(context).log(level, &lent_lossy(message)) });
+}
+
+unsafe extern "C" fn progress_begin<S: Services>(context: *const c_void, stage: Str, total: u64, unit: Str) {
+    // SAFETY: as in `log`.
+    contained(|| unsafe { services::<S>(context).progress_begin(&lent_lossy(stage), total, &lent_lossy(unit)) });
+}
+
+unsafe extern "C" fn progress_advance<S: Services>(context: *const c_void, steps: u64, note: Str) {
+    // SAFETY: as in `log`.
+    contained(|| unsafe { services::<S>(context).progress_advance(steps, &lent_lossy(note)) });
+}
+
+unsafe extern "C" fn progress_end<S: Services>(context: *const c_void) {
+    // SAFETY: as in `log`.
+    contained(|| unsafe { services::<S>(context).progress_end() });
+}
+
+unsafe extern "C" fn is_cancelled<S: Services>(context: *const c_void) -> u8 {
+    // SAFETY: as in `log`.
+    contained(|| unsafe { services::<S>(context).is_cancelled() }).map_or(1, u8::from)
+}
+
+unsafe extern "C" fn file_open<S: Services>(
+    context: *const c_void,
+    path: Str,
+    file: *mut u64,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: as in `log`; the plugin provides the place for the handle.
+    unsafe {
+        answer(error, || {
+            let path = lent_text(path, "file name")?;
+            *file = services::<S>(context).file_open(path)?;
+            Ok(())
+        })
+    }
+}
+
+unsafe extern "C" fn file_append<S: Services>(
+    context: *const c_void,
+    file: u64,
+    bytes: Bytes,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: as in `log`; the plugin lends the bytes.
+    unsafe { answer(error, || services::<S>(context).file_append(file, lent_bytes(bytes, "bytes of a file")?)) }
+}
+
+unsafe extern "C" fn file_commit<S: Services>(context: *const c_void, file: u64, error: *const ErrorSink) -> Status {
+    // SAFETY: as in `log`.
+    unsafe { answer(error, || services::<S>(context).file_commit(file)) }
+}
+
+unsafe extern "C" fn file_abort<S: Services>(context: *const c_void, file: u64, error: *const ErrorSink) -> Status {
+    // SAFETY: as in `log`.
+    unsafe { answer(error, || services::<S>(context).file_abort(file)) }
+}
+
+unsafe extern "C" fn simulate(
+    _context: *const c_void,
+    data: *const Data,
+    view: *const View,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: the plugin passes back the data of the running submit, and lends the view and the place for the plane.
+    unsafe { answer(error, || lend::simulate(data, view, plane)) }
+}

@@ -1,0 +1,298 @@
+//! The rules of the plugin boundary as checks.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::LazyLock;
+
+use lumistack_plugin::{Export, Kind, PluginError, Time};
+use lumistack_plugin_host::serve::{Output, OutputData, Plugin, PluginKind};
+use serde_json::{Map, Value, json};
+
+use crate::makers;
+use crate::memory_host::MemoryHost;
+use crate::rules::{Broken, allowed, bad_parameters_are_refused, closed, defaults_and_ends, require, rule, varied};
+use crate::samples::{Sample, samples};
+
+type Files = BTreeMap<String, Vec<u8>>;
+
+/// Checks a plugin that is compiled in; see [`conformance_of`].
+///
+/// # Errors
+/// The first rule that is broken.
+pub fn conformance(export: &'static LazyLock<Export>) -> Result<(), Broken> {
+    conformance_but_for(export, &[])
+}
+
+/// As [`conformance`], but leaves parameters at their defaults whose other values take too long or too much memory for a test.
+///
+/// # Errors
+/// As [`conformance`].
+pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str]) -> Result<(), Broken> {
+    conformance_of(&rule("describes itself", Plugin::compiled_in(export))?, at_default)
+}
+
+/// Checks a plugin against every rule of the boundary that can be seen from outside, through its C functions.
+///
+/// An output describes itself, declares all its parameters with units and ranges and refuses others, takes all its ports, gives the same files again and from any
+/// thread, stops when asked, reports a full disk, leaves nothing open, and writes nowhere but through the host; most rules are tried with default parameters and again with
+/// everything switched on, but for the parameters in `at_default`. A node or a source makes the same again,
+/// stops when asked, and takes or refuses with a reason every display; an importer fails without a panic on files that are none. What an importer makes of
+/// real files is checked by [`import_conformance`](crate::import_conformance).
+///
+/// # Errors
+/// The first rule that is broken.
+pub fn conformance_of(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken> {
+    described(plugin)?;
+    let surroundings = listing();
+    match plugin.info().kind {
+        PluginKind::Output => output_conformance(plugin, at_default),
+        PluginKind::Node => makers::node_conformance(plugin),
+        PluginKind::Source => makers::source_conformance(plugin),
+        PluginKind::Importer => makers::importer_conformance(plugin),
+    }?;
+    let added: Vec<String> = listing().difference(&surroundings).cloned().collect();
+    require("bytes leave only through the host", added.is_empty(), || {
+        format!("new in the working directory: {added:?}")
+    })
+}
+
+fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken> {
+    let mut samples: Vec<Sample> =
+        samples().into_iter().filter(|sample| plugin.info().ports.contains(&sample.port())).collect();
+    // a display that cannot be served is refused with a reason; one at least can
+    let mut reasons = Vec::new();
+    samples.retain(|sample| match write(plugin, &MemoryHost::new(), &json!({}), sample) {
+        Err(PluginError::Refused(reason)) => {
+            reasons.push(reason);
+            false
+        }
+        _ => true,
+    });
+    require("serves one of the samples of its ports", !samples.is_empty(), || format!("{reasons:?}"))?;
+    for sample in &samples {
+        defaults_work(plugin, sample)?;
+        for params in [Some(json!({})), everything(plugin, sample, at_default)].into_iter().flatten() {
+            same_again_from_any_thread(plugin, sample, &params)?;
+            stops_when_asked(plugin, sample, &params)?;
+            reports_failing_host(plugin, sample, &params)?;
+        }
+        parameters_in_range_work(plugin, sample, at_default)?;
+    }
+    refuses_bad_parameters(plugin, samples.first())?;
+    can_be_abandoned(plugin, samples.first())
+}
+
+/// Checks that two builds of one plugin describe themselves alike and make the same bytes: for every sample with default parameters and with everything
+/// switched on, and for one sample, in turn, at the ends of every parameter's range. Returns how many files, stacks, light fields or documents were compared.
+///
+/// # Errors
+/// The first difference.
+pub fn same_outputs(plugin: &Plugin, other: &Plugin, at_default: &[&str]) -> Result<usize, Broken> {
+    let told = |plugin: &Plugin| serde_json::to_value(plugin.info()).unwrap_or_default();
+    require("describes itself alike", told(plugin) == told(other), || format!("{}\n{}", told(plugin), told(other)))?;
+    if plugin.info().kind != PluginKind::Output {
+        let mut all = defaults_and_ends(plugin, at_default);
+        return all.try_fold(0, |count, params| Ok(count + makers::same(plugin, other, &params)?));
+    }
+    let samples: Vec<Sample> =
+        samples().into_iter().filter(|sample| plugin.info().ports.contains(&sample.port())).collect();
+    let same = |sample: &Sample, params: &Value| {
+        let outcome = |plugin: &Plugin| {
+            let host = MemoryHost::new();
+            write(plugin, &host, params, sample).map(|()| host.files())
+        };
+        let (a, b) = (outcome(plugin), outcome(other));
+        require("writes the same bytes", a == b, || match (&a, &b) {
+            (Ok(a), Ok(b)) => format!("{params}, {}: {}", sample.name, difference(b, a)),
+            _ => format!("{params}, {}: {:?}, {:?}", sample.name, a.as_ref().err(), b.as_ref().err()),
+        })?;
+        Ok(a.map_or(0, |files| files.len()))
+    };
+    let mut count = 0;
+    for sample in &samples {
+        count += same(sample, &json!({}))?;
+        if let Some(params) = everything(plugin, sample, at_default) {
+            count += same(sample, &params)?;
+        }
+    }
+    for (params, sample) in defaults_and_ends(plugin, at_default).skip(1).zip(samples.iter().cycle()) {
+        count += same(sample, &params)?;
+    }
+    Ok(count)
+}
+
+fn described(plugin: &Plugin) -> Result<(), Broken> {
+    let info = plugin.info();
+    let version: Vec<&str> = info.version.split('.').collect();
+    let numbers = version.len() == 3 && version[..2].iter().all(|part| part.parse::<u64>().is_ok());
+    require("version is major.minor.patch", numbers, || info.version.clone())?;
+    require("says what it does", info.doc.trim().ends_with('.'), || format!("doc {:?}, expected sentences", info.doc))?;
+    for param in &info.schema.params {
+        let named = param.unit.as_ref().is_some_and(|unit| !unit.trim().is_empty());
+        let (ranged, unit) = match param.kind {
+            Kind::Int { min, max, .. } => (min < max && max < i64::MAX && min > i64::MIN, named),
+            Kind::Float { min, max, .. } => (min < max && min.is_finite() && max.is_finite(), named),
+            _ => (true, true),
+        };
+        let expected = || format!("`{}` takes {}", param.name, param.expected());
+        require("numbers have a range", ranged, expected)?;
+        require("numbers have a unit (`1` for a plain number)", unit, expected)?;
+    }
+    Ok(())
+}
+
+/// Every switch on, as far as the plugin takes them together: each one in turn is switched on if what is on by then is still taken.
+fn everything(plugin: &Plugin, sample: &Sample, at_default: &[&str]) -> Option<Value> {
+    let mut on = Map::new();
+    for param in varied(plugin, at_default) {
+        let last = match &param.kind {
+            Kind::Bool { .. } => json!(true),
+            Kind::Choice { options, .. } => json!(options.last()?.value),
+            _ => continue,
+        };
+        let mut more = on.clone();
+        more.insert(param.name.clone(), last);
+        if write(plugin, &MemoryHost::new(), &Value::Object(more.clone()), sample).is_ok() {
+            on = more;
+        }
+    }
+    (!on.is_empty()).then_some(Value::Object(on))
+}
+
+fn defaults_work(plugin: &Plugin, sample: &Sample) -> Result<(), Broken> {
+    let host = MemoryHost::new();
+    rule("works with default parameters", write(plugin, &host, &json!({}), sample))?;
+    let files = host.files();
+    let presents = plugin.info().presents;
+    require("an output that does not present writes something", presents || !files.is_empty(), || sample.name.into())?;
+    closed(&host, "default parameters")
+}
+
+fn same_again_from_any_thread(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<(), Broken> {
+    let [once, again] = [MemoryHost::new(), MemoryHost::new()];
+    rule("works twice", write(plugin, &once, params, sample))?;
+    rule("works twice", write(plugin, &again, params, sample))?;
+    let [stills, others] = [once.files(), again.files()];
+    require("writes the same bytes again", stills == others, || difference(&others, &stills))?;
+
+    let sequence = |threads: bool| {
+        let host = MemoryHost::new();
+        let output = Output::open(plugin, &host, params, &sample.display)?;
+        let submit = |index: u64| output.submit(Time { index, seconds: index as f64 / 24.0 }, sample.data());
+        if threads {
+            std::thread::scope(|scope| {
+                let workers: Vec<_> = [1, 0].map(|index| scope.spawn(move || submit(index))).into();
+                workers.into_iter().try_for_each(|worker| worker.join().expect("submit does not unwind"))
+            })?;
+        } else {
+            submit(0)?;
+            submit(1)?;
+        }
+        output.finish()?;
+        Ok::<_, PluginError>(host.files())
+    };
+    let in_order = rule("takes a sequence of two times", sequence(false))?;
+    let at_once = rule("takes two times at once from two threads", sequence(true))?;
+    require("files do not depend on the order of times", at_once == in_order, || difference(&at_once, &in_order))
+}
+
+fn stops_when_asked(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<(), Broken> {
+    let host = MemoryHost::new();
+    host.cancel();
+    let result = write(plugin, &host, params, sample);
+    require("returns `cancelled` when asked to stop before", result == Err(PluginError::Cancelled), || {
+        format!("{result:?}")
+    })?;
+    closed(&host, "cancelled before")?;
+    let appends = appends(plugin, sample, params);
+    if appends > 1 {
+        let host = MemoryHost::cancelled_at(0);
+        let result = write(plugin, &host, params, sample);
+        let prompt = result == Err(PluginError::Cancelled) || host.opened_after_cancel() == 0;
+        require("opens no further file once asked to stop", prompt, || {
+            format!("{} files, {result:?}", host.opened_after_cancel())
+        })?;
+        closed(&host, "cancelled midway")?;
+    }
+    Ok(())
+}
+
+fn reports_failing_host(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<(), Broken> {
+    let appends = appends(plugin, sample, params);
+    let moments = BTreeSet::from([0, appends / 2, appends.saturating_sub(1)]);
+    for append in moments.into_iter().filter(|append| *append < appends) {
+        let host = MemoryHost::failing_at(append);
+        let result = write(plugin, &host, params, sample);
+        let told = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no space left"));
+        require("passes on why the host could not write", told, || format!("append {append}: {result:?}"))?;
+        closed(&host, "the disk was full")?;
+    }
+    Ok(())
+}
+
+fn parameters_in_range_work(plugin: &Plugin, sample: &Sample, at_default: &[&str]) -> Result<(), Broken> {
+    for (name, value) in varied(plugin, at_default).flat_map(allowed) {
+        let params = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
+        let host = MemoryHost::new();
+        match write(plugin, &host, &params, sample) {
+            // a combination may be refused, with a reason
+            Ok(()) | Err(PluginError::Refused(_)) => closed(&host, &name)?,
+            Err(error) => {
+                return Err(Broken {
+                    rule: "works with every parameter in its range",
+                    found: format!("{name} = {value}, {}: {error:?}", sample.name),
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+fn refuses_bad_parameters(plugin: &Plugin, sample: Option<&Sample>) -> Result<(), Broken> {
+    let Some(Sample { display, .. }) = sample else { return Ok(()) };
+    bad_parameters_are_refused(plugin, |params| {
+        Output::open_unresolved(plugin, &MemoryHost::new(), params, display).err()
+    })
+}
+
+fn can_be_abandoned(plugin: &Plugin, sample: Option<&Sample>) -> Result<(), Broken> {
+    let Some(sample) = sample else { return Ok(()) };
+    let host = MemoryHost::new();
+    let output = rule("opens", Output::open(plugin, &host, &json!({}), &sample.display))?;
+    rule("submits", output.submit(Time::default(), sample.data()))?;
+    drop(output);
+    closed(&host, "it was abandoned")?;
+    let host = MemoryHost::new();
+    let output = rule("opens", Output::open(plugin, &host, &json!({}), &sample.display))?;
+    let result = output.finish();
+    require("does not panic when nothing was submitted", !matches!(result, Err(PluginError::Panicked(_))), || {
+        format!("{result:?}")
+    })?;
+    closed(&host, "nothing was submitted")
+}
+
+/// One still from open to finish.
+fn write(plugin: &Plugin, host: &MemoryHost, params: &Value, sample: &Sample) -> Result<(), PluginError> {
+    let output = Output::open(plugin, host, params, &sample.display)?;
+    let data: OutputData<'_> = sample.data();
+    output.submit(Time::default(), data)?;
+    output.finish()
+}
+
+fn appends(plugin: &Plugin, sample: &Sample, params: &Value) -> usize {
+    let host = MemoryHost::new();
+    // a failure shows in the other checks
+    let _ = write(plugin, &host, params, sample);
+    host.appends()
+}
+
+fn difference(found: &Files, expected: &Files) -> String {
+    let names = |files: &Files| files.keys().cloned().collect::<BTreeSet<_>>();
+    let unequal: Vec<_> =
+        expected.iter().filter(|(name, bytes)| found.get(*name) != Some(bytes)).map(|e| e.0).collect();
+    format!("files {:?}, expected {:?}; not the same: {unequal:?}", names(found), names(expected))
+}
+
+fn listing() -> BTreeSet<String> {
+    let entries = std::fs::read_dir(".").into_iter().flatten().flatten();
+    entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+}

@@ -1,0 +1,195 @@
+//! The rules for importers, sources and nodes.
+
+use std::collections::BTreeMap;
+
+use lumistack_core::seed::{Stream, derive};
+use lumistack_display::{Display, LayerStack, LensletBacklight, LightField};
+use lumistack_plugin::{Export, PluginError, Time};
+use lumistack_plugin_host::serve::{Plugin, PluginKind, import, make_field, make_stack, resolved};
+use serde_json::{Value, json};
+
+use crate::memory_host::MemoryHost;
+use crate::rules::{Broken, bad_parameters_are_refused, closed, defaults_and_ends, require, rule};
+
+type Made<T> = Result<T, PluginError>;
+
+/// Displays of every kind that a node may serve.
+fn displays() -> Vec<Display> {
+    let of = |layers: &[f64], frames: usize| Display::uniform([8, 6], 1.0, [3, 2], [20.0, 14.0], layers, frames);
+    let mut directional = of(&[0.0], 1);
+    let lenslets = LensletBacklight::new(-6.0, [4, 3], 2.0, [3, 2], [20.0, 14.0]);
+    directional.backlight = lumistack_display::Backlight::Lenslets(lenslets);
+    vec![of(&[-3.0, 3.0], 4), of(&[0.0], 2), of(&[-4.0, 0.0, 4.0], 3), directional]
+}
+
+/// A light field of random values as a display wants it, the same every time.
+///
+/// # Errors
+/// If the display has no sound light field.
+pub fn random_field(display: &Display) -> Made<LightField> {
+    let geometry = display.geometry().map_err(|error| PluginError::Failed(error.to_string()))?;
+    let mut field = LightField::black(geometry).map_err(|error| PluginError::Failed(error.to_string()))?;
+    let mut stream = Stream::new(derive(5, &[]));
+    field.radiance_mut().data_mut().fill_with(|| stream.next_f32());
+    Ok(field)
+}
+
+/// What a node that is compiled in makes of a light field, with parameters as JSON.
+///
+/// # Errors
+/// What the node says.
+pub fn made_by(node: &'static Export, params: &str, display: &Display, field: &LightField) -> Made<LayerStack> {
+    make_stack(&Plugin::compiled_in(node)?, &MemoryHost::new(), params, display, Time::default(), field)
+}
+
+fn stack_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<LayerStack> {
+    make_stack(plugin, host, params, display, Time::default(), &random_field(display)?)
+}
+
+fn field_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<LightField> {
+    make_field(plugin, host, params, display, Time::default())
+}
+
+pub(crate) fn node_conformance(plugin: &Plugin) -> Result<(), Broken> {
+    maker_conformance(plugin, stack_of)
+}
+
+pub(crate) fn source_conformance(plugin: &Plugin) -> Result<(), Broken> {
+    maker_conformance(plugin, field_of)
+}
+
+fn maker_conformance<T: PartialEq>(
+    plugin: &Plugin,
+    make: impl Fn(&Plugin, &MemoryHost, &str, &Display) -> Made<T>,
+) -> Result<(), Broken> {
+    let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
+    let mut served = Vec::new();
+    for display in displays() {
+        let host = MemoryHost::new();
+        match make(plugin, &host, &defaults, &display) {
+            Ok(made) => served.push((display, made)),
+            Err(PluginError::Refused(reason)) if !reason.is_empty() => {}
+            Err(error) => {
+                let found = format!("{} layers: {error:?}", display.layers.len());
+                return Err(Broken { rule: "serves a display or refuses it with a reason", found });
+            }
+        }
+        closed(&host, "default parameters")?;
+        let written = host.files();
+        require("writes no files", written.is_empty(), || format!("{:?}", written.keys()))?;
+    }
+    require("serves some display", !served.is_empty(), || "it refuses every one".into())?;
+    for (display, made) in &served {
+        let again = rule("works twice", make(plugin, &MemoryHost::new(), &defaults, display))?;
+        require("makes the same again", again == *made, || format!("{} layers", display.layers.len()))?;
+        let host = MemoryHost::new();
+        host.cancel();
+        let result = make(plugin, &host, &defaults, display);
+        let stopped = matches!(&result, Err(PluginError::Cancelled));
+        require("returns `cancelled` when asked to stop before", stopped, || format!("{:?}", result.as_ref().err()))?;
+        closed(&host, "cancelled before")?;
+        for params in defaults_and_ends(plugin, &[]) {
+            let result = resolved(plugin, &params).and_then(|p| make(plugin, &MemoryHost::new(), &p, display));
+            let fine = matches!(&result, Ok(_) | Err(PluginError::Refused(_)));
+            require("works with every parameter in its range", fine, || {
+                format!("{params}: {:?}", result.as_ref().err())
+            })?;
+        }
+    }
+    let display = &served[0].0;
+    bad_parameters_are_refused(plugin, |params| make(plugin, &MemoryHost::new(), params, display).err())
+}
+
+/// What is in no file of any format.
+fn garbage() -> [Vec<u8>; 4] {
+    let mut stream = Stream::new(9);
+    let noise = (0..4096).map(|_| (stream.next_f32() * 256.0) as u8).collect();
+    [Vec::new(), vec![0; 100], b"no such format\n\xff\xfe\n1 2 3".to_vec(), noise]
+}
+
+pub(crate) fn importer_conformance(plugin: &Plugin) -> Result<(), Broken> {
+    let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
+    let file = format!("a.{}", plugin.info().extensions[0]);
+    for bytes in garbage() {
+        let host = MemoryHost::new();
+        let result = import(plugin, &host, &defaults, &file, &|_| Ok(bytes.clone()));
+        let contained = !matches!(result, Err(PluginError::Panicked(_)));
+        require("does not panic on files of another kind", contained, || format!("{:?}", result.as_ref().err()))?;
+        closed(&host, "a file of another kind")?;
+    }
+    let missing = |_: &str| Err(PluginError::Failed("no such file".into()));
+    let result = import(plugin, &MemoryHost::new(), &defaults, &file, &missing);
+    let told = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no such file"));
+    require("passes on why a file cannot be read", told, || format!("{result:?}"))?;
+    bad_parameters_are_refused(plugin, |params| {
+        import(plugin, &MemoryHost::new(), params, &file, &|_| Ok(Vec::new())).err()
+    })
+}
+
+/// Checks what an importer makes of a real file: `files` are `file` and those beside it. It makes the same glTF document again, stops when asked, and
+/// fails without a panic on a file that is cut short anywhere.
+///
+/// # Errors
+/// The first rule that is broken.
+pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) -> Result<(), Broken> {
+    let files: BTreeMap<&str, &[u8]> = files.iter().copied().collect();
+    let read = |path: &str| {
+        files.get(path).map(|bytes| bytes.to_vec()).ok_or_else(|| PluginError::Failed(format!("{path}: no such file")))
+    };
+    for params in defaults_and_ends(plugin, &[]) {
+        let params = rule("works with every parameter in its range", resolved(plugin, &params))?;
+        let made = rule("reads the sample", import(plugin, &MemoryHost::new(), &params, file, &read))?;
+        let gltf = made.starts_with(b"glTF\x02\0\0\0") || serde_json::from_slice::<Value>(&made).is_ok();
+        require("makes a glTF document", gltf, || format!("{} bytes", made.len()))?;
+        let again = rule("works twice", import(plugin, &MemoryHost::new(), &params, file, &read))?;
+        require("makes the same again", again == made, || params.clone())?;
+    }
+    let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
+    let host = MemoryHost::new();
+    host.cancel();
+    let result = import(plugin, &host, &defaults, file, &read);
+    require("returns `cancelled` when asked to stop before", result == Err(PluginError::Cancelled), || {
+        format!("{:?}", result.as_ref().err())
+    })?;
+    let whole = rule("reads the sample", read(file))?;
+    for length in (0..whole.len()).step_by((whole.len() / 64).max(1)) {
+        let short = |path: &str| if path == file { Ok(whole[..length].to_vec()) } else { read(path) };
+        let result = import(plugin, &MemoryHost::new(), &defaults, file, &short);
+        let contained = !matches!(result, Err(PluginError::Panicked(_)));
+        require("does not panic on files that are cut short", contained, || {
+            format!("{length} of {} bytes: {:?}", whole.len(), result.as_ref().err())
+        })?;
+    }
+    Ok(())
+}
+
+/// Whether two builds make the same of these parameters; returns how many results were compared.
+pub(crate) fn same(plugin: &Plugin, other: &Plugin, params: &Value) -> Result<usize, Broken> {
+    let params = rule("takes its own parameters", resolved(plugin, params))?;
+    let mut count = 0;
+    for display in displays() {
+        let equal = match plugin.info().kind {
+            PluginKind::Node => {
+                let [a, b] = [plugin, other].map(|p| stack_of(p, &MemoryHost::new(), &params, &display));
+                count += usize::from(a.is_ok());
+                a == b
+            }
+            PluginKind::Source => {
+                let [a, b] = [plugin, other].map(|p| field_of(p, &MemoryHost::new(), &params, &display));
+                count += usize::from(a.is_ok());
+                a == b
+            }
+            PluginKind::Importer | PluginKind::Output => true,
+        };
+        require("makes the same", equal, || format!("{params}, {} layers", display.layers.len()))?;
+    }
+    if plugin.info().kind == PluginKind::Importer {
+        let file = format!("a.{}", plugin.info().extensions[0]);
+        for bytes in garbage() {
+            let of = |plugin| import(plugin, &MemoryHost::new(), &params, &file, &|_| Ok(bytes.clone()));
+            require("makes the same", of(plugin) == of(other), || format!("{params}, {} bytes", bytes.len()))?;
+            count += 1;
+        }
+    }
+    Ok(count)
+}

@@ -1,0 +1,155 @@
+//! A host that keeps files and messages in memory, and can fail or cancel at a chosen moment.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use lumistack_core::Cancel;
+
+use lumistack_plugin::PluginError;
+use lumistack_plugin_host::serve::{LogLevel, Services, path_parts};
+
+/// A host in memory.
+#[derive(Debug, Default)]
+pub struct MemoryHost {
+    state: Mutex<State>,
+    cancel: Cancel,
+    /// The number, from 0, of the append that fails.
+    fail_at_append: Option<usize>,
+    /// The number, from 0, of the append after which the user has asked to stop.
+    cancel_at_append: Option<usize>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    committed: BTreeMap<String, Vec<u8>>,
+    open: BTreeMap<u64, (String, Vec<u8>)>,
+    opened: u64,
+    appends: usize,
+    opened_after_cancel: usize,
+    messages: Vec<(LogLevel, String)>,
+    stages: Vec<String>,
+    depth: i64,
+}
+
+impl MemoryHost {
+    /// A host that does all it is asked to.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// A host whose disk is full at append number `append`, from 0.
+    pub fn failing_at(append: usize) -> Self {
+        Self { fail_at_append: Some(append), ..Self::default() }
+    }
+
+    /// A host whose user asks to stop during append number `append`, from 0.
+    pub fn cancelled_at(append: usize) -> Self {
+        Self { cancel_at_append: Some(append), ..Self::default() }
+    }
+
+    /// Asks to stop.
+    pub fn cancel(&self) {
+        self.cancel.cancel();
+    }
+
+    /// Committed files: path to bytes.
+    pub fn files(&self) -> BTreeMap<String, Vec<u8>> {
+        self.state().committed.clone()
+    }
+
+    /// Paths of files that are neither committed nor aborted.
+    pub fn open_files(&self) -> Vec<String> {
+        self.state().open.values().map(|(path, _)| path.clone()).collect()
+    }
+
+    /// Number of appends so far.
+    pub fn appends(&self) -> usize {
+        self.state().appends
+    }
+
+    /// Number of files that were opened although the user had already asked to stop.
+    pub fn opened_after_cancel(&self) -> usize {
+        self.state().opened_after_cancel
+    }
+
+    /// Messages so far.
+    pub fn messages(&self) -> Vec<(LogLevel, String)> {
+        self.state().messages.clone()
+    }
+
+    /// Names of the stages that were begun, and how many of them have not ended.
+    pub fn stages(&self) -> (Vec<String>, i64) {
+        let state = self.state();
+        (state.stages.clone(), state.depth)
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn not_open(file: u64) -> PluginError {
+    PluginError::Refused(format!("file {file} is not open"))
+}
+
+impl Services for MemoryHost {
+    fn log(&self, level: LogLevel, message: &str) {
+        self.state().messages.push((level, message.into()));
+    }
+
+    fn progress_begin(&self, stage: &str, _total: u64, _unit: &str) {
+        let mut state = self.state();
+        state.stages.push(stage.into());
+        state.depth += 1;
+    }
+
+    fn progress_advance(&self, _steps: u64, _note: &str) {}
+
+    fn progress_end(&self) {
+        self.state().depth -= 1;
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.cancel.is_cancelled()
+    }
+
+    fn file_open(&self, path: &str) -> Result<u64, PluginError> {
+        path_parts(path)?;
+        let mut state = self.state();
+        if state.committed.contains_key(path) || state.open.values().any(|(open, _)| open == path) {
+            return Err(PluginError::Refused(format!("file `{path}` was already written")));
+        }
+        if self.cancel.is_cancelled() {
+            state.opened_after_cancel += 1;
+        }
+        state.opened += 1;
+        let file = state.opened;
+        state.open.insert(file, (path.into(), Vec::new()));
+        Ok(file)
+    }
+
+    fn file_append(&self, file: u64, bytes: &[u8]) -> Result<(), PluginError> {
+        let mut state = self.state();
+        let append = state.appends;
+        state.appends += 1;
+        if self.cancel_at_append == Some(append) {
+            self.cancel.cancel();
+        }
+        if self.fail_at_append == Some(append) {
+            return Err(PluginError::Failed("no space left on device".into()));
+        }
+        state.open.get_mut(&file).ok_or_else(|| not_open(file))?.1.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn file_commit(&self, file: u64) -> Result<(), PluginError> {
+        let mut state = self.state();
+        let (path, bytes) = state.open.remove(&file).ok_or_else(|| not_open(file))?;
+        state.committed.insert(path, bytes);
+        Ok(())
+    }
+
+    fn file_abort(&self, file: u64) -> Result<(), PluginError> {
+        self.state().open.remove(&file).map(drop).ok_or_else(|| not_open(file))
+    }
+}

@@ -1,0 +1,87 @@
+//! What the rules for all kinds of plugins share.
+
+use lumistack_plugin::{Kind, Param, PluginError};
+use lumistack_plugin_host::serve::Plugin;
+use serde_json::{Map, Value, json};
+use thiserror::Error;
+
+use crate::memory_host::MemoryHost;
+
+/// A rule that a plugin breaks.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{rule}: {found}")]
+pub struct Broken {
+    /// The rule.
+    pub rule: &'static str,
+    /// What happened.
+    pub found: String,
+}
+
+/// Default parameters, and every end of every parameter's range.
+pub(crate) fn defaults_and_ends<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = Value> + 'a {
+    let ends = varied(plugin, at_default).flat_map(allowed);
+    std::iter::once(json!({})).chain(ends.map(|(name, value)| Value::Object(Map::from_iter([(name, value)]))))
+}
+
+/// The plugin itself refuses what its schema does not allow: a host in another language need not have checked.
+pub(crate) fn bad_parameters_are_refused(
+    plugin: &Plugin,
+    refusal: impl Fn(&str) -> Option<PluginError>,
+) -> Result<(), Broken> {
+    let params = &plugin.info().schema.params;
+    let unknown = [("no_such_parameter".to_string(), json!(1))];
+    for (name, value) in unknown.into_iter().chain(params.iter().flat_map(forbidden)) {
+        let given = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
+        let result = refusal(&given.to_string());
+        let named = matches!(&result, Some(PluginError::Refused(text)) if text.contains(&name));
+        require("refuses bad parameters by name", named, || format!("{given}: {result:?}"))?;
+    }
+    require("refuses what is not JSON", refusal("{").is_some(), || "accepted `{`".into())
+}
+
+pub(crate) fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = &'a Param> {
+    plugin.info().schema.params.iter().filter(|param| !at_default.contains(&param.name.as_str()))
+}
+
+/// The ends of a parameter's range, but for its default.
+pub(crate) fn allowed(param: &Param) -> Vec<(String, Value)> {
+    let values = match &param.kind {
+        Kind::Bool { .. } => vec![json!(false), json!(true)],
+        Kind::Int { min, max, .. } => vec![json!(min), json!(max)],
+        Kind::Float { min, max, .. } => vec![json!(min), json!(max)],
+        Kind::Choice { options, .. } => options.iter().map(|option| json!(option.value)).collect(),
+        Kind::Text { default } => vec![json!(default), json!("")],
+        Kind::File => vec![json!(""), json!("no such file")],
+    };
+    let others = values.into_iter().filter(|value| *value != param.default_value());
+    others.map(|value| (param.name.clone(), value)).collect()
+}
+
+/// Values of the wrong type or beyond a parameter's range.
+fn forbidden(param: &Param) -> Vec<(String, Value)> {
+    let values = match &param.kind {
+        Kind::Bool { .. } => vec![json!("yes"), json!(1)],
+        Kind::Int { min, max, .. } => {
+            let beyond = [min.checked_sub(1), max.checked_add(1)].into_iter().flatten().map(|n| json!(n));
+            beyond.chain([json!(0.5), json!("1")]).collect()
+        }
+        Kind::Float { min, max, .. } => vec![json!(min - 1.0 - min.abs()), json!(max + 1.0 + max.abs()), json!("1")],
+        Kind::Choice { .. } => vec![json!("no such choice"), json!(0)],
+        Kind::Text { .. } | Kind::File => vec![json!(0)],
+    };
+    values.into_iter().map(|value| (param.name.clone(), value)).collect()
+}
+
+pub(crate) fn closed(host: &MemoryHost, when: &str) -> Result<(), Broken> {
+    let (stages, open) = host.stages();
+    require("no file stays open", host.open_files().is_empty(), || format!("{when}: {:?}", host.open_files()))?;
+    require("every stage of progress ends", open == 0, || format!("{when}: {open} of {stages:?} did not"))
+}
+
+pub(crate) fn rule<T>(rule: &'static str, result: Result<T, PluginError>) -> Result<T, Broken> {
+    result.map_err(|error| Broken { rule, found: format!("{error:?}") })
+}
+
+pub(crate) fn require(rule: &'static str, holds: bool, found: impl FnOnce() -> String) -> Result<(), Broken> {
+    if holds { Ok(()) } else { Err(Broken { rule, found: found() }) }
+}

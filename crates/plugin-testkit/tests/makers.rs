@@ -1,0 +1,265 @@
+//! Importers, sources and nodes through the C boundary, and what the host refuses of what they make.
+
+use lumistack_plugin::abi::{self, ErrorSink, Plane, StackSink, Status};
+use lumistack_plugin::display::{Backlight, Display, LayerStack, LensletBacklight, LightField};
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::{
+    Assets, FieldInput, Host, ImporterPlugin, NodePlugin, Param, PluginError, Schema, SourcePlugin, Time,
+};
+use lumistack_plugin_testkit::serve::{Output, Plugin, import, make_field, make_stack};
+use lumistack_plugin_testkit::{MemoryHost, conformance};
+
+#[derive(Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+struct GainParams {
+    gain: f32,
+    fault: String,
+}
+
+fn gain_schema() -> Schema {
+    Schema::new([
+        Param::float("gain", 0.5, 0.0..=1.0, "Factor.").unit("1"),
+        Param::text("fault", "", "What to do wrong."),
+    ])
+}
+
+/// Fills every layer and bin with the target's central view times the gain, where it fits.
+struct Flat;
+
+impl NodePlugin for Flat {
+    const DOC: &'static str = "Shows the mean of the light field.";
+    type Params = GainParams;
+
+    fn schema() -> Schema {
+        gain_schema()
+    }
+
+    fn make(
+        host: &Host,
+        params: GainParams,
+        display: &Display,
+        time: Time,
+        field: &FieldInput<'_>,
+    ) -> Result<LayerStack, PluginError> {
+        host.check_cancelled()?;
+        assert!(params.fault != "panic", "no patterns at time {}", time.index);
+        if params.fault == "file" {
+            host.write("a.txt", b"x")?;
+        }
+        let values = field.view([0, 0])?.to_vec();
+        let mean = values.iter().sum::<f32>() / values.len() as f32 * params.gain;
+        let mut stack = LayerStack::filled(display, mean);
+        stack.brightness = f64::from(params.gain).max(0.01);
+        match params.fault.as_str() {
+            "bright" => stack.layers[0].data_mut()[0] = 1.5,
+            "layers" => drop(stack.layers.pop()),
+            _ => {}
+        }
+        Ok(stack)
+    }
+}
+
+mod flat {
+    lumistack_plugin::export_plugin!("flat", super::Flat as node);
+}
+
+/// A light field whose views differ by a number.
+struct Card;
+
+impl SourcePlugin for Card {
+    const DOC: &'static str = "Views of one grey value each.";
+    type Params = GainParams;
+
+    fn schema() -> Schema {
+        gain_schema()
+    }
+
+    fn make(host: &Host, params: GainParams, display: &Display, time: Time) -> Result<LightField, PluginError> {
+        host.check_cancelled()?;
+        let geometry = display.geometry().map_err(|error| PluginError::Refused(error.to_string()))?;
+        let mut field = LightField::black(geometry).map_err(|error| PluginError::Refused(error.to_string()))?;
+        let views: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
+        for (i, view) in views.into_iter().enumerate() {
+            field.view_mut(view).fill(params.gain * i as f32 + time.seconds as f32);
+        }
+        if params.fault == "nan" {
+            field.view_mut([0, 0])[0] = f32::NAN;
+        }
+        Ok(field)
+    }
+}
+
+mod card {
+    lumistack_plugin::export_plugin!("card", super::Card as source);
+}
+
+/// Returns what it reads.
+struct Echo;
+
+impl ImporterPlugin for Echo {
+    const DOC: &'static str = "Returns what it reads.";
+    const EXTENSIONS: &'static [&'static str] = &["echo", "twice"];
+    type Params = GainParams;
+
+    fn schema() -> Schema {
+        gain_schema()
+    }
+
+    fn import(host: &Host, _params: GainParams, file: &str, assets: &Assets<'_>) -> Result<Vec<u8>, PluginError> {
+        host.check_cancelled()?;
+        let mut bytes = assets.read(file)?;
+        if file.ends_with("twice") {
+            bytes.extend(assets.read("sub/beside.bin")?);
+        }
+        Ok(bytes)
+    }
+}
+
+mod echo {
+    lumistack_plugin::export_plugin!("echo", super::Echo as importer);
+}
+
+fn display() -> Display {
+    let mut display = Display::uniform([4, 3], 1.0, [3, 1], [20.0, 10.0], &[-1.0, 1.0], 2);
+    display.backlight = Backlight::Lenslets(LensletBacklight::new(-9.0, [2, 2], 2.0, [3, 2], [20.0, 20.0]));
+    display
+}
+
+fn target() -> LightField {
+    let mut field = LightField::black(display().geometry().unwrap()).unwrap();
+    field.radiance_mut().data_mut().fill(0.5);
+    field
+}
+
+fn flat(params: &str) -> Result<LayerStack, PluginError> {
+    let plugin = Plugin::compiled_in(&flat::PLUGIN).unwrap();
+    make_stack(&plugin, &MemoryHost::new(), params, &display(), Time::default(), &target())
+}
+
+#[test]
+fn they_conform() {
+    for plugin in [&flat::PLUGIN, &card::PLUGIN, &echo::PLUGIN] {
+        conformance(plugin).unwrap();
+    }
+}
+
+#[test]
+fn stacks_and_light_fields_arrive_unchanged() {
+    let stack = flat(r#"{"gain": 0.25}"#).unwrap();
+    assert_eq!(stack.brightness, 0.25);
+    let expected = LayerStack { brightness: 0.25, ..LayerStack::filled(&display(), 0.125) };
+    assert_eq!(stack, expected);
+    let plugin = Plugin::compiled_in(&card::PLUGIN).unwrap();
+    let time = Time { index: 3, seconds: 2.0 };
+    let field = make_field(&plugin, &MemoryHost::new(), "{}", &display(), time).unwrap();
+    assert_eq!(field.geometry(), target().geometry());
+    assert_eq!([0, 1, 2].map(|view| field.view([0, view])[5]), [2.0, 2.5, 3.0]);
+}
+
+#[test]
+fn importers_read_through_the_host() {
+    let plugin = Plugin::compiled_in(&echo::PLUGIN).unwrap();
+    assert_eq!(plugin.info().extensions, ["echo", "twice"]);
+    let read = |path: &str| match path {
+        "a.twice" => Ok(b"one ".to_vec()),
+        "sub/beside.bin" => Ok(b"two".to_vec()),
+        other => Err(PluginError::Failed(format!("{other}: not here"))),
+    };
+    let import = |file: &str| import(&plugin, &MemoryHost::new(), "{}", file, &read);
+    assert_eq!(import("a.twice").unwrap(), b"one two");
+    assert_eq!(import("a.echo").unwrap_err(), PluginError::Failed("a.echo: not here".into()));
+}
+
+#[test]
+fn what_is_wrong_is_said_and_goes_no_further() {
+    for (fault, message) in [
+        ("bright", "the plugin made a wrong stack: layer 0: expected values in 0..1, found 1.5"),
+        ("layers", "the plugin made a wrong stack: layers: expected 2, found 1"),
+        ("panic", "panicked: no patterns at time 0"),
+    ] {
+        assert_eq!(flat(&format!(r#"{{"fault": "{fault}"}}"#)).unwrap_err().to_string(), message);
+    }
+    let card = Plugin::compiled_in(&card::PLUGIN).unwrap();
+    let error = make_field(&card, &MemoryHost::new(), r#"{"fault": "nan"}"#, &display(), Time::default()).unwrap_err();
+    assert_eq!(error.to_string(), "view 0, 0: expected finite values that are not below 0, found NaN");
+}
+
+#[test]
+fn plugins_are_not_taken_for_other_kinds() {
+    let (card, host) = (Plugin::compiled_in(&card::PLUGIN).unwrap(), MemoryHost::new());
+    let display = display();
+    let error = Output::open(&card, &host, &lumistack_plugin::serde_json::json!({}), &display).err().unwrap();
+    assert_eq!(error.to_string(), "`card` is no output but a source");
+    let error = make_stack(&card, &host, "{}", &display, Time::default(), &target()).unwrap_err();
+    assert_eq!(error.to_string(), "`card` is no node but a source");
+}
+
+/// A node written against the C boundary itself, which does what its parameters say: `{"steps": [[layer, frame, rows, value], ...]}`.
+mod raw {
+    use super::*;
+    use lumistack_plugin::serde_json::{Value, from_slice};
+
+    pub unsafe extern "C" fn make(
+        _host: *const abi::HostServices,
+        params: abi::Str,
+        _display: abi::Str,
+        _time: *const abi::Time,
+        _data: *const abi::Data,
+        stack: *const StackSink,
+        error: *const ErrorSink,
+    ) -> Status {
+        // SAFETY: the host lends all of it for the call.
+        let (params, sink) = unsafe { (std::slice::from_raw_parts(params.ptr, params.len), &*stack) };
+        let params: Value = from_slice(params).unwrap();
+        for step in params["steps"].as_array().unwrap() {
+            let number = |i: usize| step[i].as_f64().unwrap();
+            let (rows, values) = (number(2) as usize, vec![number(3) as f32; 4 * 3 * number(2) as usize]);
+            let plane = Plane {
+                data: values.as_ptr().cast(),
+                ndim: 3,
+                shape: [rows, 4, 3, 1],
+                strides: [48, 12, 4, 0],
+                ..Plane::empty()
+            };
+            let (layer, frame) = (number(0) as usize, number(1) as usize);
+            // SAFETY: the sink's own context; the plane describes `values`.
+            let status = unsafe { (sink.layer_plane)(sink.context, layer, frame, &plane, error) };
+            if status != Status::OK {
+                return status;
+            }
+        }
+        Status::OK
+    }
+}
+
+#[test]
+fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
+    let vtable: &'static abi::NodeVtable =
+        Box::leak(Box::new(abi::NodeVtable { size: size_of::<abi::NodeVtable>(), make: Some(raw::make) }));
+    let descriptor = abi::Descriptor {
+        schema_json: abi::Str::new(r#"{"params": []}"#),
+        vtable: (&raw const *vtable).cast(),
+        ..*Plugin::compiled_in(&flat::PLUGIN).map(|_| flat::PLUGIN.descriptor()).unwrap()
+    };
+    // SAFETY: a copy of a valid descriptor with another table of the same kind.
+    let plugin = unsafe { Plugin::from_descriptor(&descriptor) }.unwrap();
+    let display = Display::uniform([4, 3], 1.0, [3, 1], [20.0, 10.0], &[0.0], 2);
+    let field = LightField::black(display.geometry().unwrap()).unwrap();
+    let made = |steps: &str| {
+        let params = format!(r#"{{"steps": {steps}}}"#);
+        make_stack(&plugin, &MemoryHost::new(), &params, &display, Time::default(), &field)
+    };
+    for (steps, message) in [
+        ("[]", "the plugin did not give layer 0, frame 0"),
+        ("[[0, 0, 3, 0.5]]", "the plugin did not give layer 0, frame 1"),
+        ("[[0, 0, 3, 0.5], [0, 0, 3, 0.5]]", "layer 0, frame 0 was already given"),
+        ("[[1, 0, 3, 0.5]]", "layer 1, frame 0 of 1 layers and 2 frames"),
+        ("[[0, 2, 3, 0.5]]", "layer 0, frame 2 of 1 layers and 2 frames"),
+        ("[[0, 0, 2, 0.5]]", "layer 0, frame 0: expected [3, 4, 3] values, found [2, 4, 3]"),
+        ("[[0, 0, 3, -0.5]]", "layer 0, frame 0: expected values in 0..1, found -0.5"),
+    ] {
+        assert_eq!(made(steps).unwrap_err().to_string(), message);
+    }
+    let stack = made("[[0, 1, 3, 1], [0, 0, 3, 0.25]]").unwrap();
+    assert_eq!([0, 1].map(|frame| stack.layers[0].block([frame])[7]), [0.25, 1.0]);
+}

@@ -1,0 +1,32 @@
+//! Times of a sequence.
+
+use lumistack_plugin_abi as abi;
+
+use crate::PluginError;
+use crate::wire::needs;
+
+/// Place in a sequence.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Time {
+    /// Number of the time in this output, from 0; a still has only 0.
+    pub index: u64,
+    /// Time in the scene, seconds.
+    pub seconds: f64,
+}
+
+impl Time {
+    /// Its form at the C boundary.
+    pub fn to_abi(self) -> abi::Time {
+        abi::Time { size: size_of::<abi::Time>(), index: self.index, seconds: self.seconds }
+    }
+
+    /// # Safety
+    /// `time` is lent for the call, and says its own size.
+    pub(crate) unsafe fn from_abi(time: *const abi::Time) -> Result<Self, PluginError> {
+        // SAFETY: the caller's promise.
+        unsafe {
+            needs((*time).size, size_of::<abi::Time>())?;
+            Ok(Self { index: (*time).index, seconds: (*time).seconds })
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! Node plugin `directional_sequence`: a time-sequential directional backlight (Travis 1990), the direct mode of one layer before a light field
+//! emitter.
+//!
+//! In every frame the backlight sends light into some of its directions only, in turn, and the layer shows the view from there. Of A directions
+//! and M frames
+//!
+//! ```text
+//! direction k is lit in frame ⌊k·M/A⌋        β = 1/M · Π peak of the layers
+//! ```
+//!
+//! so that with a frame for every direction all views come out whole, at 1/A of the light; with fewer, neighbouring directions share a frame and the layer
+//! shows their mean.
+
+use lumistack_plugin::core::Tensor;
+use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, PluginError, Schema, Time, expects, export_plugin};
+
+/// The plugin.
+pub struct DirectionalSequence;
+
+/// It has no parameters.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct SequenceParams {}
+
+impl NodePlugin for DirectionalSequence {
+    const DOC: &'static str = "A time-sequential directional backlight: each frame lights some directions only, and the layer shows the view from there. \
+        The direct mode of displays with a directional backlight.";
+    type Params = SequenceParams;
+
+    fn schema() -> Schema {
+        Schema::new([])
+    }
+
+    fn make(
+        host: &Host,
+        _params: SequenceParams,
+        display: &Display,
+        _time: Time,
+        field: &FieldInput<'_>,
+    ) -> Result<LayerStack, PluginError> {
+        let lenslets = expects::lenslets(display)?;
+        expects::attenuating(display)?;
+        let [bins_x, bins_y] = lenslets.views;
+        let (frames, directions) = (display.frames, bins_x * bins_y);
+        if frames > directions {
+            let expected = format!("no more frames than the backlight has directions, {directions}");
+            return Err(PluginError::display(display, expected, frames));
+        }
+        if frames < directions {
+            host.warn(&format!("{frames} frames for {directions} directions: several share a frame and what it shows"));
+        }
+        let frame_of = |bin_y: usize, bin_x: usize| (bin_y * bins_x + bin_x) * frames / directions;
+        let geometry = field.geometry();
+        let map = RayMap::new(display, geometry);
+        let Some(backlight) = &map.backlight else {
+            return Err(PluginError::display(display, "a directional backlight", "none"));
+        };
+        // the layer nearest to the display's plane shows the views, the others stay open
+        let nearest = (0..display.layers.len())
+            .min_by(|&a, &b| display.layers[a].d_mm.abs().total_cmp(&display.layers[b].d_mm.abs()));
+        let shown = nearest.unwrap_or(0);
+        let [dark, bright] = display.layers[shown].range();
+        let [off, on] = lenslets.range();
+        let mut stack = LayerStack::filled(display, off);
+        for (values, layer) in stack.layers.iter_mut().zip(&display.layers) {
+            values.data_mut().fill(layer.range()[1]);
+        }
+        stack.brightness = display.layers.iter().map(|layer| layer.peak).product::<f64>() / frames as f64;
+        if let Some(emission) = &mut stack.emission {
+            for (bin_y, bin_x) in (0..bins_y).flat_map(|y| (0..bins_x).map(move |x| (y, x))) {
+                emission.block_mut([frame_of(bin_y, bin_x), bin_y, bin_x]).fill(on);
+            }
+        }
+
+        let layer = &map.layers[shown];
+        let shape = [frames, layer.rows, layer.cols, 3];
+        let count = Tensor::<4>::element_count(shape)
+            .ok_or_else(|| PluginError::Refused(format!("a layer of shape {shape:?} is too large")))?;
+        let (mut sums, mut rays) = (vec![0.0f64; count], vec![0u32; count / 3]);
+        let [views_y, views_x] = geometry.grid.views();
+        let stage = host.stage("directional sequence", (views_y * views_x) as u64, "views");
+        for [view_y, view_x] in geometry.grid.iter() {
+            host.check_cancelled()?;
+            let view = field.view([view_y, view_x])?;
+            let (taps_y, taps_x) = (layer.y.of_view(view_y), layer.x.of_view(view_x));
+            for ((values, tap_y), lit_y) in view.iter_rows().zip(taps_y).zip(backlight.y(view_y)) {
+                let (&BacklightTap::Lit { bin: bin_y, .. }, false) = (lit_y, tap_y.is_missed()) else { continue };
+                for (col, (tap_x, lit_x)) in taps_x.iter().zip(backlight.x(view_x)).enumerate() {
+                    let (&BacklightTap::Lit { bin: bin_x, .. }, false) = (lit_x, tap_x.is_missed()) else { continue };
+                    let [row, at] = [tap_y, tap_x].map(|tap| if tap.t < 0.5 { tap.first } else { tap.second } as usize);
+                    let pixel = (frame_of(bin_y as usize, bin_x as usize) * layer.rows + row) * layer.cols + at;
+                    rays[pixel] += 1;
+                    let rgb = &values[3 * col..][..3];
+                    sums[3 * pixel..][..3].iter_mut().zip(rgb).for_each(|(sum, value)| *sum += f64::from(*value));
+                }
+            }
+            stage.advance(1, "");
+        }
+        let values = stack.layers[shown].data_mut();
+        for (pixel, &rays) in rays.iter().enumerate().filter(|(_, rays)| **rays > 0) {
+            for channel in 3 * pixel..3 * pixel + 3 {
+                values[channel] = ((sums[channel] / f64::from(rays)) as f32 * bright).clamp(dark, bright);
+            }
+        }
+        Ok(stack)
+    }
+}
+
+export_plugin!("directional_sequence", DirectionalSequence as node);

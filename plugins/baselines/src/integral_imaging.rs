@@ -1,0 +1,94 @@
+//! Node plugin `integral_imaging`: the lens array alone (Lippmann 1908), the baseline of displays with a directional backlight.
+//!
+//! The layers stay open. What a lenslet emits into one of its bins is the mean of the target over the rays that read it,
+//!
+//! ```text
+//! b[bin, lenslet] = mean of L(r) over the rays r of that lenslet and bin
+//! ```
+//!
+//! which is the best that it can show (least squares). Every frame is the same: there is nothing to gain from more. All the light is used, β = Π peak of
+//! the layers, and every lenslet is one pixel of the picture.
+
+use lumistack_plugin::core::Tensor;
+use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, PluginError, Schema, Time, expects, export_plugin};
+
+/// The plugin.
+pub struct IntegralImaging;
+
+/// It has no parameters.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct IntegralParams {}
+
+impl NodePlugin for IntegralImaging {
+    const DOC: &'static str = "Integral imaging: the lenslets of a directional backlight alone, behind layers that stay open. The baseline of displays \
+        with a directional backlight.";
+    type Params = IntegralParams;
+
+    fn schema() -> Schema {
+        Schema::new([])
+    }
+
+    fn make(
+        host: &Host,
+        _params: IntegralParams,
+        display: &Display,
+        _time: Time,
+        field: &FieldInput<'_>,
+    ) -> Result<LayerStack, PluginError> {
+        let lenslets = expects::lenslets(display)?;
+        expects::attenuating(display)?;
+        let geometry = field.geometry();
+        let map = RayMap::new(display, geometry);
+        let (Some(backlight), Some(shape)) = (&map.backlight, LayerStack::emission_shape(display)) else {
+            return Err(PluginError::display(display, "a directional backlight", "none"));
+        };
+        let [dark, bright] = lenslets.range();
+        let mut stack = LayerStack::filled(display, dark);
+        for (values, layer) in stack.layers.iter_mut().zip(&display.layers) {
+            values.data_mut().fill(layer.range()[1]);
+        }
+        stack.brightness = display.layers.iter().map(|layer| layer.peak).product();
+
+        let [frames, bins_y, bins_x, rows, cols, _] = shape;
+        let count = Tensor::<5>::element_count([bins_y, bins_x, rows, cols, 3])
+            .ok_or_else(|| PluginError::Refused(format!("a backlight of shape {shape:?} is too large")))?;
+        let (mut sums, mut rays) = (vec![0.0f64; count], vec![0u32; count / 3]);
+        let [views_y, views_x] = geometry.grid.views();
+        let stage = host.stage("integral imaging", (views_y * views_x) as u64, "views");
+        for [view_y, view_x] in geometry.grid.iter() {
+            host.check_cancelled()?;
+            let view = field.view([view_y, view_x])?;
+            for (values, tap_y) in view.iter_rows().zip(backlight.y(view_y)) {
+                let &BacklightTap::Lit { lenslet: row, bin: bin_y } = tap_y else { continue };
+                for (col, tap_x) in backlight.x(view_x).iter().enumerate() {
+                    let &BacklightTap::Lit { lenslet, bin: bin_x } = tap_x else { continue };
+                    let at =
+                        ((bin_y as usize * bins_x + bin_x as usize) * rows + row as usize) * cols + lenslet as usize;
+                    rays[at] += 1;
+                    let rgb = &values[3 * col..][..3];
+                    sums[3 * at..][..3].iter_mut().zip(rgb).for_each(|(sum, value)| *sum += f64::from(*value));
+                }
+            }
+            stage.advance(1, "");
+        }
+        if let Some(emission) = &mut stack.emission {
+            for frame in 0..frames {
+                for (values, (sum, &rays)) in emission
+                    .block_mut([frame])
+                    .chunks_exact_mut(3)
+                    .zip(sums.chunks_exact(3).zip(&rays))
+                    .filter(|(_, (_, rays))| **rays > 0)
+                {
+                    let means = sum.iter().map(|sum| ((sum / f64::from(rays)) as f32).clamp(dark, bright));
+                    values.iter_mut().zip(means).for_each(|(value, mean)| *value = mean);
+                }
+            }
+        }
+        Ok(stack)
+    }
+}
+
+export_plugin!("integral_imaging", IntegralImaging as node);

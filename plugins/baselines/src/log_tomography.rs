@@ -1,0 +1,195 @@
+//! Node plugin `log_tomography`: a static stack of layers by tomography (Wetzstein et al. 2011), the baseline without time multiplexing.
+//!
+//! In logarithms a product of layers is a sum, and a light field the projections of a volume of layers:
+//!
+//! ```text
+//! minimize Σ_r (Σ_n x_n[j_n(r)] − a_r)²,   x = −log f ≥ 0,   a_r = −log max(β L(r), darkest),   0 ≤ x ≤ −log f_min
+//! ```
+//!
+//! solved by projected gradients with the row and column sums of the projection as step sizes (SIRT; Gregor and Benson 2008) and Nesterov's extrapolation.
+//! Every frame is the same, and channels are independent.
+
+use lumistack_plugin::core::Tensor;
+use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::{
+    Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
+};
+
+/// The plugin.
+pub struct LogTomography;
+
+/// Parameters; see [`LogTomography::schema`](NodePlugin::schema) for their meaning.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct TomographyParams {
+    iterations: u32,
+    darkest: f64,
+}
+
+impl NodePlugin for LogTomography {
+    const DOC: &'static str = "A static stack of layers by tomography of logarithms, for any number of layers before a uniform backlight. Every frame is the \
+        same: the baseline without time multiplexing.";
+    type Params = TomographyParams;
+
+    fn schema() -> Schema {
+        Schema::new([
+            Param::int("iterations", 100, 1..=10_000, "Steps of the solver.").unit("1"),
+            Param::float(
+                "darkest",
+                0.01,
+                1e-6..=0.5,
+                "What counts as black, relative to white: logarithms of less would outweigh all else.",
+            )
+            .unit("1"),
+        ])
+    }
+
+    fn make(
+        host: &Host,
+        params: TomographyParams,
+        display: &Display,
+        _time: Time,
+        field: &FieldInput<'_>,
+    ) -> Result<LayerStack, PluginError> {
+        expects::attenuating(display)?;
+        expects::uniform_backlight(display)?;
+        let geometry = field.geometry();
+        let map = RayMap::new(display, geometry);
+        let mut volume = Volume::new(display, &map)?;
+        let [rows, cols] = [geometry.rows, geometry.cols];
+        let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
+        // what each ray must lose, [view][row][col][rgb]
+        let mut wanted = Vec::new();
+        for &view in &views {
+            let lent = field.view(view)?;
+            for values in lent.iter_rows() {
+                wanted.extend(values[..3 * cols].iter().map(|value| {
+                    let shown = f64::from(*value).clamp(params.darkest, 1.0) * display.brightness;
+                    -shown.ln() as f32
+                }));
+            }
+        }
+        let stage = host.stage("log tomography", u64::from(params.iterations), "steps");
+        let (mut momentum, mut before) = (1.0f32, volume.values.clone());
+        let mut at = volume.values.clone();
+        for _ in 0..params.iterations {
+            host.check_cancelled()?;
+            volume.back_project(&map, &views, [rows, cols], &at, &wanted);
+            volume.step(&at);
+            let next = 0.5 * (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt());
+            let ahead = (momentum - 1.0) / next;
+            for ((at, values), before) in at.iter_mut().zip(&volume.values).zip(&mut before) {
+                for ((at, &value), before) in at.iter_mut().zip(values).zip(before) {
+                    *at = value + ahead * (value - *before);
+                    *before = value;
+                }
+            }
+            momentum = next;
+            stage.advance(1, "");
+        }
+        let mut stack = LayerStack::filled(display, 0.0);
+        for (n, layer) in display.layers.iter().enumerate() {
+            let [darkest, brightest] = layer.range();
+            for frame in 0..display.frames {
+                let patterns = stack.layers[n].block_mut([frame]).iter_mut();
+                patterns.zip(&volume.values[n]).for_each(|(f, x)| *f = (-x).exp().clamp(darkest, brightest));
+            }
+        }
+        Ok(stack)
+    }
+}
+
+/// x = −log f of every layer, `[layer][row][col][rgb]`, and what a step needs.
+struct Volume {
+    values: Vec<Vec<f32>>,
+    gradient: Vec<Vec<f32>>,
+    /// Number of rays per pixel.
+    rays: Vec<Vec<f32>>,
+    /// [least, most] of x.
+    range: Vec<[f32; 2]>,
+}
+
+impl Volume {
+    fn new(display: &Display, map: &RayMap) -> Result<Self, PluginError> {
+        let mut volume = Self { values: Vec::new(), gradient: Vec::new(), rays: Vec::new(), range: Vec::new() };
+        for (layer, map) in display.layers.iter().zip(&map.layers) {
+            let shape = [map.rows, map.cols, 3];
+            let count = Tensor::<3>::element_count(shape)
+                .ok_or_else(|| PluginError::Refused(format!("a layer of shape {shape:?} is too large")))?;
+            let [darkest, brightest] = layer.range();
+            // a layer that can be quite black is as good as that at e⁻¹²
+            let range = [-brightest.ln(), -darkest.max(6e-6).ln()];
+            // each takes its share of the mean
+            let start = (-display.brightness.ln() as f32 / display.layers.len() as f32).clamp(range[0], range[1]);
+            volume.values.push(vec![start; count]);
+            volume.gradient.push(vec![0.0; count]);
+            volume.rays.push(vec![0.0; count / 3]);
+            volume.range.push(range);
+        }
+        Ok(volume)
+    }
+
+    /// Σ_r (Σ_n x_n − a_r) over the rays through every pixel, and their number.
+    fn back_project(
+        &mut self,
+        map: &RayMap,
+        views: &[[usize; 2]],
+        [rows, cols]: [usize; 2],
+        at: &[Vec<f32>],
+        wanted: &[f32],
+    ) {
+        for (gradient, rays) in self.gradient.iter_mut().zip(&mut self.rays) {
+            gradient.fill(0.0);
+            rays.fill(0.0);
+        }
+        let mut pixels = vec![0usize; map.layers.len()];
+        for (number, &view) in views.iter().enumerate() {
+            for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+                let meets = map.layers.iter().zip(&mut pixels).all(|(layer, pixel)| match met(layer, view, row, col) {
+                    Some(found) => {
+                        *pixel = found;
+                        true
+                    }
+                    None => false,
+                });
+                if !meets {
+                    continue;
+                }
+                let ray = 3 * ((number * rows + row) * cols + col);
+                let mut error = [0, 1, 2].map(|c| -wanted[ray + c]);
+                for (values, &pixel) in at.iter().zip(&pixels) {
+                    (0..3).for_each(|c| error[c] += values[3 * pixel + c]);
+                }
+                for ((gradient, rays), &pixel) in self.gradient.iter_mut().zip(&mut self.rays).zip(&pixels) {
+                    (0..3).for_each(|c| gradient[3 * pixel + c] += error[c]);
+                    rays[pixel] += 1.0;
+                }
+            }
+        }
+    }
+
+    /// A step from `at`: every ray is a sum over N layers, every pixel in so many rays.
+    fn step(&mut self, at: &[Vec<f32>]) {
+        let layers = at.len() as f32;
+        for n in 0..at.len() {
+            let [least, most] = self.range[n];
+            let pixels = self.values[n].chunks_exact_mut(3).zip(at[n].chunks_exact(3));
+            for ((value, at), (gradient, &rays)) in pixels.zip(self.gradient[n].chunks_exact(3).zip(&self.rays[n])) {
+                for c in 0..3 {
+                    let step = if rays > 0.0 { gradient[c] / (layers * rays) } else { 0.0 };
+                    value[c] = (at[c] - step).clamp(least, most);
+                }
+            }
+        }
+    }
+}
+
+/// The pixel of a layer that a ray meets.
+fn met(layer: &LayerMap, view: [usize; 2], row: usize, col: usize) -> Option<usize> {
+    let (y, x) = (layer.y.of_view(view[0])[row], layer.x.of_view(view[1])[col]);
+    let nearest = |tap: lumistack_plugin::display::Tap| if tap.t < 0.5 { tap.first } else { tap.second } as usize;
+    (!y.is_missed() && !x.is_missed()).then(|| nearest(y) * layer.cols + nearest(x))
+}
+
+export_plugin!("log_tomography", LogTomography as node);

@@ -1,0 +1,144 @@
+//! Node plugin `parallax_barrier`: a time-multiplexed parallax barrier (Ives 1903; pinholes: integral imaging), the baseline that two-layer
+//! tensor displays are compared with.
+//!
+//! The front layer is a mask of slits (or pinholes) with a period of P_x × P_y mask pixels, one pixel each, that moves from frame to frame; the rear
+//! layer shows through them what the viewer should see. In frame m the mask is open where
+//!
+//! ```text
+//! (col, row) ≡ (k mod P_x, k div P_x)  (mod P_x, P_y),   k = ⌊m·P/M⌋,  P = P_x·P_y
+//! ```
+//!
+//! and a rear pixel takes the mean of the target over the rays that pass through it and an open pixel, which for a mask of zeros and
+//! ones is the best that it can show (least squares). Rays of different views through one slit end at different rear pixels as long as the period
+//! is no less than the number of views; then every ray is right where it is not blocked. It is open in one frame of P, so the display emits
+//! β = 1/P times the target: with M = P frames everywhere, with fewer only on every so many pixels.
+
+use lumistack_plugin::core::Tensor;
+use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::{
+    Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
+};
+
+/// The plugin.
+pub struct ParallaxBarrier;
+
+/// Parameters; see [`ParallaxBarrier::schema`](NodePlugin::schema) for their meaning.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct BarrierParams {
+    period_x: usize,
+    period_y: usize,
+}
+
+impl NodePlugin for ParallaxBarrier {
+    const DOC: &'static str = "A time-multiplexed parallax barrier for displays of two layers: the front layer shows slits that move from \
+        frame to frame, the rear layer what is to be seen through them. The baseline of tensor displays.";
+    type Params = BarrierParams;
+
+    fn schema() -> Schema {
+        Schema::new([
+            Param::int("period_x", 0, 0..=256, "Distance of neighbouring slits; 0 for the number of views per row.")
+                .unit("mask pixels"),
+            Param::int(
+                "period_y",
+                0,
+                0..=256,
+                "Distance of neighbouring pinholes along columns; 1 for slits from top to bottom, 0 for the number of views per column.",
+            )
+            .unit("mask pixels"),
+        ])
+    }
+
+    fn make(
+        host: &Host,
+        params: BarrierParams,
+        display: &Display,
+        _time: Time,
+        field: &FieldInput<'_>,
+    ) -> Result<LayerStack, PluginError> {
+        // a picture and a mask in front of it
+        expects::layers(display, 2)?;
+        expects::attenuating(display)?;
+        expects::uniform_backlight(display)?;
+        let geometry = field.geometry();
+        let [views_y, views_x] = geometry.grid.views();
+        let or = |period: usize, views: usize| if period == 0 { views } else { period };
+        let period = [or(params.period_y, views_y), or(params.period_x, views_x)];
+        if period[1] < views_x || period[0] < views_y {
+            host.warn(&format!(
+                "{views_x} × {views_y} views behind slits every {} × {} pixels: several views share a rear pixel",
+                period[1], period[0]
+            ));
+        }
+        let positions = period[0] * period[1];
+        if display.frames < positions {
+            host.warn(&format!(
+                "{} frames for {positions} places of the slits: the picture shows gaps between them",
+                display.frames
+            ));
+        }
+        let map = RayMap::new(display, geometry);
+        let [rear, front] = [&map.layers[0], &map.layers[1]];
+        let [[rear_dark, rear_bright], [shut, open]] = [display.layers[0].range(), display.layers[1].range()];
+        let mut stack = LayerStack::filled(display, rear_dark);
+        stack.brightness = f64::from(open) / positions as f64;
+        stack.layers[1].data_mut().fill(shut);
+
+        let shape = [display.frames, rear.rows, rear.cols, 3];
+        let count = Tensor::<4>::element_count(shape)
+            .ok_or_else(|| PluginError::Refused(format!("a rear layer of shape {shape:?} is too large")))?;
+        // per rear pixel: the sum of the target over the rays that get through, and their number
+        let (mut sums, mut rays) = (vec![0.0f32; count], vec![0u32; count / 3]);
+        let stage = host.stage("parallax barrier", (views_y * views_x) as u64, "views");
+        for [view_y, view_x] in geometry.grid.iter() {
+            host.check_cancelled()?;
+            let view = field.view([view_y, view_x])?;
+            for (row, values) in view.iter_rows().enumerate() {
+                let Some([rear_row, front_row]) = taps(rear, front, view_y, row, true) else { continue };
+                for col in 0..geometry.cols {
+                    let Some([rear_col, front_col]) = taps(rear, front, view_x, col, false) else { continue };
+                    let rgb = &values[3 * col..][..3];
+                    for frame in
+                        (0..display.frames).filter(|&m| is_open([front_row, front_col], m, display.frames, period))
+                    {
+                        let pixel = (frame * rear.rows + rear_row) * rear.cols + rear_col;
+                        rays[pixel] += 1;
+                        sums[3 * pixel..][..3].iter_mut().zip(rgb).for_each(|(sum, value)| *sum += value);
+                    }
+                }
+            }
+            stage.advance(1, "");
+        }
+        for (pixel, &rays) in rays.iter().enumerate().filter(|(_, rays)| **rays > 0) {
+            for channel in 3 * pixel..3 * pixel + 3 {
+                stack.layers[0].data_mut()[channel] = (sums[channel] / rays as f32).clamp(rear_dark, rear_bright);
+            }
+        }
+        for frame in 0..display.frames {
+            for (row, col) in (0..front.rows).flat_map(|row| (0..front.cols).map(move |col| (row, col))) {
+                if is_open([row, col], frame, display.frames, period) {
+                    (0..3).for_each(|channel| *stack.layers[1].at_mut([frame, row, col, channel]) = open);
+                }
+            }
+        }
+        Ok(stack)
+    }
+}
+
+/// Whether the mask is open at a front pixel [row, col].
+fn is_open(pixel: [usize; 2], frame: usize, frames: usize, period: [usize; 2]) -> bool {
+    let k = frame * period[0] * period[1] / frames;
+    pixel[1] % period[1] == k % period[1] && pixel[0] % period[0] == k / period[1] % period[0]
+}
+
+/// Where one axis of a ray meets the rear and the front layer, if it meets both.
+fn taps(rear: &LayerMap, front: &LayerMap, view: usize, ray: usize, along_y: bool) -> Option<[usize; 2]> {
+    let axis = |layer: &LayerMap| {
+        let tap = if along_y { layer.y.of_view(view)[ray] } else { layer.x.of_view(view)[ray] };
+        (!tap.is_missed()).then_some(if tap.t < 0.5 { tap.first } else { tap.second } as usize)
+    };
+    Some([axis(rear)?, axis(front)?])
+}
+
+export_plugin!("parallax_barrier", ParallaxBarrier as node);

@@ -1,0 +1,94 @@
+//! Node plugin `two_layer_nmf`: content-adaptive parallax barriers (Lanman et al. 2010), two layers and several frames by weighted nonnegative matrix
+//! factorization.
+//!
+//! The light field of two layers is a matrix, rows for the rear layer's pixels and columns for the front's, known where rays are; M frames make it one
+//! of rank M. The factors follow the multiplicative rule from random starting values (the weighted rule of Blondel et al. 2008), one layer after the other:
+//!
+//! ```text
+//! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G],    G likewise,    clamped to 0..1
+//! ```
+//!
+//! which is eq. (16) of tensor displays for N = 2. It is here by itself so that the older method stands beside newer ones with its own rule, whatever the job's
+//! solver is.
+
+use lumistack_factorizer::{FactorizeError, Multiplicative, Problem, Settings, Solver, StartKind};
+use lumistack_plugin::core::{Cancel, Collector, Task};
+use lumistack_plugin::display::{LayerStack, LightField, Weights};
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::{
+    Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
+};
+
+/// The plugin.
+pub struct TwoLayerNmf;
+
+/// Parameters; see [`TwoLayerNmf::schema`](NodePlugin::schema) for their meaning.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct NmfParams {
+    iterations: u32,
+    seed: u64,
+}
+
+impl NodePlugin for TwoLayerNmf {
+    const DOC: &'static str = "Content-adaptive parallax barriers: two layers and several frames by nonnegative matrix factorization with the multiplicative \
+        rule, from random patterns.";
+    type Params = NmfParams;
+
+    fn schema() -> Schema {
+        Schema::new([
+            Param::int("iterations", 50, 1..=10_000, "Updates of both layers.").unit("1"),
+            Param::int("seed", 1, 0..=i64::from(i32::MAX), "Seed of the starting patterns.").unit("1"),
+        ])
+    }
+
+    fn make(
+        host: &Host,
+        params: NmfParams,
+        display: &Display,
+        _time: Time,
+        field: &FieldInput<'_>,
+    ) -> Result<LayerStack, PluginError> {
+        expects::layers(display, 2)?;
+        expects::attenuating(display)?;
+        expects::uniform_backlight(display)?;
+        let target = whole(field)?;
+        let problem = Problem { display, target: &target, weights: &Weights::Uniform };
+        let settings = Settings {
+            solver: Multiplicative.name().into(),
+            seed: params.seed,
+            start: Some(StartKind::Random),
+            coarse_levels: Some(0),
+            ..Settings::default()
+        };
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let failed = |error: FactorizeError| PluginError::Failed(error.to_string());
+        // the start, and then update by update, so that the host can stop it in between
+        let start = Settings { iterations: 0, ..settings };
+        let task = Task::quiet(&warnings, &cancel);
+        let start = lumistack_factorizer::factorize(&problem, &start, None, task, &mut |_| {}).map_err(failed)?;
+        let mut run = Multiplicative.start(&problem, start.stack).map_err(failed)?;
+        let stage = host.stage("matrix factorization", u64::from(params.iterations), "updates");
+        for _ in 0..params.iterations {
+            host.check_cancelled()?;
+            run.step(&cancel).map_err(|_| PluginError::Cancelled)?;
+            stage.advance(1, "");
+        }
+        Ok(run.download())
+    }
+}
+
+/// The views in one piece.
+fn whole(field: &FieldInput<'_>) -> Result<LightField, PluginError> {
+    let geometry = field.geometry().clone();
+    let mut whole = LightField::black(geometry.clone()).map_err(|error| PluginError::Failed(error.to_string()))?;
+    for view in geometry.grid.iter() {
+        let lent = field.view(view)?;
+        for (line, values) in whole.view_mut(view).chunks_exact_mut(3 * geometry.cols).zip(lent.iter_rows()) {
+            line.copy_from_slice(&values[..3 * geometry.cols]);
+        }
+    }
+    Ok(whole)
+}
+
+export_plugin!("two_layer_nmf", TwoLayerNmf as node);

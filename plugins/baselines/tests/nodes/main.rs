@@ -1,0 +1,7 @@
+//! Every baseline makes what its method promises, and refuses other displays.
+
+mod directional_sequence;
+mod integral_imaging;
+mod log_tomography;
+mod parallax_barrier;
+mod two_layer_nmf;

@@ -1,5 +1,0 @@
-//! The fingerprint of this crate's sources.
-
-fn main() {
-    lumistack_fingerprint::emit(&[]);
-}
