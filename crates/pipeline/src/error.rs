@@ -266,6 +266,13 @@ pub(crate) fn display_error(source: lumistack_display::DisplayError, place: &str
     PipelineError::Display { path: place.into(), text: String::new(), source }
 }
 
+pub(crate) fn render_error(error: lumistack_pathtracer::RenderError) -> PipelineError {
+    match error {
+        lumistack_pathtracer::RenderError::Cancelled(_) => PipelineError::Cancelled,
+        other => PipelineError::Render(other),
+    }
+}
+
 pub(crate) fn field_error(error: lumistack_field_io::FieldError) -> PipelineError {
     match error {
         lumistack_field_io::FieldError::Cancelled(_) => PipelineError::Cancelled,

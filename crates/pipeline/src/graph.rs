@@ -17,13 +17,13 @@ use lumistack_plugin_host::{OutputData, Registry};
 use lumistack_report::{GraphInput, GraphNode};
 use serde::Serialize;
 
-use crate::clean;
 use crate::error::{FailedOutput, PipelineError, display_error};
-use crate::files::{remove_reports, write_report};
-use crate::folder;
 use crate::job::{Job, NodeJob, OutputJob};
 use crate::run::{Moment, Run, Summary, Tee, failed_of};
 use crate::sequence::thumbnails;
+use crate::store::files::{remove_reports, write_report};
+use crate::store::lock::take_known;
+use crate::store::used;
 
 /// What one node ended with.
 #[derive(Clone, Debug, Serialize)]
@@ -95,7 +95,7 @@ pub(crate) fn run(
     for (node, node_job) in job.nodes.iter().zip(&jobs) {
         let began = Instant::now();
         let mut part = Run::of_node(node_job, node, &folder_of(node), registry)?;
-        let _owned = folder::take_known(&folder_of(node), task)?;
+        let _owned = take_known(&folder_of(node), task)?;
         if let Some(change) = part.take_display(node, &display, input.target.geometry())? {
             task.warn(format!("node {}", node.id), change);
         }
@@ -164,7 +164,7 @@ pub(crate) fn run(
     })
     .map_err(PipelineError::Report)?;
     write_report(dir, &html, &json)?;
-    clean::keep_only_views(dir, &input.views)?;
+    used::keep_only_views(dir, &input.views)?;
     Ok(Summary {
         failed_outputs: failed,
         psnr_held_out,

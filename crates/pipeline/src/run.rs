@@ -21,18 +21,22 @@ pub(crate) use self::input::warn_of_depth;
 pub use self::outputs::{RefusedOutput, refused_outputs};
 use self::patterns::start_kind;
 pub(crate) use self::patterns::{add_stack, add_weights, array_weights, eye_weights, solver_settings};
-use crate::cache::Stamps;
-use crate::clean;
-use crate::denoise::Denoised;
 use crate::error::{FailedOutput, PipelineError};
-use crate::file_params;
-use crate::files::{check_folder, remove_reports, write_job, write_report};
-use crate::folder::{self, Work, write_display};
-use crate::graph::{self, NodeSummary};
-use crate::ingest::Ingested;
+use crate::graph;
+use crate::graph::NodeSummary;
 use crate::job::{FactorizeJob, Job, NodeJob, OutputJob};
-use crate::sequence::{self, SequenceSummary};
-use crate::zone::References;
+use crate::sequence;
+use crate::sequence::SequenceSummary;
+use crate::stage::denoise::Denoised;
+use crate::stage::ingest::Ingested;
+use crate::stage::score::References;
+use crate::store::files::{check_folder, remove_reports, write_report};
+use crate::store::folder;
+use crate::store::names::Work;
+use crate::store::plugin_files;
+use crate::store::settings::{write_display, write_job};
+use crate::store::stamps::Stamps;
+use crate::store::used;
 
 /// What a run ended with.
 #[derive(Clone, Debug, Serialize)]
@@ -107,7 +111,7 @@ pub fn run(
         let expected = "a job without `[sweep]`, or `lumistack sweep`, which compares its designs";
         return Err(PipelineError::value("job", "sweep", expected, "`[sweep]`"));
     }
-    let job = &file_params::resolved(job, registry)?;
+    let job = &plugin_files::resolved(job, registry)?;
     let work = if job.sequence.is_some() { Work::Sequence } else { Work::Run };
     let _owned = folder::take(run_dir, work, job, registry, task)?;
     if let Some(sequence) = &job.sequence {
@@ -121,7 +125,7 @@ pub fn run(
     let task = Task { warnings: &warnings, ..task };
     let (mut run, made) = Run::make(job, run_dir, registry, &Moment::default(), task)?;
     let report = run.report(&made, &warnings.list.take(), command, task)?;
-    clean::keep_only_views(run_dir, &made.input.views)?;
+    used::keep_only_views(run_dir, &made.input.views)?;
     Ok(Summary {
         psnr_zone: report.psnr_zone,
         psnr_zone_worst: report.psnr_zone_worst,

@@ -19,16 +19,19 @@ use lumistack_plugin_host::Registry;
 use lumistack_report::{SequenceInput, SequenceTime, Thumbnail};
 use serde::{Deserialize, Serialize};
 
-use crate::cache::KeyBuilder;
-use crate::clean;
-use crate::code;
 use crate::error::PipelineError;
-use crate::files::{read_json, remove_reports, write_job, write_json, write_report};
-use crate::flicker::{self, Shown, TimeError};
-use crate::folder::{self, Work};
 use crate::job::{Job, SequenceJob};
-use crate::look::Look;
 use crate::run::{Made, Moment, Run, Summary, Tee, add_stack, add_weights};
+use crate::stage::flicker;
+use crate::stage::flicker::{Shown, TimeError};
+use crate::stage::look::Look;
+use crate::store::code;
+use crate::store::files::{read_json, remove_reports, write_json, write_report};
+use crate::store::folder;
+use crate::store::key::KeyBuilder;
+use crate::store::names::Work;
+use crate::store::settings::write_job;
+use crate::store::used;
 use times::Times;
 
 /// What the summary of a sequence adds.
@@ -155,7 +158,7 @@ fn run_time(
         run.report(&made, &warnings.list.take(), command, task)?;
         run.stamps.write("report", &key, &["report.html".into(), "report.json".into()])?;
     }
-    clean::keep_only_views(&folder, &made.input.views)?;
+    used::keep_only_views(&folder, &made.input.views)?;
     let steps = &made.steps;
     let [wanted, shown] = thumbnails(&run, &made);
     let compared = |error: SquaredError| (error.count > 0).then_some(error);

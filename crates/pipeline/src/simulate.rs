@@ -9,13 +9,14 @@ use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
 use rayon::prelude::*;
 use serde_json::json;
 
-use crate::cache::{KeyBuilder, Stamps, content_hash};
-use crate::code;
 use crate::error::{PipelineError, field_error, host_error};
-use crate::files::write;
-use crate::folder;
-use crate::ingest;
 use crate::presets;
+use crate::store::code;
+use crate::store::files::write;
+use crate::store::key::{KeyBuilder, content_hash};
+use crate::store::lock::take_preview;
+use crate::store::plugin_files::plugin_key;
+use crate::store::stamps::Stamps;
 
 /// Name of a run's own preview: its folder, and its stamp.
 const PREVIEW: &str = "preview";
@@ -122,7 +123,7 @@ pub fn update_preview(dir: &Path, registry: &Registry, task: Task<'_>) -> Result
     if stamps.is_current(PREVIEW, &key) {
         return Ok(false);
     }
-    let _owned = folder::take_preview(dir, task)?;
+    let _owned = take_preview(dir, task)?;
     stamps.clear(PREVIEW)?;
     let written = RunFolder::open(dir)?.write_preview(registry, &dir.join(PREVIEW), task)?;
     let files: Vec<PathBuf> = written.iter().map(|file| Path::new(PREVIEW).join(file)).collect();
@@ -133,7 +134,7 @@ pub fn update_preview(dir: &Path, registry: &Registry, task: Task<'_>) -> Result
 /// Everything that a run's preview is made from.
 fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError> {
     let mut key = KeyBuilder::new(PREVIEW, code::PLUGINS);
-    key.add("plugin", ingest::plugin_key(registry, "web_simulator", &serde_json::Map::new())?.as_bytes());
+    key.add("plugin", plugin_key(registry, "web_simulator", &serde_json::Map::new())?.as_bytes());
     let mut files: Vec<PathBuf> = vec!["display.toml".into()];
     for folder in ["layers", "target"] {
         let entries = std::fs::read_dir(dir.join(folder)).into_iter().flatten().flatten();

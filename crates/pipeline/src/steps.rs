@@ -12,14 +12,19 @@ use lumistack_report::{DepthBudget, ReportInput, Solution};
 use serde_json::{Map, Value};
 
 use crate::error::{PipelineError, display_error, factorize_error, field_error, host_error};
-use crate::files::{check_folder, write_report};
-use crate::fit;
-use crate::given::{self, Beyond};
-use crate::ingest::Ingested;
 use crate::job::{FactorizeJob, Job};
-use crate::look::Look;
-use crate::render;
 use crate::run::{array_weights, eye_weights, solver_settings, warn_of_depth};
+use crate::stage::denoise;
+use crate::stage::expose;
+use crate::stage::fields::Shot;
+use crate::stage::given;
+use crate::stage::given::Beyond;
+use crate::stage::ingest::Ingested;
+use crate::stage::look::Look;
+use crate::stage::place;
+use crate::stage::trace;
+use crate::store::files::{check_folder, write_report};
+use crate::view_options::ViewOptions;
 
 /// A light field that was rendered.
 pub struct Traced {
@@ -47,14 +52,18 @@ pub fn render_field(
 ) -> Result<Traced, PipelineError> {
     job.check()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
-    let placement = fit::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
+    let placement = place::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
-    let rendered = render::render(&job, ingested, &placement, &geometry, display.angular_footprint(), cache_dir, task)?;
-    let depth = rendered.depths.budget(display, &geometry, &placement);
+    let footprint = display.angular_footprint();
+    let shot = Shot { job: &job, ingested, placement: &placement, geometry: &geometry, footprint };
+    let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;
+    denoise::run(shot, &traced.fields, task)?;
+    let rendered = expose::run(shot, &traced, false, task)?;
+    let depth = traced.depths.budget(display, &geometry, &placement);
     warn_of_depth(&depth, task);
     let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());
-    let seen = rendered.depths.seen(&placement);
+    let seen = traced.depths.seen(&placement);
     Ok(Traced { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone })
 }
 

@@ -27,15 +27,18 @@ use serde::Serialize;
 use serde_json::json;
 
 use self::designs::Candidate;
-use crate::cache::KeyBuilder;
-use crate::clean;
-use crate::code;
 use crate::error::{PipelineError, display_error, factorize_error};
-use crate::file_params;
-use crate::files::{read_json, write, write_job, write_json};
-use crate::folder::{self, Work};
 use crate::job::Job;
 use crate::run::{Moment, Run, add_weights, eye_weights, solver_settings};
+use crate::store::code;
+use crate::store::files::{read_json, write, write_json};
+use crate::store::folder;
+use crate::store::key::KeyBuilder;
+use crate::store::lock::take_known;
+use crate::store::names::Work;
+use crate::store::plugin_files;
+use crate::store::settings::write_job;
+use crate::store::used;
 
 /// Pixels per unit of plots as PNG.
 const PNG_SCALE: f32 = 1.5;
@@ -92,7 +95,7 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
             "one with them",
         ));
     }
-    let job = &file_params::resolved(job, registry)?;
+    let job = &plugin_files::resolved(job, registry)?;
     let _owned = folder::take(dir, Work::Sweep, job, registry, task)?;
     let (candidates, geometries) = designs::all(job, sweep)?;
     let candidates = match &sweep.search {
@@ -133,7 +136,7 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
     let (plots, more_plots) = table::plots(&rows, sweep.plots).map_err(PipelineError::Plot)?;
     let plots = write_plots(&dir.join("plots"), &plots)?;
     let used_fields = fields.iter().enumerate().filter(|(_, field)| field.is_some()).map(|(number, _)| number + 1);
-    clean::keep_only_fields(dir, used_fields, rows_used.into_inner().unwrap_or_else(PoisonError::into_inner))?;
+    used::keep_only_fields(dir, used_fields, rows_used.into_inner().unwrap_or_else(PoisonError::into_inner))?;
     let best = rows.iter().rev().max_by(|a, b| a.psnr_view_db.total_cmp(&b.psnr_view_db)).cloned();
     let proposed = proposed.into_iter().map(|(_, row)| row).collect();
     Ok(SweepSummary { csv, designs: rows.len(), kept, plots, more_plots, best, proposed, display })
@@ -161,9 +164,9 @@ pub(crate) fn write_plots(folder: &Path, plots: &[table::Plot]) -> Result<Vec<Pa
 fn field(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Result<Field, PipelineError> {
     job.check()?;
     let mut run = Run::open(job, dir, registry)?;
-    let _owned = folder::take_known(dir, task)?;
+    let _owned = take_known(dir, task)?;
     let input = run.input(&Moment::default(), task)?;
-    clean::keep_only_views(dir, &input.views)?;
+    used::keep_only_views(dir, &input.views)?;
     let weights = eye_weights(&job.factorize, &input.target)?;
     let mut key = KeyBuilder::new("sweep field", code::FIELDS);
     for field in [Some(&input.target), input.held_out.as_ref()].into_iter().flatten() {

@@ -9,9 +9,9 @@ use serde::Serialize;
 
 use super::{Likeness, Sums, target_of};
 use crate::error::PipelineError;
-use crate::files::write;
 use crate::job::Job;
 use crate::simulate::RunFolder;
+use crate::store::files::write;
 
 /// Quality of the sheet's JPEG: what PNG would make four times as large.
 const JPEG_QUALITY: u8 = 92;

@@ -11,23 +11,34 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
 use super::{Moment, Run};
-use crate::cache::{KeyBuilder, Stamps};
-use crate::clean;
-use crate::code;
-use crate::denoise::Denoised;
 use crate::error::{PipelineError, display_error, field_error, host_error};
-use crate::file_params;
-use crate::files::{read_json, write_json};
-use crate::fit::{self, Placement};
-use crate::folder::{self, Work};
-use crate::given;
-use crate::ingest::{self, Ingested};
 use crate::job::{Job, SourceJob};
-use crate::look::Look;
-use crate::render;
 use crate::sequence;
-use crate::views::{self, ViewOptions};
-use crate::zone;
+use crate::stage::denoise;
+use crate::stage::denoise::Denoised;
+use crate::stage::expose;
+use crate::stage::expose::Exposed;
+use crate::stage::fields::Shot;
+use crate::stage::given;
+use crate::stage::ingest;
+use crate::stage::layers;
+use crate::stage::look::Look;
+use crate::stage::place;
+use crate::stage::place::Placement;
+use crate::stage::score;
+use crate::stage::score::References;
+use crate::stage::trace;
+use crate::stage::trace::Traced;
+use crate::store::code;
+use crate::store::files::{read_json, write_json};
+use crate::store::folder;
+use crate::store::key::KeyBuilder;
+use crate::store::names::Work;
+use crate::store::plugin_files;
+use crate::store::plugin_files::plugin_key;
+use crate::store::stamps::Stamps;
+use crate::store::used;
+use crate::view_options::ViewOptions;
 
 /// What the input stage gives.
 pub(crate) struct Input {
@@ -35,7 +46,7 @@ pub(crate) struct Input {
     pub(crate) held_out: Option<LightField>,
     pub(super) outside: Option<LightField>,
     /// The scene's pictures all over the zone, where it was rendered.
-    pub(super) zone: Option<zone::References>,
+    pub(super) zone: Option<References>,
     /// How it became display-referred, where it was rendered.
     pub(crate) look: Option<Look>,
     /// What the scene's depth asks of the display, where it was rendered.
@@ -61,7 +72,7 @@ pub fn render_only(
     let Some(scene) = &job.scene else {
         return Err(PipelineError::value("job", "scene", "a scene to render", "none"));
     };
-    let job = &file_params::resolved(job, registry)?;
+    let job = &plugin_files::resolved(job, registry)?;
     job.check()?;
     let _owned = folder::take(target_dir, Work::Views, job, registry, task)?;
     let display = job.resolve_display()?;
@@ -71,32 +82,36 @@ pub fn render_only(
     options.chosen(geometry.grid.views())?;
     let cache = target_dir.join("cache");
     let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, Some(&cache), task)?;
-    let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
+    let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     let footprint = display.angular_footprint();
-    let rendered = render::render_views(&job, &ingested, &placement, &geometry, footprint, &cache, options, task)?;
-    let budget = rendered.depths.budget(&display, &geometry, &placement);
+    let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry: &geometry, footprint };
+    let (traced, _) = trace::run(shot, options, &cache, task)?;
+    denoise::run(shot, &traced.fields, task)?;
+    let exposed = expose::run(shot, &traced, options.linear, task)?;
+    let budget = traced.depths.budget(&display, &geometry, &placement);
     warn_of_depth(&budget, task);
     let all = geometry.grid.iter().count();
-    if rendered.views.len() < all && !options.linear && job.light.automatic_exposure {
-        let count = rendered.views.len();
+    if traced.views.len() < all && !options.linear && job.light.automatic_exposure {
+        let count = traced.views.len();
         let message = format!(
             "exposure is chosen from {count} of {all} views; for equal exposure of views that are rendered apart, set `light.automatic_exposure = false` or give --linear"
         );
         task.warn("exposure", message);
     }
-    let mut info = field_info(&rendered, &placement);
+    let mut info = field_info(exposed.look, &placement);
     if options.linear {
         info.insert("tone".into(), "none".into());
         info.insert("radiance".into(), "scene-linear, neither exposed nor clipped".into());
     }
-    let layers = views::write_layers(target_dir, &job, options, &rendered, &ingested, &placement, task)?;
+    let layers = layers::write_layers(target_dir, shot, options, &traced, task)?;
     info.extend(layers.map(|layers| ("layers".to_owned(), layers)));
     let precision = if options.linear { Precision::Float } else { Precision::Half };
-    lumistack_field_io::write_views(target_dir, &rendered.target, &rendered.views, precision, &info)
+    lumistack_field_io::write_views(target_dir, &exposed.target, &traced.views, precision, &info)
         .map_err(field_error)?;
-    clean::keep_only_views(target_dir, &rendered.folders)?;
+    let folders: Vec<_> = traced.fields.iter().map(|field| field.folder.clone()).collect();
+    used::keep_only_views(target_dir, &folders)?;
     Ok(budget)
 }
 
@@ -126,15 +141,17 @@ impl Run<'_> {
             }
         };
         let geometry = self.display.geometry().map_err(|source| display_error(source, "field"))?;
-        let placement = fit::place(ingested, &job.window, &self.display, &geometry, Some(&cache), task)?;
-        let rendered = self.timed("render", |run| {
+        let placement = place::place(ingested, &job.window, &self.display, &geometry, Some(&cache), task)?;
+        let footprint = self.display.angular_footprint();
+        let shot = Shot { job, ingested, placement: &placement, geometry: &geometry, footprint };
+        let (traced, rendered) = self.timed("render", |run| {
             let views = run.dir.join("cache/views");
-            let footprint = run.display.angular_footprint();
-            let rendered = render::render(job, ingested, &placement, &geometry, footprint, &views, task)?;
-            let cached = rendered.cached;
-            Ok((rendered, cached))
+            let (traced, cached) = trace::run(shot, &ViewOptions::default(), &views, task)?;
+            let filtered = denoise::run(shot, &traced.fields, task)?;
+            let exposed = expose::run(shot, &traced, false, task)?;
+            Ok(((traced, exposed), cached && filtered))
         })?;
-        let info = field_info(&rendered, &placement);
+        let info = field_info(rendered.look, &placement);
         let fields = [
             ("target", Some(&rendered.target)),
             ("held-out", rendered.held_out.as_ref()),
@@ -148,19 +165,18 @@ impl Run<'_> {
         task.progress.end();
         written?;
         let references = self.timed("render for the score", |run| {
-            let zone = zone::zone_of(job, &run.display, &geometry);
-            let (look, engine) = (rendered.look, rendered.engine);
-            let shot = zone::Shot { ingested, window: &placement.window, look, engine };
-            let views = run.dir.join("cache/views");
-            let made = zone::References::render(job, &zone, &geometry, placement.depth_scale, shot, &views, task)?;
+            let zone = score::zone_of(job, &run.display, &geometry);
+            let (how, views) = ((rendered.look, traced.engine), run.dir.join("cache/views"));
+            let made = References::render(shot, &zone, how, &views, task)?;
             let cached = made.as_ref().is_none_or(|references| references.cached);
             Ok((made, cached))
         })?;
-        let depth = rendered.depths.budget(&self.display, &geometry, &placement);
+        let depth = traced.depths.budget(&self.display, &geometry, &placement);
         warn_of_depth(&depth, task);
-        let about = about_scene(path, ingested, &placement, &rendered);
-        let seen = rendered.depths.seen(&placement);
-        let render::Rendered { target, held_out, outside, look, denoised, folders: mut views, .. } = rendered;
+        let about = about_scene(path, shot, &rendered, &traced);
+        let seen = traced.depths.seen(&placement);
+        let mut views: Vec<PathBuf> = traced.fields.iter().map(|field| field.folder.clone()).collect();
+        let Exposed { target, held_out, outside, look, denoised } = rendered;
         views.extend(references.as_ref().map(|references| references.folder.clone()));
         let target = target.with_depth(Some(seen));
         Ok(Input {
@@ -201,7 +217,7 @@ impl Run<'_> {
     fn make_field(&mut self, source: &SourceJob, moment: &Moment<'_>, task: Task<'_>) -> Result<Input, PipelineError> {
         let registry = self.registry;
         let mut key = KeyBuilder::new("source", code::PLUGINS);
-        key.add("plugin", ingest::plugin_key(registry, &source.plugin, &source.params)?.as_bytes())
+        key.add("plugin", plugin_key(registry, &source.plugin, &source.params)?.as_bytes())
             .add("display", self.display.without_panels().to_toml().as_bytes())
             .add_json("time", &(source.time, source.time_s));
         let key = key.finish();
@@ -280,12 +296,8 @@ pub(crate) fn warn_of_depth(budget: &DepthBudget, task: Task<'_>) {
     }
 }
 
-fn about_scene(
-    path: &Path,
-    ingested: &Ingested,
-    placement: &Placement,
-    rendered: &render::Rendered,
-) -> serde_json::Value {
+fn about_scene(path: &Path, shot: Shot<'_>, rendered: &Exposed, traced: &Traced) -> serde_json::Value {
+    let Shot { ingested, placement, geometry, .. } = shot;
     let scene = &ingested.scene;
     let pose = serde_json::to_value(&ingested.pose).expect("poses serialize");
     let mut values = rendered.target.radiance().data().to_vec();
@@ -310,16 +322,16 @@ fn about_scene(
         "exposure": rendered.look.exposure,
         "tone curve": rendered.look.curve.name(),
         // shares of the window and of the range 0..1: whether framing, light and exposure fit the scene
-        "coverage": rendered.coverage,
+        "coverage": traced.depths.coverage(geometry.grid.views().map(|count| count / 2)),
         "target span": span,
     })
 }
 
 /// What a light field's index says of how it was made.
-fn field_info(rendered: &render::Rendered, placement: &Placement) -> Map<String, Value> {
+fn field_info(look: Look, placement: &Placement) -> Map<String, Value> {
     let mut info = Map::new();
-    info.insert("exposure".into(), rendered.look.exposure.into());
-    info.insert("tone".into(), rendered.look.curve.name().into());
+    info.insert("exposure".into(), look.exposure.into());
+    info.insert("tone".into(), look.curve.name().into());
     info.insert("depth_scale".into(), placement.depth_scale.into());
     if let Some(from_deg) = placement.looked_from_deg {
         info.insert("look_from_deg".into(), from_deg.to_vec().into());

@@ -10,13 +10,13 @@ use serde::Serialize;
 
 use super::Run;
 use super::input::field_defaults;
-use crate::cache::KeyBuilder;
-use crate::code;
 use crate::error::{PipelineError, display_error, field_error, host_error};
-use crate::file_params;
-use crate::files::{read_json, write_json};
-use crate::ingest;
 use crate::job::{Job, OutputJob};
+use crate::store::code;
+use crate::store::files::{read_json, write_json};
+use crate::store::key::KeyBuilder;
+use crate::store::plugin_files;
+use crate::store::plugin_files::plugin_key;
 
 /// An output of a job that would not be written.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -34,7 +34,7 @@ pub struct RefusedOutput {
 /// # Errors
 /// When a display of the job makes no sense, the light field that it reads cannot be opened, or when cancelled.
 pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Vec<RefusedOutput>, PipelineError> {
-    let job = &file_params::resolved(job, registry)?;
+    let job = &plugin_files::resolved(job, registry)?;
     let display = job.resolve_display()?;
     // a source makes the light field of the display; what is read has a geometry of its own
     let field = match (&job.scene, &job.light_field) {
@@ -139,7 +139,7 @@ impl Run<'_> {
                     add_depth(&mut key, field);
                 }
             }
-            let plugin = ingest::plugin_key(registry, &output.plugin, &output.params);
+            let plugin = plugin_key(registry, &output.plugin, &output.params);
             let key = plugin.map(|plugin| key.add("plugin", plugin.as_bytes()).finish());
             let stage = match from {
                 OutputJob::LIGHT_FIELD => format!("output-{from}-{}", output.name()),

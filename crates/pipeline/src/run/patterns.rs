@@ -12,12 +12,12 @@ use lumistack_report::{Iteration, Solution};
 use serde::{Deserialize, Serialize};
 
 use super::Run;
-use crate::cache::KeyBuilder;
-use crate::code;
 use crate::error::{PipelineError, factorize_error, field_error, host_error};
-use crate::files::{read_json, write_json};
-use crate::ingest;
 use crate::job::{FactorizeJob, NodeJob};
+use crate::store::code;
+use crate::store::files::{read_json, write_json};
+use crate::store::key::KeyBuilder;
+use crate::store::plugin_files::plugin_key;
 
 /// Points of the convergence curve: enough for a plot; each costs a part of an update.
 const CURVE_POINTS: u32 = 40;
@@ -182,7 +182,7 @@ impl Run<'_> {
         task: Task<'_>,
     ) -> Result<LayerStack, PipelineError> {
         let mut key = KeyBuilder::new("node", code::PLUGINS);
-        key.add("plugin", ingest::plugin_key(self.registry, &node.plugin, &node.params)?.as_bytes())
+        key.add("plugin", plugin_key(self.registry, &node.plugin, &node.params)?.as_bytes())
             .add("display", display.to_toml().as_bytes())
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())
             .add_f32("target", target.radiance().data());

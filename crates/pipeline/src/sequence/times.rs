@@ -12,9 +12,11 @@ use lumistack_scene::{Similarity, Window};
 
 use super::{Last, name};
 use crate::error::{PipelineError, display_error};
-use crate::fit::{self, Placement};
-use crate::ingest::{self, Ingested};
 use crate::job::{FactorizeJob, FitDepth, Job, Near, PoseJob, SequenceJob, SourceJob, WindowFrom, WindowJob};
+use crate::stage::ingest;
+use crate::stage::ingest::Ingested;
+use crate::stage::place;
+use crate::stage::place::Placement;
 
 /// What `auto` takes after the first time. Extrapolating along a few iterations from patterns of another target overshoots. Measured with content that moves
 /// 2 pixels a time (3 layers, 6 frames, 160 × 100, 5 × 5 views, 5 iterations): block-exact reaches 49.9 dB and flicker 48.8 dB at β = 0.2, extrapolated 47.8 and 46.6 dB; 45.3 dB both
@@ -57,7 +59,7 @@ impl<'a> Times<'a> {
                 let pose = pose_at(job, sequence, 0.0);
                 let ingested =
                     ingest::load_scene(scene, &pose, &job.importer, registry, &job.light, Some(cache_dir), task)?;
-                let placement = fit::place(&ingested, &job.window, &display, &geometry, Some(cache_dir), task)?;
+                let placement = place::place(&ingested, &job.window, &display, &geometry, Some(cache_dir), task)?;
                 let (studio, count) = (ingested.studio, sequence.times.unwrap_or(1));
                 Source::Scene { ingested: Box::new(ingested), placement, studio, count }
             }

@@ -9,7 +9,7 @@ use std::process::Command;
 use lumistack_pathtracer::Features;
 
 use crate::error::{PipelineError, read};
-use crate::files::write;
+use crate::store::files::write;
 
 /// Asks Python where the package keeps the program.
 const ASK_PYTHON: &str = "import importlib.util as u, os; print(os.path.join(os.path.dirname(u.find_spec('pyoidn').origin), 'oidn', 'bin', 'oidnDenoise'))";

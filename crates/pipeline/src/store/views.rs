@@ -3,12 +3,40 @@
 //! Views are written one by one while a run may be killed at any time, so each carries its own hash instead of a stamp for all. The name is part of it: a
 //! view that was copied over another is not that other.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use lumistack_core::Tensor;
+use lumistack_display::FieldGeometry;
 use lumistack_field_io::picture::{self, Picture, Precision};
 
-use crate::cache::KeyBuilder;
+use super::key::KeyBuilder;
 use crate::error::{PipelineError, field_error};
+
+/// The file of a view, or of a half of its samples.
+pub(crate) fn view_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
+    let half = half.map_or("", |half| ["-a", "-b"][half]);
+    folder.join(format!("view_{:02}_{:02}{half}.exr", view[0], view[1]))
+}
+
+/// The file of the variance of a view, or of a half of its samples.
+pub(crate) fn variance_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
+    let half = half.map_or("", |half| ["-a", "-b"][half]);
+    folder.join(format!("variance_{:02}_{:02}{half}.exr", view[0], view[1]))
+}
+
+/// Reads a view of the geometry's size; `None` where it is not there as it was written.
+pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
+    read_picture(path, [geometry.cols, geometry.rows])
+}
+
+/// Writes a view, linear.
+///
+/// # Errors
+/// When the file cannot be written.
+pub(crate) fn write_view(path: &Path, picture: &Tensor<3>) -> Result<(), PipelineError> {
+    let [rows, cols, _] = picture.shape();
+    write_picture(path, [cols, rows], picture.data())
+}
 
 /// Writes a view, `[row][col][rgb]` linear, `size` = [columns, rows].
 ///

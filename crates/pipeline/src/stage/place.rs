@@ -14,6 +14,9 @@
 //! Scaling slopes is what moving viewpoints together does: every displacement between views shrinks by k. In oblique views that is an affine
 //! compression of the scene along the window's normal, in perspective ones a projective one that keeps straight lines straight.
 
+pub(crate) mod side;
+pub(crate) mod window;
+
 use std::path::Path;
 
 use lumistack_core::Task;
@@ -21,12 +24,13 @@ use lumistack_display::{Display, FieldGeometry, Projection, ViewGrid};
 use lumistack_scene::Window;
 use serde::{Deserialize, Serialize};
 
-use crate::cache::{KeyBuilder, remembered};
-use crate::code;
-use crate::error::PipelineError;
-use crate::ingest::{Found, Ingested, find_window};
+use crate::error::{PipelineError, render_error};
 use crate::job::{FitDepth, Near, WindowFrom, WindowJob};
-use crate::render::render_error;
+use crate::stage::ingest::Ingested;
+use crate::stage::place::window::{Found, find_window};
+use crate::store::code;
+use crate::store::key::KeyBuilder;
+use crate::store::stamps::remembered;
 
 /// Columns of the straight view by which depth is measured.
 const PROBE_COLS: usize = 210;

@@ -6,19 +6,6 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::error::{PipelineError, field_error};
-use crate::folder::write_sealed;
-use crate::job::Job;
-
-/// Writes `job.toml` so that it can be run from where it lies.
-pub(crate) fn write_job(job: &Job, dir: &Path) -> Result<(), PipelineError> {
-    let mut job = job.clone();
-    for path in job.paths_mut() {
-        if let Ok(absolute) = std::path::absolute(&*path) {
-            *path = absolute;
-        }
-    }
-    write_sealed(&dir.join("job.toml"), &job.to_toml())
-}
 
 /// Removes the reports of older patterns.
 pub(crate) fn remove_reports(dir: &Path) -> Result<(), PipelineError> {

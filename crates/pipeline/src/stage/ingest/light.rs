@@ -10,10 +10,9 @@ use lumistack_field_io::picture::Picture;
 use lumistack_pathtracer::{Renderer, Settings};
 use lumistack_scene::{AlphaMode, Environment, Image, Lamp, Material, Pixels, Scene, SceneError, SceneParts, Window};
 
-use crate::error::{PipelineError, field_error, read};
-use crate::look::automatic_look;
-use crate::render::render_error;
-use crate::side;
+use crate::error::{PipelineError, field_error, read, render_error};
+use crate::stage::look::automatic_look;
+use crate::stage::place::side;
 
 /// Size of the studio map; it is smooth.
 const STUDIO: [usize; 2] = [128, 64];

@@ -1,11 +1,15 @@
 //! Parameters of plugins that are files: relative to the job's file, there before any work begins, and part of what a result depends on.
 
-use lumistack_plugin_host::{Kind, Registry};
+use std::path::Path;
+
+use lumistack_plugin_host::{Kind, Origin, Registry};
 use serde_json::{Map, Value};
 
-use crate::error::PipelineError;
-use crate::ingest;
+use super::code;
+use super::key::{KeyBuilder, hash};
+use crate::error::{PipelineError, read};
 use crate::job::Job;
+use crate::reader::own_reader;
 
 /// The files among the parameters `params` of the plugin `id`: name and path. A text that begins with `{` is the content itself.
 pub(crate) fn of<'a>(
@@ -27,7 +31,7 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
     let mut job = job.clone();
     let folder = job.folder.clone();
     // who reads a file without a plugin needs no look at all libraries
-    let foreign = job.scene.as_ref().filter(|scene| ingest::own_reader(scene).is_none());
+    let foreign = job.scene.as_ref().filter(|scene| own_reader(scene).is_none());
     let extension = foreign.and_then(|scene| scene.extension());
     let extension = extension.map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let by_extension = extension.and_then(|extension| registry.importer_of(&extension));
@@ -60,4 +64,29 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
         }
     }
     Ok(job)
+}
+
+/// What the work of a plugin depends on, besides what it is given: its version, its parameters, and its code, which changes while somebody writes
+/// it: the library's content, or the sources of one that is compiled in.
+pub(crate) fn plugin_key(
+    registry: &Registry,
+    id: &str,
+    params: &serde_json::Map<String, serde_json::Value>,
+) -> Result<String, PipelineError> {
+    let mut key = KeyBuilder::new(&format!("plugin {id}"), code::PLUGINS);
+    key.add("version", registry.get(id).map_err(PipelineError::Output)?.info().version.as_bytes());
+    key.add_json("params", params);
+    for (name, path) in of(registry, id, params) {
+        key.add("file", name.as_bytes()).add("content", hash(&read(Path::new(path))?).as_bytes());
+    }
+    match registry.origin(id) {
+        Some(Origin::Library(library)) => {
+            key.add("library", hash(&read(library)?).as_bytes());
+        }
+        _ => {
+            let sources = lumistack_plugin_host::fingerprint_of(id).unwrap_or_default();
+            key.add("sources", sources.as_bytes());
+        }
+    }
+    Ok(key.finish())
 }

@@ -17,8 +17,7 @@ use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_pathtracer::Renderer;
 use lumistack_scene::{Bounds, Instance, Scene, Window, WindowError};
 
-use crate::error::PipelineError;
-use crate::render::render_error;
+use crate::error::{PipelineError, render_error};
 
 /// Azimuth and elevation of the front, degrees.
 pub(crate) const FRONT: [f64; 2] = [0.0; 2];

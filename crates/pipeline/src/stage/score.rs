@@ -11,16 +11,14 @@ use lumistack_display::{DirectionScore, Display, FieldGeometry, LayerStack, Simu
 use lumistack_field_io::npy;
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 use lumistack_report::{ZoneFigures, ZoneView};
-use lumistack_scene::Window;
 use rayon::prelude::*;
 
-use crate::denoise::write_view;
-use crate::error::{PipelineError, field_error};
-use crate::ingest::Ingested;
+use crate::error::{PipelineError, field_error, render_error};
 use crate::job::{Background, Engine, Job};
-use crate::look::Look;
-use crate::render::{read_view, render_error, shot_key};
-use crate::surround::expose_over;
+use crate::stage::expose::expose_over;
+use crate::stage::fields::Shot;
+use crate::stage::look::Look;
+use crate::store::views::{read_view, write_view};
 
 /// Directions whose pictures have enough samples to be looked at: for SSIM, FLIP and the report's pictures.
 const CLEAN: usize = 8;
@@ -55,20 +53,20 @@ impl References {
     /// # Errors
     /// When rendering fails or is cancelled, or a picture cannot be stored.
     pub(crate) fn render(
-        job: &Job,
-        zone: &Zone,
-        geometry: &FieldGeometry,
-        depth_scale: f64,
         shot: Shot<'_>,
+        zone: &Zone,
+        (look, engine): (Look, Engine),
         cache_dir: &Path,
         task: Task<'_>,
     ) -> Result<Option<Self>, PipelineError> {
+        let Shot { job, ingested, geometry, .. } = shot;
+        let (window, depth_scale) = (shot.window(), shot.placement.depth_scale);
         let directions = zone.directions(job.report.zone_directions);
-        if directions.is_empty() || shot.engine == Engine::Blender {
+        if directions.is_empty() || engine == Engine::Blender {
             return Ok(None);
         }
         let pixels = |direction: &ViewGrid| geometry.with_grid(direction.clone());
-        let mut key = shot_key(job, shot.ingested, shot.window);
+        let mut key = shot.key();
         key.add_json("zone", &(SAMPLES, job.render.max_bounces, job.seed))
             .add_json("hidden", &(job.light.background != Background::Environment))
             .add("directions", format!("{directions:?} {depth_scale}").as_bytes());
@@ -76,14 +74,13 @@ impl References {
         let folder = cache_dir.join(format!("zone-{}", &key.finish()[..16]));
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
         let background = job.light.background;
-        let references =
-            Self { geometry: geometry.clone(), directions, folder, look: shot.look, background, cached: false };
+        let references = Self { geometry: geometry.clone(), directions, folder, look, background, cached: false };
         let all = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]);
         let todo: Vec<(usize, usize)> = all.filter(|&(i, half)| references.one(i, half).is_none()).collect();
         if todo.is_empty() {
             return Ok(Some(Self { cached: true, ..references }));
         }
-        let renderer = shot.ingested.renderer(task)?;
+        let renderer = ingested.renderer(task)?;
         let steps = todo.len() as u64 * Renderer::steps_per_view(&pixels(&references.directions[0]));
         task.progress.begin("render for the score", steps, "tiles");
         let result = todo.iter().try_for_each(|&(i, half)| -> Result<(), PipelineError> {
@@ -98,10 +95,9 @@ impl References {
                 ..Settings::default()
             };
             let traced = pixels(&references.directions[i].scaled(depth_scale));
-            let picture = renderer.render_view(shot.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
+            let picture = renderer.render_view(window, &traced, [0, 0], &settings, task).map_err(render_error)?;
             if background != Background::Environment {
-                let missed =
-                    renderer.render_misses(shot.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
+                let missed = renderer.render_misses(window, &traced, [0, 0], &settings, task).map_err(render_error)?;
                 let shape = [geometry.rows, geometry.cols];
                 npy::write(&references.missed(i, half), &shape, missed.data()).map_err(field_error)?;
             }
@@ -180,12 +176,4 @@ impl References {
     fn path(&self, i: usize, half: usize) -> PathBuf {
         self.folder.join(format!("direction_{i:02}-{}.exr", ["a", "b"][half]))
     }
-}
-
-/// What is rendered.
-pub(crate) struct Shot<'a> {
-    pub(crate) ingested: &'a Ingested,
-    pub(crate) window: &'a Window,
-    pub(crate) look: Look,
-    pub(crate) engine: Engine,
 }

@@ -1,7 +1,6 @@
-//! What makes a rerun cheap: keys of stages and stamps beside their results.
+//! What makes a rerun cheap: stamps beside the results of stages.
 //!
-//! A stage is keyed by a hash of the code that its result passes through, its resolved settings and the content of every file it read, never by thread
-//! count. Its stamp is written last, so that a stage that was killed midway has none, and holds a hash of every file that the stage wrote: one that was
+//! A stamp holds the [key](super::key) of a stage. It is written last, so that a stage that was killed midway has none, and holds a hash of every file that the stage wrote: one that was
 //! damaged or replaced since is no result, whatever its size and time.
 
 use std::path::{Path, PathBuf};
@@ -10,9 +9,9 @@ use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::code::Code;
+use super::files::{read_json, write_json};
+use super::key::content_hash;
 use crate::error::PipelineError;
-use crate::files::{read_json, write_json};
 
 /// What a file of the cache holds, or what `make` gives, which is then kept there. Without a folder nothing is kept.
 ///
@@ -34,56 +33,6 @@ pub(crate) fn remembered<T: Serialize + DeserializeOwned>(
     Ok(made)
 }
 
-/// Collects everything a stage's result depends on.
-#[derive(Clone)]
-pub(crate) struct KeyBuilder(blake3::Hasher);
-
-impl KeyBuilder {
-    /// Starts the key of a stage whose results pass through `code`.
-    pub(crate) fn new(stage: &str, code: Code) -> Self {
-        let mut builder = Self(blake3::Hasher::new());
-        builder.add("stage", stage.as_bytes());
-        for fingerprint in code {
-            builder.add("code", fingerprint.as_bytes());
-        }
-        builder
-    }
-
-    /// Adds a labelled value. Lengths are hashed too, so that neighbours cannot run together.
-    pub(crate) fn add(&mut self, label: &str, bytes: &[u8]) -> &mut Self {
-        for part in [label.as_bytes(), bytes] {
-            self.0.update(&(part.len() as u64).to_le_bytes());
-            self.0.update(part);
-        }
-        self
-    }
-
-    /// Adds anything that serializes.
-    pub(crate) fn add_json(&mut self, label: &str, value: &impl Serialize) -> &mut Self {
-        let text = serde_json::to_string(value).expect("settings serialize");
-        self.add(label, text.as_bytes())
-    }
-
-    /// Adds floats.
-    pub(crate) fn add_f32(&mut self, label: &str, values: &[f32]) -> &mut Self {
-        self.0.update(&(label.len() as u64).to_le_bytes());
-        self.0.update(label.as_bytes());
-        self.0.update(&(values.len() as u64).to_le_bytes());
-        let mut buffer = Vec::with_capacity(4 * 4096);
-        for chunk in values.chunks(4096) {
-            buffer.clear();
-            chunk.iter().for_each(|value| buffer.extend_from_slice(&value.to_le_bytes()));
-            self.0.update(&buffer);
-        }
-        self
-    }
-
-    /// The key in hexadecimal.
-    pub(crate) fn finish(&self) -> String {
-        self.0.finalize().to_hex().to_string()
-    }
-}
-
 /// The stamps of a run folder.
 #[derive(Clone, Debug)]
 pub(crate) struct Stamps {
@@ -95,13 +44,6 @@ struct Stamp {
     key: String,
     /// Each with a hash of its content.
     files: Vec<(PathBuf, String)>,
-}
-
-/// A hash of a file's content.
-pub(crate) fn content_hash(path: &Path) -> std::io::Result<String> {
-    let mut hash = blake3::Hasher::new();
-    hash.update_reader(std::fs::File::open(path)?)?;
-    Ok(hash.finalize().to_hex().to_string())
 }
 
 impl Stamps {
@@ -156,6 +98,8 @@ impl Stamps {
 
 #[cfg(test)]
 mod tests {
+    use super::super::code::Code;
+    use super::super::key::KeyBuilder;
     use super::*;
 
     #[test]

@@ -4,18 +4,14 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, SeenDepth};
-use lumistack_pathtracer::{Memory, Renderer};
-use lumistack_plugin_host::Registry;
+use lumistack_pathtracer::Renderer;
 use lumistack_report::DepthBudget;
 use lumistack_scene::Window;
 
-use crate::cache::content_hash;
-use crate::error::{PipelineError, display_error, field_error};
-use crate::files::{read_json, write_json};
-use crate::fit::{self, Placement, probe};
-use crate::ingest::load_scene;
-use crate::job::Job;
-use crate::render::render_error;
+use crate::error::{PipelineError, field_error, render_error};
+use crate::stage::place::{Placement, probe};
+use crate::store::files::{read_json, write_json};
+use crate::store::key::content_hash;
 
 /// Columns at which depth is kept: enough for shares and percentiles.
 const MOST_COLS: usize = 240;
@@ -23,42 +19,6 @@ const MOST_COLS: usize = 240;
 const FILE: &str = "depth.npy";
 /// Beside it a hash of its content.
 const HASH: &str = "depth.json";
-
-/// What can be told of a scene on a display before anything is rendered.
-pub struct Outlook {
-    /// How much of the scene the display can show sharply.
-    pub depth: DepthBudget,
-    /// Share of the window where the middle view sees a surface, 0..1.
-    pub coverage: f64,
-    /// What the scene occupies once it is prepared for rendering.
-    pub memory: Memory,
-}
-
-/// Places the job's display in its scene as a run would, and looks how deep its views see.
-///
-/// # Errors
-/// When the job has no scene, or scene, display or window make no sense.
-pub fn outlook(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
-    outlook_on(job, &job.resolve_display()?, registry, task)
-}
-
-/// [`outlook`] with another display than the job's.
-///
-/// # Errors
-/// As there.
-pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
-    let Some(scene) = &job.scene else {
-        return Err(PipelineError::value("job", "scene", "a scene", "none"));
-    };
-    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
-    let ingested = load_scene(scene, &job.pose, &job.importer, registry, &job.light, None, task)?;
-    let placement = fit::place(&ingested, &job.window, display, &geometry, None, task)?;
-    let renderer = ingested.renderer(task)?;
-    let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
-    let depths = Depths::trace(renderer, &placement.window, &traced, None, task)?;
-    let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
-    Ok(Outlook { depth: depths.budget(display, &geometry, &placement), coverage, memory: renderer.memory() })
-}
 
 /// z of the first surface along rays of all views, in the display space of the window.
 #[derive(Clone, Debug)]

@@ -1,0 +1,49 @@
+//! What can be told of a scene on a display before anything is rendered.
+
+use lumistack_core::Task;
+use lumistack_display::Display;
+use lumistack_pathtracer::Memory;
+use lumistack_plugin_host::Registry;
+use lumistack_report::DepthBudget;
+
+use crate::error::{PipelineError, display_error};
+use crate::job::Job;
+use crate::stage::depth::Depths;
+use crate::stage::ingest::load_scene;
+use crate::stage::place;
+
+/// What can be told of a scene on a display before anything is rendered.
+pub struct Outlook {
+    /// How much of the scene the display can show sharply.
+    pub depth: DepthBudget,
+    /// Share of the window where the middle view sees a surface, 0..1.
+    pub coverage: f64,
+    /// What the scene occupies once it is prepared for rendering.
+    pub memory: Memory,
+}
+
+/// Places the job's display in its scene as a run would, and looks how deep its views see.
+///
+/// # Errors
+/// When the job has no scene, or scene, display or window make no sense.
+pub fn outlook(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
+    outlook_on(job, &job.resolve_display()?, registry, task)
+}
+
+/// [`outlook`] with another display than the job's.
+///
+/// # Errors
+/// As there.
+pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
+    let Some(scene) = &job.scene else {
+        return Err(PipelineError::value("job", "scene", "a scene", "none"));
+    };
+    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let ingested = load_scene(scene, &job.pose, &job.importer, registry, &job.light, None, task)?;
+    let placement = place::place(&ingested, &job.window, display, &geometry, None, task)?;
+    let renderer = ingested.renderer(task)?;
+    let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
+    let depths = Depths::trace(renderer, &placement.window, &traced, None, task)?;
+    let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
+    Ok(Outlook { depth: depths.budget(display, &geometry, &placement), coverage, memory: renderer.memory() })
+}

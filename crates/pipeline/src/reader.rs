@@ -1,0 +1,63 @@
+//! Who reads a scene's file.
+
+use std::path::Path;
+
+use lumistack_plugin_host::{PluginKind, Registry};
+
+use crate::error::PipelineError;
+use crate::job::ImporterJob;
+
+/// What reads a scene's file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Reader {
+    Gltf,
+    Usd,
+    Blend,
+    /// Id of an importer.
+    Plugin(String),
+}
+
+/// Whether a file is USD by its extension.
+pub fn is_usd(path: &Path) -> bool {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    lumistack_usd::EXTENSIONS.contains(&extension.as_str())
+}
+
+/// Whether a file is Blender's by its extension.
+pub fn is_blend(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(lumistack_usd::BLEND_EXTENSION))
+}
+
+/// Who reads a file without a plugin.
+pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
+    let is_gltf = |extension: &std::ffi::OsStr| ["gltf", "glb"].iter().any(|own| extension.eq_ignore_ascii_case(own));
+    if path.extension().is_some_and(is_gltf) {
+        return Some(Reader::Gltf);
+    }
+    if is_usd(path) {
+        return Some(Reader::Usd);
+    }
+    is_blend(path).then_some(Reader::Blend)
+}
+
+/// Who reads a job's scene.
+///
+/// # Errors
+/// When nobody takes files of its kind, or there is no such importer.
+pub(crate) fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry) -> Result<Reader, PipelineError> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    if let Some(id) = &importer.plugin {
+        registry.get_kind(id, PluginKind::Importer).map_err(PipelineError::Output)?;
+        return Ok(Reader::Plugin(id.clone()));
+    }
+    if let Some(reader) = own_reader(path) {
+        return Ok(reader);
+    }
+    let found = registry.importer_of(&extension).map(|info| info.id.clone());
+    found.map(Reader::Plugin).ok_or_else(|| {
+        let known = registry.infos().flat_map(|info| info.extensions.iter().map(|extension| format!(", .{extension}")));
+        let usd = lumistack_usd::EXTENSIONS.map(|extension| format!(", .{extension}")).concat();
+        let expected = format!("a file .gltf, .glb, .blend{usd}{}", known.collect::<String>());
+        PipelineError::value(path, "scene", expected, format!("extension `{extension}`"))
+    })
+}

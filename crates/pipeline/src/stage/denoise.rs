@@ -1,0 +1,240 @@
+//! Denoising of a rendered light field: views in two halves in, filtered views and what was done to them out.
+//!
+//! ```text
+//! cache/views/target-KEY/view_YY_XX-a.exr -b.exr       halves of the samples, as traced
+//! cache/views/target-KEY/guided/view_YY_XX.exr       filtered; figures.json is written last
+//! ```
+//!
+//! A run that is stopped goes on from its finished halves, and another filter costs no rendering.
+
+mod oidn;
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::{Task, Tensor};
+use lumistack_display::FieldGeometry;
+use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, ViewFigures, Window as Around};
+use lumistack_pathtracer::{Checks, Renderer, Settings};
+use lumistack_report::{DenoisedView, Denoising};
+use lumistack_scene::Window;
+
+use self::oidn::Oidn;
+use super::fields::{FieldJob, Shot};
+use super::look::Look;
+use crate::error::{PipelineError, render_error};
+use crate::job::Denoise;
+use crate::store::files::{read_json, write_json};
+use crate::store::views::{read_view, view_path, write_view};
+
+/// Rays per pixel that the guides are averaged over.
+pub(crate) const FEATURE_SAMPLES: u32 = 16;
+/// Paths of each render of a checked pixel, over those of a pixel of the views.
+const CHECK_FACTOR: u32 = 2;
+/// What the path tracer takes.
+const MOST_SAMPLES: u32 = 65536;
+
+/// What a denoiser did to the target.
+pub(crate) struct Denoised {
+    kind: Denoise,
+    /// Per view, in the order of the grid; exposed radiance.
+    figures: Vec<ViewFigures>,
+    /// The middle view as it was, `[row][col][rgb]`, as displayed.
+    unbiased: Vec<f32>,
+    /// The middle view as it became, likewise.
+    filtered: Vec<f32>,
+}
+
+/// Fails early where a filter cannot be had: before an hour of rendering, not after.
+pub(crate) fn check(kind: Denoise) -> Result<(), PipelineError> {
+    if kind == Denoise::Oidn { Oidn::find().map(drop) } else { Ok(()) }
+}
+
+/// Filters the views of all fields that the filter has not been over; says whether it had been over all of them.
+///
+/// # Errors
+/// When cancelled, when a file cannot be written, or when Open Image Denoise is asked for and fails.
+pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result<bool, PipelineError> {
+    let kind = shot.job.render.denoise;
+    let mut cached = true;
+    for field in fields {
+        if !is_finished(field, kind) {
+            cached = false;
+            filter(field, kind, shot.ingested.renderer(task)?, shot.window(), task)?;
+        }
+    }
+    Ok(cached)
+}
+
+/// Whether the filter has been here.
+pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
+    let folder = field.finished(kind);
+    let is_there = |view| read_view(&view_path(&folder, view, None), &field.traced).is_some();
+    kind == Denoise::Off || (read_figures(&folder).is_some() && field.traced.grid.iter().all(is_there))
+}
+
+/// Filters the views; what was done to them is written last.
+///
+/// # Errors
+/// When cancelled, when a file cannot be written, or when Open Image Denoise is asked for and fails.
+fn filter(
+    field: &FieldJob,
+    kind: Denoise,
+    renderer: &Renderer,
+    window: &Window,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    let (geometry, settings) = (&field.traced, field.seeded(&[]));
+    let noisy = |view| -> Result<NoisyView, PipelineError> {
+        let features = renderer.render_features(window, geometry, view, FEATURE_SAMPLES, settings.angular_filter, task);
+        let halves = [half(field, view, 0)?, half(field, view, 1)?];
+        let noisy = NoisyView { halves, features: features.map_err(render_error)? };
+        task.progress.advance(1, "");
+        Ok(noisy)
+    };
+    let count = geometry.grid.iter().count() as u64;
+    task.progress.begin("guides of the denoiser", count, "views");
+    let views: Result<Vec<NoisyView>, _> = geometry.grid.iter().map(noisy).collect();
+    task.progress.end();
+    let views = views?;
+    let folder = field.finished(kind);
+    std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
+    let filtered = run_filter(kind, geometry, &views, &folder, task)?;
+    let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
+    let mut told = Vec::new();
+    let stage = if field.is_target() { "check the denoiser" } else { "write views" };
+    task.progress.begin(stage, count, "views");
+    let checked = geometry.grid.iter().zip(&views).zip(&filtered).try_for_each(|((view, noisy), picture)| {
+        write_view(&view_path(&folder, view, None), picture)?;
+        let checks = if field.is_target() {
+            renderer.render_checks(window, geometry, view, &of_checks, task).map_err(render_error)?
+        } else {
+            Checks::default()
+        };
+        let figures = denoise::figures(picture, noisy, &checks);
+        told.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
+        task.progress.advance(1, "");
+        Ok::<_, PipelineError>(())
+    });
+    task.progress.end();
+    checked?;
+    write_json(&figures_path(&folder), &told)
+}
+
+/// A half of a view, as it was traced.
+fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, PipelineError> {
+    let path = view_path(&field.folder, view, Some(half));
+    read_view(&path, &field.traced)
+        .and_then(|values| {
+            Tensor::from_vec(["row", "col", "rgb"], [field.traced.rows, field.traced.cols, 3], values).ok()
+        })
+        .ok_or_else(|| PipelineError::value(&path, "cached view", "the picture just written", "another or none"))
+}
+
+/// What the report tells of the filter.
+///
+/// # Errors
+/// When what the filter wrote is not there.
+pub(crate) fn denoised(field: &FieldJob, kind: Denoise, look: Look) -> Result<Option<Denoised>, PipelineError> {
+    if kind == Denoise::Off {
+        return Ok(None);
+    }
+    let folder = field.finished(kind);
+    let path = figures_path(&folder);
+    let missing = || PipelineError::value(&path, "content", "the figures just written", "others or none");
+    let mut figures = read_figures(&folder).ok_or_else(missing)?;
+    for f in &mut figures {
+        f.mean *= look.exposure;
+        f.change = f.change.scaled(look.exposure);
+        f.mse_before = f.mse_before.scaled(look.exposure.powi(2));
+        f.mse_after = f.mse_after.scaled(look.exposure.powi(2));
+    }
+    let middle = field.traced.grid.views().map(|count| count / 2);
+    let (a, b) = (half(field, middle, 0)?, half(field, middle, 1)?);
+    let mut unbiased: Vec<f32> = a.data().iter().zip(b.data()).map(|(a, b)| 0.5 * (a + b)).collect();
+    let mut filtered = read_view(&view_path(&folder, middle, None), &field.traced).ok_or_else(missing)?;
+    look.apply_to(&mut unbiased);
+    look.apply_to(&mut filtered);
+    Ok(Some(Denoised { kind, figures, unbiased, filtered }))
+}
+
+impl Denoised {
+    /// For the report.
+    pub(crate) fn about(&self) -> Denoising<'_> {
+        let pair = |estimate: Estimate| [estimate.value(), estimate.error()];
+        let view = |figures: &ViewFigures| DenoisedView {
+            mean: figures.mean,
+            mean_change: pair(figures.change),
+            mse_before: pair(figures.mse_before),
+            mse_after: pair(figures.mse_after),
+        };
+        let all = |of: fn(&ViewFigures) -> Estimate| Estimate::joined(self.figures.iter().map(of));
+        let overall = ViewFigures {
+            mean: self.figures.iter().map(|f| f.mean).sum::<f64>() / self.figures.len() as f64,
+            change: all(|f| f.change),
+            mse_before: all(|f| f.mse_before),
+            mse_after: all(|f| f.mse_after),
+        };
+        let name = match self.kind {
+            Denoise::Oidn => "Intel Open Image Denoise, view by view",
+            Denoise::Guided | Denoise::Off => "the guided filter over all views",
+        };
+        Denoising {
+            name,
+            overall: view(&overall),
+            views: self.figures.iter().map(view).collect(),
+            unbiased: &self.unbiased,
+            filtered: &self.filtered,
+        }
+    }
+}
+
+fn run_filter(
+    kind: Denoise,
+    geometry: &FieldGeometry,
+    views: &[NoisyView],
+    folder: &Path,
+    task: Task<'_>,
+) -> Result<Vec<Tensor<3>>, PipelineError> {
+    match kind {
+        Denoise::Off => Ok(views.iter().map(NoisyView::mean).collect()),
+        Denoise::Guided => {
+            task.progress.begin("denoise", denoise::steps(geometry), "bands");
+            let filtered = denoise::denoise(geometry, views, Around::default(), task);
+            task.progress.end();
+            Ok(filtered?)
+        }
+        Denoise::Oidn => {
+            let oidn = Oidn::find()?;
+            let exchange = folder.join("exchange");
+            std::fs::create_dir_all(&exchange).map_err(PipelineError::write(&exchange))?;
+            task.progress.begin("denoise", views.len() as u64, "views");
+            let one = |view: &NoisyView| -> Result<Tensor<3>, PipelineError> {
+                task.cancel.check()?;
+                let mut picture = view.mean();
+                let values = oidn.denoise(picture.data(), &view.features, &exchange)?;
+                picture.data_mut().copy_from_slice(&values);
+                task.progress.advance(1, &oidn.version);
+                Ok(picture)
+            };
+            let filtered: Result<Vec<_>, PipelineError> = views.iter().map(one).collect();
+            task.progress.end();
+            let removed = std::fs::remove_dir_all(&exchange).map_err(PipelineError::write(&exchange));
+            let filtered = filtered?;
+            removed.map(|()| filtered)
+        }
+    }
+}
+
+fn figures_path(folder: &Path) -> PathBuf {
+    folder.join("figures.json")
+}
+
+/// What was done to the views in a folder; `None` before it is finished.
+fn read_figures(folder: &Path) -> Option<Vec<ViewFigures>> {
+    let list: Vec<(f64, [[f64; 3]; 3])> = read_json(&figures_path(folder))?;
+    let figures = list.into_iter().map(|(mean, parts)| {
+        let [change, mse_before, mse_after] = parts.map(Estimate::from_parts);
+        ViewFigures { mean, change, mse_before, mse_after }
+    });
+    Some(figures.collect())
+}

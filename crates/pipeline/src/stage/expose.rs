@@ -1,0 +1,149 @@
+//! Traced views become display-referred light fields: one exposure and one tone curve for all of them, and a background where the job has one.
+//!
+//! ```text
+//! L = (1 − m) · curve(exposure · radiance / (1 − m)) + m · background          m: share of a pixel's samples that meet no surface
+//! ```
+//!
+//! Radiance is traced without what is seen of the environment, so that neither exposure nor cached views depend on the background.
+
+use lumistack_core::Task;
+use lumistack_core::tone::ToneCurve;
+use lumistack_display::LightField;
+
+use super::denoise::{self, Denoised};
+use super::depth::Depths;
+use super::fields::Shot;
+use super::look::Look;
+use super::trace::Traced;
+use crate::error::PipelineError;
+use crate::job::Background;
+use crate::store::views::{read_view, view_path};
+
+/// Rays that decide about exposure and tone curve, at most.
+const MOST_RAYS: usize = 4_000_000;
+
+/// Display-referred light fields.
+pub(crate) struct Exposed {
+    /// What the display should show. Views that were not wanted are black.
+    pub(crate) target: LightField,
+    /// In-between views that the solver does not see.
+    pub(crate) held_out: Option<LightField>,
+    /// Views beyond the outermost ones, which it does not see either.
+    pub(crate) outside: Option<LightField>,
+    /// How scene-linear radiance became display-referred.
+    pub(crate) look: Look,
+    /// What the denoiser did to the target, where there is one.
+    pub(crate) denoised: Option<Denoised>,
+}
+
+/// Reads the finished views of all fields and makes them display-referred, with one look for all; with `linear` leaves them as they are.
+///
+/// # Errors
+/// When a view is not there, or the scene's background cannot be traced.
+pub(crate) fn run(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Result<Exposed, PipelineError> {
+    let all: usize = traced.fields.iter().map(|field| field.geometry.grid.iter().count()).sum();
+    task.progress.begin("expose", all as u64, "views");
+    let exposed = expose(shot, traced, linear, task);
+    task.progress.end();
+    exposed
+}
+
+fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Result<Exposed, PipelineError> {
+    let Shot { job, ingested, .. } = shot;
+    let Traced { fields, depths, views, .. } = traced;
+    let kind = job.render.denoise;
+    let mut radiance = Vec::new();
+    for one in fields {
+        let mut field = LightField::black(one.geometry.clone())?;
+        for view in one.wanted(views) {
+            let path = view_path(&one.finished(kind), view, None);
+            let picture = read_view(&path, &one.geometry).ok_or_else(|| {
+                PipelineError::value(&path, "cached view", "the picture just written", "another or none")
+            })?;
+            field.view_mut(view).copy_from_slice(&picture);
+        }
+        radiance.push(field);
+    }
+    let look = if linear {
+        Look { exposure: 1.0, curve: ToneCurve::Linear }
+    } else {
+        Look::choose(&job.light, &ingested.scene, &brightest(&radiance[0], views, depths))
+    };
+    let denoised = denoise::denoised(&fields[0], kind, look)?;
+    let (mut target, mut held_out, mut outside) = (None, None, None);
+    for (field, mut radiance) in fields.iter().zip(radiance) {
+        if linear {
+            // neither exposed nor clipped nor rounded
+        } else if let Background::Colour(background) = job.light.background {
+            for view in field.wanted(views) {
+                let missed = field.missed(view, kind, || ingested.renderer(task), shot.window(), task)?;
+                expose_over(look, background, &missed, radiance.view_mut(view));
+            }
+            lumistack_field_io::round_to_half(&mut radiance);
+        } else {
+            look.apply(&mut radiance);
+            lumistack_field_io::round_to_half(&mut radiance);
+        }
+        task.progress.advance(field.geometry.grid.iter().count() as u64, "");
+        match field.name {
+            "target" => target = Some(radiance),
+            "held-out" => held_out = Some(radiance),
+            _ => outside = Some(radiance),
+        }
+    }
+    let target = target.ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
+    Ok(Exposed { target, held_out, outside, look, denoised })
+}
+
+/// Exposes pixels `[..][rgb]` that are black where no surface is, and puts a background there; `missed` holds m of every pixel.
+pub(crate) fn expose_over(look: Look, background: [f32; 3], missed: &[f32], rgb: &mut [f32]) {
+    for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
+        let covered = 1.0 - missed;
+        if covered > 0.0 {
+            pixel.iter_mut().for_each(|value| *value /= covered);
+        }
+    }
+    look.apply_to(rgb);
+    for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
+        for (value, background) in pixel.iter_mut().zip(background) {
+            *value = (1.0 - missed) * *value + missed * background;
+        }
+    }
+}
+
+/// The brightest channel of evenly spread rays of some views, and whether they meet a surface.
+fn brightest(field: &LightField, views: &[[usize; 2]], depths: &Depths) -> Vec<(f32, bool)> {
+    let geometry = field.geometry();
+    let size = geometry.rows * geometry.cols;
+    let all = views.len() * size;
+    let every = all.div_ceil(MOST_RAYS).max(1);
+    let mut rays = Vec::with_capacity(all / every + 1);
+    for (number, &view) in views.iter().enumerate() {
+        // goes on in the next view where it left off
+        let first = (every - number * size % every) % every;
+        rays.extend(field.view(view).chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
+            let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);
+            (rgb[0].max(rgb[1]).max(rgb[2]), surface)
+        }));
+    }
+    rays
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_core::tone::ToneCurve;
+
+    use super::*;
+
+    #[test]
+    fn edges_mix_what_is_shown_of_both() {
+        let look = Look { exposure: 2.0, curve: ToneCurve::Linear };
+        // a surface of radiance 0.3 that covers all, a quarter and nothing of a pixel
+        let mut rgb: Vec<f32> = [0.3, 0.25 * 0.3, 0.0].iter().flat_map(|value| [*value; 3]).collect();
+        expose_over(look, [1.0, 0.5, 0.0], &[0.0, 0.75, 1.0], &mut rgb);
+        let expected = [0.6, 0.6, 0.6, 0.15 + 0.75, 0.15 + 0.375, 0.15, 1.0, 0.5, 0.0];
+        for (found, expected) in rgb.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-6, "{rgb:?}");
+        }
+    }
+}

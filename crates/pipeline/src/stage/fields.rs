@@ -1,0 +1,244 @@
+//! The light fields of a shot: the target, views in between and views beyond the zone. Tracing, filtering and exposing each take up where the stage before left
+//! them, in `cache/views/NAME-KEY`.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::Task;
+use lumistack_display::{FieldGeometry, ViewGrid};
+use lumistack_pathtracer::{Renderer, Settings};
+use lumistack_scene::Window;
+
+use super::ingest::Ingested;
+use super::place::Placement;
+use crate::error::{PipelineError, field_error, render_error};
+use crate::job::{AngularFilter, Background, Denoise, Job};
+use crate::store::code;
+use crate::store::key::KeyBuilder;
+use crate::store::views::{read_view, variance_path};
+
+/// A scene in front of a display, as a job wants it seen.
+#[derive(Clone, Copy)]
+pub(crate) struct Shot<'a> {
+    pub(crate) job: &'a Job,
+    pub(crate) ingested: &'a Ingested,
+    pub(crate) placement: &'a Placement,
+    /// Of the display's light field.
+    pub(crate) geometry: &'a FieldGeometry,
+    /// Width of slopes of the display's own prefilter.
+    pub(crate) footprint: [f64; 2],
+}
+
+impl Shot<'_> {
+    pub(crate) fn window(&self) -> &Window {
+        &self.placement.window
+    }
+
+    /// Slopes at which views are traced: with a depth scale smaller than those that the display shows.
+    fn traced(&self, geometry: &FieldGeometry) -> FieldGeometry {
+        geometry.with_grid(geometry.grid.scaled(self.placement.depth_scale))
+    }
+
+    /// Key of what a view is before it is exposed, but for its geometry and its samples.
+    pub(crate) fn key(&self) -> KeyBuilder {
+        let light = &self.job.light;
+        let mut key = KeyBuilder::new("render", code::VIEWS);
+        self.ingested.add_to(&mut key);
+        // of a view before it is exposed
+        key.add_json("light", &(light.environment_strength, light.automatic, light.environment_rotation_deg))
+            .add("window", format!("{:?}", self.window()).as_bytes());
+        key
+    }
+
+    fn settings(&self) -> Settings {
+        let (job, depth_scale) = (self.job, self.placement.depth_scale);
+        Settings {
+            samples: job.render.samples,
+            max_bounces: job.render.max_bounces,
+            seed: job.seed,
+            clamp: job.render.clamp,
+            angular_filter: match job.render.angular_filter {
+                _ if job.render.lens_deg > 0.0 => {
+                    let diameter = 2.0 * (0.5 * job.render.lens_deg.to_radians()).tan();
+                    lumistack_pathtracer::AngularFilter::Lens(depth_scale * diameter)
+                }
+                AngularFilter::Point => lumistack_pathtracer::AngularFilter::Point,
+                AngularFilter::Bin => lumistack_pathtracer::AngularFilter::Bin,
+                AngularFilter::Display => {
+                    lumistack_pathtracer::AngularFilter::Width(self.footprint.map(|width| depth_scale * width))
+                }
+            },
+            hide_environment: job.light.background != Background::Environment,
+            ..Settings::default()
+        }
+    }
+
+    /// All light fields of the shot, the target first, each with the folder of its traced views below `cache_dir`. `blender` says whether Blender renders them.
+    pub(crate) fn fields(&self, cache_dir: &Path, blender: bool) -> Vec<FieldJob> {
+        let (job, geometry, settings) = (self.job, self.geometry, self.settings());
+        // views for the report only average over directions as the target's do, however far apart they stand
+        let settings_of_others = Settings {
+            angular_filter: match settings.angular_filter {
+                lumistack_pathtracer::AngularFilter::Bin => {
+                    lumistack_pathtracer::AngularFilter::Width(self.traced(geometry).grid.bin_width())
+                }
+                other => other,
+            },
+            ..settings
+        };
+        let mut key = self.key();
+        key.add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
+        key.add("settings", format!("{settings:?}").as_bytes());
+        if job.render.denoise != Denoise::Off {
+            key.add("halves", b"2");
+        }
+        if blender {
+            key.add("engine", b"blender");
+        }
+        let all = [
+            ("target", settings, Some(geometry.grid.clone())),
+            ("held-out", settings_of_others, held_out_grid(&geometry.grid, job.render.held_out)),
+            ("outside", settings_of_others, geometry.grid.outside(job.render.outside)),
+        ];
+        let fields = all.into_iter().enumerate().filter_map(|(stream, (name, of_field, grid))| {
+            let geometry = geometry.with_grid(grid?);
+            let (traced, mut key) = (self.traced(&geometry), key.clone());
+            key.add("geometry", format!("{traced:?}").as_bytes());
+            if of_field != settings {
+                key.add("filter", format!("{:?}", of_field.angular_filter).as_bytes());
+            }
+            let folder = cache_dir.join(format!("{name}-{}", &key.finish()[..16]));
+            Some(FieldJob { name, stream: stream as u64, geometry, traced, settings: of_field, folder })
+        });
+        fields.collect()
+    }
+}
+
+/// Evenly spread in-between views: at most `per_axis` of the midpoints on each axis.
+pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid> {
+    if per_axis == 0 || grid.views() == [1, 1] {
+        return None;
+    }
+    let midpoints = grid.in_between();
+    let pick = |slopes: &[f64]| {
+        let count = per_axis.min(slopes.len());
+        (0..count).map(|i| slopes[(2 * i + 1) * slopes.len() / (2 * count)]).collect()
+    };
+    Some(ViewGrid { projection: grid.projection, slope_x: pick(&midpoints.slope_x), slope_y: pick(&midpoints.slope_y) })
+}
+
+/// Parts in which views are traced: the filters need two halves.
+pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
+    if kind == Denoise::Off { &[None] } else { &[Some(0), Some(1)] }
+}
+
+/// One light field to render.
+pub(crate) struct FieldJob {
+    pub(crate) name: &'static str,
+    /// Of random numbers.
+    stream: u64,
+    /// Of the display.
+    pub(crate) geometry: FieldGeometry,
+    /// The same in the scene: with the slopes at which it is traced.
+    pub(crate) traced: FieldGeometry,
+    pub(crate) settings: Settings,
+    /// Where its traced views lie.
+    pub(crate) folder: PathBuf,
+}
+
+impl FieldJob {
+    pub(crate) fn is_target(&self) -> bool {
+        self.stream == 0
+    }
+
+    /// Where finished views lie.
+    pub(crate) fn finished(&self, kind: Denoise) -> PathBuf {
+        if kind == Denoise::Off { self.folder.clone() } else { self.folder.join(kind.name()) }
+    }
+
+    /// The views to render: of the target those that were chosen, else all.
+    pub(crate) fn wanted(&self, chosen: &[[usize; 2]]) -> Vec<[usize; 2]> {
+        if self.is_target() { chosen.to_vec() } else { self.geometry.grid.iter().collect() }
+    }
+
+    /// Settings with which a view is traced, or a half of its samples.
+    pub(crate) fn settings_of(&self, half: Option<usize>) -> Settings {
+        match half {
+            None => self.seeded(&[]),
+            Some(half) => Settings { samples: self.settings.samples.div_ceil(2), ..self.seeded(&[1 + half as u64]) },
+        }
+    }
+
+    /// Share of the samples of every pixel of a view that meet no surface, `[row][col]`; kept beside the view.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered, the file cannot be written, or when cancelled.
+    pub(crate) fn missed<'a>(
+        &self,
+        view: [usize; 2],
+        kind: Denoise,
+        renderer: impl Fn() -> Result<&'a Renderer, PipelineError>,
+        window: &Window,
+        task: Task<'_>,
+    ) -> Result<Vec<f32>, PipelineError> {
+        let path = self.folder.join(format!("missed_{:02}_{:02}.npy", view[0], view[1]));
+        let shape = [self.traced.rows, self.traced.cols];
+        if let Ok((found, missed)) = lumistack_field_io::npy::read(&path)
+            && found == shape
+        {
+            return Ok(missed);
+        }
+        let parts = parts(kind);
+        let mut missed = vec![0.0; shape[0] * shape[1]];
+        for &half in parts {
+            let settings = self.settings_of(half);
+            let of_part =
+                renderer()?.render_misses(window, &self.traced, view, &settings, task).map_err(render_error)?;
+            missed.iter_mut().zip(of_part.data()).for_each(|(sum, part)| *sum += part / parts.len() as f32);
+        }
+        lumistack_field_io::npy::write(&path, &shape, &missed).map_err(field_error)?;
+        Ok(missed)
+    }
+
+    /// Variance of every value of a view before it is filtered, `[row][col][rgb]`: of the mean of its halves, where it has halves.
+    ///
+    /// # Errors
+    /// When it was not rendered with the view.
+    pub(crate) fn variance(&self, view: [usize; 2], kind: Denoise) -> Result<Vec<f32>, PipelineError> {
+        let parts = parts(kind);
+        let mut variance = vec![0.0; 3 * self.traced.rows * self.traced.cols];
+        for &half in parts {
+            let path = variance_path(&self.folder, view, half);
+            let of_part = read_view(&path, &self.traced).ok_or_else(|| {
+                PipelineError::value(&path, "cached variance", "the picture just written", "another or none")
+            })?;
+            let share = 1.0 / (parts.len() * parts.len()) as f32;
+            variance.iter_mut().zip(of_part).for_each(|(sum, part)| *sum += share * part);
+        }
+        Ok(variance)
+    }
+
+    /// Settings with the seed of this field, and of a part of it.
+    pub(crate) fn seeded(&self, part: &[u64]) -> Settings {
+        let seed = lumistack_core::seed::derive(self.settings.seed, &[&[self.stream], part].concat());
+        Settings { seed, ..self.settings }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lumistack_display::Projection;
+
+    #[test]
+    fn held_out_views_lie_between_target_views() {
+        let grid = ViewGrid::uniform(Projection::Oblique, [5, 1], [20.0, 20.0]).unwrap();
+        let held_out = held_out_grid(&grid, 2).unwrap();
+        assert_eq!(held_out.views(), [1, 2]);
+        for slope in &held_out.slope_x {
+            assert!(grid.slope_x.iter().all(|target| (target - slope).abs() > 0.01));
+        }
+        assert!(held_out_grid(&grid, 0).is_none());
+        let one = ViewGrid::single(Projection::Oblique, [0.0, 0.0]);
+        assert!(held_out_grid(&one, 2).is_none());
+    }
+}

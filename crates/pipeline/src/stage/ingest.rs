@@ -1,0 +1,383 @@
+//! Scene file to a lit [`Scene`] and the [`Window`] through which the display looks at it.
+
+pub(crate) mod light;
+mod surround;
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use glam::Vec3;
+use lumistack_core::Task;
+use lumistack_files::{Folder, MAX_FILE_BYTES, Refusal};
+use lumistack_gltf::{AssetResolver, LoadOptions};
+use lumistack_pathtracer::Renderer;
+use lumistack_plugin_host::{PluginError, Registry};
+use lumistack_scene::{Lamp, Scene};
+use lumistack_usd::{BlendContents, HandedOver};
+
+use crate::error::{PipelineError, host_error, read, render_error};
+use crate::job::{ImporterJob, LightJob, PoseJob};
+use crate::reader::{Reader, reader_of};
+use crate::store::handover;
+use crate::store::key::{KeyBuilder, hash};
+use crate::store::plugin_files::plugin_key;
+
+/// A loaded scene and what it was made from.
+pub struct Ingested {
+    /// Lit scene.
+    pub scene: Arc<Scene>,
+    /// Every file that was read, with a hash of its content.
+    pub files: Vec<(PathBuf, String)>,
+    /// What was taken of them.
+    pub pose: PoseJob,
+    /// Whether it got the built-in studio light.
+    pub(crate) studio: bool,
+    /// What it offers to choose from, where that came with it.
+    known: Option<SceneContents>,
+    renderer: OnceLock<Renderer>,
+}
+
+impl Ingested {
+    /// The scene prepared for rendering, once for everything that traces it.
+    ///
+    /// # Errors
+    /// When it cannot be rendered, or when cancelled.
+    pub(crate) fn renderer(&self, task: Task<'_>) -> Result<&Renderer, PipelineError> {
+        if let Some(renderer) = self.renderer.get() {
+            return Ok(renderer);
+        }
+        task.progress.begin("prepare scene", 1, "scene");
+        let renderer = Renderer::new(self.scene.clone(), task).map_err(render_error);
+        task.progress.end();
+        let renderer = renderer?;
+        Ok(self.renderer.get_or_init(|| renderer))
+    }
+
+    /// What its `.blend` file offers and what of it is lost, where it comes from one.
+    pub(crate) fn blend(&self) -> Option<&BlendContents> {
+        match &self.known {
+            Some(SceneContents::Blend(contents)) => Some(contents),
+            _ => None,
+        }
+    }
+
+    /// What the scene offers to choose from, without another look at the file where it has been told already.
+    ///
+    /// # Errors
+    /// As [`scene_contents`].
+    pub fn contents(
+        &self,
+        path: &Path,
+        importer: &ImporterJob,
+        registry: &Registry,
+        task: Task<'_>,
+    ) -> Result<SceneContents, PipelineError> {
+        self.known.clone().map_or_else(|| scene_contents(path, importer, registry, task), Ok)
+    }
+
+    /// Adds everything the scene was made from.
+    pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
+        for (path, content) in &self.files {
+            key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
+        }
+        key.add_json("pose", &self.pose);
+        // whether light sources are seen depends on the job
+        let lamps: Vec<u8> = self.scene.materials.iter().map(|material| material.lamp as u8).collect();
+        key.add("lamps", &lamps);
+    }
+}
+
+/// What a scene offers to choose from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SceneContents {
+    /// Animations and material variants.
+    Gltf(lumistack_gltf::Contents),
+    /// Time range, variant sets and cameras.
+    Usd(lumistack_usd::Contents),
+    /// Scenes and frames of a `.blend` file.
+    Blend(lumistack_usd::BlendContents),
+}
+
+/// Lists what a scene offers to choose from.
+///
+/// # Errors
+/// When a file cannot be read or is broken.
+pub fn scene_contents(
+    path: &Path,
+    importer: &ImporterJob,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<SceneContents, PipelineError> {
+    let reader = reader_of(path, importer, registry)?;
+    if reader == Reader::Usd {
+        return Ok(SceneContents::Usd(lumistack_usd::contents(path, task)?));
+    }
+    if reader == Reader::Blend {
+        return Ok(SceneContents::Blend(lumistack_usd::blend_contents(path, task)?));
+    }
+    let resolver = Files::beside(path, importer.allow_outside)?;
+    let bytes = gltf_bytes(path, &reader, importer, registry, &resolver, task)?;
+    Ok(SceneContents::Gltf(lumistack_gltf::contents(&path.display().to_string(), &bytes, &resolver, task)?))
+}
+
+/// The scene as glTF: the file itself, or what an importer makes of it.
+fn gltf_bytes(
+    path: &Path,
+    reader: &Reader,
+    importer: &ImporterJob,
+    registry: &Registry,
+    resolver: &Files,
+    task: Task<'_>,
+) -> Result<Vec<u8>, PipelineError> {
+    let Reader::Plugin(id) = reader else {
+        return Ok(resolver.keep(path.to_owned(), read(path)?));
+    };
+    // so that a missing file is told like any other
+    lumistack_files::open(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
+    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    // its own name may be one that the boundary's texts cannot hold
+    let own = |name: &str| name == file && file.contains(char::REPLACEMENT_CHARACTER);
+    let read = |name: &str| {
+        let bytes = match own(name) {
+            true => lumistack_files::read(path)
+                .map(|bytes| resolver.keep(path.to_owned(), bytes))
+                .map_err(|e| e.to_string()),
+            false => resolver.read(name, MAX_FILE_BYTES),
+        };
+        bytes.map_err(|error| PluginError::Failed(format!("{}: {error}", resolver.folder.path_of(name).display())))
+    };
+    let params = importer.params.clone().into();
+    lumistack_plugin_host::import_scene(registry, id, &params, &file, &read, task).map_err(host_error)
+}
+
+/// Loads a scene in its pose, replaces its environment where the job says so, and lights it where it has no light. What is not glTF goes
+/// through an importer. What another program made of the file is kept in `cache_dir`, and taken from there.
+///
+/// # Errors
+/// When a file cannot be read, no importer takes it, or the scene cannot be rendered.
+pub fn load_scene(
+    path: &Path,
+    pose: &PoseJob,
+    importer: &ImporterJob,
+    registry: &Registry,
+    light_job: &LightJob,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<Ingested, PipelineError> {
+    let mut known = None;
+    let (scene, files) = match reader_of(path, importer, registry)? {
+        Reader::Usd => load_usd(path, pose, task)?,
+        Reader::Blend => {
+            let (read, contents) = load_blend(path, pose, importer, cache_dir, task)?;
+            known = Some(SceneContents::Blend(contents));
+            read
+        }
+        reader => load_gltf(path, pose, &reader, importer, registry, task)?,
+    };
+    Ok(Ingested { known, ..lit(scene, files, pose, light_job, task)? })
+}
+
+/// Lights a scene that the caller has made of these files, and of what lies in memory (`content`), as [`load_scene`] does.
+///
+/// # Errors
+/// When a file cannot be read or the scene cannot be rendered.
+pub fn take_scene(
+    scene: Scene,
+    files: &[PathBuf],
+    content: &[&[u8]],
+    pose: &PoseJob,
+    light_job: &LightJob,
+    task: Task<'_>,
+) -> Result<Ingested, PipelineError> {
+    let mut files = hashed(files)?;
+    if !content.is_empty() {
+        let mut hasher = blake3::Hasher::new();
+        for part in content {
+            hasher.update(&(part.len() as u64).to_le_bytes()).update(part);
+        }
+        files.push(("memory".into(), hasher.finalize().to_hex().to_string()));
+    }
+    lit(scene, files, pose, light_job, task)
+}
+
+fn lit(
+    mut scene: Scene,
+    mut files: Vec<(PathBuf, String)>,
+    pose: &PoseJob,
+    light_job: &LightJob,
+    task: Task<'_>,
+) -> Result<Ingested, PipelineError> {
+    if let Some(environment) = &light_job.environment {
+        files.push((environment.clone(), hash(&read(environment)?)));
+        scene = light::edited(scene, task, |parts| {
+            light::load_environment(parts, environment, light_job.environment_strength)
+        })?;
+    } else if let Some(strength) = scene.environment.map(|environment| environment.strength)
+        && light_job.environment_strength != 1.0
+    {
+        scene = light::edited(scene, task, |parts| {
+            if let Some(environment) = &mut parts.environment {
+                environment.strength = strength * light_job.environment_strength;
+            }
+            Ok(())
+        })?;
+    }
+    if let Some(visible) = light_job.visible {
+        let wanted = if visible { Lamp::Seen } else { Lamp::Unseen };
+        if scene.materials.iter().any(|material| material.lamp != Lamp::No && material.lamp != wanted) {
+            scene = light::edited(scene, task, |parts| {
+                let lamps = parts.materials.iter_mut().filter(|material| material.lamp != Lamp::No);
+                lamps.for_each(|material| material.lamp = wanted);
+                Ok(())
+            })?;
+        }
+    }
+    let has_environment = scene.environment.is_some();
+    if has_environment {
+        scene = surround::turned(scene, light_job, task)?;
+    }
+    let mut studio = light_job.automatic && !scene.is_lit();
+    let mut scene = Arc::new(scene);
+    if light_job.automatic
+        && !studio
+        && let Some(message) = light::probe(&scene, task)?
+    {
+        task.warn(&scene.name, message);
+        studio = true;
+    }
+    if studio {
+        let lit = light::edited(Arc::unwrap_or_clone(scene), task, |parts| {
+            light::add_studio_light(parts);
+            if let Some(environment) = &mut parts.environment {
+                environment.strength = Vec3::splat(light_job.environment_strength);
+            }
+            Ok(())
+        })?;
+        scene = Arc::new(surround::turned(lit, light_job, task)?);
+    } else if !has_environment {
+        surround::warn_of_unused(&scene, light_job, task);
+    }
+    Ok(Ingested { scene, files, pose: pose.clone(), studio, known: None, renderer: OnceLock::new() })
+}
+
+/// What was loaded, and every file that was read, with a hash of its content.
+type Read = (Scene, Vec<(PathBuf, String)>);
+
+fn load_gltf(
+    path: &Path,
+    pose: &PoseJob,
+    reader: &Reader,
+    importer: &ImporterJob,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<Read, PipelineError> {
+    let PoseJob { time_s, animation, variant, variants } = pose.clone();
+    if let Some(variants) = variants.first() {
+        let expected = "none, since only USD has variant sets; glTF's material variants are `pose.variant`";
+        return Err(PipelineError::value(path, "pose.variants", expected, variants));
+    }
+    let resolver = Files::beside(path, importer.allow_outside)?;
+    let max_picture_bytes = importer.picture_mib.saturating_mul(1 << 20);
+    let options = LoadOptions { time_s, animation, variant, max_picture_bytes, ..LoadOptions::default() };
+    let read = || -> Result<Scene, PipelineError> {
+        let bytes = gltf_bytes(path, reader, importer, registry, &resolver, task)?;
+        Ok(lumistack_gltf::load_with(&path.display().to_string(), &bytes, &resolver, &options, task)?)
+    };
+    task.progress.begin("read scene", 1, "scene");
+    let scene = read();
+    task.progress.end();
+    let scene = scene?;
+    let mut files = resolver.read.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if let Reader::Plugin(id) = reader {
+        files.push((id.into(), plugin_key(registry, id, &importer.params)?));
+    }
+    Ok((scene, files))
+}
+
+fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, PipelineError> {
+    let PoseJob { time_s, animation, variant, variants } = pose.clone();
+    if let Some(animation) = animation {
+        return Err(PipelineError::value(path, "pose.animation", "none, since USD has one timeline", animation));
+    }
+    if let Some(variant) = variant {
+        let expected = "`pose.variants`, a list of `set=variant` or `/prim{set=variant}`";
+        return Err(PipelineError::value(path, "pose.variant", expected, variant));
+    }
+    let options = lumistack_usd::LoadOptions { time_s, variants };
+    // another process works; nothing tells how far it has come
+    task.progress.begin("open USD", 1, "stage");
+    let loaded = lumistack_usd::load(path, &options, task)?;
+    task.progress.advance(1, "");
+    task.progress.end();
+    Ok((loaded.scene, hashed(&loaded.files)?))
+}
+
+fn load_blend(
+    path: &Path,
+    pose: &PoseJob,
+    importer: &ImporterJob,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<(Read, BlendContents), PipelineError> {
+    let PoseJob { time_s, animation, variant, variants } = pose.clone();
+    let given = [("animation", animation), ("variant", variant), ("variants", variants.into_iter().next())];
+    if let Some((key, found)) = given.into_iter().find_map(|(key, given)| Some((key, given?))) {
+        let expected = "none: of a .blend file the scene is taken as Blender shows it, at `pose.time_s`";
+        return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
+    }
+    let HandedOver { glb, account } = handover::hand_over(path, time_s, cache_dir, task)?;
+    // Blender packs pictures into what it hands over, wherever they were
+    let resolver = Files::beside(path, false)?;
+    let max_picture_bytes = importer.picture_mib.saturating_mul(1 << 20);
+    let options = LoadOptions { max_picture_bytes, ..LoadOptions::default() };
+    let scene = lumistack_gltf::load_with(&path.display().to_string(), &glb, &resolver, &options, task)?;
+    let mut files = hashed(&[&[path.to_owned()], &account.files[..]].concat())?;
+    files.push(("blender".into(), account.blender));
+    Ok(((scene, files), account.contents))
+}
+
+/// Files with hashes of their content.
+fn hashed(files: &[PathBuf]) -> Result<Vec<(PathBuf, String)>, PipelineError> {
+    files.iter().map(|file| Ok((file.clone(), hash(&read(file)?)))).collect()
+}
+
+/// Reads what a scene's file refers to, and remembers it.
+struct Files {
+    folder: Folder,
+    read: Mutex<Vec<(PathBuf, String)>>,
+}
+
+impl Files {
+    /// What the scene at `path` refers to: regular files in its own folder, or anywhere.
+    fn beside(path: &Path, allow_outside: bool) -> Result<Self, PipelineError> {
+        let io = |source| PipelineError::Read { path: path.to_owned(), source };
+        let folder = if allow_outside { Folder::anywhere(path) } else { Folder::around(path).map_err(io)? };
+        Ok(Self { folder, read: Mutex::default() })
+    }
+
+    /// Remembers what was read, and gives it back.
+    fn keep(&self, path: PathBuf, bytes: Vec<u8>) -> Vec<u8> {
+        let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
+        let entry = (path, hash(&bytes));
+        if !read.contains(&entry) {
+            read.push(entry);
+        }
+        bytes
+    }
+}
+
+impl AssetResolver for Files {
+    fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
+        let bytes = self.folder.read(uri, max_bytes).map_err(|refusal| match refusal {
+            Refusal::Io(error) => error.to_string(),
+            Refusal::Outside { .. } => {
+                format!("{refusal}; {OUTSIDE_ADVICE}")
+            }
+        })?;
+        Ok(self.keep(self.folder.path_of(uri), bytes))
+    }
+}
+
+/// The way out where a scene is known to be harmless.
+const OUTSIDE_ADVICE: &str =
+    "--allow-outside (in a job `importer.allow_outside = true`) lets a scene read files that lie elsewhere";

@@ -1,0 +1,37 @@
+//! The environment turned about the up axis.
+
+use glam::Quat;
+use lumistack_core::Task;
+use lumistack_scene::Scene;
+
+use crate::error::PipelineError;
+use crate::job::LightJob;
+use crate::stage::ingest::light::edited;
+
+/// Warns where a key about the environment changes nothing, since the scene has none.
+pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
+    let changed = [
+        ("light.environment_strength", job.environment_strength != 1.0),
+        ("light.environment_rotation_deg", job.environment_rotation_deg != 0.0),
+    ];
+    for (key, _) in changed.into_iter().filter(|(_, changed)| *changed) {
+        task.warn(&scene.name, format!("`{key}` changes nothing, since the scene has no environment"));
+    }
+}
+
+/// Turns the environment as the job says, the studio light like any other.
+///
+/// # Errors
+/// When the changed scene is not valid.
+pub(crate) fn turned(scene: Scene, job: &LightJob, task: Task<'_>) -> Result<Scene, PipelineError> {
+    if job.environment_rotation_deg == 0.0 {
+        return Ok(scene);
+    }
+    let turn = Quat::from_rotation_y(job.environment_rotation_deg.to_radians() as f32);
+    edited(scene, task, |parts| {
+        if let Some(environment) = &mut parts.environment {
+            environment.scene_from_environment = turn * environment.scene_from_environment;
+        }
+        Ok(())
+    })
+}

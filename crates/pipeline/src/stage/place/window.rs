@@ -1,0 +1,272 @@
+//! The window through which the display looks at a scene: by numbers, a camera, or framed on what is seen.
+
+use std::path::Path;
+
+use glam::DVec3;
+use lumistack_core::{Task, Tensor};
+use lumistack_display::{FieldGeometry, ViewGrid};
+use lumistack_scene::{Camera, Scene, Window};
+
+use super::side;
+use crate::error::{PipelineError, render_error};
+use crate::job::{Near, WindowFrom, WindowJob};
+use crate::stage::ingest::Ingested;
+use crate::store::code;
+use crate::store::key::KeyBuilder;
+use crate::store::stamps::remembered;
+
+/// What stays free on each side of what an automatic window shows, as a share of it.
+const MARGIN: f64 = 0.03;
+/// Share of a camera's view that the scene should cover, where nobody asked for the camera.
+const COVERAGE: f64 = 0.26;
+/// Least width of a window relative to the view of such a camera.
+const CLOSEST: f64 = 0.58;
+/// Columns of the straight view by which it is found out where the scene is seen.
+const PROBE_COLS: usize = 336;
+
+/// A window as it is found, before depth is fitted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Found {
+    pub(crate) window: Window,
+    /// Whether somebody chose the depth at which it stands: by numbers or by a focus distance.
+    pub(crate) chosen: bool,
+    /// Azimuth and elevation from which the scene was framed, degrees.
+    pub(crate) looked_from_deg: Option<[f64; 2]>,
+}
+
+/// Places the display in the scene.
+///
+/// Without a camera the scene is framed from the front, or, where that shows next to nothing, from where more of it is seen. The frame is moved
+/// to what is seen, all of which it holds. A camera that nobody asked for and that has no focus is moved closer as long as nothing is cut off.
+///
+/// # Errors
+/// When the job names a camera that does not exist or gives numbers that make no rectangle.
+pub fn place_window(
+    ingested: &Ingested,
+    job: &WindowJob,
+    geometry: &FieldGeometry,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<Window, PipelineError> {
+    find_window(ingested, job, geometry, cache_dir, task).map(|found| found.window)
+}
+
+/// [`place_window`], and how the window was found.
+///
+/// # Errors
+/// As there.
+pub(crate) fn find_window(
+    ingested: &Ingested,
+    job: &WindowJob,
+    geometry: &FieldGeometry,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<Found, PipelineError> {
+    let mut found = unlimited_window(ingested, job, geometry, cache_dir, task)?;
+    match job.near {
+        Near::Auto => {}
+        Near::Off => found.window.near_mm = None,
+        Near::At(near) => found.window.near_mm = Some(near / found.window.scene_from_display.scale),
+    }
+    Ok(found)
+}
+
+fn unlimited_window(
+    ingested: &Ingested,
+    job: &WindowJob,
+    geometry: &FieldGeometry,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<Found, PipelineError> {
+    let scene = &*ingested.scene;
+    let size_mm = geometry.size_mm();
+    let error = |source| PipelineError::Window { name: scene.name.clone(), source };
+    if job.from == WindowFrom::Given {
+        let missing = |key: &str| {
+            PipelineError::value("job", format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing")
+        };
+        let vector = |key: &str, value: Option<[f64; 3]>| value.map(DVec3::from_array).ok_or_else(|| missing(key));
+        let (centre, forward) = (vector("centre", job.centre)?, vector("forward", job.forward)?);
+        let (up, width) = (vector("up", job.up)?, job.width.ok_or_else(|| missing("width"))?);
+        let window = Window::given(centre, forward, up, width, size_mm).map_err(error)?;
+        return Ok(Found { window, chosen: true, looked_from_deg: None });
+    }
+    let camera = match (job.from, &job.camera) {
+        (WindowFrom::Bounds, _) => None,
+        (_, Some(wanted)) => Some(find_camera(scene, wanted)?),
+        // a direction that somebody asked for goes before a camera that nobody asked for
+        (_, None) if job.look_from.is_some() => None,
+        (_, None) => scene.cameras.first(),
+    };
+    if job.from == WindowFrom::Camera && camera.is_none() {
+        return Err(PipelineError::value(&scene.name, "window.from", "a camera in the scene", "none"));
+    }
+    let framed = || -> Result<Found, PipelineError> {
+        let from_deg = match job.look_from {
+            Some(from_deg) => from_deg,
+            None => {
+                let mut key = KeyBuilder::new("side", code::VIEWS);
+                ingested.add_to(&mut key);
+                let key = key.add("size", format!("{size_mm:?}").as_bytes()).finish();
+                remembered(cache_dir, &format!("side-{}.json", &key[..16]), || {
+                    side::choose(ingested.renderer(task)?, scene, size_mm, task)
+                })?
+            }
+        };
+        let window = side::framed(scene, from_deg, size_mm).map_err(error)?;
+        let window = close_up(ingested, window, geometry, true, cache_dir, task)?;
+        Ok(Found { window, chosen: false, looked_from_deg: Some(from_deg) })
+    };
+    let Some(camera) = camera else { return framed() };
+    let focus_distance = job.focus_distance.or(camera.focus_distance);
+    let found = |window| Found { window, chosen: focus_distance.is_some(), looked_from_deg: None };
+    match Window::from_camera(&Camera { focus_distance, ..camera.clone() }, scene.seen_bounds(), size_mm) {
+        Ok(window) if focus_distance.is_some() || job.from == WindowFrom::Camera || job.camera.is_some() => {
+            Ok(found(window))
+        }
+        Ok(window) => close_up(ingested, window, geometry, false, cache_dir, task).map(found),
+        // a camera that nobody asked for must not stand in the way
+        Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => framed(),
+        Err(source) => Err(error(source)),
+    }
+}
+
+/// Moves a window to what is seen of the scene, with `recentre`; without, closer along its axis, until the scene covers [`COVERAGE`] of it. Nothing that the
+/// window shows is cut off.
+fn close_up(
+    ingested: &Ingested,
+    window: Window,
+    geometry: &FieldGeometry,
+    recentre: bool,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<Window, PipelineError> {
+    let mut key = KeyBuilder::new("window", code::VIEWS);
+    ingested.add_to(&mut key);
+    let key = key.add("window", format!("{window:?} {recentre}").as_bytes()).finish();
+    let (place, factor): ([f64; 2], f64) = remembered(cache_dir, &format!("window-{}.json", &key[..16]), || {
+        let renderer = ingested.renderer(task)?;
+        // a coarse straight view is enough to find out where the scene is
+        let cols = geometry.cols.min(PROBE_COLS);
+        let pitch_mm = window.size_mm[0] / cols as f64;
+        let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
+        let grid = ViewGrid::single(geometry.grid.projection, [0.0, 0.0]);
+        let probe = FieldGeometry { rows, cols, pitch_mm, grid };
+        let mask = renderer.hit_mask(&window, &probe, [0, 0], task).map_err(render_error)?;
+        let (factor, [row, col]) = if recentre { whole(&mask) } else { closer(&mask) };
+        let half = 0.5 * pitch_mm;
+        Ok(([probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm], factor))
+    })?;
+    Ok(window.scaled_about(place, factor))
+}
+
+/// First and end of the rows and of the columns where the mask is set.
+fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
+    let [rows, cols] = mask.shape();
+    let is_hit = |row: usize, col: usize| mask.get([row, col]) > 0.0;
+    let hit = |axis: usize, i: usize| match axis {
+        0 => (0..cols).any(|col| is_hit(i, col)),
+        _ => (0..rows).any(|row| is_hit(row, i)),
+    };
+    let seen = |axis: usize, count: usize| {
+        Some([(0..count).find(|&i| hit(axis, i))?, (0..count).rfind(|&i| hit(axis, i))? + 1])
+    };
+    Some([seen(0, rows)?, seen(1, cols)?])
+}
+
+/// The part of a picture that holds all that is set in the mask and a [margin](MARGIN), as a factor on its size and its centre [row, column] in pixels.
+fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
+    let size = mask.shape();
+    let Some(seen) = extents(mask) else { return (1.0, size.map(|count| 0.5 * count as f64)) };
+    // one pixel more, since what is seen may end anywhere in its last one
+    let share = |axis: usize| (seen[axis][1] - seen[axis][0] + 1) as f64 / size[axis] as f64;
+    let factor = (1.0 + 2.0 * MARGIN) * share(0).max(share(1));
+    (factor, seen.map(|[first, end]| 0.5 * (first + end) as f64))
+}
+
+/// The middle of a picture of which [`COVERAGE`] is set in the mask, or as much of it as holds all that is set; no smaller than [`CLOSEST`].
+fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
+    let [rows, cols] = mask.shape();
+    let middle = [rows, cols].map(|count| 0.5 * count as f64);
+    let Some(seen) = extents(mask) else { return (1.0, middle) };
+    let reach = |axis: usize| {
+        let [first, end] = seen[axis].map(|edge| (edge as f64 - middle[axis]).abs());
+        (1.0 + 2.0 * MARGIN) * first.max(end) / middle[axis]
+    };
+    let least = reach(0).max(reach(1)).max(CLOSEST);
+    // nothing is cut off, so the same pixels cover more of a smaller picture
+    let covered = mask.data().iter().map(|&hit| f64::from(hit)).sum::<f64>() / (rows * cols) as f64;
+    ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
+}
+
+fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, PipelineError> {
+    let by_name = scene.cameras.iter().find(|camera| camera.name == wanted);
+    let by_number = || wanted.parse::<usize>().ok().and_then(|number| scene.cameras.get(number));
+    by_name.or_else(by_number).ok_or_else(|| {
+        let names: Vec<&str> = scene.cameras.iter().map(|camera| camera.name.as_str()).collect();
+        let expected = format!("one of {} cameras: {}", names.len(), names.join(", "));
+        PipelineError::value(&scene.name, "window.camera", expected, wanted)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mask(rows: usize, cols: usize, is_set: impl Fn(usize, usize) -> bool) -> Tensor<2> {
+        let mut mask = Tensor::zeros(["row", "col"], [rows, cols]);
+        for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+            *mask.at_mut([row, col]) = f32::from(u8::from(is_set(row, col)));
+        }
+        mask
+    }
+
+    /// Edges of the part that is kept: top, bottom, left, right.
+    fn edges(mask: &Tensor<2>, (factor, [row, col]): (f64, [f64; 2])) -> [f64; 4] {
+        let [height, width] = mask.shape().map(|count| 0.5 * factor * count as f64);
+        [row - height, row + height, col - width, col + width]
+    }
+
+    #[test]
+    fn what_is_framed_is_shown_whole() {
+        // a head above a thin stand; a slender animal; a wide row of small things; a speck in a corner; all there is
+        let cases: [(&str, Box<dyn Fn(usize, usize) -> bool>); 5] = [
+            ("bust", Box::new(|row, col| col.abs_diff(80) < if row < 40 { 22 } else { 3 })),
+            ("animal", Box::new(|row, col| (2..98).contains(&row) && col.abs_diff(80) < 9)),
+            ("row", Box::new(|row, col| (60..68).contains(&row) && (10..150).contains(&col))),
+            ("speck", Box::new(|row, col| row < 3 && col > 150)),
+            ("all", Box::new(|_, _| true)),
+        ];
+        for (name, is_set) in cases {
+            let mask = mask(100, 160, &is_set);
+            let [[top, bottom], [left, right]] = extents(&mask).unwrap().map(|ends| ends.map(|end| end as f64));
+            let kept = edges(&mask, whole(&mask));
+            assert!(kept[0] < top && kept[1] > bottom && kept[2] < left && kept[3] > right, "{name}: {kept:?}");
+            // no larger than it must be: a margin on both sides of the longer axis
+            let spare = ((kept[1] - kept[0]) / (bottom - top + 1.0)).min((kept[3] - kept[2]) / (right - left + 1.0));
+            assert!((spare - 1.06).abs() < 1e-9, "{name}: {spare}");
+        }
+        let empty = mask(10, 16, |_, _| false);
+        assert_eq!(whole(&empty), (1.0, [5.0, 8.0]));
+        assert_eq!(closer(&empty), (1.0, [5.0, 8.0]));
+    }
+
+    #[test]
+    fn a_camera_comes_closer_but_cuts_nothing_off() {
+        // half of the height, beside the middle: it would cover enough at 0.7, but would lose its right edge
+        let beside = mask(100, 160, |row, col| (25..75).contains(&row) && (80..150).contains(&col));
+        let (factor, centre) = closer(&beside);
+        assert_eq!(centre, [50.0, 80.0], "a camera's axis stays in the middle");
+        assert!(edges(&beside, (factor, centre))[3] >= 150.0, "{factor}");
+        // a small thing in the middle comes as close as it may
+        let small = mask(100, 160, |row, col| row.abs_diff(50) < 5 && col.abs_diff(80) < 5);
+        assert_eq!(closer(&small).0, CLOSEST);
+        // one that covers a seventh is moved until it covers a quarter
+        let seventh = mask(100, 160, |row, col| row.abs_diff(50) < 24 && col.abs_diff(80) < 24);
+        let factor = closer(&seventh).0;
+        let covered = seventh.data().iter().sum::<f32>() / 16000.0;
+        assert!((f64::from(covered) / factor.powi(2) - COVERAGE).abs() < 1e-6, "{factor}");
+        // what runs out of the picture stays as it is
+        assert_eq!(closer(&mask(100, 160, |row, _| row > 90)).0, 1.0);
+    }
+}

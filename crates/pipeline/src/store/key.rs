@@ -1,0 +1,70 @@
+//! Keys of results: a hash of the code that a result passes through, its resolved settings and the content of every file that it was made from, never of
+//! the number of threads.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::code::Code;
+
+/// Hash of bytes, hexadecimal.
+pub(crate) fn hash(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex().to_string()
+}
+
+/// A hash of a file's content.
+pub(crate) fn content_hash(path: &Path) -> std::io::Result<String> {
+    let mut hash = blake3::Hasher::new();
+    hash.update_reader(std::fs::File::open(path)?)?;
+    Ok(hash.finalize().to_hex().to_string())
+}
+
+/// Collects everything a stage's result depends on.
+#[derive(Clone)]
+pub(crate) struct KeyBuilder(blake3::Hasher);
+
+impl KeyBuilder {
+    /// Starts the key of a stage whose results pass through `code`.
+    pub(crate) fn new(stage: &str, code: Code) -> Self {
+        let mut builder = Self(blake3::Hasher::new());
+        builder.add("stage", stage.as_bytes());
+        for fingerprint in code {
+            builder.add("code", fingerprint.as_bytes());
+        }
+        builder
+    }
+
+    /// Adds a labelled value. Lengths are hashed too, so that neighbours cannot run together.
+    pub(crate) fn add(&mut self, label: &str, bytes: &[u8]) -> &mut Self {
+        for part in [label.as_bytes(), bytes] {
+            self.0.update(&(part.len() as u64).to_le_bytes());
+            self.0.update(part);
+        }
+        self
+    }
+
+    /// Adds anything that serializes.
+    pub(crate) fn add_json(&mut self, label: &str, value: &impl Serialize) -> &mut Self {
+        let text = serde_json::to_string(value).expect("settings serialize");
+        self.add(label, text.as_bytes())
+    }
+
+    /// Adds floats.
+    pub(crate) fn add_f32(&mut self, label: &str, values: &[f32]) -> &mut Self {
+        self.0.update(&(label.len() as u64).to_le_bytes());
+        self.0.update(label.as_bytes());
+        self.0.update(&(values.len() as u64).to_le_bytes());
+        let mut buffer = Vec::with_capacity(4 * 4096);
+        for chunk in values.chunks(4096) {
+            buffer.clear();
+            chunk.iter().for_each(|value| buffer.extend_from_slice(&value.to_le_bytes()));
+            self.0.update(&buffer);
+        }
+        self
+    }
+
+    /// The key in hexadecimal.
+    pub(crate) fn finish(&self) -> String {
+        self.0.finalize().to_hex().to_string()
+    }
+}

@@ -1,0 +1,88 @@
+//! `job.toml` and `display.toml` of a run folder: they begin with a line that holds a hash of the rest, by which a file that somebody else wrote or changed
+//! is told from ours.
+
+use std::ffi::OsStr;
+use std::path::Path;
+
+use lumistack_core::config;
+use lumistack_display::Display;
+
+use super::files::write;
+use crate::error::PipelineError;
+use crate::job::Job;
+
+const SEAL: &str = "# Written by Lumistack; the next run into this folder replaces it. BLAKE3 of the rest: ";
+
+/// Writes `job.toml` so that it can be run from where it lies.
+pub(crate) fn write_job(job: &Job, dir: &Path) -> Result<(), PipelineError> {
+    let mut job = job.clone();
+    for path in job.paths_mut() {
+        if let Ok(absolute) = std::path::absolute(&*path) {
+            *path = absolute;
+        }
+    }
+    write_sealed(&dir.join("job.toml"), &job.to_toml())
+}
+
+/// Writes `job.toml` or `display.toml`, so that it is told from what others write.
+///
+/// # Errors
+/// When it cannot be written.
+pub(super) fn write_sealed(path: &Path, text: &str) -> Result<(), PipelineError> {
+    write(path, sealed(text).as_bytes())
+}
+
+/// Writes a run's `display.toml`. One of the same display that was calibrated since stays: patterns do not depend on that, and it took work.
+///
+/// # Errors
+/// When it cannot be written.
+pub(crate) fn write_display(path: &Path, display: &Display) -> Result<(), PipelineError> {
+    let there = std::fs::read_to_string(path).ok().and_then(|text| Display::from_toml(&text).ok());
+    let nominal = display.without_panels();
+    if *display == nominal && there.is_some_and(|there| there != nominal && there.without_panels() == nominal) {
+        return Ok(());
+    }
+    write_sealed(path, &display.to_toml())
+}
+
+/// The text of a run's settings file after Lumistack itself has changed it from `before`, as calibration does: if it was as a run wrote it, it counts as
+/// that again. Any other text stays as it is.
+pub fn resealed(before: &str, after: &str) -> String {
+    match (is_whole(before), after.strip_prefix(SEAL).and_then(|rest| rest.split_once('\n'))) {
+        (Some(true), Some((_, rest))) => sealed(rest),
+        _ => after.into(),
+    }
+}
+
+fn sealed(text: &str) -> String {
+    format!("{SEAL}{}\n{text}", blake3::hash(text.as_bytes()).to_hex())
+}
+
+/// Whether a sealed text is as it was written; `None` without a seal.
+fn is_whole(text: &str) -> Option<bool> {
+    let (hash, rest) = text.strip_prefix(SEAL)?.split_once('\n')?;
+    Some(blake3::hash(rest.as_bytes()).to_hex().as_str() == hash.trim_end())
+}
+
+/// As [`is_whole`], of a file.
+pub(crate) fn is_sealed(path: &Path) -> Option<bool> {
+    is_whole(&std::fs::read_to_string(path).ok()?)
+}
+
+/// Whether a settings file of a run folder is as Lumistack wrote it. Those of before seals have every default written out and no comment; where the folder is
+/// known to be `ours` one of an older version, which had fewer keys, will do.
+pub(crate) fn is_written_by_us(path: &Path, ours: bool) -> bool {
+    if let Some(whole) = is_sealed(path) {
+        return whole;
+    }
+    let Ok(text) = std::fs::read_to_string(path) else { return false };
+    if path.file_name() == Some(OsStr::new("job.toml")) {
+        let same = config::parse::<Job>(&text).is_ok_and(|job| job.to_toml() == text);
+        let tables = ["[display]", "[window]", "[light]", "[render]", "[factorize]", "[report]"];
+        let begins = text.starts_with("schema = \"lumistack/job\"\nversion = 1\nname = ");
+        same || (ours && begins && !text.contains('#') && tables.iter().all(|table| text.contains(table)))
+    } else {
+        let same = Display::from_toml(&text).is_ok_and(|display| display.to_toml() == text);
+        same || (ours && text.starts_with("name = ") && !text.contains('#') && text.contains("[[layers]]"))
+    }
+}

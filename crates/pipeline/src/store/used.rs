@@ -1,0 +1,81 @@
+//! What the last run that finished made use of. Every run removes the views of other settings when it has finished.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::code;
+use super::files::write_json;
+use super::key::KeyBuilder;
+use super::left_overs::{entries, is_folder, remove_all};
+use crate::error::PipelineError;
+
+/// Below `cache`: what the last run that finished made use of.
+pub(crate) const USED: &str = "used.json";
+/// Fields of views: each has folders `NAME-KEY` in the cache.
+const FIELDS: [&str; 4] = ["target", "held-out", "outside", "zone"];
+/// What a run that finished made use of, by name.
+#[derive(Default, Serialize, Deserialize)]
+pub(crate) struct Used {
+    /// Of the code that views pass through: no other program finds them.
+    code: String,
+    /// Folders of views.
+    views: BTreeSet<String>,
+    /// Of a sweep, its light fields and rows.
+    pub(crate) fields: BTreeSet<String>,
+    pub(crate) designs: BTreeSet<String>,
+}
+
+fn code_of_views() -> String {
+    KeyBuilder::new("used", code::VIEWS).finish()
+}
+
+/// Notes which cached views the run in `dir` used and removes those of other settings.
+///
+/// # Errors
+/// When the note cannot be written.
+pub(crate) fn keep_only_views(dir: &Path, used: &[PathBuf]) -> Result<(), PipelineError> {
+    let cache = dir.join("cache");
+    let views = used.iter().filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned())).collect();
+    let used = Used { code: code_of_views(), views, ..Used::default() };
+    if !used.views.is_empty() || cache.join(USED).exists() {
+        write_json(&cache.join(USED), &used)?;
+    }
+    remove_all(&unused_views(&cache, &used));
+    Ok(())
+}
+
+/// Notes which light fields (numbers) and rows (files) the sweep in `dir` used and removes light fields of other settings. Rows are small and stay: a sweep over
+/// more values takes them up.
+///
+/// # Errors
+/// When the note cannot be written.
+pub(crate) fn keep_only_fields(
+    dir: &Path,
+    fields: impl Iterator<Item = usize>,
+    designs: BTreeSet<String>,
+) -> Result<(), PipelineError> {
+    let fields = fields.map(|number| number.to_string()).collect();
+    let used = Used { code: code_of_views(), fields, designs, ..Used::default() };
+    write_json(&dir.join("cache").join(USED), &used)?;
+    remove_all(&unused_in(&dir.join("fields"), &used.fields));
+    Ok(())
+}
+
+/// Folders of cached views of a run (`cache/views`) or of `render` (`cache`).
+pub(crate) fn all_views(cache: &Path) -> Vec<(String, PathBuf)> {
+    let is_field =
+        |name: &str| name.rsplit_once('-').is_some_and(|(field, key)| FIELDS.contains(&field) && key.len() == 16);
+    let both = [cache.join("views"), cache.to_owned()];
+    both.iter().flat_map(|folder| entries(folder)).filter(|(name, path)| is_field(name) && is_folder(path)).collect()
+}
+
+pub(crate) fn unused_views(cache: &Path, used: &Used) -> Vec<PathBuf> {
+    let views = all_views(cache).into_iter();
+    views.filter(|(name, _)| used.code != code_of_views() || !used.views.contains(name)).map(|(_, path)| path).collect()
+}
+
+pub(crate) fn unused_in(folder: &Path, used: &BTreeSet<String>) -> Vec<PathBuf> {
+    entries(folder).into_iter().filter(|(name, _)| !used.contains(name)).map(|(_, path)| path).collect()
+}
