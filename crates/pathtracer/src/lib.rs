@@ -25,6 +25,7 @@ mod geometry;
 mod light;
 mod math;
 mod matt;
+mod normals;
 mod primary;
 pub mod rays;
 mod renderer;

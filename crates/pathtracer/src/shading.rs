@@ -5,10 +5,10 @@ use std::sync::Arc;
 use glam::{Vec2, Vec3, Vec4};
 use lumistack_scene::{AlphaMode, Lamp, Material, Scene, TextureUse};
 
-use crate::bsdf::{self, Film, MIRROR_ALPHA, Wave};
+use crate::bsdf::{Appearance, Extras, Film, Frame, LayerSlots, Layers, MIRROR_ALPHA};
 use crate::bvh;
 use crate::geometry::{SurfacePoint, bend_normal};
-use crate::matt::Normals;
+use crate::normals::Normals;
 use crate::texture::{Encoding, Slot, Textures};
 
 /// Footprint of lookups that must not be filtered: alpha, whose average is not the alpha of an average once it is thresholded.
@@ -35,113 +35,19 @@ struct Slots {
 struct ExtraSlots {
     specular: Option<Slot>,
     specular_color: Option<Slot>,
-    coat: Option<Slot>,
-    coat_roughness: Option<Slot>,
-    coat_normal: Option<Slot>,
-    sheen_color: Option<Slot>,
-    sheen_roughness: Option<Slot>,
+    layers: LayerSlots,
     film: Option<Slot>,
     film_thickness: Option<Slot>,
     anisotropy: Option<Slot>,
 }
 
-/// What the scattering function needs to know about a point.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Appearance {
-    /// Base colour, 0..1.
-    pub(crate) base: Vec3,
-    pub(crate) metallic: f32,
-    /// Perceptual.
-    pub(crate) roughness: f32,
-    pub(crate) ior: f32,
-    pub(crate) transmission: f32,
-    /// Whether transmitted light refracts into a solid.
-    pub(crate) solid: bool,
-    /// Whether microfacets return what single scattering loses.
-    pub(crate) compensated: bool,
-    pub(crate) extras: Option<Extras>,
-}
-
-/// What most materials lack.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Extras {
-    pub(crate) specular: f32,
-    pub(crate) specular_color: Vec3,
-    /// Strength 0..1.
-    pub(crate) anisotropy: f32,
-    pub(crate) film: Option<Film>,
-    pub(crate) sheen: Option<Fabric>,
-    pub(crate) coating: Option<Coating>,
-    /// 20 / Abbe number.
-    pub(crate) dispersion: f32,
-    /// Weight of the channels at the wavelength that a path takes on when it enters.
-    pub(crate) wave_weight: Vec3,
-}
-
-/// A clear coat.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Coating {
-    pub(crate) factor: f32,
-    /// Perceptual.
-    pub(crate) roughness: f32,
-}
-
-/// Fibres that stand up from the surface.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Fabric {
-    pub(crate) color: Vec3,
-    /// Perceptual.
-    pub(crate) roughness: f32,
-}
-
-/// Directions at a point; normals are unit vectors on the viewer's side.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Frame {
-    pub(crate) geometric: Vec3,
-    /// Normal of what is reflected and refracted, bent so that a mirror shows the viewer nothing from below the surface.
-    pub(crate) shading: Vec3,
-    /// Normals of diffuse scattering, which are not bent.
-    pub(crate) diffuse: Normals,
-    /// Normal of the clear coat.
-    pub(crate) coat: Vec3,
-    /// Direction in which reflections are stretched.
-    pub(crate) tangent: Option<Vec3>,
-}
-
-impl Frame {
-    /// The same normal for everything.
-    pub(crate) fn flat(geometric: Vec3, shading: Vec3) -> Self {
-        Self { geometric, shading, diffuse: Normals::smooth(shading), coat: shading, tangent: None }
-    }
-}
-
-impl Appearance {
-    /// The appearance of dispersing glass at a wavelength, drawn from `u` for a path that has none yet; returns the wavelength.
-    pub(crate) fn disperse(&mut self, path_nm: Option<f32>, u: impl FnOnce() -> f32) -> Option<f32> {
-        let extras = self.extras.as_mut().filter(|extras| extras.dispersion > 0.0)?;
-        let wave = match path_nm {
-            Some(nanometres) => Wave { nanometres, weight: Vec3::ONE },
-            None => Wave::sample(u()),
-        };
-        extras.wave_weight = wave.weight;
-        self.ior = bsdf::index_at(self.ior, extras.dispersion, wave.nanometres);
-        Some(wave.nanometres)
-    }
-}
-
 impl ExtraSlots {
     fn new(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self {
-        let coat = material.clearcoat.unwrap_or_default();
-        let sheen = material.sheen.unwrap_or_default();
         let film = material.iridescence.unwrap_or_default();
         Self {
             specular: slot(&material.specular_texture, Encoding::Linear),
             specular_color: slot(&material.specular_color_texture, Encoding::Srgb),
-            coat: slot(&coat.texture, Encoding::Linear),
-            coat_roughness: slot(&coat.roughness_texture, Encoding::Linear),
-            coat_normal: slot(&coat.normal_texture, Encoding::Linear),
-            sheen_color: slot(&sheen.color_texture, Encoding::Srgb),
-            sheen_roughness: slot(&sheen.roughness_texture, Encoding::Linear),
+            layers: LayerSlots::new(material, slot),
             film: slot(&film.texture, Encoding::Linear),
             film_thickness: slot(&film.thickness_texture, Encoding::Linear),
             anisotropy: slot(&material.anisotropy.unwrap_or_default().texture, Encoding::Linear),
@@ -228,10 +134,10 @@ impl Materials {
         if material.unlit {
             return emission + self.base(index, point, width).truncate().max(Vec3::ZERO);
         }
-        if let (Some(_), Some(slots)) = (&material.clearcoat, &self.slots[index].extras)
-            && let Some(coating) = self.coating(material, slots, point, width)
+        if let Some(slots) = &self.slots[index].extras
+            && Layers::are_seen(material)
         {
-            emission *= bsdf::coat_transmittance(&coating, cosine.abs());
+            emission *= self.layers(material, slots, point, width).passed(cosine.abs());
         }
         emission
     }
@@ -273,10 +179,6 @@ impl Materials {
 
     fn extras(&self, material: &Material, slots: &ExtraSlots, point: &SurfacePoint<'_>, width: f32) -> Extras {
         let texel = |slot: &Option<Slot>| slot.as_ref().map_or(Vec4::ONE, |slot| self.lookup(slot, point, width));
-        let sheen = material.sheen.map(|sheen| Fabric {
-            color: (sheen.color * texel(&slots.sheen_color).truncate()).clamp(Vec3::ZERO, Vec3::ONE),
-            roughness: sheen.roughness * texel(&slots.sheen_roughness).w,
-        });
         let film = material.iridescence.map(|film| Film {
             factor: (film.factor * texel(&slots.film).x).clamp(0.0, 1.0),
             ior: film.ior,
@@ -290,25 +192,15 @@ impl Materials {
             specular_color: material.specular_color * texel(&slots.specular_color).truncate().max(Vec3::ZERO),
             anisotropy: anisotropy.clamp(0.0, 1.0),
             film: film.filter(|film| film.factor > 0.0 && film.thickness_nm > 0.0),
-            sheen: sheen.filter(|sheen| sheen.color != Vec3::ZERO),
-            coating: self.coating(material, slots, point, width),
+            layers: self.layers(material, slots, point, width),
             dispersion: if is_solid(material) { material.dispersion } else { 0.0 },
             wave_weight: Vec3::ONE,
         }
     }
 
-    fn coating(
-        &self,
-        material: &Material,
-        slots: &ExtraSlots,
-        point: &SurfacePoint<'_>,
-        width: f32,
-    ) -> Option<Coating> {
+    fn layers(&self, material: &Material, slots: &ExtraSlots, point: &SurfacePoint<'_>, width: f32) -> Layers {
         let texel = |slot: &Option<Slot>| slot.as_ref().map_or(Vec4::ONE, |slot| self.lookup(slot, point, width));
-        let coat = material.clearcoat?;
-        let factor = (coat.factor * texel(&slots.coat).x).clamp(0.0, 1.0);
-        let roughness = (coat.roughness * texel(&slots.coat_roughness).y).clamp(0.0, 1.0);
-        (factor > 0.0).then_some(Coating { factor, roughness })
+        Layers::new(material, &slots.layers, texel)
     }
 
     /// Normals and tangent on the viewer's side, which is that of `geometric`.
@@ -332,7 +224,7 @@ impl Materials {
         let mut frame = Frame { diffuse, ..Frame::flat(geometric, seen(mapped)) };
         if let Some(extra) = &slots.extras {
             if let Some(coat) = &material.clearcoat {
-                frame.coat = seen(turned(&extra.coat_normal, coat.normal_scale));
+                frame.coat = seen(turned(&extra.layers.coat.normal, coat.normal_scale));
             }
             if let Some(stretch) = &material.anisotropy {
                 let direction = match &extra.anisotropy {
@@ -403,8 +295,7 @@ fn has_extras(material: &Material) -> bool {
         || material.specular_color != Vec3::ONE
         || material.specular_texture.is_some()
         || material.specular_color_texture.is_some()
-        || material.clearcoat.is_some_and(|coat| coat.factor > 0.0)
-        || material.sheen.is_some_and(|sheen| sheen.color != Vec3::ZERO)
+        || Layers::are_seen(material)
         || material.iridescence.is_some_and(|film| film.factor > 0.0)
         || material.anisotropy.is_some_and(|stretch| stretch.strength > 0.0)
         || (is_solid(material) && material.dispersion > 0.0)

@@ -24,14 +24,14 @@
 use glam::Vec3;
 use lumistack_scene::{Lamp, Material};
 
-use crate::bsdf::{Bsdf, Scatter, cosine_directions};
+use crate::bsdf::{Appearance, Bsdf, Scatter, cosine_directions};
 use crate::bvh::{ALPHA, BEAM, Bvh, Hit, Ray, Stack, TINT};
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::light::{Lights, Receiver};
 use crate::matt::{Matt, is_matt};
 use crate::sampler::{Draws, Pair};
 use crate::settings::Settings;
-use crate::shading::{Appearance, Materials};
+use crate::shading::Materials;
 
 /// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;

@@ -12,6 +12,7 @@ use glam::{Vec2, Vec3};
 
 use super::fresnel::{self, Film};
 use super::ggx;
+use super::lobe::{Facet, Light, Lobe, Sample, Surface, mean};
 use super::table::Table;
 
 /// Indices of refraction closer to 1 than this do not bend light.
@@ -31,11 +32,11 @@ pub(crate) struct Glass {
     /// Index on the far side over that on the viewer's side.
     eta: f32,
     /// Share of the surface, layers above included.
-    pub(crate) weight: f32,
+    weight: f32,
     /// Tint of what is transmitted.
-    pub(crate) tint: Vec3,
+    tint: Vec3,
     /// Whether light passes unbent.
-    pub(crate) straight: bool,
+    straight: bool,
     /// 1/E.
     compensation: f32,
     /// The reflection where `KHR_materials_specular` or a film changes it.
@@ -53,40 +54,30 @@ struct Changed {
     front: bool,
 }
 
-/// What [`Glass::new`] needs to know.
-pub(crate) struct GlassOptions {
-    pub(crate) ior: f32,
-    pub(crate) front: bool,
-    pub(crate) weight: f32,
-    pub(crate) tint: Vec3,
-    pub(crate) specular: f32,
-    /// Reflectance at normal incidence.
-    pub(crate) f0: Vec3,
-    pub(crate) film: Option<Film>,
-    /// Perceptual roughness, 0 for a mirror.
-    pub(crate) roughness: f32,
-    pub(crate) compensated: bool,
-}
-
 impl Glass {
-    pub(crate) fn new(o: Vec3, options: &GlassOptions) -> Self {
-        let &GlassOptions { ior, front, weight, tint, specular, f0, film, roughness, compensated } = options;
+    #[inline]
+    pub(crate) fn new(surface: &Surface<'_>, below: f32) -> Option<Self> {
+        let &Surface { ior, front, specular, roughness, film, glass_f0: f0, glass_share, metallic, .. } = surface;
+        if glass_share <= 0.0 || metallic >= 1.0 {
+            return None;
+        }
         let bare_f0 = fresnel::normal_reflectance(ior);
         let straight = (ior - 1.0).abs() < NO_REFRACTION;
         let is_changed = specular != 1.0 || (f0 - bare_f0).abs().max_element() > 1e-6 || film.is_some();
+        let compensated = surface.compensated && !surface.is_stretched;
         let compensation = if compensated && !is_changed && roughness > 0.0 && !straight {
-            1.0 / albedo(o.z, roughness, ior, front)
+            1.0 / albedo(surface.facet.o.z, roughness, ior, front)
         } else {
             1.0
         };
-        Self {
+        Some(Self {
             eta: if front { ior } else { 1.0 / ior },
-            weight,
-            tint,
+            weight: below * (1.0 - metallic) * glass_share,
+            tint: surface.color.map(f32::sqrt) * surface.wave_weight,
             straight,
             compensation,
             changed: is_changed.then_some(Changed { bare_f0, f0, f90: specular, film, front }),
-        }
+        })
     }
 
     /// Reflectance at a microfacet, the chance with which it is chosen, and the cosine on the far side.
@@ -110,13 +101,13 @@ impl Glass {
 
     /// f |cos| and density (without the chance of this lobe) for a direction above the surface; `specular` is D V |i_z|,
     /// `reflection_pdf` the density of reflected directions.
-    pub(crate) fn reflected(&self, o_h: f32, specular: f32, reflection_pdf: f32) -> (Vec3, f32) {
+    fn reflected(&self, o_h: f32, specular: f32, reflection_pdf: f32) -> (Vec3, f32) {
         let (fresnel, chance, _) = self.reflectance(o_h);
         (fresnel * (self.weight * self.compensation * specular), chance * reflection_pdf)
     }
 
     /// The same for a direction below.
-    pub(crate) fn transmitted(&self, o: Vec3, i: Vec3, alpha: Vec2) -> (Vec3, f32) {
+    fn transmitted(&self, o: Vec3, i: Vec3, alpha: Vec2) -> (Vec3, f32) {
         const NOTHING: (Vec3, f32) = (Vec3::ZERO, 0.0);
         let Some(h) = (o + self.eta * i).try_normalize() else { return NOTHING };
         let h = if h.z < 0.0 { -h } else { h };
@@ -134,7 +125,7 @@ impl Glass {
     }
 
     /// Reflects or refracts at the microfacet normal `h`: direction and, for a mirror, weight without that of the lobe.
-    pub(crate) fn scatter(&self, o: Vec3, h: Vec3, u_fresnel: f32) -> (Vec3, Vec3, bool) {
+    fn scatter(&self, o: Vec3, h: Vec3, u_fresnel: f32) -> (Vec3, Vec3, bool) {
         let cosine = o.dot(h);
         let (fresnel, chance, far) = self.reflectance(cosine);
         if u_fresnel < chance {
@@ -143,6 +134,53 @@ impl Glass {
             let i = (cosine / self.eta - far) * h - o / self.eta;
             (i, self.tint * (Vec3::ONE - fresnel) / (1.0 - chance), false)
         }
+    }
+}
+
+impl Lobe for Glass {
+    const TRANSMITS: bool = true;
+    const REFRACTS: bool = true;
+
+    fn albedo(&self) -> f32 {
+        self.weight * (0.5 + 0.5 * mean(self.tint))
+    }
+
+    fn is_rough(&self, facet: &Facet) -> bool {
+        !facet.mirror
+    }
+
+    fn evaluate(&self, facet: &Facet, light: &Light) -> (Vec3, f32) {
+        let (o, alpha) = (facet.o, facet.alpha);
+        if self.straight || facet.mirror {
+            return (Vec3::ZERO, 0.0);
+        }
+        if light.i.z <= 0.0 {
+            return self.transmitted(o, light.i, alpha);
+        }
+        let Some(facets) = &light.reflected else { return (Vec3::ZERO, 0.0) };
+        let h = facets.normal;
+        self.reflected(o.dot(h), facets.specular, ggx::reflection_pdf(o, h, alpha))
+    }
+
+    fn sample(&self, facet: &Facet, chance: f32, u: [f32; 2], u_fresnel: f32) -> Option<Sample> {
+        let o = facet.o;
+        let scale = self.weight / chance;
+        let towards = |i: Vec3| (facet.scene_from_local * i).try_normalize();
+        if self.straight {
+            let weight = scale * self.tint;
+            return Some(Sample::Mirror { direction: towards(-o)?, up: -o.z, weight, refracted: true });
+        }
+        let h = if facet.mirror { Vec3::Z } else { ggx::sample_normal(o, facet.alpha, u) };
+        let (i, weight, reflected) = self.scatter(o, h, u_fresnel);
+        if (i.z > 0.0) != reflected {
+            return None;
+        }
+        let direction = towards(i)?;
+        Some(if facet.mirror {
+            Sample::Mirror { direction, up: i.z, weight: scale * weight, refracted: !reflected }
+        } else {
+            Sample::Rough { direction, up: i.z, alpha: facet.alpha.max_element() }
+        })
     }
 }
 

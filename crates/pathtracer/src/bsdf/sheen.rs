@@ -9,11 +9,15 @@
 use std::f32::consts::{FRAC_1_PI, TAU};
 use std::sync::OnceLock;
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
+use lumistack_scene::{Material, TextureUse};
 
+use super::cosine::cosine_direction;
+use super::ggx;
+use super::lobe::{Facet, Layer, Light, Lobe, Sample, Surface};
 use super::table::Table;
-use super::{cosine_direction, ggx};
 use crate::math::sin_cos_turns;
+use crate::texture::{Encoding, Slot};
 
 /// Smallest perceptual roughness; below it the lobe is a rim thinner than a degree.
 const LEAST_ROUGHNESS: f32 = 0.1;
@@ -32,16 +36,100 @@ const SMALLEST: f32 = 1e-3;
 const FIT_ROUGH: [f32; 5] = [21.5473, 3.82987, 0.19823, -1.97760, -4.32054];
 const FIT_SMOOTH: [f32; 5] = [25.3245, 3.32435, 0.16801, -1.27393, -4.85967];
 
-/// The lobe of one roughness.
+/// Parameters of fibres.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Fibres {
+pub(crate) struct Fabric {
+    pub(crate) color: Vec3,
+    /// Perceptual.
+    pub(crate) roughness: f32,
+}
+
+/// Textures of fibres.
+pub(crate) struct FabricSlots {
+    color: Option<Slot>,
+    roughness: Option<Slot>,
+}
+
+/// The layer of fibres.
+pub(crate) struct Sheen {
+    /// Scaled, and below other layers.
+    color: Vec3,
+    fibres: Fibres,
+    albedo: f32,
+}
+
+impl Layer for Sheen {
+    type Slots = FabricSlots;
+    type Parameters = Fabric;
+
+    fn is_named(material: &Material) -> bool {
+        material.sheen.is_some()
+    }
+
+    fn is_seen(material: &Material) -> bool {
+        material.sheen.is_some_and(|sheen| sheen.color != Vec3::ZERO)
+    }
+
+    fn slots(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> FabricSlots {
+        let sheen = material.sheen.unwrap_or_default();
+        FabricSlots {
+            color: slot(&sheen.color_texture, Encoding::Srgb),
+            roughness: slot(&sheen.roughness_texture, Encoding::Linear),
+        }
+    }
+
+    fn parameters(material: &Material, slots: &FabricSlots, texel: &impl Fn(&Option<Slot>) -> Vec4) -> Option<Fabric> {
+        let sheen = material.sheen?;
+        let color = (sheen.color * texel(&slots.color).truncate()).clamp(Vec3::ZERO, Vec3::ONE);
+        let roughness = sheen.roughness * texel(&slots.roughness).w;
+        (color != Vec3::ZERO).then_some(Fabric { color, roughness })
+    }
+
+    fn new(sheen: &Fabric, surface: &Surface<'_>, below: &mut f32) -> Self {
+        let (albedo, scale) = albedo(surface.facet.o.z, sheen.roughness);
+        let lobe = Self {
+            color: *below * scale * sheen.color,
+            fibres: Fibres::new(sheen.roughness),
+            albedo: *below * albedo * sheen.color.element_sum() * (1.0 / 3.0),
+        };
+        *below *= 1.0 - sheen.color.max_element() * albedo;
+        lobe
+    }
+}
+
+impl Lobe for Sheen {
+    fn albedo(&self) -> f32 {
+        self.albedo
+    }
+
+    fn is_rough(&self, _: &Facet) -> bool {
+        true
+    }
+
+    fn evaluate(&self, facet: &Facet, light: &Light) -> (Vec3, f32) {
+        if light.i.z <= 0.0 {
+            return (Vec3::ZERO, 0.0);
+        }
+        (self.color * self.fibres.evaluate(facet.o, light.i), self.fibres.pdf(facet.o, light.i))
+    }
+
+    fn sample(&self, facet: &Facet, _: f32, u: [f32; 2], _: f32) -> Option<Sample> {
+        let i = self.fibres.sample(facet.o, u)?;
+        let direction = (facet.scene_from_local * i).try_normalize()?;
+        Some(Sample::Rough { direction, up: i.z, alpha: 1.0 })
+    }
+}
+
+/// White fibres of one roughness.
+#[derive(Clone, Copy, Debug)]
+struct Fibres {
     alpha: f32,
     fit: [f32; 5],
 }
 
 impl Fibres {
     /// `roughness` is perceptual.
-    pub(crate) fn new(roughness: f32) -> Self {
+    fn new(roughness: f32) -> Self {
         let roughness = roughness.clamp(LEAST_ROUGHNESS, 1.0);
         let alpha = roughness * roughness;
         let smooth = (1.0 - alpha) * (1.0 - alpha);
@@ -49,20 +137,20 @@ impl Fibres {
     }
 
     /// f |cos| of white fibres, both directions above the surface.
-    pub(crate) fn evaluate(&self, o: Vec3, i: Vec3) -> f32 {
+    fn evaluate(&self, o: Vec3, i: Vec3) -> f32 {
         let Some(h) = (o + i).try_normalize() else { return 0.0 };
         self.density(h) / ((1.0 + self.lambda(o.z) + self.lambda(i.z)) * 4.0 * o.z)
     }
 
     /// Density per solid angle of [`sample`](Self::sample).
-    pub(crate) fn pdf(&self, o: Vec3, i: Vec3) -> f32 {
+    fn pdf(&self, o: Vec3, i: Vec3) -> f32 {
         let Some(h) = (o + i).try_normalize() else { return 0.0 };
         let fibres = self.density(h) * h.z / (4.0 * o.dot(h)).max(f32::MIN_POSITIVE);
         FIBRE_SHARE * fibres + (1.0 - FIBRE_SHARE) * i.z * FRAC_1_PI
     }
 
     /// A direction; `None` below the surface.
-    pub(crate) fn sample(&self, o: Vec3, u: [f32; 2]) -> Option<Vec3> {
+    fn sample(&self, o: Vec3, u: [f32; 2]) -> Option<Vec3> {
         if u[0] >= FIBRE_SHARE {
             return Some(cosine_direction([(u[0] - FIBRE_SHARE) / (1.0 - FIBRE_SHARE), u[1]]));
         }
@@ -88,7 +176,7 @@ impl Fibres {
 }
 
 /// Albedo of white fibres, and the factor on f that keeps it at or below 1, by the cosine and perceptual roughness.
-pub(crate) fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
+fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
     let raw = raw_albedo(cosine, roughness);
     (raw.min(1.0), 1.0 / raw.max(1.0))
 }

@@ -1,10 +1,15 @@
 //! Sampling follows the density, the density integrates to one, energy is conserved.
 
-use std::f32::consts::TAU;
+use std::f32::consts::{FRAC_1_PI, TAU};
 
+use glam::Vec3;
+
+use super::coat::Coating;
+use super::lobes::LOBES;
+use super::sheen::Fabric;
 use super::*;
 use crate::matt::Matt;
-use crate::shading::Fabric;
+use crate::normals::Normals;
 use lumistack_core::seed::Stream;
 use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_limit};
 
@@ -154,8 +159,7 @@ fn extras() -> Extras {
         specular_color: Vec3::ONE,
         anisotropy: 0.0,
         film: None,
-        sheen: None,
-        coating: None,
+        layers: Layers::default(),
         dispersion: 0.0,
         wave_weight: Vec3::ONE,
     }
@@ -167,7 +171,8 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
     let plain = appearance();
     let metal = Appearance { metallic: 1.0, roughness: 0.35, ..plain };
     let glass = Appearance { transmission: 1.0, roughness: 0.6, solid: true, ..plain };
-    let coating = Some(Coating { factor: 1.0, roughness: 0.3 });
+    let coat = Some(Coating { factor: 1.0, roughness: 0.3 });
+    let coated = Layers { coat, ..Layers::default() };
     let sheen = Some(Fabric { color: Vec3::new(1.0, 0.7, 0.4), roughness: 0.4 });
     let film = Some(Film { factor: 1.0, ior: 1.5, thickness_nm: 420.0 });
     vec![
@@ -191,13 +196,31 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
         ("film on metal", with(metal, Extras { film, ..extras() })),
         ("film on plastic", with(plain, Extras { film, ..extras() })),
         ("film on glass", with(glass, Extras { film, ..extras() })),
-        ("velvet", with(plain, Extras { sheen, ..extras() })),
-        ("fine velvet", with(plain, Extras { sheen: Some(Fabric { color: Vec3::ONE, roughness: 0.15 }), ..extras() })),
-        ("coated matt", with(Appearance { ior: 1.0, ..plain }, Extras { coating, ..extras() })),
-        ("coated metal", with(metal, Extras { coating, ..extras() })),
-        ("mirror coat", with(plain, Extras { coating: Some(Coating { factor: 0.8, roughness: 0.0 }), ..extras() })),
-        ("coated glass", with(glass, Extras { coating, ..extras() })),
-        ("everything", with(metal, Extras { coating, sheen, film, anisotropy: 0.4, ..extras() })),
+        ("velvet", with(plain, Extras { layers: Layers { sheen, ..Layers::default() }, ..extras() })),
+        (
+            "fine velvet",
+            with(
+                plain,
+                Extras {
+                    layers: Layers { sheen: Some(Fabric { color: Vec3::ONE, roughness: 0.15 }), ..Layers::default() },
+                    ..extras()
+                },
+            ),
+        ),
+        ("coated matt", with(Appearance { ior: 1.0, ..plain }, Extras { layers: coated, ..extras() })),
+        ("coated metal", with(metal, Extras { layers: coated, ..extras() })),
+        (
+            "mirror coat",
+            with(
+                plain,
+                Extras {
+                    layers: Layers { coat: Some(Coating { factor: 0.8, roughness: 0.0 }), ..Layers::default() },
+                    ..extras()
+                },
+            ),
+        ),
+        ("coated glass", with(glass, Extras { layers: coated, ..extras() })),
+        ("everything", with(metal, Extras { layers: Layers { sheen, ..coated }, film, anisotropy: 0.4, ..extras() })),
     ]
 }
 
@@ -236,14 +259,9 @@ fn sampled_directions_follow_the_density() {
 fn every_lobe_follows_its_density() {
     for (index, (name, surface)) in surfaces().iter().enumerate() {
         for (cosine, front) in VIEWS {
-            let bsdf = || Bsdf::new(surface, viewer(cosine), &frames()[2], front);
-            let used = bsdf().chances;
-            for lobe in (0..LOBES).filter(|&lobe| used[lobe] > 0.0 && used[lobe] < 1.0) {
-                let mut alone = bsdf();
-                alone.chances = std::array::from_fn(|other| f32::from(u8::from(other == lobe)));
-                if lobe == COAT && alone.coat.as_ref().is_some_and(|coat| coat.mirror) {
-                    continue;
-                }
+            for lobe in 0..LOBES {
+                let bsdf = Bsdf::new(surface, viewer(cosine), &frames()[2], front);
+                let Some(alone) = bsdf.alone(lobe) else { continue };
                 println!("{name}, lobe {lobe}, cosine {cosine}, front {front}");
                 check_density(&alone, 40_000, (1000 + index) as u64);
             }
@@ -432,7 +450,7 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     let [rows, cols] = CELLS;
     let local = |z: f32, phi: f32| {
         let sine = (1.0 - z * z).max(0.0).sqrt();
-        bsdf.scene_from_local * Vec3::new(sine * phi.cos(), sine * phi.sin(), z)
+        bsdf.facet.scene_from_local * Vec3::new(sine * phi.cos(), sine * phi.sin(), z)
     };
     let mut expected = vec![0.0f64; rows * cols];
     for (cell, expected) in expected.iter_mut().enumerate() {
@@ -455,7 +473,7 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
         let u_fresnel = stream.next_f32();
         let cell = match bsdf.sample(pair(&mut stream), u_fresnel) {
             Some(scatter) if scatter.pdf.is_finite() => {
-                let d = bsdf.scene_from_local.transpose() * scatter.direction;
+                let d = bsdf.facet.scene_from_local.transpose() * scatter.direction;
                 let row = ((0.5 * (d.z + 1.0) * rows as f32) as usize).min(rows - 1);
                 let col = ((d.y.atan2(d.x).rem_euclid(TAU) / TAU * cols as f32) as usize).min(cols - 1);
                 row * cols + col

@@ -5,8 +5,8 @@
 
 use std::ops::Range;
 
-use super::Window;
 use super::frame::{ALBEDO, ALPHA, COVERED, Frame, GLOSS, HALVES, NORMAL, PLACE, PLANES, THERE, VARIANCE};
+use super::view::Window;
 
 /// Patches are squares of 3 pixels.
 const PATCH: usize = 1;

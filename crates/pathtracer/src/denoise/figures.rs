@@ -5,7 +5,7 @@
 
 use lumistack_core::Tensor;
 
-use super::NoisyView;
+use super::view::NoisyView;
 use crate::Checks;
 
 /// Edge of the blocks over which the change of the mean is spread, pixels: wide enough that noise in one says little of the next.

@@ -3,7 +3,7 @@
 use glam::{DVec2, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
 
-use super::NoisyView;
+use super::view::NoisyView;
 
 /// Least reflectance that radiance is divided by: darker surfaces keep their own contrast.
 const LEAST_ALBEDO: f32 = 0.02;

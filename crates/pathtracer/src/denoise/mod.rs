@@ -23,6 +23,8 @@ mod band;
 mod choice;
 mod figures;
 mod frame;
+mod view;
+
 #[cfg(test)]
 mod tests;
 
@@ -31,49 +33,12 @@ use lumistack_display::FieldGeometry;
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;
 
-use crate::Features;
 pub use figures::{Estimate, ViewFigures, figures};
 use frame::Frame;
+pub use view::{NoisyView, Window};
 
 /// Rows that are filtered at a time: the unit of work, of progress and of cancellation.
 const BAND: usize = 16;
-
-/// Windows of the filter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Window {
-    /// Pixels on either side in the view itself. Default 5.
-    pub radius: usize,
-    /// Views on either side, along both axes of the grid; 0 filters every view for itself. Default 2.
-    pub views: usize,
-    /// Pixels on either side in those views. Default 1.
-    pub radius_in_views: usize,
-}
-
-impl Default for Window {
-    fn default() -> Self {
-        Self { radius: 5, views: 2, radius_in_views: 1 }
-    }
-}
-
-/// One rendered view.
-#[derive(Clone, Debug)]
-pub struct NoisyView {
-    /// Radiance `[row][col][rgb]` from half of the samples each, with seeds of their own.
-    pub halves: [Tensor<3>; 2],
-    /// What the view shows.
-    pub features: Features,
-}
-
-impl NoisyView {
-    /// The unbiased picture: the mean of the halves.
-    pub fn mean(&self) -> Tensor<3> {
-        let mut mean = self.halves[0].clone();
-        for (value, other) in mean.data_mut().iter_mut().zip(self.halves[1].data()) {
-            *value = 0.5 * (*value + other);
-        }
-        mean
-    }
-}
 
 /// Steps by which [`denoise`] advances the progress.
 pub fn steps(geometry: &FieldGeometry) -> u64 {

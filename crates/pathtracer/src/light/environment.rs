@@ -13,7 +13,7 @@ use std::sync::Arc;
 use glam::{Quat, Vec3};
 use lumistack_scene::{Pixels, Scene};
 
-use super::magnitude;
+use super::sample::magnitude;
 use crate::distribution::Distribution;
 use crate::math::{angle_turns, sin_cos_turns};
 

@@ -3,6 +3,7 @@
 
 mod environment;
 mod punctual;
+mod sample;
 mod tree;
 
 use std::f32::consts::PI;
@@ -13,6 +14,8 @@ use lumistack_scene::Scene;
 
 use self::environment::EnvironmentLight;
 use self::punctual::PunctualLight;
+pub(crate) use self::sample::LightSample;
+use self::sample::magnitude;
 pub(crate) use self::tree::Receiver;
 use self::tree::{Emitter, LightTree, Parts};
 use crate::distribution::Distribution;
@@ -66,18 +69,6 @@ struct TriangleLight {
     offset: f32,
     /// Radiance where it is the same everywhere on the triangle.
     uniform: Option<Vec3>,
-}
-
-/// Light that could arrive at a point.
-pub(crate) struct LightSample {
-    /// Towards the light.
-    pub(crate) direction: Vec3,
-    /// Where the shadow ray ends, just before the light; `None` for light from infinity.
-    pub(crate) end: Option<Vec3>,
-    /// Radiance over density: multiply by f |cos|, visibility and the heuristic's weight.
-    pub(crate) weight: Vec3,
-    /// 1 over the density per solid angle, including the choice of the light; 0 for punctual lights, which no other technique finds.
-    pub(crate) inverse_pdf: f32,
 }
 
 impl Lights {
@@ -298,12 +289,6 @@ fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
 /// Radiance that leaves a point at a direction with this cosine to the normal, alpha included.
 fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>, cosine: f32) -> Vec3 {
     materials.emission(material, point, 0.0, true, cosine) * materials.coverage(material, point)
-}
-
-/// What counts of light when lights are chosen: the length of its colour, 1 for white. Chances in proportion to it leave the least squared error of
-/// the channels together; by luminance, blue light would be chosen fourteen times more rarely than white, and its noise would show.
-fn magnitude(rgb: Vec3) -> f32 {
-    rgb.length() * (1.0 / 3.0f32).sqrt()
 }
 
 /// Triangles that emit, as lights and as the tree sees them.

@@ -7,8 +7,8 @@ use std::f64::consts::PI;
 use glam::Vec3;
 use lumistack_scene::{Light, LightKind};
 
+use super::sample::{LightSample, magnitude};
 use super::tree::Emitter;
-use super::{LightSample, magnitude};
 use crate::geometry::RenderSpace;
 use crate::math::sin_cos_turns;
 

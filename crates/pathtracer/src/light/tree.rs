@@ -42,7 +42,7 @@ impl Receiver {
 pub(crate) struct Emitter {
     pub(crate) min: Vec3,
     pub(crate) max: Vec3,
-    /// Radiant intensity along the axis, as [`magnitude`](super::magnitude).
+    /// Radiant intensity along the axis, as [`magnitude`](super::sample::magnitude).
     pub(crate) strength: f32,
     pub(crate) axis: Vec3,
     /// Normals lie within this angle of the axis.

@@ -1,0 +1,53 @@
+//! What the scattering function needs to know about a point.
+
+use glam::Vec3;
+
+use super::fresnel::Film;
+use super::lobes::Layers;
+use super::spectrum::{Wave, index_at};
+
+/// A material with its textures looked up at a point.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Appearance {
+    /// Base colour, 0..1.
+    pub(crate) base: Vec3,
+    pub(crate) metallic: f32,
+    /// Perceptual.
+    pub(crate) roughness: f32,
+    pub(crate) ior: f32,
+    pub(crate) transmission: f32,
+    /// Whether transmitted light refracts into a solid.
+    pub(crate) solid: bool,
+    /// Whether microfacets return what single scattering loses.
+    pub(crate) compensated: bool,
+    pub(crate) extras: Option<Extras>,
+}
+
+/// Parameters that most materials lack.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Extras {
+    pub(crate) specular: f32,
+    pub(crate) specular_color: Vec3,
+    /// Strength 0..1.
+    pub(crate) anisotropy: f32,
+    pub(crate) film: Option<Film>,
+    pub(crate) layers: Layers,
+    /// 20 / Abbe number.
+    pub(crate) dispersion: f32,
+    /// Weight of the channels at the wavelength that a path takes on when it enters.
+    pub(crate) wave_weight: Vec3,
+}
+
+impl Appearance {
+    /// The appearance of dispersing glass at a wavelength, drawn from `u` for a path that has none yet; returns the wavelength.
+    pub(crate) fn disperse(&mut self, path_nm: Option<f32>, u: impl FnOnce() -> f32) -> Option<f32> {
+        let extras = self.extras.as_mut().filter(|extras| extras.dispersion > 0.0)?;
+        let wave = match path_nm {
+            Some(nanometres) => Wave { nanometres, weight: Vec3::ONE },
+            None => Wave::sample(u()),
+        };
+        extras.wave_weight = wave.weight;
+        self.ior = index_at(self.ior, extras.dispersion, wave.nanometres);
+        Some(wave.nanometres)
+    }
+}

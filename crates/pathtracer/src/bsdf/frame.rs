@@ -1,0 +1,44 @@
+//! Directions at a point, and the frame of a normal.
+
+use glam::{Mat3, Vec3};
+
+use crate::normals::Normals;
+
+/// Directions at a point; normals are unit vectors on the viewer's side.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Frame {
+    pub(crate) geometric: Vec3,
+    /// Normal of what is reflected and refracted, bent so that a mirror shows the viewer nothing from below the surface.
+    pub(crate) shading: Vec3,
+    /// Normals of diffuse scattering, which are not bent.
+    pub(crate) diffuse: Normals,
+    /// Normal of the clear coat.
+    pub(crate) coat: Vec3,
+    /// Direction in which reflections are stretched.
+    pub(crate) tangent: Option<Vec3>,
+}
+
+impl Frame {
+    /// The same normal for everything.
+    pub(crate) fn flat(geometric: Vec3, shading: Vec3) -> Self {
+        Self { geometric, shading, diffuse: Normals::smooth(shading), coat: shading, tangent: None }
+    }
+}
+
+/// Columns: tangent, bitangent, normal.
+pub(crate) fn local_frame(normal: Vec3, tangent: Option<Vec3>) -> Mat3 {
+    match tangent.and_then(|tangent| (tangent - normal * normal.dot(tangent)).try_normalize()) {
+        Some(tangent) => Mat3::from_cols(tangent, normal.cross(tangent), normal),
+        None => {
+            let (tangent, bitangent) = normal.any_orthonormal_pair();
+            Mat3::from_cols(tangent, bitangent, normal)
+        }
+    }
+}
+
+/// The direction to the viewer in a frame, on the viewer's side of its normal.
+pub(crate) fn local_viewer(scene_from_local: &Mat3, to_viewer: Vec3) -> Vec3 {
+    let mut o = scene_from_local.transpose() * to_viewer;
+    o.z = o.z.max(1e-6);
+    o
+}

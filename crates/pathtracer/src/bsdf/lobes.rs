@@ -1,0 +1,184 @@
+//! The table of lobes: every lobe is a file beside this one and a row of it.
+
+use glam::{Vec3, Vec4};
+use lumistack_scene::{Material, TextureUse};
+
+use super::coat::Coat;
+use super::diffuse::Diffuse;
+use super::glass::Glass;
+use super::lobe::{Facet, Layer, Light, Lobe, Sample, Surface};
+use super::reflection::Reflection;
+use super::sheen::Sheen;
+use super::thin::Thin;
+use crate::texture::{Encoding, Slot};
+
+/// Makes layers, those behind first: they lie above.
+macro_rules! layers_from_the_top {
+    ($parameters:ident, $surface:ident, $below:ident;) => {};
+    ($parameters:ident, $surface:ident, $below:ident; $layer:ident: $Layer:ident, $($above:tt)*) => {
+        layers_from_the_top!($parameters, $surface, $below; $($above)*);
+        let $layer = $parameters.and_then(|all| all.$layer.as_ref()).map(|own| $Layer::new(own, $surface, &mut $below));
+    };
+}
+
+/// Makes the types and functions of all lobes. The order is that in which lobes are chosen.
+macro_rules! lobes {
+    (base { $($base:ident: $Base:ident,)* } layers { $($layer:ident: $Layer:ident,)* }) => {
+        /// The lobes of a point.
+        pub(crate) struct Lobes {
+            $($base: Option<$Base>,)*
+            $($layer: Option<$Layer>,)*
+        }
+
+        /// Number of lobes.
+        pub(crate) const LOBES: usize = [$(stringify!($base),)* $(stringify!($layer),)*].len();
+
+        /// Parameters of the layers at a point.
+        #[derive(Clone, Copy, Debug, Default)]
+        pub(crate) struct Layers {
+            $(pub(crate) $layer: Option<<$Layer as Layer>::Parameters>,)*
+        }
+
+        /// Textures of the layers.
+        pub(crate) struct LayerSlots {
+            $(pub(crate) $layer: <$Layer as Layer>::Slots,)*
+        }
+
+        impl LayerSlots {
+            /// `slot` prepares a texture.
+            pub(crate) fn new(
+                material: &Material,
+                slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>,
+            ) -> Self {
+                Self { $($layer: $Layer::slots(material, slot),)* }
+            }
+        }
+
+        impl Layers {
+            /// Whether a material names any, be it of no effect.
+            pub(crate) fn are_named(material: &Material) -> bool {
+                false $(|| $Layer::is_named(material))*
+            }
+
+            /// Whether any has an effect.
+            pub(crate) fn are_seen(material: &Material) -> bool {
+                false $(|| $Layer::is_seen(material))*
+            }
+
+            /// Looked up at a point; `texel` is 1 where there is no texture.
+            pub(crate) fn new(
+                material: &Material,
+                slots: &LayerSlots,
+                texel: impl Fn(&Option<Slot>) -> Vec4,
+            ) -> Self {
+                Self { $($layer: $Layer::parameters(material, &slots.$layer, &texel),)* }
+            }
+
+            /// Share of the light that passes from the base to a viewer at this cosine.
+            pub(crate) fn passed(&self, cosine: f32) -> f32 {
+                let mut passed = 1.0;
+                $(if let Some(own) = &self.$layer { passed *= $Layer::passed(own, cosine); })*
+                passed
+            }
+        }
+
+        impl Lobes {
+            /// `layers` are those that lie on the viewer's side.
+            #[inline]
+            pub(crate) fn new(surface: &Surface<'_>, layers: Option<&Layers>) -> Self {
+                let mut below = 1.0;
+                layers_from_the_top!(layers, surface, below; $($layer: $Layer,)*);
+                Self { $($base: $Base::new(surface, below),)* $($layer,)* }
+            }
+
+            /// The share of light of each.
+            #[inline]
+            pub(crate) fn albedos(&self) -> [f32; LOBES] {
+                [$(self.$base.as_ref().map_or(0.0, Lobe::albedo),)* $(self.$layer.as_ref().map_or(0.0, Lobe::albedo),)*]
+            }
+
+            /// Which are there and can be evaluated, and which of them for light from behind.
+            #[inline]
+            pub(crate) fn rough(&self, facet: &Facet) -> [[bool; LOBES]; 2] {
+                let rough = [
+                    $(self.$base.as_ref().is_some_and(|lobe| lobe.is_rough(facet)),)*
+                    $(self.$layer.as_ref().is_some_and(|lobe| lobe.is_rough(facet)),)*
+                ];
+                let transmits = [$($Base::TRANSMITS,)* $($Layer::TRANSMITS,)*];
+                [rough, std::array::from_fn(|lobe| rough[lobe] && transmits[lobe])]
+            }
+
+            /// Whether light from behind crosses into a solid.
+            #[inline]
+            pub(crate) fn refracts(&self) -> bool {
+                false $(|| $Base::REFRACTS && self.$base.is_some())* $(|| $Layer::REFRACTS && self.$layer.is_some())*
+            }
+
+            /// Share of light that passes on its straight way.
+            pub(crate) fn straight(&self, facet: &Facet) -> Vec3 {
+                let mut sum = Vec3::ZERO;
+                $(if let Some(lobe) = &self.$base { sum += lobe.straight(facet); })*
+                $(if let Some(lobe) = &self.$layer { sum += lobe.straight(facet); })*
+                sum
+            }
+
+            /// Adds what the lobes with or without frames of their own scatter, and their densities by the lobes' chances.
+            #[inline]
+            pub(crate) fn evaluate<const OWN_FRAME: bool>(
+                &self,
+                chances: &[f32; LOBES],
+                facet: &Facet,
+                light: &Light,
+                (value, pdf): (&mut Vec3, &mut f32),
+            ) {
+                let mut chances = chances.iter();
+                let mut add = |chance: Option<&f32>, own: (Vec3, f32)| {
+                    *value += own.0;
+                    *pdf += chance.copied().unwrap_or(0.0) * own.1;
+                };
+                $(
+                    let chance = chances.next();
+                    if $Base::OWN_FRAME == OWN_FRAME && let Some(lobe) = &self.$base {
+                        add(chance, lobe.evaluate(facet, light));
+                    }
+                )*
+                $(
+                    let chance = chances.next();
+                    if $Layer::OWN_FRAME == OWN_FRAME && let Some(lobe) = &self.$layer {
+                        add(chance, lobe.evaluate(facet, light));
+                    }
+                )*
+            }
+
+            /// A direction by one of the lobes.
+            #[inline]
+            pub(crate) fn sample(
+                &self,
+                chosen: usize,
+                facet: &Facet,
+                chance: f32,
+                u: [f32; 2],
+                u_fresnel: f32,
+            ) -> Option<Sample> {
+                let mut lobe = 0..;
+                $(if lobe.next() == Some(chosen) { return self.$base.as_ref()?.sample(facet, chance, u, u_fresnel); })*
+                $(if lobe.next() == Some(chosen) { return self.$layer.as_ref()?.sample(facet, chance, u, u_fresnel); })*
+                None
+            }
+        }
+    };
+}
+
+lobes! {
+    base {
+        reflection: Reflection,
+        diffuse: Diffuse,
+        thin: Thin,
+        glass: Glass,
+    }
+    // from the bottom up
+    layers {
+        sheen: Sheen,
+        coat: Coat,
+    }
+}

@@ -1,0 +1,42 @@
+//! The filter's input: noisy views, and how far it looks around a pixel.
+
+use lumistack_core::Tensor;
+
+use crate::Features;
+
+/// Windows of the filter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// Pixels on either side in the view itself. Default 5.
+    pub radius: usize,
+    /// Views on either side, along both axes of the grid; 0 filters every view for itself. Default 2.
+    pub views: usize,
+    /// Pixels on either side in those views. Default 1.
+    pub radius_in_views: usize,
+}
+
+impl Default for Window {
+    fn default() -> Self {
+        Self { radius: 5, views: 2, radius_in_views: 1 }
+    }
+}
+
+/// One rendered view.
+#[derive(Clone, Debug)]
+pub struct NoisyView {
+    /// Radiance `[row][col][rgb]` from half of the samples each, with seeds of their own.
+    pub halves: [Tensor<3>; 2],
+    /// What the view shows.
+    pub features: Features,
+}
+
+impl NoisyView {
+    /// The unbiased picture: the mean of the halves.
+    pub fn mean(&self) -> Tensor<3> {
+        let mut mean = self.halves[0].clone();
+        for (value, other) in mean.data_mut().iter_mut().zip(self.halves[1].data()) {
+            *value = 0.5 * (*value + other);
+        }
+        mean
+    }
+}
