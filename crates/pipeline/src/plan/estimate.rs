@@ -292,10 +292,10 @@ fn work(plan: &Plan, index: usize) -> f64 {
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" | "place" => 1e8,
-        "trace" | "score" => 2e4,
-        "denoise" => 3e5,
-        "factorize" | "design" => 20.0,
-        "node" | "output" | "report" => 2e3,
+        "trace" | "score" => 1e4,
+        "denoise" => 8e4,
+        "factorize" | "design" => 40.0,
+        "node" | "output" | "report" => 4e3,
         _ => 300.0,
     }
 }
