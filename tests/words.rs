@@ -198,3 +198,35 @@ fn a_closed_pipe_ends_quietly() {
     drop(child.stderr.take());
     assert_eq!(child.wait().unwrap().code(), Some(2));
 }
+
+#[test]
+fn a_plan_is_told_and_nothing_is_done() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = write_triangle(folder.path());
+    let out = folder.path().join("run");
+    let text = succeed(run(&scene, &out).arg("--plan"));
+    assert!(!out.exists(), "a plan writes nothing");
+    for part in ["trace", "factorize", "output-preview", "not yet known", "0 of them cached; estimated "] {
+        assert!(text.contains(part), "{part} is missing:\n{text}");
+    }
+    succeed(&mut run(&scene, &out));
+    let planned = |flags: &[&str]| -> serde_json::Value {
+        let text = succeed(run(&scene, &out).args(["--plan", "--json"]).args(flags));
+        serde_json::from_str(text.trim()).unwrap()
+    };
+    let cached = |plan: &serde_json::Value| {
+        let steps = plan["steps"].as_array().unwrap().iter();
+        let cached = steps.filter(|step| step["cached"] == true).map(|step| step["id"].as_str().unwrap().to_owned());
+        cached.collect::<Vec<_>>()
+    };
+    let same = planned(&[]);
+    assert_eq!(cached(&same), ["trace", "expose", "score", "factorize", "output-images", "output-preview"]);
+    assert!(same["steps"].as_array().unwrap().iter().all(|step| step["key"].as_str().unwrap().len() == 16), "{same}");
+    // other patterns of the same views
+    assert_eq!(cached(&planned(&["--iterations", "4"])), ["trace", "expose", "score"]);
+    assert!(cached(&planned(&["--samples", "3"])).is_empty());
+    // the scene is another
+    let text = std::fs::read_to_string(&scene).unwrap();
+    std::fs::write(&scene, text + " ").unwrap();
+    assert!(cached(&planned(&[])).is_empty());
+}

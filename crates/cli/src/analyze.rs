@@ -86,7 +86,7 @@ impl FromStr for Which {
 
 pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     if let Some(reach) = args.reach_mm.filter(|reach| !(reach.is_finite() && *reach > 0.0)) {
-        return Err(PipelineError::value("--reach-mm", "MM", "a depth above 0", reach.to_string()));
+        return Err(PipelineError::option("--reach-mm", "MM", "a depth above 0", reach.to_string()));
     }
     let (mut displays, mut scenes) = (Vec::new(), Vec::new());
     for which in &args.displays {

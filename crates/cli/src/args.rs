@@ -33,7 +33,7 @@ pub(crate) struct Args {
 pub(crate) enum Command {
     /// Scene to outputs: render, factorize, write, report
     #[command(
-        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA scene without a job file gets pictures and the browser simulator as outputs. A run that was stopped goes on from what is finished when the same command is given again."
+        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan        its steps, what of them is cached, estimated time and memory\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA scene without a job file gets pictures and the browser simulator as outputs. A run that was stopped goes on from what is finished when the same command is given again."
     )]
     Run(Run),
     /// The views of a scene only, as a light-field folder
@@ -265,6 +265,9 @@ pub(crate) struct Run {
     /// Folder for the results [default: runs/NAME]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
+    /// Print the steps of the run instead, with their keys, what is cached, and estimates of time and memory; nothing is written
+    #[arg(long)]
+    pub(crate) plan: bool,
     #[command(flatten)]
     pub(crate) display: DisplayArgs,
     #[command(flatten)]

@@ -6,9 +6,9 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    DisplayJob, FitDepth, Freed, ImporterJob, Job, OutputJob, PipelineError, Registry, RunFolder, SequenceJob, Tone,
-    ViewOptions, Viewpoint, WindowFrom, clean, is_usd, plugins, presets, render_only, run as run_job, set_threads,
-    simulate_to_file,
+    BadValue, DisplayJob, FitDepth, Freed, ImporterJob, Job, OutputJob, PipelineError, Place, Registry, RunFolder,
+    SequenceJob, Tone, ViewOptions, Viewpoint, WindowFrom, clean, is_usd, plugins, presets, render_only,
+    run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
@@ -28,7 +28,7 @@ pub const DEFAULT_DISPLAY: &str = "paper-three-layer";
 pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), PipelineError> {
     if let Some(threads) = args.threads {
         set_threads(threads)
-            .map_err(|error| PipelineError::value("--threads", "N", "a number of threads that can start", error))?;
+            .map_err(|error| PipelineError::option("--threads", "N", "a number of threads that can start", error))?;
     }
     // what answers with one document leaves standard output to it
     let answers = matches!(args.command, Command::Info(_));
@@ -90,6 +90,9 @@ fn run_command(args: &Run, line: &str, registry: &Registry, json: bool, task: Ta
         job.outputs.push(OutputJob { name: Some("preview".into()), ..OutputJob::new("web_simulator") });
     }
     let folder = args.output.clone().unwrap_or_else(|| Path::new("runs").join(&job.name));
+    if args.plan {
+        return crate::plan::print(&job, &folder, registry, json).map_err(|error| in_place(error, &args.input));
+    }
     finish(&job, &folder, line, registry, json, task).map_err(|error| in_place(error, &args.input))
 }
 
@@ -132,6 +135,9 @@ fn finish(
         event["event"] = "done".into();
         say!("{event}");
     } else if let Some(sequence) = &summary.sequence {
+        for node in &summary.nodes {
+            say!("{}: PSNR {:.1} dB over {} times", node.id, node.psnr_view, sequence.times);
+        }
         let times = sequence.times;
         let others = [(", flicker", sequence.psnr_change), (", where still", sequence.psnr_still)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("{name} {psnr:.1} dB")));
@@ -190,7 +196,7 @@ fn clean_command(args: &Clean, json: bool, task: Task<'_>) -> Result<(), Pipelin
     Ok(())
 }
 
-fn size_text(bytes: u64) -> String {
+pub(crate) fn size_text(bytes: u64) -> String {
     match bytes {
         0..1_000 => format!("{bytes} B"),
         1_000..1_000_000 => format!("{:.1} kB", bytes as f64 / 1e3),
@@ -239,9 +245,9 @@ fn simulate_command(args: &Simulate, json: bool, task: Task<'_>) -> Result<(), P
 /// An error about a value of a job, with the place where it was given instead of the word job.
 fn in_place(error: PipelineError, input: &Path) -> PipelineError {
     match error {
-        PipelineError::Value { path, key, expected, found } if path == Path::new("job") => {
-            let path = if is_job(input) { input.to_owned() } else { "command line".into() };
-            PipelineError::Value { path, key, expected, found }
+        PipelineError::Value(value) if value.place == Place::Job => {
+            let place = if is_job(input) { Place::File(input.to_owned()) } else { Place::CommandLine };
+            PipelineError::Value(Box::new(BadValue { place, ..*value }))
         }
         other => other,
     }

@@ -9,6 +9,7 @@ mod compare;
 mod console;
 mod display;
 mod info;
+mod plan;
 mod preview;
 mod program;
 mod server;

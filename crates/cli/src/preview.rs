@@ -36,7 +36,7 @@ pub(crate) fn preview_command(
     let source = source_of(&args.dir, task)?;
     source.refresh(registry, task)?;
     let server = listen(args.port).map_err(|error| {
-        PipelineError::value("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
+        PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
     })?;
     let address = format!("http://localhost:{}/", port_of(&server));
     if json {

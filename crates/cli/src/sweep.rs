@@ -29,6 +29,9 @@ pub(crate) struct Sweep {
     /// Folder for the results [default: sweeps/NAME]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
+    /// Print the steps of the sweep instead, with their keys, what is cached, and estimates of time and memory; nothing is written
+    #[arg(long)]
+    plan: bool,
     /// Plots of the table [default: few, one of every axis]
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
@@ -187,6 +190,9 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     });
     change_search(&mut table.search, &args.search);
     let folder = args.output.clone().unwrap_or_else(|| Path::new("sweeps").join(&job.name));
+    if args.plan {
+        return crate::plan::print(&job, &folder, registry, json);
+    }
     let summary = sweep(&job, &folder, registry, task)?;
     if json {
         let mut event = serde_json::to_value(&summary).expect("summaries serialize");

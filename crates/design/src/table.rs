@@ -73,18 +73,51 @@ pub struct Row {
     pub psnr_raw_db: f64,
     /// PSNR of L̃/β at views between the target's, dB, where they are known.
     pub psnr_between_db: Option<f64>,
+    /// Of several times the worst one's PSNR of L̃/β against L, dB; the figures above are of all times' rays together.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_worst_db: Option<f64>,
+    /// Of a job with several nodes: each. The figures above are the first one's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub nodes: Vec<NodeRow>,
+}
+
+/// What one node reached with a design.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NodeRow {
+    /// Its name.
+    pub id: String,
+    /// As in [`Row`].
+    pub psnr_view_db: f64,
+    /// As in [`Row`].
+    pub psnr_raw_db: f64,
+    /// As in [`Row`].
+    pub psnr_between_db: Option<f64>,
+    /// As in [`Row`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_worst_db: Option<f64>,
 }
 
 /// Figures are cut here: an exact display has no finite one.
 pub const MOST_DB: f64 = 200.0;
 
-/// The table as CSV: a line of names, a line per row.
+/// The table as CSV: a line of names, a line per row. Of several times there is a column for the worst one, of several nodes columns for each.
 pub fn csv(rows: &[Row]) -> String {
     let mut text = String::from(
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
-         psnr_view_db,psnr_raw_db,psnr_between_db\n",
+         psnr_view_db,psnr_raw_db,psnr_between_db",
     );
-    for Row { design: d, psnr_view_db, psnr_raw_db, psnr_between_db } in rows {
+    let has_times = rows.iter().any(|row| row.psnr_worst_db.is_some());
+    if has_times {
+        text.push_str(",psnr_worst_db");
+    }
+    for node in rows.first().map_or(&[][..], |row| &row.nodes) {
+        text.push_str(&format!(",{}_psnr_view_db", node.id));
+        if has_times {
+            text.push_str(&format!(",{}_psnr_worst_db", node.id));
+        }
+    }
+    text.push('\n');
+    for Row { design: d, psnr_view_db, psnr_raw_db, psnr_between_db, psnr_worst_db, nodes } in rows {
         let name = if d.display.contains([',', '"', '\n']) {
             format!("\"{}\"", d.display.replace('"', "\"\""))
         } else {
@@ -106,7 +139,13 @@ pub fn csv(rows: &[Row]) -> String {
         let mut cells: Vec<String> = std::iter::once(name).chain(numbers.map(|n| rounded(n, 6))).collect();
         cells.push(rounded(d.values_per_ray, 4));
         cells.extend([*psnr_view_db, *psnr_raw_db].map(|psnr| format!("{psnr:.3}")));
-        cells.push(psnr_between_db.map_or(String::new(), |psnr| format!("{psnr:.3}")));
+        let told = |psnr: Option<f64>| psnr.map_or(String::new(), |psnr| format!("{psnr:.3}"));
+        cells.push(told(*psnr_between_db));
+        cells.extend(has_times.then(|| told(*psnr_worst_db)));
+        for node in nodes {
+            cells.push(told(Some(node.psnr_view_db)));
+            cells.extend(has_times.then(|| told(node.psnr_worst_db)));
+        }
         text.push_str(&cells.join(","));
         text.push('\n');
     }
@@ -394,7 +433,14 @@ mod tests {
             let variation = Variation { layers: Some(layers), frames: Some(frames), ..Variation::default() };
             let design = Design::of(name, &variation.applied_to(&base).unwrap());
             let psnr = 20.0 + 5.0 * (layers * frames) as f64;
-            rows.push(Row { design, psnr_view_db: psnr, psnr_raw_db: psnr, psnr_between_db: None });
+            rows.push(Row {
+                design,
+                psnr_view_db: psnr,
+                psnr_raw_db: psnr,
+                psnr_between_db: None,
+                psnr_worst_db: None,
+                nodes: Vec::new(),
+            });
         }
         rows
     }
@@ -454,7 +500,14 @@ mod tests {
                     ..Variation::default()
                 };
                 let design = Design::of("a", &variation.applied_to(&base).unwrap());
-                rows.push(Row { design, psnr_view_db: 30.0, psnr_raw_db: 40.0, psnr_between_db: None });
+                rows.push(Row {
+                    design,
+                    psnr_view_db: 30.0,
+                    psnr_raw_db: 40.0,
+                    psnr_between_db: None,
+                    psnr_worst_db: None,
+                    nodes: Vec::new(),
+                });
             }
         }
         let (few, more) = plots(&rows, Plots::Few).unwrap();

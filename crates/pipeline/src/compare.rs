@@ -6,30 +6,21 @@
 //! plane at z stays where it is: by (q − e) z/(D − z) on z = 0.
 
 mod displays;
+mod likeness;
 mod photo;
 
 use std::path::{Path, PathBuf};
 
-use lumistack_core::metrics::{Flip, Mean, SquaredError, ssim};
 use lumistack_core::{Task, Tensor};
-use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator};
+use lumistack_display::{Display, LayerStack, RayMap, Simulator};
 use serde::Serialize;
 
 pub use self::displays::{DisplayLikeness, DisplaysComparison, compare_displays};
+pub use self::likeness::Likeness;
+use self::likeness::{Sums, difference, save, target_of};
 pub use self::photo::{PhotoComparison, Pose, compare_photo};
-use crate::error::{PipelineError, display_error, field_error};
-use crate::simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file};
-
-/// How alike two pictures or light fields are.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Likeness {
-    /// Peak signal-to-noise ratio, dB; none where they are equal.
-    pub psnr_db: Option<f64>,
-    /// Structural similarity, at most 1.
-    pub ssim: f64,
-    /// FLIP error, 0 to 1.
-    pub flip: f64,
-}
+use crate::error::{PipelineError, display_error};
+use crate::simulate::{RunFolder, Viewpoint, picture_from};
 
 /// What two runs have in common and what not.
 #[derive(Clone, Debug, Serialize)]
@@ -45,49 +36,6 @@ pub struct RunComparison {
     /// Pictures that were written.
     #[serde(serialize_with = "crate::path_text::told_each")]
     pub pictures: Vec<PathBuf>,
-}
-
-/// Sums of the metrics over views.
-struct Sums {
-    error: SquaredError,
-    ssim: Mean,
-    flip: Mean,
-    filter: Flip,
-}
-
-impl Sums {
-    fn new() -> Self {
-        let filter = Flip::new(Flip::DEFAULT_PIXELS_PER_DEGREE);
-        Self { error: SquaredError::default(), ssim: Mean::default(), flip: Mean::default(), filter }
-    }
-
-    /// Pixels where `valid` says so; the others are given the reference's values.
-    fn add(&mut self, reference: &[f32], test: &[f32], shape: [usize; 2], valid: &[bool]) {
-        let counted = |i: usize| valid[i];
-        let mut test = test.to_vec();
-        for (i, (test, reference)) in test.chunks_exact_mut(3).zip(reference.chunks_exact(3)).enumerate() {
-            if valid[i] {
-                for c in 0..3 {
-                    self.error.add(f64::from(test[c]), f64::from(reference[c]));
-                }
-            } else {
-                test.copy_from_slice(reference);
-            }
-        }
-        self.ssim = self.ssim.merged(ssim(reference, &test, shape).mean_where(counted));
-        self.flip = self.flip.merged(self.filter.compare(reference, &test, shape).mean_where(counted));
-    }
-
-    fn merge(&mut self, other: &Self) {
-        self.error = self.error.merged(other.error);
-        self.ssim = self.ssim.merged(other.ssim);
-        self.flip = self.flip.merged(other.flip);
-    }
-
-    fn likeness(&self) -> Likeness {
-        let psnr = self.error.psnr();
-        Likeness { psnr_db: psnr.is_finite().then_some(psnr), ssim: self.ssim.value(), flip: self.flip.value() }
-    }
 }
 
 /// Compares two run folders whose light fields have the same pixels; writes the left, middle and right view of both with their difference into `out`.
@@ -154,16 +102,6 @@ pub fn compare_runs(
     })
 }
 
-/// The target of a run, or of the graph's run that a node's folder lies in.
-fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError> {
-    for folder in [run.join("target"), run.join("../../target")] {
-        if folder.join("lightfield.json").is_file() {
-            return Ok(Some(lumistack_field_io::read_field_folder(&folder).map_err(field_error)?.0));
-        }
-    }
-    Ok(None)
-}
-
 /// Samples of a pupil per axis; those outside its disc do not count.
 const PUPIL_SAMPLES: usize = 7;
 
@@ -180,11 +118,11 @@ pub fn refocused(
 ) -> Result<Tensor<3>, PipelineError> {
     let distance = eye_mm[2];
     if !(pupil_mm.is_finite() && pupil_mm >= 0.0) {
-        return Err(PipelineError::value("--pupil-mm", "MM", "a diameter ≥ 0", pupil_mm.to_string()));
+        return Err(PipelineError::option("--pupil-mm", "MM", "a diameter ≥ 0", pupil_mm.to_string()));
     }
     if !(focus_mm.is_finite() && focus_mm < distance) {
         let expected = format!("a depth before the eye, less than {distance} mm");
-        return Err(PipelineError::value("--focus", "Z", expected, focus_mm.to_string()));
+        return Err(PipelineError::option("--focus", "Z", expected, focus_mm.to_string()));
     }
     let pixels = display.field_pixels();
     let mut sum = Tensor::zeros(["row", "col", "rgb"], [pixels.rows, pixels.cols, 3]);
@@ -222,27 +160,6 @@ fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
             }
         }
     }
-}
-
-/// ½ + the difference, so that equal is middle grey.
-fn difference(first: &[f32], second: &[f32]) -> Vec<f32> {
-    // middle grey of the encoded picture
-    first.iter().zip(second).map(|(a, b)| (0.214 + (b - a)).clamp(0.0, 1.0)).collect()
-}
-
-/// Writes pictures of one shape side by side.
-fn save(path: &Path, panes: Vec<Vec<f32>>, [rows, cols]: [usize; 2]) -> Result<(), PipelineError> {
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
-    }
-    let mut sheet = Tensor::zeros(["row", "col", "rgb"], [rows, cols * panes.len(), 3]);
-    for (number, pane) in panes.iter().enumerate() {
-        for row in 0..rows {
-            sheet.block_mut([row])[3 * cols * number..][..3 * cols]
-                .copy_from_slice(&pane[3 * cols * row..][..3 * cols]);
-        }
-    }
-    simulate_to_file(&sheet, path)
 }
 
 #[cfg(test)]

@@ -118,16 +118,15 @@ pub enum PipelineError {
         nearest: Option<String>,
     },
     /// A value makes no sense.
-    #[error("{}: {key}: expected {expected}, found {found}", path.display())]
-    Value {
+    #[error(transparent)]
+    Value(Box<BadValue>),
+    /// A result that a stage has just written is not what stands there: somebody else works on the folder's files.
+    #[error("{}: {what}: expected the picture just written, found another or none", path.display())]
+    Replaced {
         /// The file.
         path: PathBuf,
-        /// The key.
-        key: String,
-        /// What was needed.
-        expected: String,
-        /// What was there.
-        found: String,
+        /// Its content, for people.
+        what: &'static str,
     },
     /// glTF ingest failed.
     #[error(transparent)]
@@ -216,15 +215,101 @@ impl From<Cancelled> for PipelineError {
     }
 }
 
+/// A value that makes no sense: where it stands, what was needed, and what was there.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{place}: {key}: expected {expected}, found {found}")]
+pub struct BadValue {
+    /// Where it stands.
+    pub place: Place,
+    /// Its key there.
+    pub key: String,
+    /// A sentence about sound values.
+    pub expected: String,
+    /// The value as it is.
+    pub found: String,
+}
+
+/// Where a value stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// A job; whoever has read it knows its file.
+    Job,
+    /// Options of all kinds together.
+    CommandLine,
+    /// An option, or a variable of the environment.
+    Option(&'static str),
+    /// Something in memory that has a name: a scene, a light field.
+    Named(String),
+    /// A file or a folder.
+    File(PathBuf),
+}
+
+impl std::fmt::Display for Place {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Job => f.write_str("job"),
+            Self::CommandLine => f.write_str("command line"),
+            Self::Option(name) => f.write_str(name),
+            Self::Named(name) => f.write_str(name),
+            Self::File(path) => path.display().fmt(f),
+        }
+    }
+}
+
+impl From<&str> for Place {
+    fn from(name: &str) -> Self {
+        Self::Named(name.into())
+    }
+}
+
+impl From<&String> for Place {
+    fn from(name: &String) -> Self {
+        Self::Named(name.clone())
+    }
+}
+
+impl From<&Path> for Place {
+    fn from(path: &Path) -> Self {
+        Self::File(path.to_owned())
+    }
+}
+
+impl From<&PathBuf> for Place {
+    fn from(path: &PathBuf) -> Self {
+        Self::File(path.clone())
+    }
+}
+
 impl PipelineError {
     /// A value that makes no sense.
     pub fn value(
-        path: impl AsRef<Path>,
+        place: impl Into<Place>,
         key: impl Into<String>,
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> Self {
-        Self::Value { path: path.as_ref().to_owned(), key: key.into(), expected: expected.into(), found: found.into() }
+        let (place, key, expected, found) = (place.into(), key.into(), expected.into(), found.into());
+        Self::Value(Box::new(BadValue { place, key, expected, found }))
+    }
+
+    /// A value of the job that makes no sense.
+    pub fn job(key: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::value(Place::Job, key, expected, found)
+    }
+
+    /// A value of an option, or of a variable of the environment, that makes no sense.
+    pub fn option(
+        name: &'static str,
+        key: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::value(Place::Option(name), key, expected, found)
+    }
+
+    /// A result that was written and is not there any more, as a conversion for `ok_or_else`.
+    pub(crate) fn replaced<'a>(path: &'a Path, what: &'static str) -> impl FnOnce() -> Self + 'a {
+        move || Self::Replaced { path: path.to_owned(), what }
     }
 
     /// An error of something that a command does beside the pipeline, as a conversion for `map_err`.

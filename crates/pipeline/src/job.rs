@@ -30,6 +30,7 @@ pub use self::sequence::SequenceJob;
 pub use self::sweep::{SearchJob, SweepJob};
 pub use self::window::{FitDepth, Near, WindowFrom, WindowJob};
 use crate::error::{PipelineError, read_to_string};
+use crate::path_text::is_default;
 
 /// A job, as its file says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -147,10 +148,6 @@ fn default_outputs() -> Vec<OutputJob> {
     vec![OutputJob::new("images")]
 }
 
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
-}
-
 impl Default for ReportJob {
     fn default() -> Self {
         Self { pixels_per_degree: 67.02, zone_directions: LEAST_DIRECTIONS }
@@ -258,7 +255,7 @@ impl Job {
     /// # Errors
     /// On the first value that makes no sense.
     pub fn check(&self) -> Result<(), PipelineError> {
-        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         let inputs = [
             self.scene.as_ref().map(|_| "`scene`"),
             self.light_field.as_ref().map(|_| "`light_field`"),
@@ -296,7 +293,9 @@ impl Job {
             return fail("light.background", expected, "a colour".into());
         }
         self.check_graph()?;
-        self.sequence.as_ref().map_or(Ok(()), |sequence| sequence.check(self))
+        self.sequence
+            .as_ref()
+            .map_or(Ok(()), |sequence| sequence.check(self.scene.is_some(), self.light_field.is_some()))
     }
 
     /// The job for a report.
@@ -308,6 +307,80 @@ impl Job {
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a job holds nothing that TOML cannot")
     }
+}
+
+impl Job {
+    /// Checks that nodes and outputs have names of their own, and that every output takes something that is there.
+    fn check_graph(&self) -> Result<(), PipelineError> {
+        let fail = |key: String, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
+        let mut ids: Vec<&str> = Vec::new();
+        for (i, node) in self.nodes.iter().enumerate() {
+            if !is_folder_name(&node.id) || node.id == OutputJob::LIGHT_FIELD || ids.contains(&node.id.as_str()) {
+                let expected = "a name of its own: letters, digits, `-` and `_`, and not `light_field`";
+                return fail(format!("nodes[{i}].id"), expected, format!("`{}`", node.id));
+            }
+            ids.push(&node.id);
+            let (unused, owner) = match (node.plugin == NodeJob::TENSOR_DISPLAY, &node.factorize) {
+                (true, _) if !node.params.is_empty() => ("params", "a node plugin"),
+                (false, Some(_)) => ("factorize", "`tensor-display`"),
+                _ => continue,
+            };
+            return fail(format!("nodes[{i}].{unused}"), &format!("nothing, as only {owner} has it"), "a table".into());
+        }
+        if self.nodes.is_empty() {
+            ids.push(NodeJob::TENSOR_DISPLAY);
+        }
+        let mut taken: Vec<(&str, &str)> = Vec::new();
+        for (i, output) in self.outputs.iter().enumerate() {
+            let known = || format!("`{}` or one of {}", OutputJob::LIGHT_FIELD, ids.join(", "));
+            let from = match (&output.from, ids.as_slice()) {
+                (Some(from), _) if from == OutputJob::LIGHT_FIELD || ids.contains(&from.as_str()) => from.as_str(),
+                (Some(from), _) => return fail(format!("outputs[{i}].from"), &known(), format!("`{from}`")),
+                (None, [only]) => only,
+                (None, _) => return fail(format!("outputs[{i}].from"), &known(), "nothing".into()),
+            };
+            if !is_folder_name(output.name()) {
+                return fail(
+                    format!("outputs[{i}].name"),
+                    "letters, digits, `-` and `_`",
+                    format!("`{}`", output.name()),
+                );
+            }
+            if taken.contains(&(from, output.name())) {
+                let expected = "a `name` of its own beside another of the same plugin";
+                return fail(format!("outputs[{i}]"), expected, format!("`{}` twice", output.name()));
+            }
+            taken.push((from, output.name()));
+        }
+        Ok(())
+    }
+
+    /// The plugins of the job: their place in it, id and parameters. The id of an importer that is chosen by the scene's extension is empty.
+    pub(crate) fn plugins_mut(
+        &mut self,
+    ) -> impl Iterator<Item = (String, &str, &mut serde_json::Map<String, serde_json::Value>)> {
+        let importer = self.importer.plugin.as_deref().unwrap_or_default();
+        let importer = [("importer".into(), importer, &mut self.importer.params)];
+        let source = self.source.iter_mut().map(|job| ("source".into(), job.plugin.as_str(), &mut job.params));
+        let nodes = self.nodes.iter_mut().enumerate().filter(|(_, node)| node.plugin != NodeJob::TENSOR_DISPLAY);
+        let nodes = nodes.map(|(i, job)| (format!("nodes[{i}]"), job.plugin.as_str(), &mut job.params));
+        let outputs = self.outputs.iter_mut().enumerate();
+        let outputs = outputs.map(|(i, job)| (format!("outputs[{i}]"), job.plugin.as_str(), &mut job.params));
+        importer.into_iter().chain(source).chain(nodes).chain(outputs)
+    }
+
+    /// The outputs that take what `from` makes.
+    pub(crate) fn outputs_of(&self, from: &str) -> impl Iterator<Item = &OutputJob> {
+        let only = self.nodes.len() < 2;
+        self.outputs
+            .iter()
+            .filter(move |output| output.from.as_deref().map_or(only && from != OutputJob::LIGHT_FIELD, |f| f == from))
+    }
+}
+
+/// Whether a text can be a folder on every system.
+fn is_folder_name(name: &str) -> bool {
+    !name.is_empty() && name.len() <= 100 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
 }
 
 #[cfg(test)]
@@ -371,5 +444,39 @@ mod tests {
         assert_eq!((display.layers[0].resolution, display.frames, display.brightness), ([420, 262], 6, 0.2));
         job.display.brightness = Some(0.0);
         assert!(job.resolve_display().unwrap_err().to_string().contains("brightness"));
+    }
+
+    #[test]
+    fn a_graph_names_what_it_joins() {
+        let job = |text: &str| {
+            let job: Job = config::parse(&format!("scene = \"a.glb\"\n{text}")).unwrap();
+            job.check().map(|()| job).map_err(|error| error.to_string())
+        };
+        let display = "[display]\npreset = \"fig7-uniform\"\n";
+        let nodes = format!("{display}[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\nplugin = \"parallax_barrier\"\n");
+        let output = |keys: &str| format!("[[outputs]]\nplugin = \"images\"\n{keys}\n");
+        let graph = job(&format!("{nodes}{}{}", output("from = \"a\""), output("from = \"light_field\""))).unwrap();
+        assert_eq!(["a", "b", "light_field"].map(|from| graph.outputs_of(from).count()), [1, 0, 1]);
+        assert_eq!(config::parse::<Job>(&graph.to_toml()).unwrap(), graph);
+        let plain = job(&format!("{display}{}", output("name = \"other\""))).unwrap();
+        assert_eq!(["tensor-display", "light_field"].map(|from| plain.outputs_of(from).count()), [1, 0]);
+        for (text, message) in [
+            (format!("{nodes}{}", output("")), "outputs[0].from: expected `light_field` or one of a, b, found nothing"),
+            (
+                format!("{nodes}{}", output("from = \"c\"")),
+                "outputs[0].from: expected `light_field` or one of a, b, found `c`",
+            ),
+            (format!("{nodes}[[nodes]]\nid = \"a\"\n"), "nodes[2].id: expected a name of its own"),
+            (format!("{nodes}[[nodes]]\nid = \"../a\"\n"), "nodes[2].id: expected a name of its own"),
+            (
+                format!("{nodes}params = {{ x = 1 }}\nfactorize = {{ }}\n"),
+                "nodes[1].factorize: expected nothing, as only `tensor-display` has it",
+            ),
+            (format!("{display}{}{}", output(""), output("")), "outputs[1]: expected a `name` of its own"),
+            (format!("{display}{}", output("name = \"a/b\"")), "outputs[0].name: expected letters"),
+        ] {
+            let error = job(&text).unwrap_err();
+            assert!(error.contains(message), "{error}\n{message}");
+        }
     }
 }

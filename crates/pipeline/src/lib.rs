@@ -5,34 +5,34 @@
 //!                        (or a light field that somebody else rendered)
 //! ```
 //!
-//! A job with `[[nodes]]` feeds several displays from one light field; each has its patterns and its report in `nodes/ID/`.
+//! Every arrow is a stage (`stage/`), and what a job asks for is a plan of them (`plan/`) in a run folder (`store/`).
 //!
-//! A sequence goes this way once for every time, each factorized from the patterns of the time before.
+//! A job with `[[nodes]]` feeds several displays from one light field; each has its patterns and its report in `nodes/ID/`. A sequence goes this way once for
+//! every time, each display factorized from its patterns of the time before. A sweep solves many designs on the light fields of a job, whatever that is.
 
 mod compare;
 mod error;
-mod graph;
 mod inspect;
 mod job;
+mod only_views;
 mod outlook;
 mod path_text;
+mod plan;
 pub mod presets;
 mod reader;
+mod refused;
 mod run;
-mod sequence;
 mod simulate;
 mod stage;
 mod steps;
 mod store;
-mod sweep;
 mod view_options;
 
 pub use compare::{
     DisplayLikeness, DisplaysComparison, Likeness, PhotoComparison, Pose, RunComparison, compare_displays,
     compare_photo, compare_runs, refocused,
 };
-pub use error::{FailedOutput, PipelineError};
-pub use graph::NodeSummary;
+pub use error::{BadValue, FailedOutput, PipelineError, Place};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
     AngularFilter, Background, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob,
@@ -42,10 +42,13 @@ pub use job::{
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};
 pub use lumistack_plugin_host::{OutputData, Registry};
+pub use only_views::render_only;
 pub use outlook::{Outlook, outlook, outlook_on};
+pub use plan::steps::{Plan, Step};
+pub use plan::sweep::SweepSummary;
 pub use reader::{is_blend, is_usd};
-pub use run::{RefusedOutput, Summary, refused_outputs, render_only, run};
-pub use sequence::SequenceSummary;
+pub use refused::{RefusedOutput, refused_outputs};
+pub use run::{NodeSummary, SequenceSummary, Summary, plan, run, run_step, sweep};
 pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_preview};
 pub use stage::ingest::{Ingested, SceneContents, load_scene, scene_contents, take_scene};
 pub use stage::look::automatic_look;
@@ -56,7 +59,6 @@ pub use steps::{
 };
 pub use store::clean::{Cleaned, Freed, clean};
 pub use store::settings::resealed;
-pub use sweep::{SweepSummary, sweep};
 pub use view_options::{ViewLayer, ViewOptions, ViewPick};
 
 /// Sets the number of worker threads of the whole program; results do not depend on it. Call it before any work.

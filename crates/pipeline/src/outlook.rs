@@ -36,7 +36,7 @@ pub fn outlook(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Outlook
 /// As there.
 pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<'_>) -> Result<Outlook, PipelineError> {
     let Some(scene) = &job.scene else {
-        return Err(PipelineError::value("job", "scene", "a scene", "none"));
+        return Err(PipelineError::job("scene", "a scene", "none"));
     };
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let ingested = load_scene(scene, &job.pose, &job.importer, registry, &job.light, None, task)?;

@@ -165,7 +165,7 @@ pub fn picture_from(
         Viewpoint::Angle(degrees) => {
             if !degrees.iter().all(|angle| angle.abs() < 90.0) {
                 let found = format!("{degrees:?}");
-                return Err(PipelineError::value("--view", "X,Y", "angles between -90 and 90 degrees", found));
+                return Err(PipelineError::option("--view", "X,Y", "angles between -90 and 90 degrees", found));
             }
             simulator.from_slope(degrees.map(|angle| angle.to_radians().tan())).radiance
         }
@@ -178,7 +178,7 @@ pub fn picture_from(
         Viewpoint::Eye(eye_mm) => {
             if !(eye_mm[2] > 0.0 && eye_mm.iter().all(|x| x.is_finite())) {
                 let found = eye_mm[2].to_string();
-                return Err(PipelineError::value("--eye", "Z", "a distance above 0 in front of the display", found));
+                return Err(PipelineError::option("--eye", "Z", "a distance above 0 in front of the display", found));
             }
             simulator.from_eye(eye_mm).radiance
         }
@@ -232,7 +232,7 @@ fn round(degrees: f64) -> f64 {
 
 fn strip(display: &Display, simulator: &Simulator<'_>, count: usize) -> Result<Tensor<3>, PipelineError> {
     if !(1..=64).contains(&count) {
-        return Err(PipelineError::value("--sweep", "N", "1 to 64 views", count.to_string()));
+        return Err(PipelineError::option("--sweep", "N", "1 to 64 views", count.to_string()));
     }
     let half_width = (0.5 * display.field.fov_deg[0].to_radians()).tan();
     let views: Vec<Tensor<3>> = (0..count)

@@ -1,14 +1,226 @@
-//! The stages between a job and its outputs, one file each.
+//! The stages between a job and its outputs, one file each: inputs, the key of the result, the work, and the result.
+//!
+//! This is their table. A plan is made of steps, each a stage in a folder.
 
 pub(crate) mod denoise;
 pub(crate) mod depth;
+pub(crate) mod design;
 pub(crate) mod expose;
+pub(crate) mod factorize;
+pub(crate) mod field;
 pub(crate) mod fields;
 pub(crate) mod flicker;
-pub(crate) mod given;
 pub(crate) mod ingest;
 pub(crate) mod layers;
 pub(crate) mod look;
+pub(crate) mod measure;
+pub(crate) mod node;
+pub(crate) mod output;
 pub(crate) mod place;
+pub(crate) mod read;
+pub(crate) mod report;
 pub(crate) mod score;
+pub(crate) mod source;
 pub(crate) mod trace;
+
+use serde_json::{Value, json};
+
+use crate::job::{Background, Denoise, Job, RenderJob};
+use crate::store::code::{self, Code};
+
+/// A row of the table of stages.
+pub(crate) struct StageInfo {
+    pub(crate) name: &'static str,
+    /// Name in reports; `None` of what people need not know.
+    pub(crate) told: Option<&'static str>,
+    /// Its part of a job, beside the results of the stages before. Equal values make equal results.
+    pub(crate) reads: fn(&Job) -> Value,
+    /// Files and folders that it writes, relative to its folder.
+    pub(crate) writes: &'static [&'static str],
+    /// Fingerprints in its key.
+    pub(crate) code: Code,
+}
+
+/// Scene files become a lit scene.
+pub(crate) const INGEST: StageInfo = StageInfo {
+    name: "ingest",
+    told: Some("ingest"),
+    reads: |job| {
+        let light = &job.light;
+        let lamps = (light.environment_strength, light.environment_rotation_deg, light.visible, light.automatic);
+        json!([job.pose, job.importer, light.environment, lamps])
+    },
+    writes: &["cache/blend-*"],
+    code: code::SCENE,
+};
+
+/// The display finds its place in the scene: side, window, depth.
+pub(crate) const PLACE: StageInfo = StageInfo {
+    name: "place",
+    told: None,
+    reads: |job| json!([job.window, display(job)]),
+    writes: &["cache/side-*", "cache/window-*", "cache/fit-*"],
+    code: code::VIEWS,
+};
+
+/// Every view is path-traced.
+pub(crate) const TRACE: StageInfo = StageInfo {
+    name: "trace",
+    told: Some("render"),
+    reads: |job| {
+        // another filter traces nothing again, but for halves
+        let halves = job.render.denoise != Denoise::Off;
+        let render = RenderJob { denoise: Denoise::Off, ..job.render.clone() };
+        json!([render, halves, job.seed, job.light.background == Background::Environment, display(job)])
+    },
+    writes: &["cache/views"],
+    code: code::VIEWS,
+};
+
+/// Noise is taken out of all views together.
+pub(crate) const DENOISE: StageInfo = StageInfo {
+    name: "denoise",
+    told: Some("render"),
+    reads: |job| json!(job.render.denoise),
+    writes: &["cache/views"],
+    code: code::VIEWS,
+};
+
+/// One exposure and one tone curve make all views display-referred: the light field.
+pub(crate) const EXPOSE: StageInfo = StageInfo {
+    name: "expose",
+    told: Some("render"),
+    reads: |job| {
+        let light = &job.light;
+        json!([light.exposure_ev, light.automatic_exposure, light.tone, light.background])
+    },
+    writes: &["target", "held-out", "outside"],
+    code: code::FIELDS,
+};
+
+/// The scene's pictures all over the zone, for the report.
+pub(crate) const SCORE: StageInfo = StageInfo {
+    name: "score",
+    told: Some("render for the score"),
+    reads: |job| json!([job.report.zone_directions, job.factorize.eyes, job.render.max_bounces, job.seed]),
+    writes: &["cache/views"],
+    code: code::VIEWS,
+};
+
+/// A light field that somebody else rendered is read.
+pub(crate) const READ: StageInfo = StageInfo {
+    name: "read",
+    told: Some("read"),
+    reads: |job| json!([job.geometry, job.light.exposure_ev, job.light.tone, display(job)]),
+    writes: &["target"],
+    code: code::FIELDS,
+};
+
+/// A plugin makes the light field.
+pub(crate) const SOURCE: StageInfo = StageInfo {
+    name: "source",
+    told: Some("source"),
+    reads: |job| json!([job.source, display(job)]),
+    writes: &["target", "cache/source.json"],
+    code: code::PLUGINS,
+};
+
+/// The light field is factorized into the patterns of a tensor display.
+pub(crate) const FACTORIZE: StageInfo = StageInfo {
+    name: "factorize",
+    told: Some("factorize"),
+    reads: |job| json!([job.factorize, job.seed, display(job)]),
+    writes: &["layers", "cache/convergence.json", "job.toml", "display.toml"],
+    code: code::PATTERNS,
+};
+
+/// A plugin makes the patterns.
+pub(crate) const NODE: StageInfo = StageInfo {
+    name: "node",
+    told: Some("node"),
+    reads: |job| json!(display(job)),
+    writes: &["layers", "display.toml"],
+    code: code::PLUGINS,
+};
+
+/// An output plugin writes patterns or light field.
+pub(crate) const OUTPUT: StageInfo = StageInfo {
+    name: "output",
+    told: Some("output"),
+    reads: |_| Value::Null,
+    writes: &["outputs"],
+    code: code::PLUGINS,
+};
+
+/// Error and flicker of a time.
+pub(crate) const MEASURE: StageInfo = StageInfo {
+    name: "measure",
+    told: Some("measure"),
+    reads: |_| Value::Null,
+    writes: &["cache/measure-figures.json"],
+    code: code::FIELDS,
+};
+
+/// A design of a sweep is solved and scored.
+pub(crate) const DESIGN: StageInfo = StageInfo {
+    name: "design",
+    told: None,
+    reads: |job| json!([job.factorize, job.seed, job.sweep]),
+    writes: &["designs"],
+    code: code::DESIGNS,
+};
+
+/// A report, or the table of a sweep.
+pub(crate) const REPORT: StageInfo = StageInfo {
+    name: "report",
+    told: None,
+    reads: Job::to_json,
+    writes: &["report.html", "report.json"],
+    code: code::REPORTS,
+};
+
+/// A job's display as it is resolved: a preset or a file, and what the job changes about it.
+fn display(job: &Job) -> Option<String> {
+    job.resolve_display().ok().map(|display| display.without_panels().to_toml())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::presets;
+
+    /// All of them.
+    const STAGES: [&StageInfo; 14] = [
+        &INGEST, &PLACE, &TRACE, &DENOISE, &EXPOSE, &SCORE, &READ, &SOURCE, &FACTORIZE, &NODE, &OUTPUT, &MEASURE,
+        &DESIGN, &REPORT,
+    ];
+
+    #[test]
+    fn stages_have_names_and_files_of_their_own_and_hold_the_code_of_this_crate() {
+        for (number, stage) in STAGES.iter().enumerate() {
+            assert!(STAGES[..number].iter().all(|other| other.name != stage.name), "{}", stage.name);
+            assert!(!stage.writes.is_empty() && stage.code.contains(&env!("LUMISTACK_FINGERPRINT")), "{}", stage.name);
+        }
+    }
+
+    /// A value that a stage reads is part of its key, and one that it does not read is not.
+    #[test]
+    fn what_a_stage_reads_is_what_it_depends_on() {
+        let job = Job { scene: Some("a.glb".into()), ..Job::new(presets::by_name_or_path("fig7-uniform")) };
+        let changed = |change: fn(&mut Job)| {
+            let mut other = job.clone();
+            change(&mut other);
+            let names = STAGES.iter().filter(|stage| (stage.reads)(&job) != (stage.reads)(&other));
+            names.map(|stage| stage.name).filter(|name| *name != "report").collect::<Vec<_>>()
+        };
+        assert_eq!(changed(|job| job.render.samples += 1), ["trace"]);
+        assert_eq!(changed(|job| job.light.exposure_ev += 1.0), ["expose", "read"]);
+        assert_eq!(changed(|job| job.factorize.iterations += 1), ["factorize", "design"]);
+        assert_eq!(changed(|job| job.pose.time_s = Some(1.0)), ["ingest"]);
+        assert_eq!(changed(|job| job.render.denoise = Denoise::Guided), ["trace", "denoise"]);
+        assert_eq!(
+            changed(|job| job.display.frames = Some(2)),
+            ["place", "trace", "read", "source", "factorize", "node"]
+        );
+    }
+}

@@ -11,18 +11,15 @@ use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
 use lumistack_report::{DepthBudget, ReportInput, Solution};
 use serde_json::{Map, Value};
 
-use crate::error::{PipelineError, display_error, factorize_error, field_error, host_error};
-use crate::job::{FactorizeJob, Job};
-use crate::run::{array_weights, eye_weights, solver_settings, warn_of_depth};
-use crate::stage::denoise;
-use crate::stage::expose;
+use crate::error::{PipelineError, display_error, field_error, host_error};
+use crate::job::{FactorizeJob, Job, ReportJob};
+use crate::stage::factorize::Solve;
+use crate::stage::field::{array_weights, eye_weights, warn_of_depth};
 use crate::stage::fields::Shot;
-use crate::stage::given;
-use crate::stage::given::Beyond;
 use crate::stage::ingest::Ingested;
 use crate::stage::look::Look;
-use crate::stage::place;
-use crate::stage::trace;
+use crate::stage::read::{self, Beyond};
+use crate::stage::{denoise, expose, place, trace};
 use crate::store::files::{check_folder, write_report};
 use crate::view_options::ViewOptions;
 
@@ -81,7 +78,7 @@ pub fn open_field(
         width_mm: display.map(|display| display.field_pixels().size_mm()[0]),
         fov_deg: display.map(|display| display.field.fov_deg),
     };
-    let footprint = display.map(|display| move |geometry: &FieldGeometry| given::adapted_footprint(display, geometry));
+    let footprint = display.map(|display| move |geometry: &FieldGeometry| read::adapted_footprint(display, geometry));
     let footprint = footprint.as_ref().map(|footprint| footprint as lumistack_field_io::Footprint<'_>);
     lumistack_field_io::open_for(path, flags, &defaults, footprint, task).map_err(field_error)
 }
@@ -132,11 +129,11 @@ pub fn factorize_field(
     task: Task<'_>,
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, PipelineError> {
-    let settings = solver_settings(job, seed)?;
     if let Some(beyond) = Beyond::of(problem.target) {
-        task.warn("light field", beyond.message(given::OFFER_OF_PYTHON));
+        task.warn("light field", beyond.message(read::OFFER_OF_PYTHON));
     }
-    lumistack_factorizer::factorize(problem, &settings, warm, task, on_iteration).map_err(factorize_error)
+    let Problem { display, target, weights } = *problem;
+    Solve { job, seed, display, target, weights }.factorize(warm, task, on_iteration)
 }
 
 /// Writes with an output plugin into `out_dir`; gives the files, relative to it.
@@ -181,7 +178,7 @@ pub struct ReportOn<'a> {
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
     // a value that no display shows may decide every figure
-    let beyond = Beyond::of(on.target).map(|beyond| beyond.message(given::OFFER_OF_PYTHON));
+    let beyond = Beyond::of(on.target).map(|beyond| beyond.message(read::OFFER_OF_PYTHON));
     let warnings: Vec<_> = beyond.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
     let report = lumistack_report::build(
         &ReportInput {
@@ -193,7 +190,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
             held_out: None,
             outside: None,
             zone: None,
-            pixels_per_degree: crate::job::ReportJob::default().pixels_per_degree,
+            pixels_per_degree: ReportJob::default().pixels_per_degree,
             convergence: on.solution.map_or(&[], |(_, steps)| steps),
             solution: on.solution.map(|(solution, _)| solution),
             stages: &[],

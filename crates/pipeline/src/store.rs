@@ -1,4 +1,4 @@
-//! What lies in a run folder and how it is told from what others put there.
+//! Run folders: their files, and how these are told from those of others.
 //!
 //! ```text
 //! key        what a result depends on, as a hash          code           fingerprints of the crates that results pass through

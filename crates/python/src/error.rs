@@ -39,7 +39,7 @@ fn class_of(error: &PipelineError) -> &'static str {
         PipelineError::Config { .. }
         | PipelineError::Display { .. }
         | PipelineError::UnknownDisplay { .. }
-        | PipelineError::Value { .. }
+        | PipelineError::Value(_)
         | PipelineError::Weights { .. } => "SettingError",
         PipelineError::Gltf(_) | PipelineError::Usd(_) | PipelineError::Scene { .. } | PipelineError::Window { .. } => {
             "SceneError"

@@ -68,7 +68,7 @@ use thiserror::Error;
 
 pub use depth::DepthBudget;
 pub use graph::{GraphInput, GraphNode, graph};
-pub use sequence::{SequenceInput, SequenceReport, SequenceTime, Thumbnail, sequence};
+pub use sequence::{SequenceFigures, SequenceInput, SequenceReport, SequenceSeries, SequenceTime, Thumbnail, sequence};
 
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

@@ -13,6 +13,7 @@
 //! | `psnr_view`, `psnr_raw`, `psnr_change`, `psnr_still` | dB over all times together; null where nothing was compared |
 //! | `brightness` | β |
 //! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start` (`"warm"` from the patterns of the time before, else the fresh start that was taken), `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (share of rays that stand still; these three null at the first time), `iterations`, `seconds` of the solver, `cached` |
+//! | `nodes` | of a job with several nodes: list of `id` and of each the keys from `psnr_view` to `times`; those above are the first one's |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
 use lumistack_core::Warning;
@@ -91,15 +92,24 @@ impl SequenceTime {
     }
 }
 
+/// A display over all times.
+#[derive(Clone, Copy, Debug)]
+pub struct SequenceSeries<'a> {
+    /// The node's name; `None` where there is one display.
+    pub id: Option<&'a str>,
+    /// All times, in order.
+    pub times: &'a [SequenceTime],
+    /// β.
+    pub brightness: f64,
+}
+
 /// Everything that the report of a sequence shows.
 #[derive(Clone, Copy, Debug)]
 pub struct SequenceInput<'a> {
     /// Headline.
     pub title: &'a str,
-    /// All times, in order.
-    pub times: &'a [SequenceTime],
-    /// β.
-    pub brightness: f64,
+    /// Every display over all times: one, or each node's.
+    pub series: &'a [SequenceSeries<'a>],
     /// The resolved job.
     pub settings: &'a Value,
     /// Warnings of all times.
@@ -110,13 +120,22 @@ pub struct SequenceInput<'a> {
     pub version: &'a str,
 }
 
-/// The two files of a sequence's report, and its figures over all times together.
+/// The two files of a sequence's report, and the figures of every display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceReport {
     /// Text of `report.html`.
     pub html: String,
     /// Content of `report.json`.
     pub json: Value,
+    /// In the order of the input.
+    pub series: Vec<SequenceFigures>,
+}
+
+/// Figures of a display over all times together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SequenceFigures {
+    /// Number of times.
+    pub times: usize,
     /// PSNR of L̃/β against L, dB.
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
@@ -132,50 +151,80 @@ pub struct SequenceReport {
 /// # Errors
 /// If a picture or a plot cannot be made.
 pub fn sequence(input: &SequenceInput) -> Result<SequenceReport, ReportError> {
-    let together = |errors: &mut dyn Iterator<Item = SquaredError>| errors.reduce(SquaredError::merged);
-    let error = together(&mut input.times.iter().map(|time| time.error)).unwrap_or_default();
-    let psnr_of = |error: Option<SquaredError>| error.map(SquaredError::psnr);
     let mut report = SequenceReport {
         html: String::new(),
         json: Value::Null,
-        psnr_view: error.psnr(),
-        psnr_raw: error.psnr() - 20.0 * input.brightness.log10(),
-        psnr_change: psnr_of(together(&mut input.times.iter().filter_map(|time| time.change))),
-        psnr_still: psnr_of(together(&mut input.times.iter().filter_map(|time| time.still))),
+        series: input.series.iter().map(SequenceFigures::of).collect(),
     };
     report.json = to_json(input, &report);
     report.html = page::sequence::render(input, &report)?;
     Ok(report)
 }
 
+impl SequenceFigures {
+    fn of(series: &SequenceSeries<'_>) -> Self {
+        let together = |errors: &mut dyn Iterator<Item = SquaredError>| errors.reduce(SquaredError::merged);
+        let error = together(&mut series.times.iter().map(|time| time.error)).unwrap_or_default();
+        let psnr_of = |error: Option<SquaredError>| error.map(SquaredError::psnr);
+        Self {
+            times: series.times.len(),
+            psnr_view: error.psnr(),
+            psnr_raw: error.psnr() - 20.0 * series.brightness.log10(),
+            psnr_change: psnr_of(together(&mut series.times.iter().filter_map(|time| time.change))),
+            psnr_still: psnr_of(together(&mut series.times.iter().filter_map(|time| time.still))),
+        }
+    }
+
+    fn to_json(self, series: &SequenceSeries<'_>) -> Value {
+        json!({
+            "psnr_view": figure(self.psnr_view),
+            "psnr_raw": figure(self.psnr_raw),
+            "psnr_change": self.psnr_change.map(figure),
+            "psnr_still": self.psnr_still.map(figure),
+            "brightness": series.brightness,
+            "times": series.times.iter().map(|time| json!({
+                "name": time.name,
+                "source": time.source,
+                "psnr_view": figure(time.error.psnr()),
+                "start": time.start,
+                "psnr_start": figure(time.psnr_start),
+                "psnr_change": figure(time.psnr_change()),
+                "psnr_still": figure(time.psnr_still()),
+                "still_share": figure(time.still_share()),
+                "iterations": time.iterations,
+                "seconds": figure(time.seconds),
+                "cached": time.cached,
+            })).collect::<Vec<_>>(),
+        })
+    }
+}
+
 fn to_json(input: &SequenceInput, report: &SequenceReport) -> Value {
-    json!({
+    let mut all = json!({
         "schema": "lumistack/sequence-report",
         "version": 1,
         "title": input.title,
         "lumistack_version": input.version,
         "command": input.command,
-        "psnr_view": figure(report.psnr_view),
-        "psnr_raw": figure(report.psnr_raw),
-        "psnr_change": report.psnr_change.map(figure),
-        "psnr_still": report.psnr_still.map(figure),
-        "brightness": input.brightness,
-        "times": input.times.iter().map(|time| json!({
-            "name": time.name,
-            "source": time.source,
-            "psnr_view": figure(time.error.psnr()),
-            "start": time.start,
-            "psnr_start": figure(time.psnr_start),
-            "psnr_change": figure(time.psnr_change()),
-            "psnr_still": figure(time.psnr_still()),
-            "still_share": figure(time.still_share()),
-            "iterations": time.iterations,
-            "seconds": figure(time.seconds),
-            "cached": time.cached,
-        })).collect::<Vec<_>>(),
         "settings": input.settings,
         "warnings": input.warnings.iter().map(|w| json!({ "place": w.place, "message": w.message })).collect::<Vec<_>>(),
-    })
+    });
+    let mut of_series =
+        input.series.iter().zip(&report.series).map(|(series, figures)| (series.id, figures.to_json(series)));
+    let mut nodes = Vec::new();
+    for (number, (id, mut figures)) in of_series.by_ref().enumerate() {
+        if let (0, Some(figures)) = (number, figures.as_object()) {
+            figures.iter().for_each(|(key, value)| all[key] = value.clone());
+        }
+        if let Some(id) = id {
+            figures["id"] = id.into();
+            nodes.push(figures);
+        }
+    }
+    if !nodes.is_empty() {
+        all["nodes"] = nodes.into();
+    }
+    all
 }
 
 #[cfg(test)]
@@ -205,8 +254,7 @@ mod tests {
         let settings = json!({ "seed": 1 });
         let input = SequenceInput {
             title: "walk",
-            times,
-            brightness: 0.1,
+            series: &[SequenceSeries { id: None, times, brightness: 0.1 }],
             settings: &settings,
             warnings: &[],
             command: Some("lumistack run walk.toml"),
@@ -218,9 +266,12 @@ mod tests {
     #[test]
     fn figures_of_all_times_are_of_all_rays_together() {
         let report = report(&[time("t0001", 0.01, None), time("t0002", 0.03, Some(0.001))]);
-        assert!((report.psnr_view - -10.0 * 0.02f64.log10()).abs() < 1e-9);
-        assert!((report.psnr_raw - report.psnr_view - 20.0).abs() < 1e-9);
-        assert!((report.psnr_change.unwrap() - 30.0).abs() < 1e-9 && (report.psnr_still.unwrap() - 40.0).abs() < 1e-9);
+        let figures = report.series[0];
+        assert!((figures.psnr_view - -10.0 * 0.02f64.log10()).abs() < 1e-9);
+        assert!((figures.psnr_raw - figures.psnr_view - 20.0).abs() < 1e-9);
+        assert!(
+            (figures.psnr_change.unwrap() - 30.0).abs() < 1e-9 && (figures.psnr_still.unwrap() - 40.0).abs() < 1e-9
+        );
         let times = &report.json["times"];
         assert_eq!((&times[0]["psnr_change"], &times[1]["still_share"]), (&Value::Null, &json!(0.25)));
         assert!(report.html.contains("t0002") && report.html.contains("views &lt;1&gt;.npy"));
@@ -231,9 +282,29 @@ mod tests {
     #[test]
     fn one_time_alone_has_no_flicker() {
         let report = report(&[time("t0001", 0.0, None)]);
-        assert_eq!((report.psnr_change, report.psnr_still), (None, None));
+        assert_eq!((report.series[0].psnr_change, report.series[0].psnr_still), (None, None));
         assert_eq!(report.json["psnr_view"], "Infinity");
         assert!(!report.html.contains("<svg"), "no finite figure to plot");
+    }
+
+    #[test]
+    fn every_node_has_its_figures_and_its_section() {
+        let (good, bad) = ([time("t0001", 0.01, None)], [time("t0001", 0.03, None)]);
+        let series = [("a", &good), ("b", &bad)];
+        let series = series.map(|(id, times)| SequenceSeries { id: Some(id), times, brightness: 0.1 });
+        let settings = json!({});
+        let input = SequenceInput {
+            title: "both",
+            series: &series,
+            settings: &settings,
+            warnings: &[],
+            command: None,
+            version: "0",
+        };
+        let report = sequence(&input).unwrap();
+        assert_eq!(report.json["psnr_view"], report.json["nodes"][0]["psnr_view"]);
+        assert_eq!((&report.json["nodes"][1]["id"], report.series.len()), (&json!("b"), 2));
+        assert!(report.html.contains("id=\"views-b\"") && report.html.contains("Node b"), "{}", report.html);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use lumistack_design::sheet::{Cell, Sheet};
 use lumistack_display::{RayMap, Simulator};
 use serde::Serialize;
 
-use super::{Likeness, Sums, target_of};
+use super::likeness::{Likeness, Sums, target_of};
 use crate::error::PipelineError;
 use crate::job::Job;
 use crate::simulate::RunFolder;

@@ -22,7 +22,7 @@ use glam::{DMat3, DVec2, DVec3};
 use lumistack_field_io::picture::Picture;
 use serde::Serialize;
 
-use super::{Likeness, Sums, difference, save};
+use super::likeness::{Likeness, Sums, difference, save};
 use crate::error::{PipelineError, field_error};
 use crate::simulate::{RunFolder, Viewpoint};
 
@@ -70,7 +70,7 @@ pub fn compare_photo(
     let [width, height] = size.map(|side| side as f64);
     let corners = corners.unwrap_or([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]);
     let map = Homography::of_unit_square(corners).ok_or_else(|| {
-        PipelineError::value("--corners", "corners", "four corners of a convex figure", format!("{corners:?}"))
+        PipelineError::option("--corners", "corners", "four corners of a convex figure", format!("{corners:?}"))
     })?;
     let (viewpoint, eye_mm) = match pose {
         Pose::Known(viewpoint) => (viewpoint, None),
@@ -79,7 +79,7 @@ pub fn compare_photo(
             let eye = eye_of(&map, run.display.field_pixels().size_mm(), [width, height], focal_px);
             let eye = eye.filter(|eye| focal_px > 0.0 && eye.iter().all(|v| v.is_finite()) && eye[2] > 0.0);
             let eye = eye.ok_or_else(|| {
-                PipelineError::value("--focal-35mm", "MM", "a lens that can see the display so", focal_mm.to_string())
+                PipelineError::option("--focal-35mm", "MM", "a lens that can see the display so", focal_mm.to_string())
             })?;
             (Viewpoint::Eye(eye), Some(eye))
         }

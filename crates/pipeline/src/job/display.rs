@@ -52,7 +52,7 @@ impl DisplayJob {
             (None, Some(path)) => (path.clone(), presets::load_file(path)?),
             _ => {
                 let found = if self.preset.is_some() { "both" } else { "neither" };
-                return Err(PipelineError::value("job", "display", "either `preset` or `file`", found));
+                return Err(PipelineError::job("display", "either `preset` or `file`", found));
             }
         };
         self.changed(&place, display)
@@ -77,7 +77,7 @@ impl DisplayJob {
         if let Some(resolution) = job.resolution {
             if resolution.contains(&0) {
                 let found = format!("{resolution:?}");
-                return Err(PipelineError::value("job", "display.resolution", "at least [1, 1]", found));
+                return Err(PipelineError::job("display.resolution", "at least [1, 1]", found));
             }
             display = display.with_resolution(resolution);
         }

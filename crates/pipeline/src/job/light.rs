@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use lumistack_core::tone::ToneCurve;
 use serde::{Deserialize, Serialize};
 
-use super::Background;
+use super::background::Background;
 use crate::error::PipelineError;
 
 /// Light and exposure.
@@ -78,7 +78,7 @@ impl Default for LightJob {
 impl LightJob {
     /// Checks values that no parser checks.
     pub(super) fn check(&self) -> Result<(), PipelineError> {
-        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         if !(self.exposure_ev.is_finite() && self.exposure_ev.abs() <= 100.0) {
             return fail("light.exposure_ev", "-100 to 100", self.exposure_ev.to_string());
         }

@@ -125,7 +125,7 @@ impl RenderJob {
 
     /// Checks values that no parser checks.
     pub(super) fn check(&self) -> Result<(), PipelineError> {
-        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         if !(1..=65536).contains(&self.samples) {
             return fail("render.samples", "1 to 65536", self.samples.to_string());
         }

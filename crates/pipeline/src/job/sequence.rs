@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Job;
 use crate::error::PipelineError;
 
 /// A sequence: light fields of one geometry, or a window that moves through the scene.
@@ -35,22 +34,22 @@ impl SequenceJob {
     pub const MOST: usize = 9999;
 
     /// Checks values that no parser checks.
-    pub(super) fn check(&self, job: &Job) -> Result<(), PipelineError> {
-        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::value("job", key, expected, found));
+    pub(super) fn check(&self, has_scene: bool, has_light_field: bool) -> Result<(), PipelineError> {
+        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
         match self.times {
             Some(times) if !(1..=Self::MOST).contains(&times) => {
                 return fail("sequence.times", "1 to 9999", times.to_string());
             }
-            None if job.light_field.is_none() => {
+            None if !has_light_field => {
                 let expected = "the number of times, as only a folder of light fields says it";
                 return fail("sequence.times", expected, "nothing".into());
             }
             _ => {}
         }
-        if (self.turn_deg != 0.0 || self.shift_mm != [0.0; 3]) && job.scene.is_none() {
+        if (self.turn_deg != 0.0 || self.shift_mm != [0.0; 3]) && !has_scene {
             return fail("sequence", "`turn_deg` and `shift_mm` for a scene only", "them without a scene".into());
         }
-        if self.duration_s != 0.0 && job.light_field.is_some() {
+        if self.duration_s != 0.0 && has_light_field {
             let expected = "`duration_s` for a scene or a source only";
             return fail("sequence", expected, "it with light fields".into());
         }

@@ -3,8 +3,8 @@
 use lumistack_design::table::Plots;
 use serde::{Deserialize, Serialize};
 
-use super::is_default;
 use crate::error::PipelineError;
+use crate::path_text::is_default;
 
 /// Axes along which designs differ; every combination is one. An axis without values stays as the display has it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -79,7 +79,7 @@ impl SweepJob {
     pub(crate) fn check(&self) -> Result<(), PipelineError> {
         if self.count() > Self::MOST {
             let expected = format!("at most {} designs", Self::MOST);
-            return Err(PipelineError::value("job", "sweep", expected, self.count().to_string()));
+            return Err(PipelineError::job("sweep", expected, self.count().to_string()));
         }
         let Some(search) = &self.search else { return Ok(()) };
         let numbers = [
@@ -90,12 +90,7 @@ impl SweepJob {
         ];
         for (key, number) in numbers {
             if let Some(number) = number.filter(|number| !(number.is_finite() && *number >= 0.0)) {
-                return Err(PipelineError::value(
-                    "job",
-                    format!("sweep.search.{key}"),
-                    "a number ≥ 0",
-                    number.to_string(),
-                ));
+                return Err(PipelineError::job(format!("sweep.search.{key}"), "a number ≥ 0", number.to_string()));
             }
         }
         Ok(())

@@ -146,16 +146,15 @@ impl WindowJob {
     pub(super) fn check(&self) -> Result<(), PipelineError> {
         if !(1e-3..=10.0).contains(&self.depth_scale) {
             let found = self.depth_scale.to_string();
-            return Err(PipelineError::value("job", "window.depth_scale", "0.001 to 10", found));
+            return Err(PipelineError::job("window.depth_scale", "0.001 to 10", found));
         }
         if let Near::At(near) = self.near
             && !near.is_finite()
         {
-            return Err(PipelineError::value("job", "window.near", "a finite distance", near.to_string()));
+            return Err(PipelineError::job("window.near", "a finite distance", near.to_string()));
         }
         if let Some([azimuth, elevation]) = self.look_from {
-            let fail =
-                |expected: &str, found: String| Err(PipelineError::value("job", "window.look_from", expected, found));
+            let fail = |expected: &str, found: String| Err(PipelineError::job("window.look_from", expected, found));
             if !((-360.0..=360.0).contains(&azimuth) && (-90.0..=90.0).contains(&elevation)) {
                 let expected = "an azimuth of -360 to 360 and an elevation of -90 to 90 degrees";
                 return fail(expected, format!("{azimuth} and {elevation}"));

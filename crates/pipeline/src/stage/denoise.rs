@@ -127,7 +127,7 @@ fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, Pi
         .and_then(|values| {
             Tensor::from_vec(["row", "col", "rgb"], [field.traced.rows, field.traced.cols, 3], values).ok()
         })
-        .ok_or_else(|| PipelineError::value(&path, "cached view", "the picture just written", "another or none"))
+        .ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
 /// What the report tells of the filter.

@@ -57,9 +57,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         let mut field = LightField::black(one.geometry.clone())?;
         for view in one.wanted(views) {
             let path = view_path(&one.finished(kind), view, None);
-            let picture = read_view(&path, &one.geometry).ok_or_else(|| {
-                PipelineError::value(&path, "cached view", "the picture just written", "another or none")
-            })?;
+            let picture = read_view(&path, &one.geometry).ok_or_else(PipelineError::replaced(&path, "cached view"))?;
             field.view_mut(view).copy_from_slice(&picture);
         }
         radiance.push(field);
@@ -91,7 +89,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
             _ => outside = Some(radiance),
         }
     }
-    let target = target.ok_or_else(|| PipelineError::value("job", "views", "at least one", "none"))?;
+    let target = target.ok_or_else(|| PipelineError::job("views", "at least one", "none"))?;
     Ok(Exposed { target, held_out, outside, look, denoised })
 }
 

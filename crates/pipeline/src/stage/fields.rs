@@ -208,9 +208,8 @@ impl FieldJob {
         let mut variance = vec![0.0; 3 * self.traced.rows * self.traced.cols];
         for &half in parts {
             let path = variance_path(&self.folder, view, half);
-            let of_part = read_view(&path, &self.traced).ok_or_else(|| {
-                PipelineError::value(&path, "cached variance", "the picture just written", "another or none")
-            })?;
+            let of_part =
+                read_view(&path, &self.traced).ok_or_else(PipelineError::replaced(&path, "cached variance"))?;
             let share = 1.0 / (parts.len() * parts.len()) as f32;
             variance.iter_mut().zip(of_part).for_each(|(sum, part)| *sum += share * part);
         }

@@ -119,7 +119,7 @@ pub(crate) fn place(
     if means.compresses && !is_two_sided([low, high]) {
         let expected = "a display whose depth of field lies on both sides of z = 0";
         let found = format!("a depth of field from {low} to {high} mm");
-        return Err(PipelineError::value("job", "window.fit_depth", expected, found));
+        return Err(PipelineError::job("window.fit_depth", expected, found));
     }
     let projection = geometry.grid.projection;
     let mut key = KeyBuilder::new("fit", code::VIEWS);

@@ -146,10 +146,8 @@ impl References {
     /// The two pictures of a direction, display-referred.
     fn read(&self, i: usize) -> Result<[Vec<f32>; 2], PipelineError> {
         let one = |half| {
-            self.one(i, half).ok_or_else(|| {
-                let path = self.path(i, half);
-                PipelineError::value(&path, "cached picture", "the picture just written", "another or none")
-            })
+            self.one(i, half)
+                .ok_or_else(|| PipelineError::Replaced { path: self.path(i, half), what: "cached picture" })
         };
         Ok([one(0)?, one(1)?])
     }

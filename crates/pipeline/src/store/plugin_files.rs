@@ -46,7 +46,7 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
             if let Err(error) = lumistack_files::open(&path) {
                 let (key, found) = (format!("{place}.params.{name}"), format!("{}: {error}", path.display()));
                 let expected = "a readable file, or its text, which begins with {";
-                return Err(PipelineError::value("job", key, expected, found));
+                return Err(PipelineError::job(key, expected, found));
             }
             let absolute = std::path::absolute(&path).unwrap_or(path);
             let value = match absolute.to_str() {
@@ -57,7 +57,7 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
                     .filter(|text| text.trim_start().starts_with('{'))
                     .ok_or_else(|| {
                         let (key, found) = (format!("{place}.params.{name}"), absolute.display().to_string());
-                        PipelineError::value("job", key, "a path in UTF-8, or a file whose text begins with {", found)
+                        PipelineError::job(key, "a path in UTF-8, or a file whose text begins with {", found)
                     })?,
             };
             params.insert(name, value.into());

@@ -1,4 +1,4 @@
-//! What makes a rerun cheap: stamps beside the results of stages.
+//! Stamps beside the results of stages, which make a rerun cheap.
 //!
 //! A stamp holds the [key](super::key) of a stage. It is written last, so that a stage that was killed midway has none, and holds a hash of every file that the stage wrote: one that was
 //! damaged or replaced since is no result, whatever its size and time.
@@ -52,12 +52,50 @@ impl Stamps {
         Self { run_dir: run_dir.to_owned() }
     }
 
+    /// The run folder.
+    pub(crate) fn dir(&self) -> &Path {
+        &self.run_dir
+    }
+
+    /// The result of a stage, and whether it was there: what was `kept` where the stamp holds the key, else what `make` gives with the files that it wrote.
+    ///
+    /// # Errors
+    /// Those of `make`, and when the stamp cannot be written.
+    pub(crate) fn take_up<T>(
+        &self,
+        stage: &str,
+        key: &str,
+        kept: impl FnOnce() -> Option<T>,
+        make: impl FnOnce() -> Result<(T, Vec<PathBuf>), PipelineError>,
+    ) -> Result<(T, bool), PipelineError> {
+        if self.is_current(stage, key)
+            && let Some(kept) = kept()
+        {
+            return Ok((kept, true));
+        }
+        self.clear(stage)?;
+        let (made, files) = make()?;
+        self.write(stage, key, &files)?;
+        Ok((made, false))
+    }
+
+    /// Whether the stage finished, with whatever key, and all its files still have the content that they had.
+    pub(crate) fn is_whole(&self, stage: &str) -> bool {
+        self.stamp(stage).is_some_and(|stamp| self.holds(&stamp))
+    }
+
     /// Whether the stage finished with this key and all its files still have the content that they had.
     pub(crate) fn is_current(&self, stage: &str, key: &str) -> bool {
-        let Ok(text) = std::fs::read(self.path(stage)) else { return false };
-        let Ok(stamp) = serde_json::from_slice::<Stamp>(&text) else { return false };
+        self.stamp(stage).is_some_and(|stamp| stamp.key == key && self.holds(&stamp))
+    }
+
+    fn stamp(&self, stage: &str) -> Option<Stamp> {
+        serde_json::from_slice(&std::fs::read(self.path(stage)).ok()?).ok()
+    }
+
+    fn holds(&self, stamp: &Stamp) -> bool {
         let holds = |(file, hash): &(PathBuf, String)| content_hash(&self.run_dir.join(file)).is_ok_and(|h| h == *hash);
-        stamp.key == key && stamp.files.par_iter().all(holds)
+        stamp.files.par_iter().all(holds)
     }
 
     /// Records that the stage has finished; `files` are relative to the run folder.

@@ -3,7 +3,7 @@
 use maud::{Markup, PreEscaped, html};
 
 use super::{document, picture, settings};
-use crate::sequence::{SequenceInput, SequenceReport, SequenceTime};
+use crate::sequence::{SequenceFigures, SequenceInput, SequenceReport, SequenceSeries, SequenceTime};
 use crate::{ReportError, format, plot};
 
 /// Most times whose pictures are shown.
@@ -12,13 +12,14 @@ const PICTURES: usize = 24;
 pub(crate) fn render(input: &SequenceInput, report: &SequenceReport) -> Result<String, ReportError> {
     let header = html! {
         h1 { (input.title) }
-        (key_figures(input, report))
+        @for (series, figures) in input.series.iter().zip(&report.series) {
+            @if let Some(id) = series.id { h2 { "Node " (id) } }
+            (key_figures(series, figures))
+        }
         (settings::warnings(input.warnings))
     };
     let main = html! {
-        (pictures(input.times)?)
-        (plots(input.times)?)
-        (table(input.times))
+        @for series in input.series { (section(series)?) }
         section id="settings" {
             h2 { "Settings" }
             @if let Some(command) = input.command { p { "Made by " code { (command) } " with Lumistack " (input.version) "." } }
@@ -28,7 +29,18 @@ pub(crate) fn render(input: &SequenceInput, report: &SequenceReport) -> Result<S
     Ok(document(input.title, input.version, &header, &main))
 }
 
-fn key_figures(input: &SequenceInput, report: &SequenceReport) -> Markup {
+/// What one display shows over time.
+fn section(series: &SequenceSeries<'_>) -> Result<Markup, ReportError> {
+    let name = |name: &str| series.id.map_or(name.to_owned(), |id| format!("{name}-{id}"));
+    Ok(html! {
+        @if let Some(id) = series.id { h1 { "Node " (id) } }
+        (pictures(series.times, &name("views"))?)
+        (plots(series.times, &name("error"))?)
+        (table(series.times, &name("times")))
+    })
+}
+
+fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
     let db = |value: Option<f64>| value.map_or("–".into(), |value| format!("{} dB", format::decibels(value)));
     let seconds: f64 = input.times.iter().map(|time| time.seconds).filter(|seconds| seconds.is_finite()).sum();
     let iterations: u32 = input.times.iter().map(|time| time.iterations).sum();
@@ -58,7 +70,7 @@ fn key_figures(input: &SequenceInput, report: &SequenceReport) -> Markup {
 }
 
 /// Central views, above as they should be, below as they are shown.
-fn pictures(times: &[SequenceTime]) -> Result<Markup, ReportError> {
+fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
     // evenly spread, first and last among them
     let count = times.len().min(PICTURES);
     let chosen = (0..count).map(|i| &times[i * (times.len() - 1) / (count - 1).max(1)]);
@@ -67,7 +79,7 @@ fn pictures(times: &[SequenceTime]) -> Result<Markup, ReportError> {
         cells.push((time, time.wanted.embedded()?, time.shown.embedded()?));
     }
     Ok(html! {
-        section id="views" class="headline" {
+        section id=(id) class="headline" {
             h2 { "Central view over time" }
             p {
                 "Above what the display should show, below what it shows (divided by β, clamped to 0..1 and sRGB-encoded)."
@@ -83,7 +95,7 @@ fn pictures(times: &[SequenceTime]) -> Result<Markup, ReportError> {
     })
 }
 
-fn plots(times: &[SequenceTime]) -> Result<Markup, ReportError> {
+fn plots(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
     let plotted = |value: fn(&SequenceTime) -> f64, label: &str| {
         let points = times.iter().enumerate().map(|(i, time)| ((i + 1) as f64, value(time)));
         let points: Vec<(f64, f64)> = points.filter(|(_, y)| y.is_finite()).collect();
@@ -94,7 +106,7 @@ fn plots(times: &[SequenceTime]) -> Result<Markup, ReportError> {
     let still = plotted(SequenceTime::psnr_still, "psnr_still, dB")?;
     let same = times.iter().all(|time| time.still_share() == 1.0 || time.change.is_none());
     Ok(html! {
-        section id="error" {
+        section id=(id) {
             h2 { "Error and flicker over time" }
             p {
                 "Left, how close every time comes to its target. The first time starts from nothing; where the curve falls after it, more iterations at the later times help."
@@ -113,7 +125,7 @@ fn plots(times: &[SequenceTime]) -> Result<Markup, ReportError> {
     })
 }
 
-fn table(times: &[SequenceTime]) -> Markup {
+fn table(times: &[SequenceTime], id: &str) -> Markup {
     let names = [
         "time",
         "start",
@@ -131,7 +143,7 @@ fn table(times: &[SequenceTime]) -> Markup {
         if share.is_nan() { "–".into() } else { format::percent(share) }
     };
     html! {
-        section id="times" {
+        section id=(id) {
             h2 { "Every time" }
             p {
                 "A \"warm\" start takes the patterns of the time before. Where a fresh start comes nearer to the target within an iteration, as after a cut, the time starts fresh. "

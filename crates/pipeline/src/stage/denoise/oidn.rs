@@ -31,7 +31,7 @@ impl Oidn {
             let program = PathBuf::from(given);
             return Self::try_program(&program).ok_or_else(|| {
                 let found = format!("{}, which does not answer", program.display());
-                PipelineError::value("LUMISTACK_OIDN", "program", "Open Image Denoise's program `oidnDenoise`", found)
+                PipelineError::option("LUMISTACK_OIDN", "program", "Open Image Denoise's program `oidnDenoise`", found)
             });
         }
         let in_package = || {
@@ -42,7 +42,7 @@ impl Oidn {
         Self::try_program(Path::new("oidnDenoise")).or_else(in_package).ok_or_else(|| {
             let expected = "Open Image Denoise's program `oidnDenoise` on PATH, in LUMISTACK_OIDN or in Python's package pyoidn \
                             (`pip install pyoidn`); `guided` needs nothing";
-            PipelineError::value("job", "render.denoise", expected, "`oidn` and no such program")
+            PipelineError::job("render.denoise", expected, "`oidn` and no such program")
         })
     }
 

@@ -82,9 +82,8 @@ fn unlimited_window(
     let size_mm = geometry.size_mm();
     let error = |source| PipelineError::Window { name: scene.name.clone(), source };
     if job.from == WindowFrom::Given {
-        let missing = |key: &str| {
-            PipelineError::value("job", format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing")
-        };
+        let missing =
+            |key: &str| PipelineError::job(format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing");
         let vector = |key: &str, value: Option<[f64; 3]>| value.map(DVec3::from_array).ok_or_else(|| missing(key));
         let (centre, forward) = (vector("centre", job.centre)?, vector("forward", job.forward)?);
         let (up, width) = (vector("up", job.up)?, job.width.ok_or_else(|| missing("width"))?);

@@ -85,7 +85,7 @@ pub(crate) fn render(
 ) -> Result<(), PipelineError> {
     let Some(scene) = job.scene.as_deref().filter(|scene| is_blend(scene)) else {
         let found = job.scene.as_ref().map_or_else(|| "no scene".into(), |scene| scene.display().to_string());
-        return Err(PipelineError::value("job", "render.engine", "a .blend file as the scene for `blender`", found));
+        return Err(PipelineError::job("render.engine", "a .blend file as the scene for `blender`", found));
     };
     let map = window.scene_from_display;
     let views = BlendViews {

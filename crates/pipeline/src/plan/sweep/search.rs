@@ -5,10 +5,9 @@
 
 use lumistack_design::table::{Design, Row};
 
-use super::Solver;
-use super::designs::Candidate;
 use crate::error::PipelineError;
 use crate::job::SearchJob;
+use crate::stage::design::Candidate;
 
 /// Shares of the iterations, and of the candidates that go on from there.
 const RUNGS: [(f64, f64); 2] = [(0.08, 0.5), (0.3, 0.4)];
@@ -44,17 +43,21 @@ pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<
     );
     let kept: Vec<Candidate> = candidates.into_iter().filter(|candidate| fits(&candidate.design)).collect();
     if kept.is_empty() {
-        return Err(PipelineError::value("job", "sweep.search", "constraints that some design keeps", found));
+        return Err(PipelineError::job("sweep.search", "constraints that some design keeps", found));
     }
     Ok(kept)
 }
+
+/// Gives rows after so many iterations, and how many were there already.
+pub(super) type SolveAll<'a> = &'a mut dyn FnMut(&[Candidate], u32) -> Result<(Vec<Row>, usize), PipelineError>;
 
 /// Rows of the last rung in the candidates' order, how many were kept from before, and the proposals, best first.
 ///
 /// # Errors
 /// When a design cannot be solved, or when cancelled.
-pub(crate) fn run(
-    solver: &Solver<'_>,
+pub(super) fn run(
+    solve_all: SolveAll<'_>,
+    iterations: u32,
     mut candidates: Vec<Candidate>,
     search: &SearchJob,
 ) -> Result<(Vec<Row>, usize, Vec<(Candidate, Row)>), PipelineError> {
@@ -62,8 +65,8 @@ pub(crate) fn run(
         if candidates.len() <= LEAST {
             break;
         }
-        let iterations = ((share * f64::from(solver.iterations())).round() as u32).max(1);
-        let (rows, _) = solver.solve_all(&candidates, iterations)?;
+        let few = ((share * f64::from(iterations)).round() as u32).max(1);
+        let (rows, _) = solve_all(&candidates, few)?;
         let goes_on = ((on * candidates.len() as f64).ceil() as usize).max(LEAST);
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         match search.enough_db {
@@ -86,7 +89,7 @@ pub(crate) fn run(
         chosen.sort_unstable();
         candidates = chosen.into_iter().map(|i| candidates[i].clone()).collect();
     }
-    let (rows, kept) = solver.solve_all(&candidates, solver.iterations())?;
+    let (rows, kept) = solve_all(&candidates, iterations)?;
     let ranked = ranked(&rows, search.enough_db);
     let proposed = ranked.into_iter().take(5).map(|i| (candidates[i].clone(), rows[i].clone())).collect();
     Ok((rows, kept, proposed))
@@ -134,7 +137,14 @@ mod tests {
 
     fn row(layers: usize, frames: usize, psnr: f64) -> Row {
         let design = candidate(layers, frames).design;
-        Row { design, psnr_view_db: psnr, psnr_raw_db: psnr, psnr_between_db: None }
+        Row {
+            design,
+            psnr_view_db: psnr,
+            psnr_raw_db: psnr,
+            psnr_between_db: None,
+            psnr_worst_db: None,
+            nodes: Vec::new(),
+        }
     }
 
     #[test]

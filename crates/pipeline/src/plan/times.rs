@@ -1,21 +1,18 @@
-//! What a time of a sequence is: the plain job that makes it.
+//! A time of a sequence is a plain job.
 //!
 //! Light fields differ in the file that is read, a moving window in where the display stands, an animated scene in its pose.
 
 use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3};
-use lumistack_core::Task;
 use lumistack_factorizer::AUTO;
-use lumistack_plugin_host::Registry;
 use lumistack_scene::{Similarity, Window};
 
-use super::{Last, name};
-use crate::error::{PipelineError, display_error};
-use crate::job::{FactorizeJob, FitDepth, Job, Near, PoseJob, SequenceJob, SourceJob, WindowFrom, WindowJob};
-use crate::stage::ingest;
-use crate::stage::ingest::Ingested;
-use crate::stage::place;
+use crate::error::PipelineError;
+use crate::job::{FactorizeJob, FitDepth, Job, Near, NodeJob, PoseJob, SequenceJob, SourceJob, WindowFrom, WindowJob};
+use crate::stage::design::Later;
+use crate::stage::look::Look;
+use crate::stage::node::is_factorized;
 use crate::stage::place::Placement;
 
 /// What `auto` takes after the first time. Extrapolating along a few iterations from patterns of another target overshoots. Measured with content that moves
@@ -25,120 +22,118 @@ use crate::stage::place::Placement;
 const WARM_SOLVER: &str = "block-exact";
 
 /// The times of a job.
-pub(super) struct Times<'a> {
-    job: &'a Job,
-    pub(super) sequence: &'a SequenceJob,
-    source: Source<'a>,
+#[derive(Clone, Debug)]
+pub(crate) struct Times {
+    pub(crate) sequence: SequenceJob,
+    /// Of a sequence of light fields, one per time.
+    fields: Vec<PathBuf>,
+    count: usize,
 }
 
-enum Source<'a> {
-    /// One light field per time.
-    Fields(Vec<PathBuf>),
-    /// The scene and its placement at the first time, and how many times there are.
-    Scene { ingested: Box<Ingested>, placement: Placement, studio: bool, count: usize },
-    /// The plugin at the first time, and how many times there are.
-    Plugin { first: &'a SourceJob, count: usize },
+/// Facts of the first time that all others share.
+#[derive(Clone, Copy)]
+pub(crate) struct Begun {
+    /// The place of the window at the first time.
+    pub(crate) placement: Placement,
+    /// Whether the scene got the studio light.
+    pub(crate) studio: bool,
+    /// Exposure and tone curve, once the first time is exposed.
+    pub(crate) look: Option<Look>,
 }
 
-impl<'a> Times<'a> {
-    /// Lists the light fields, or loads the scene and places the window of the first time.
+impl Times {
+    /// Lists the light fields, or counts the times.
     ///
     /// # Errors
-    /// When there are no light fields, or fewer than the job asks for, or the scene cannot be loaded.
-    pub(super) fn find(
-        job: &'a Job,
-        sequence: &'a SequenceJob,
-        cache_dir: &Path,
-        registry: &Registry,
-        task: Task<'_>,
-    ) -> Result<Self, PipelineError> {
-        let source = match (&job.scene, &job.light_field, &job.source) {
-            (Some(scene), ..) => {
-                let display = job.resolve_display()?;
-                let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
-                let pose = pose_at(job, sequence, 0.0);
-                let ingested =
-                    ingest::load_scene(scene, &pose, &job.importer, registry, &job.light, Some(cache_dir), task)?;
-                let placement = place::place(&ingested, &job.window, &display, &geometry, Some(cache_dir), task)?;
-                let (studio, count) = (ingested.studio, sequence.times.unwrap_or(1));
-                Source::Scene { ingested: Box::new(ingested), placement, studio, count }
-            }
-            (None, Some(folder), _) => Source::Fields(light_fields(folder, sequence.times)?),
-            (None, None, Some(first)) => Source::Plugin { first, count: sequence.times.unwrap_or(1) },
-            (None, None, None) => return Err(PipelineError::value("job", "scene", Job::INPUTS, "none")),
+    /// When there are no light fields, or fewer than the job asks for.
+    pub(crate) fn find(job: &Job, sequence: &SequenceJob) -> Result<Self, PipelineError> {
+        let fields = match (&job.scene, &job.light_field) {
+            (None, Some(folder)) => light_fields(folder, sequence.times)?,
+            _ => Vec::new(),
         };
-        Ok(Self { job, sequence, source })
+        let count = if fields.is_empty() { sequence.times.unwrap_or(1) } else { fields.len() };
+        Ok(Self { sequence: sequence.clone(), fields, count })
     }
 
-    pub(super) fn count(&self) -> usize {
-        match &self.source {
-            Source::Fields(paths) => paths.len(),
-            Source::Scene { count, .. } | Source::Plugin { count, .. } => *count,
+    pub(crate) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Whether all times look at the same scene in the same pose.
+    pub(crate) fn shares_scene(&self) -> bool {
+        self.sequence.duration_s == 0.0
+    }
+
+    /// The pose at the first time.
+    pub(crate) fn first_pose(&self, job: &Job) -> PoseJob {
+        pose_at(job, &self.sequence, 0.0)
+    }
+
+    /// The job of a time. After the first one it starts from the patterns in `before`, the folder of the time before, and takes the exposure and the tone curve of the
+    /// first. `begun` is not known before the work.
+    pub(crate) fn job(&self, job: &Job, time: usize, before: Option<&Path>, begun: Option<Begun>) -> Job {
+        let mut of = Job { sequence: None, sweep: None, name: format!("{} {}", job.name, name(time)), ..job.clone() };
+        if let Some(path) = self.fields.get(time) {
+            of.light_field = Some(path.clone());
         }
-    }
-
-    /// The scene, where all times share it.
-    pub(super) fn ingested(&self) -> Option<&Ingested> {
-        match &self.source {
-            Source::Fields(_) | Source::Plugin { .. } => None,
-            Source::Scene { ingested, .. } => (self.sequence.duration_s == 0.0).then_some(ingested),
+        if let Some(first) = &job.source {
+            of.source = Some(self.source_at(first, time));
         }
-    }
-
-    /// The job of a time. After the first one it starts from the patterns, and takes the exposure and the tone curve, of the times before.
-    pub(super) fn job(&self, time: usize, last: Option<&Last>) -> Job {
-        let mut job = Job { sequence: None, name: format!("{} {}", self.job.name, name(time)), ..self.job.clone() };
-        match &self.source {
-            Source::Fields(paths) => job.light_field = Some(paths[time].clone()),
-            Source::Plugin { first, .. } => job.source = Some(self.source_at(first, time)),
-            Source::Scene { placement, studio, .. } => {
-                let window = moved(&placement.window, self.sequence, self.share(time));
-                job.window = WindowJob { depth_scale: placement.depth_scale, ..given(&window) };
-                job.pose = pose_at(self.job, self.sequence, self.share(time));
+        if job.scene.is_some() {
+            of.pose = pose_at(job, &self.sequence, self.share(time));
+            if let Some(Begun { placement, studio, .. }) = begun {
+                let window = moved(&placement.window, &self.sequence, self.share(time));
+                of.window = WindowJob { depth_scale: placement.depth_scale, ..given(&window) };
                 // light that the first time needed none of must not come up on the way
-                job.light.automatic &= *studio;
-                if !self.sequence.reports {
-                    // only reports show them
-                    (job.render.held_out, job.render.outside, job.report.zone_directions) = (0, 0, 0);
-                }
+                of.light.automatic &= studio;
+            }
+            if !self.sequence.reports {
+                // only reports show them
+                (of.render.held_out, of.render.outside, of.report.zone_directions) = (0, 0, 0);
             }
         }
-        if let Some(last) = last {
-            job.factorize.warm_start = Some(last.layers.clone());
-            job.factorize.iterations = self.sequence.iterations;
-            job.factorize.coarse_levels = None;
-            if job.factorize.solver == AUTO {
-                job.factorize.solver = WARM_SOLVER.into();
-            }
-            if let Some(look) = last.look.filter(|look| look.exposure > 0.0) {
-                (job.light.automatic_exposure, job.light.exposure_ev) = (false, look.exposure.log2());
-                job.light.tone = look.curve.into();
-            }
+        let Some(before) = before else { return of };
+        for node in of.nodes.iter_mut().filter(|node| is_factorized(Some(node))) {
+            let layers = before.join("nodes").join(&node.id).join("layers");
+            node.factorize = Some(self.warm(node.factorize.as_ref().unwrap_or(&job.factorize), Some(layers)));
         }
-        job
+        if of.nodes.is_empty() {
+            of.factorize = self.warm(&job.factorize, Some(before.join("layers")));
+        }
+        if let Some(look) = begun.and_then(|begun| begun.look).filter(|look| look.exposure > 0.0) {
+            (of.light.automatic_exposure, of.light.exposure_ev) = (false, look.exposure.log2());
+            of.light.tone = look.curve.into();
+        }
+        of
+    }
+
+    /// How a time is factorized that starts from patterns.
+    pub(crate) fn warm(&self, first: &FactorizeJob, layers: Option<PathBuf>) -> FactorizeJob {
+        let solver = if first.solver == AUTO { WARM_SOLVER.into() } else { first.solver.clone() };
+        let iterations = self.sequence.iterations;
+        FactorizeJob { warm_start: layers, iterations, coarse_levels: None, solver, ..first.clone() }
     }
 
     /// How a time is factorized for which the patterns of the time before are no start.
-    pub(super) fn fresh(&self) -> FactorizeJob {
-        FactorizeJob { warm_start: None, iterations: self.sequence.iterations, ..self.job.factorize.clone() }
+    pub(crate) fn fresh(&self, job: &Job, node: Option<&NodeJob>) -> FactorizeJob {
+        let first = node.and_then(|node| node.factorize.as_ref()).unwrap_or(&job.factorize);
+        FactorizeJob { warm_start: None, iterations: self.sequence.iterations, ..first.clone() }
     }
 
     /// Where the light field of a time comes from, for people.
-    pub(super) fn source(&self, time: usize) -> String {
-        match &self.source {
-            Source::Fields(paths) => paths[time].display().to_string(),
-            Source::Plugin { first, .. } => {
-                format!("{} at {:.3} s", first.plugin, self.source_at(first, time).time_s)
-            }
-            Source::Scene { .. } => {
-                let (share, [x, y, z]) = (self.share(time), self.sequence.shift_mm);
-                let turn = share * self.sequence.turn_deg;
-                let shift = [x, y, z].map(|shift| format!("{:.1}", share * shift)).join(", ");
-                let pose_s = pose_at(self.job, self.sequence, share).time_s;
-                let at = pose_s.map_or(String::new(), |time_s| format!("at {time_s:.3} s, "));
-                format!("{at}window turned by {turn:.1}°, moved by ({shift}) mm")
-            }
+    pub(crate) fn source(&self, job: &Job, time: usize) -> String {
+        if let Some(path) = self.fields.get(time) {
+            return path.display().to_string();
         }
+        if let Some(first) = &job.source {
+            return format!("{} at {:.3} s", first.plugin, self.source_at(first, time).time_s);
+        }
+        let (share, [x, y, z]) = (self.share(time), self.sequence.shift_mm);
+        let turn = share * self.sequence.turn_deg;
+        let shift = [x, y, z].map(|shift| format!("{:.1}", share * shift)).join(", ");
+        let pose_s = pose_at(job, &self.sequence, share).time_s;
+        let at = pose_s.map_or(String::new(), |time_s| format!("at {time_s:.3} s, "));
+        format!("{at}window turned by {turn:.1}°, moved by ({shift}) mm")
     }
 
     fn source_at(&self, first: &SourceJob, time: usize) -> SourceJob {
@@ -148,8 +143,23 @@ impl<'a> Times<'a> {
 
     /// How much of the movement is done, 0 at the first time and 1 at the last.
     fn share(&self, time: usize) -> f64 {
-        time as f64 / (self.count() - 1).max(1) as f64
+        time as f64 / (self.count - 1).max(1) as f64
     }
+}
+
+/// How the later times of a job's sequence are factorized in memory: from patterns, and where those are no start.
+pub(crate) fn later(job: &Job) -> Later {
+    let sequence = job.sequence.clone().unwrap_or_default();
+    let times = Times { sequence, fields: Vec::new(), count: 1 };
+    Box::new(move |first| {
+        let fresh = FactorizeJob { warm_start: None, iterations: times.sequence.iterations, ..first.clone() };
+        [times.warm(first, None), fresh]
+    })
+}
+
+/// Folder of a time.
+pub(crate) fn name(time: usize) -> String {
+    format!("t{:04}", time + 1)
 }
 
 /// The window after a share of its movement: turned about its own vertical axis, and moved along the axes of its first time.

@@ -1,7 +1,34 @@
-//! Light fields that a caller gives: values that no display shows, and what the display makes of their geometry.
+//! A light field that somebody else rendered is read: values that no display shows are told, and the job's exposure and tone curve are applied.
 
+use std::path::Path;
+
+use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LightField};
 use rayon::prelude::*;
+
+use super::field::field_defaults;
+use super::look::Look;
+use crate::error::{PipelineError, field_error};
+use crate::job::Job;
+
+/// Reads the light field at `path` for a display.
+///
+/// # Errors
+/// When it cannot be read, or its geometry is incomplete.
+pub(crate) fn run(path: &Path, job: &Job, display: &Display, task: Task<'_>) -> Result<LightField, PipelineError> {
+    let footprint = |geometry: &FieldGeometry| adapted_footprint(display, geometry);
+    let defaults = field_defaults(display);
+    let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), task);
+    // not rounded, as `target/` is: figures are about what was given
+    let mut field = read.map_err(field_error)?;
+    if let Some(look) = Look::of_given(&job.light) {
+        look.apply(&mut field);
+    }
+    if let Some(beyond) = Beyond::of(&field) {
+        task.warn(path.display().to_string(), beyond.message(OFFER_OF_COMMAND));
+    }
+    Ok(field)
+}
 
 /// What the command offers for values beyond 0 to 1.
 pub(crate) const OFFER_OF_COMMAND: &str =

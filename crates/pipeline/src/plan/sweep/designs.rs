@@ -8,15 +8,7 @@ use lumistack_display::{Display, Variation};
 use crate::error::{PipelineError, display_error};
 use crate::job::{DisplayJob, FitDepth, Job, SweepJob};
 use crate::presets;
-
-/// A design to solve.
-#[derive(Clone, Debug)]
-pub(crate) struct Candidate {
-    pub(crate) design: Design,
-    pub(crate) display: Display,
-    /// Its light field, by number.
-    pub(crate) field: usize,
-}
+use crate::stage::design::Candidate;
 
 /// Every design once, and a job per light field.
 ///
@@ -32,7 +24,7 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
         sweep.displays.iter().map(|text| base(job, text)).collect()
     };
     if !sweep.fov_deg.is_empty() && job.scene.is_none() {
-        return Err(PipelineError::value("job", "sweep.fov_deg", "a scene to render from other angles", "none"));
+        return Err(PipelineError::job("sweep.fov_deg", "a scene to render from other angles", "none"));
     }
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut fields: Vec<(Display, Job)> = Vec::new();

@@ -1,0 +1,74 @@
+//! `--plan`: the steps of a run, in order, and which of them are done already.
+
+use std::path::Path;
+
+use lumistack_pipeline::{Job, PipelineError, Plan, Registry, Step, plan};
+
+use crate::commands::size_text;
+use crate::console::say;
+
+/// Prints the plan of a job in a run folder; does nothing else.
+pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -> Result<(), PipelineError> {
+    let plan = plan(job, folder, registry)?;
+    if json {
+        let mut event = serde_json::to_value(&plan).expect("plans serialize");
+        event["event"] = "plan".into();
+        say!("{event}");
+        return Ok(());
+    }
+    table(&plan).into_iter().for_each(|line| say!("{line}"));
+    Ok(())
+}
+
+/// A line per step, and one of sums.
+fn table(plan: &Plan) -> Vec<String> {
+    let width = plan.steps.iter().map(|step| step.id.chars().count()).max().unwrap_or(0).max(4);
+    let mut lines = vec![format!(
+        "{:width$}  {:9}  {:6}  {:>8}  {:>8}  {:16}  takes",
+        "step", "stage", "cached", "time", "memory", "key"
+    )];
+    for step in &plan.steps {
+        let Step { id, stage, inputs, key, cached, memory_bytes, seconds, .. } = step;
+        let cached = match cached {
+            Some(true) => "yes",
+            Some(false) => "no",
+            None => "unknown",
+        };
+        let (time, memory) = (duration(*seconds), size_text(*memory_bytes));
+        let key = key.as_deref().unwrap_or("not yet known");
+        lines.push(format!(
+            "{id:width$}  {stage:9}  {cached:7} {time:>8}  {memory:>8}  {key:16}  {}",
+            inputs.join(", ")
+        ));
+    }
+    let seconds: f64 = plan.steps.iter().map(|step| step.seconds).sum();
+    let most = plan.steps.iter().map(|step| step.memory_bytes).max().unwrap_or(0);
+    let cached = plan.steps.iter().filter(|step| step.cached == Some(true)).count();
+    let (count, time, memory) = (plan.steps.len(), duration(seconds), size_text(most));
+    lines.push(format!(
+        "{count} steps in {}, {cached} of them cached; estimated {time} and {memory} of memory",
+        plan.folder.display()
+    ));
+    lines
+}
+
+fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s == 0.0 => "0 s".into(),
+        s if s < 1.0 => format!("{:.0} ms", (1e3 * s).max(1.0)),
+        s if s < 100.0 => format!("{s:.1} s"),
+        s if s < 6000.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_told_in_the_unit_that_people_use() {
+        let told = [0.0, 1e-5, 0.25, 12.34, 600.0, 36000.0].map(duration);
+        assert_eq!(told, ["0 s", "1 ms", "250 ms", "12.3 s", "10 min", "10.0 h"]);
+    }
+}

@@ -1,0 +1,75 @@
+//! The views of a scene alone, as a light-field folder: the stages of a run up to the exposure.
+
+use std::path::Path;
+
+use lumistack_core::Task;
+use lumistack_field_io::picture::Precision;
+use lumistack_plugin_host::Registry;
+use lumistack_report::DepthBudget;
+
+use crate::error::{PipelineError, display_error, field_error};
+use crate::job::Job;
+use crate::stage::field::{field_info, warn_of_depth};
+use crate::stage::fields::Shot;
+use crate::stage::{denoise, expose, ingest, layers, place, trace};
+use crate::store::folder;
+use crate::store::names::Work;
+use crate::store::{plugin_files, used};
+use crate::view_options::ViewOptions;
+
+/// Renders the views of a job's scene into `target_dir`, without factorizing, as `options` say; returns what their depth asks of the display.
+///
+/// # Errors
+/// When ingest or rendering fails or is cancelled.
+pub fn render_only(
+    job: &Job,
+    target_dir: &Path,
+    options: &ViewOptions,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<DepthBudget, PipelineError> {
+    let Some(scene) = &job.scene else {
+        return Err(PipelineError::job("scene", "a scene to render", "none"));
+    };
+    let job = &plugin_files::resolved(job, registry)?;
+    job.check()?;
+    let _owned = folder::take(target_dir, Work::Views, job, registry, task)?;
+    let display = job.resolve_display()?;
+    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    // found out before the first ray, not after
+    options.check(job)?;
+    options.chosen(geometry.grid.views())?;
+    let cache = target_dir.join("cache");
+    let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, Some(&cache), task)?;
+    let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
+    let mut job = job.clone();
+    (job.render.held_out, job.render.outside) = (0, 0);
+    let footprint = display.angular_footprint();
+    let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry: &geometry, footprint };
+    let (traced, _) = trace::run(shot, options, &cache, task)?;
+    denoise::run(shot, &traced.fields, task)?;
+    let exposed = expose::run(shot, &traced, options.linear, task)?;
+    let budget = traced.depths.budget(&display, &geometry, &placement);
+    warn_of_depth(&budget, task);
+    let all = geometry.grid.iter().count();
+    if traced.views.len() < all && !options.linear && job.light.automatic_exposure {
+        let count = traced.views.len();
+        let message = format!(
+            "exposure is chosen from {count} of {all} views; for equal exposure of views that are rendered apart, set `light.automatic_exposure = false` or give --linear"
+        );
+        task.warn("exposure", message);
+    }
+    let mut info = field_info(exposed.look, &placement);
+    if options.linear {
+        info.insert("tone".into(), "none".into());
+        info.insert("radiance".into(), "scene-linear, neither exposed nor clipped".into());
+    }
+    let layers = layers::write_layers(target_dir, shot, options, &traced, task)?;
+    info.extend(layers.map(|layers| ("layers".to_owned(), layers)));
+    let precision = if options.linear { Precision::Float } else { Precision::Half };
+    lumistack_field_io::write_views(target_dir, &exposed.target, &traced.views, precision, &info)
+        .map_err(field_error)?;
+    let folders: Vec<_> = traced.fields.iter().map(|field| field.folder.clone()).collect();
+    used::keep_only_views(target_dir, &folders)?;
+    Ok(budget)
+}

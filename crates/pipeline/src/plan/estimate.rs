@@ -1,0 +1,339 @@
+//! A plan before the work: keys, cached results, and estimates of time and memory.
+//!
+//! ```text
+//! key of a step = hash(stage, code, what the stage reads of the job, keys of its inputs, content of the files that it reads)
+//! time          = work of the step / rate         rate: of the last run in this folder, else of this machine by a calibration of some milliseconds
+//! ```
+//!
+//! Results are stamped with the content that they were made from, which is known only when the stages before have run. These keys are known before: a run notes
+//! them in `cache/steps.json` with what each step took and which files a scene was made of, so the next plan tells what is current.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use lumistack_display::Display;
+use lumistack_plugin_host::Registry;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use super::steps::{Kind, Plan, What};
+use crate::error::PipelineError;
+use crate::job::{Denoise, Job};
+use crate::stage::fields::held_out_grid;
+use crate::stage::node::is_factorized;
+use crate::stage::output::stage_name;
+use crate::store::files::{read_json, write_json};
+use crate::store::key::{KeyBuilder, content_hash};
+use crate::store::plugin_files::plugin_key;
+use crate::store::stamps::Stamps;
+
+/// Below the run folder.
+const FILE: &str = "cache/steps.json";
+/// Digits of a key that are shown.
+const DIGITS: usize = 16;
+/// Rays of the report's score per pixel and direction, both halves: most directions take four.
+const SCORE_SAMPLES: f64 = 6.5;
+
+/// A run's note of a step.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Record {
+    key: Option<String>,
+    /// Of the work, where the result was not there already.
+    seconds: Option<f64>,
+    /// In the unit of its stage.
+    work: f64,
+    /// Files that a scene was made of, each with a hash of its content.
+    files: Vec<(PathBuf, String)>,
+}
+
+impl Record {
+    pub(crate) fn new(seconds: f64, cached: bool, files: Vec<(PathBuf, String)>) -> Self {
+        // what is no file is an importer, Blender or memory
+        let place = |path: PathBuf| match path.is_file() {
+            true => std::path::absolute(&path).unwrap_or(path),
+            false => path,
+        };
+        let files = files.into_iter().map(|(path, hash)| (place(path), hash)).collect();
+        Self { key: None, seconds: (!cached).then_some(seconds), work: 0.0, files }
+    }
+}
+
+type Records = BTreeMap<String, Record>;
+
+/// Notes what steps of a run took. Keys are made anew: files may have become known.
+///
+/// # Errors
+/// When the note cannot be written.
+pub(crate) fn note(plan: &Plan, registry: &Registry, new: Records) -> Result<(), PipelineError> {
+    let path = plan.folder.join(FILE);
+    if new.is_empty() || !plan.folder.join("cache").is_dir() {
+        return Ok(());
+    }
+    let mut records: Records = read_json(&path).unwrap_or_default();
+    let ids = plan.indices();
+    records.retain(|id, _| ids.contains_key(id.as_str()));
+    for (id, mut record) in new {
+        let Some(&index) = ids.get(id.as_str()) else { continue };
+        record.work = work(plan, index);
+        if let Some(old) = records.get(&id).filter(|_| record.seconds.is_none()) {
+            (record.seconds, record.work) = (old.seconds, old.work);
+        }
+        records.insert(id, record);
+    }
+    for (index, key) in keys(plan, &records, registry).into_iter().enumerate() {
+        if let Some(record) = records.get_mut(&plan.steps[index].id) {
+            record.key = key;
+        }
+    }
+    write_json(&path, &records)
+}
+
+/// Fills in what is known before the work.
+pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
+    let records: Records = read_json(&plan.folder.join(FILE)).unwrap_or_default();
+    let keys = keys(plan, &records, registry);
+    let machine = multiply_adds_per_second();
+    for (index, key) in keys.into_iter().enumerate() {
+        let record = records.get(&plan.steps[index].id);
+        let cached = match (&key, record) {
+            (_, None) => Some(false),
+            (None, Some(_)) => None,
+            (Some(key), Some(record)) => Some(record.key.as_ref() == Some(key) && is_there(plan, index)),
+        };
+        let (work, memory_bytes) = (work(plan, index), memory(plan, index));
+        // of the same step, else of another of its stage
+        let own = record.filter(|record| record.seconds.is_some());
+        let stage = plan.steps[index].stage;
+        let alike = || {
+            let of_stage = plan.steps.iter().filter(|step| step.stage == stage);
+            of_stage.filter_map(|step| records.get(&step.id)).find(|record| record.seconds.is_some())
+        };
+        let rate = own.or_else(alike).and_then(|record| Some(record.work / record.seconds?)).filter(|rate| *rate > 0.0);
+        let seconds = if cached == Some(true) { 0.0 } else { work / rate.unwrap_or(machine / cost(stage)) };
+        let step = &mut plan.steps[index];
+        (step.key, step.cached, step.memory_bytes, step.seconds) = (key, cached, memory_bytes, seconds);
+    }
+}
+
+/// The key of every step, where it is known.
+fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<String>> {
+    let ids = plan.indices();
+    let mut keys: Vec<Option<String>> = Vec::new();
+    for step in &plan.steps {
+        let info = plan.stage_of(step.part, step.what);
+        let job = settings(plan, step.part);
+        let mut key = KeyBuilder::new(info.name, info.code);
+        key.add_json("reads", &(info.reads)(&job));
+        let inputs: Option<Vec<&String>> =
+            step.inputs.iter().map(|id| ids.get(id.as_str()).and_then(|index| keys.get(*index)?.as_ref())).collect();
+        let known = inputs.map(|inputs| {
+            inputs.into_iter().for_each(|input| {
+                key.add("input", input.as_bytes());
+            })
+        });
+        let content = known
+            .and_then(|()| add_content(&mut key, plan, step.part, step.what, &job, records.get(&step.id), registry));
+        keys.push(content.map(|()| key.finish()[..DIGITS].to_owned()));
+    }
+    keys
+}
+
+/// The job of a part without what depends on where the run folder lies.
+fn settings(plan: &Plan, part: usize) -> Job {
+    let mut job = plan.parts[part].job.clone();
+    if plan.time(part).is_some_and(|(time, _)| time > 0) {
+        job.factorize.warm_start = None;
+        job.nodes.iter_mut().filter_map(|node| node.factorize.as_mut()).for_each(|job| job.warm_start = None);
+    }
+    job
+}
+
+/// Adds the content of the files that a step reads; `None` where it is not known which.
+fn add_content(
+    key: &mut KeyBuilder,
+    plan: &Plan,
+    part: usize,
+    what: What,
+    job: &Job,
+    record: Option<&Record>,
+    registry: &Registry,
+) -> Option<()> {
+    let mut plugin = |id: &str, params: &Map<String, Value>| {
+        key.add("plugin", plugin_key(registry, id, params).ok()?.as_bytes());
+        Some(())
+    };
+    match what {
+        What::Ingest => {
+            for (path, hash) in &record?.files {
+                let found = if path.is_absolute() { content_hash(path).ok()? } else { hash.clone() };
+                key.add("file", path.file_name()?.as_encoded_bytes()).add("content", found.as_bytes());
+            }
+            Some(())
+        }
+        What::Read => add_files(key, job.light_field.as_deref()?),
+        What::Source => plugin(&job.source.as_ref()?.plugin, &job.source.as_ref()?.params),
+        What::Patterns => {
+            let node = plan.node(part).filter(|node| !is_factorized(Some(node)));
+            match node {
+                Some(node) => plugin(&node.plugin, &node.params),
+                None => [&job.factorize.weights, &job.factorize.warm_start]
+                    .into_iter()
+                    .flatten()
+                    .try_for_each(|path| add_files(key, path)),
+            }
+        }
+        What::FieldOutput(number) | What::StackOutput(number) => {
+            let output = &job.outputs[number];
+            plugin(&output.plugin, &output.params)
+        }
+        _ => Some(()),
+    }
+}
+
+/// Adds the content of a file, or of all files below a folder.
+fn add_files(key: &mut KeyBuilder, path: &Path) -> Option<()> {
+    if !path.is_dir() {
+        key.add("content", content_hash(path).ok()?.as_bytes());
+        return Some(());
+    }
+    let mut entries: Vec<PathBuf> =
+        std::fs::read_dir(path).ok()?.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    entries.sort();
+    entries.iter().try_for_each(|entry| {
+        key.add("name", entry.file_name()?.as_encoded_bytes());
+        add_files(key, entry)
+    })
+}
+
+/// Whether the files of a result lie in the run folder as they were written.
+fn is_there(plan: &Plan, index: usize) -> bool {
+    let step = &plan.steps[index];
+    let dir = plan.folder.join(&step.folder);
+    let stamps = Stamps::new(&dir);
+    let job = &plan.parts[step.part].job;
+    let exists = |names: &[&str]| names.iter().all(|name| dir.join(name).exists());
+    match step.what {
+        // read anew by every run
+        What::Ingest | What::Place | What::Read => false,
+        What::Trace | What::Denoise | What::Score => exists(&["cache/views"]),
+        What::Expose | What::Source => stamps.is_whole("target"),
+        What::Patterns => stamps.is_whole(step.stage),
+        What::FieldOutput(number) | What::StackOutput(number) => stamps.is_whole(&stage_name(&job.outputs[number])),
+        What::Measure => stamps.is_whole("measure"),
+        What::Report => match plan.parts[step.part].kind {
+            Kind::Time(_) => stamps.is_whole("report"),
+            _ => false,
+        },
+        What::Design(_) | What::Search => exists(&["sweep.json"]),
+    }
+}
+
+/// Sizes of a part's display and light field.
+struct Sizes {
+    /// Pixels of a view.
+    pixels: f64,
+    views: f64,
+    /// Of the light fields for the report.
+    others: f64,
+    layers: f64,
+    /// Values of the patterns of all frames.
+    values: f64,
+    frames: f64,
+}
+
+impl Sizes {
+    fn of(job: &Job) -> Option<Self> {
+        let display: Display = job.resolve_display().ok()?;
+        let geometry = display.geometry().ok()?;
+        let count = |grid: Option<lumistack_display::ViewGrid>| grid.map_or(0, |grid| grid.iter().count()) as f64;
+        let area = |[cols, rows]: [usize; 2]| (cols * rows) as f64;
+        let frames = display.frames as f64;
+        Some(Self {
+            pixels: (geometry.rows * geometry.cols) as f64,
+            views: geometry.grid.iter().count() as f64,
+            others: count(held_out_grid(&geometry.grid, job.render.held_out))
+                + count(geometry.grid.outside(job.render.outside)),
+            layers: display.layers.len() as f64,
+            values: 3.0 * frames * display.layers.iter().map(|layer| area(layer.resolution)).sum::<f64>(),
+            frames,
+        })
+    }
+
+    fn rays(&self) -> f64 {
+        self.pixels * self.views
+    }
+}
+
+/// The work of a step, in the unit of its stage: paths, multiply-adds of a ray, rays.
+fn work(plan: &Plan, index: usize) -> f64 {
+    let step = &plan.steps[index];
+    let job = &plan.parts[step.part].job;
+    let Some(sizes) = Sizes::of(job) else { return 0.0 };
+    let samples = f64::from(job.render.samples);
+    match step.what {
+        What::Ingest | What::Place => 1.0,
+        What::Trace => sizes.pixels * (sizes.views + sizes.others) * samples,
+        What::Denoise if job.render.denoise == Denoise::Off => 0.0,
+        What::Denoise | What::Expose => sizes.pixels * (sizes.views + sizes.others),
+        What::Score => sizes.pixels * job.report.zone_directions as f64 * SCORE_SAMPLES,
+        What::Patterns => sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations.max(1)),
+        What::Design(_) | What::Search => {
+            let count = if step.what == What::Search { job.sweep.as_ref().map_or(1, |sweep| sweep.count()) } else { 1 };
+            sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations.max(1)) * count as f64
+        }
+        What::Report => sizes.pixels * (sizes.views + sizes.others + job.report.zone_directions as f64),
+        _ => sizes.rays(),
+    }
+}
+
+/// Multiply-adds that a unit of a stage's work takes, with all that it waits for: measured once, to an order of magnitude.
+fn cost(stage: &str) -> f64 {
+    match stage {
+        "ingest" | "place" => 1e8,
+        "trace" | "score" => 1e4,
+        "denoise" => 8e4,
+        "factorize" | "design" => 40.0,
+        "node" | "output" | "report" => 4e3,
+        _ => 300.0,
+    }
+}
+
+/// Bytes that a step holds.
+fn memory(plan: &Plan, index: usize) -> u64 {
+    let step = &plan.steps[index];
+    let job = &plan.parts[step.part].job;
+    let Some(sizes) = Sizes::of(job) else { return 0 };
+    const RGB: f64 = 12.0;
+    let field = RGB * sizes.rays();
+    let others = RGB * sizes.pixels * sizes.others;
+    // a tree over the triangles, and textures, take several times the files
+    let scene =
+        4.0 * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
+    let bytes = match step.what {
+        What::Ingest | What::Place => scene,
+        What::Trace | What::Score => scene + 4.0 * RGB * sizes.pixels,
+        What::Denoise => scene + 3.0 * field,
+        What::Expose => scene + field + others,
+        // patterns, and the two sums of every value
+        What::Patterns | What::Design(_) | What::Search => field + others + 4.0 * 4.0 * sizes.values,
+        What::Measure => 2.0 * (field + 4.0 * sizes.values),
+        _ => field + others + 4.0 * sizes.values,
+    };
+    bytes as u64
+}
+
+/// The machine's rate of multiply-adds on all threads, measured for some milliseconds.
+fn multiply_adds_per_second() -> f64 {
+    const ROUNDS: u32 = 1 << 20;
+    let start = Instant::now();
+    let threads = rayon::current_num_threads();
+    let sums: Vec<f32> = (0..threads)
+        .into_par_iter()
+        .map(|thread| (0..ROUNDS).fold([thread as f32; 8], |sum, _| sum.map(|x| x * 0.999 + 0.5)).iter().sum())
+        .collect();
+    // the result must be used, or nothing would be computed
+    let scale = if sums.iter().all(|sum| sum.is_finite()) { 8.0 } else { 1.0 };
+    scale * f64::from(ROUNDS) * threads as f64 / start.elapsed().as_secs_f64().max(1e-6)
+}

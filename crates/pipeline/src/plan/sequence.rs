@@ -1,0 +1,63 @@
+//! A sequence: one run folder per time, each factorized from the patterns of the time before.
+//!
+//! ```text
+//! job ─▶ t0001/ ─layers─▶ t0002/ ─layers─▶ t0003/ ─▶ ...      every folder holds a plain job that runs on its own
+//!          └──────────────── error, flicker ──────────────▶ report.html, report.json
+//! ```
+//!
+//! A time of a job with nodes is a graph,
+//! t0001/nodes/ID, whose nodes each start from their own patterns of the time before. A time for which those are no start, as after a cut, starts fresh. What a
+//! time is stands in one place, [`Times::job`](super::times::Times::job). Two times are in memory at once, since flicker compares them.
+
+use super::graph::add_displays;
+use super::steps::{Kind, Plan, What};
+use super::still::add_field;
+use super::times::{Times, name};
+use crate::error::PipelineError;
+use crate::job::NodeJob;
+use crate::stage::node::is_factorized;
+
+/// Adds a sequence in a part's folder: every time, and the report of all. With `fields_only` the light fields alone. Gives the ids of the light fields.
+///
+/// # Errors
+/// When there are no light fields, or fewer than the job asks for.
+pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Result<Vec<String>, PipelineError> {
+    let (job, folder) = (plan.parts[part].job.clone(), plan.parts[part].folder.clone());
+    let Some(sequence) = &job.sequence else { return Ok(Vec::new()) };
+    let times = Times::find(&job, sequence)?;
+    plan.parts[part].kind = Kind::Sequence(times.clone());
+    // the place of the window at the first time is that of all
+    let placed = job.scene.is_some().then(|| {
+        let ingest = plan.add_step(part, What::Ingest, Vec::new());
+        let place = plan.add_step(part, What::Place, vec![ingest.clone()]);
+        [ingest, place]
+    });
+    let reports = sequence.reports && !fields_only;
+    let (mut fields, mut ends) = (Vec::<String>::new(), Vec::new());
+    for time in 0..times.count() {
+        let before = (time > 0).then(|| plan.folder.join(&folder).join(name(time - 1)));
+        let of_time = times.job(&job, time, before.as_deref(), None);
+        let of_time = plan.add_part(folder.join(name(time)), Kind::Time(time), of_time, Some(part));
+        let mut first: Vec<String> = placed.iter().map(|[_, place]| place.clone()).collect();
+        // its exposure is that of all, and so is its geometry
+        first.extend(fields.first().cloned());
+        let ingested = placed.as_ref().filter(|_| times.shares_scene()).map(|[ingest, _]| ingest.as_str());
+        let field = add_field(plan, of_time, first, ingested);
+        if !fields_only {
+            let last = fields.last().cloned();
+            let before = |node: Option<&NodeJob>| {
+                let place = folder.join(name(time.checked_sub(1)?));
+                let place = node.map_or(place.clone(), |node| place.join("nodes").join(&node.id));
+                let stage = if is_factorized(node) { "factorize" } else { "node" };
+                let id: Vec<_> = place.iter().map(|part| part.to_string_lossy()).collect();
+                Some([format!("{}/{stage}", id.join("/")), last.clone()?])
+            };
+            ends.extend(add_displays(plan, of_time, &field, before, reports));
+        }
+        fields.push(field);
+    }
+    if !fields_only {
+        plan.add_step(part, What::Report, ends);
+    }
+    Ok(fields)
+}

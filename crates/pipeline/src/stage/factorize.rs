@@ -1,0 +1,282 @@
+//! The patterns of a tensor display are factorized from a light field.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use lumistack_core::Task;
+use lumistack_core::config::nearest;
+use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
+use lumistack_factorizer::{AUTO, Factorization, Problem, StartKind};
+use lumistack_report::{Iteration, Solution};
+use serde::{Deserialize, Serialize};
+
+use super::field::add_weights;
+use crate::error::{PipelineError, factorize_error, field_error};
+use crate::job::FactorizeJob;
+use crate::store::code;
+use crate::store::files::{read_json, write_json};
+use crate::store::key::KeyBuilder;
+use crate::store::stamps::Stamps;
+
+/// Points of the convergence curve: enough for a plot; each costs a part of an update.
+const CURVE_POINTS: u32 = 40;
+
+/// Patterns, and how a solver came to them.
+pub(crate) struct Solved {
+    pub(crate) stack: LayerStack,
+    pub(crate) steps: Vec<Iteration>,
+    /// `None` of those that a plugin made.
+    pub(crate) solution: Option<Solution>,
+}
+
+/// What is to be solved.
+#[derive(Clone, Copy)]
+pub(crate) struct Solve<'a> {
+    pub(crate) job: &'a FactorizeJob,
+    pub(crate) seed: u64,
+    pub(crate) display: &'a Display,
+    pub(crate) target: &'a LightField,
+    pub(crate) weights: &'a Weights,
+}
+
+impl Solve<'_> {
+    fn key(&self, warm: Option<&LayerStack>) -> String {
+        let Self { job, seed, display, target, weights } = *self;
+        let mut key = KeyBuilder::new("factorize", code::PATTERNS);
+        key.add("display", display.without_panels().to_toml().as_bytes())
+            .add("geometry", format!("{:?}", target.geometry()).as_bytes())
+            .add_f32("target", target.radiance().data())
+            .add_json("settings", &(&job.solver, job.iterations, &job.start, seed))
+            .add_json("coarse and levels", &(job.coarse_levels, job.coarse_iterations, job.levels));
+        add_weights(&mut key, weights);
+        if let Some(warm) = warm {
+            add_stack(&mut key, warm);
+        }
+        key.finish()
+    }
+
+    /// Factorizes, from patterns if there are some; `on_iteration` sees every evaluation of the objective.
+    ///
+    /// # Errors
+    /// When the settings make no sense, the solver fails, or when cancelled.
+    pub(crate) fn factorize(
+        &self,
+        warm: Option<&LayerStack>,
+        task: Task<'_>,
+        on_iteration: &mut dyn FnMut(&lumistack_factorizer::Iteration),
+    ) -> Result<Factorization, PipelineError> {
+        let settings = solver_settings(self.job, self.seed)?;
+        let problem = Problem { display: self.display, target: self.target, weights: self.weights };
+        lumistack_factorizer::factorize(&problem, &settings, warm, task, on_iteration).map_err(factorize_error)
+    }
+
+    /// Whether `warm` patterns are a better start for this than none, with the solver that goes on from them.
+    ///
+    /// # Errors
+    /// As [`factorize`](Self::factorize).
+    pub(crate) fn warm_start_pays(
+        &self,
+        warm: &LayerStack,
+        solver: &str,
+        task: Task<'_>,
+    ) -> Result<bool, PipelineError> {
+        let settings = solver_settings(self.job, self.seed)?;
+        let problem = Problem { display: self.display, target: self.target, weights: self.weights };
+        lumistack_factorizer::warm_start_pays(&problem, &settings, warm, solver, task).map_err(factorize_error)
+    }
+}
+
+/// How the solver came to the patterns, as it is kept between runs.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Kept {
+    solver: String,
+    start: String,
+    coarse_levels: u32,
+    unsettled: f64,
+    levels: Option<[f64; 3]>,
+    steps: Vec<Step>,
+}
+
+/// A point of the convergence curve, as it is kept between runs.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Step {
+    iteration: u32,
+    objective: f64,
+    psnr_view: Option<f64>,
+    seconds: f64,
+}
+
+impl Kept {
+    fn of(factorization: &Factorization, steps: Vec<Step>, warm: bool) -> Self {
+        let settings = &factorization.settings;
+        let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
+        Self {
+            solver: settings.solver.clone(),
+            start: start.into(),
+            coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
+            unsettled: factorization.unsettled,
+            levels: factorization.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized]),
+            steps,
+        }
+    }
+
+    /// For the report.
+    fn told(self, stack: LayerStack) -> Solved {
+        let Self { solver, start, coarse_levels, unsettled, levels, steps } = self;
+        let steps = steps.into_iter().map(|step| Iteration {
+            iteration: step.iteration,
+            objective: step.objective,
+            psnr_view: step.psnr_view.unwrap_or(f64::INFINITY),
+            seconds: step.seconds,
+        });
+        let steps = steps.collect();
+        Solved { stack, steps, solution: Some(Solution { solver, start, coarse_levels, unsettled, levels }) }
+    }
+}
+
+/// The patterns in `layers/`, made where they are not current; and whether they were.
+///
+/// # Errors
+/// When the settings make no sense, the solver fails, a file cannot be written, or when cancelled.
+pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
+    let Solve { job, display, .. } = solve;
+    let warm = warm_stack(job, display)?;
+    let layers = stamps.dir().join("layers");
+    let curve = stamps.dir().join("cache/convergence.json");
+    let kept = || {
+        let stack = lumistack_field_io::read_stack(&layers).ok()?;
+        check_stack(&stack, display, &layers).ok()?;
+        Some(read_json::<Kept>(&curve)?.told(stack))
+    };
+    let make = || {
+        let (start, mut steps) = (Instant::now(), Vec::new());
+        let factorization = solve.factorize(warm.as_ref(), task, &mut |step| {
+            let seconds = start.elapsed().as_secs_f64();
+            let psnr_view = step.psnr_view.is_finite().then_some(step.psnr_view);
+            steps.push(Step { iteration: step.iteration, objective: step.objective, psnr_view, seconds });
+        })?;
+        let kept = Kept::of(&factorization, steps, warm.is_some());
+        let mut files = write_layers(stamps, display, &factorization.stack)?;
+        write_json(&curve, &kept)?;
+        files.push("cache/convergence.json".into());
+        Ok((kept.told(factorization.stack), files))
+    };
+    stamps.take_up("factorize", &solve.key(warm.as_ref()), kept, make)
+}
+
+/// Which start a time of a sequence takes, as it is kept between runs.
+#[derive(Serialize, Deserialize)]
+struct Choice {
+    key: String,
+    warm: bool,
+}
+
+/// Whether a fresh start, `fresh`, gets nearer to the target than the warm start of `solve`'s job.
+///
+/// # Errors
+/// When the patterns cannot be read, the solver fails, or when cancelled.
+pub(crate) fn prefers_fresh(
+    solve: Solve<'_>,
+    fresh: &FactorizeJob,
+    stamps: &Stamps,
+    task: Task<'_>,
+) -> Result<bool, PipelineError> {
+    let Solve { job, seed, display, target, weights } = solve;
+    let Some(warm) = warm_stack(job, display)? else { return Ok(false) };
+    let mut key = KeyBuilder::new("start", code::PATTERNS);
+    key.add("display", display.without_panels().to_toml().as_bytes())
+        .add_json("settings", &(&fresh.solver, &fresh.start, &job.solver, seed))
+        .add_json("coarse", &(fresh.coarse_levels, fresh.coarse_iterations))
+        .add("geometry", format!("{:?}", target.geometry()).as_bytes())
+        .add_f32("target", target.radiance().data());
+    add_weights(&mut key, weights);
+    add_stack(&mut key, &warm);
+    let key = key.finish();
+    let path = stamps.dir().join("cache/start.json");
+    if let Some(choice) = read_json(&path).filter(|choice: &Choice| choice.key == key) {
+        return Ok(!choice.warm);
+    }
+    let warm = Solve { job: fresh, ..solve }.warm_start_pays(&warm, &job.solver, task)?;
+    write_json(&path, &Choice { key, warm })?;
+    Ok(!warm)
+}
+
+/// Writes the patterns; returns the files, relative to the run's folder.
+///
+/// # Errors
+/// When a file cannot be written.
+pub(crate) fn write_layers(
+    stamps: &Stamps,
+    display: &Display,
+    stack: &LayerStack,
+) -> Result<Vec<PathBuf>, PipelineError> {
+    let layers = stamps.dir().join("layers");
+    lumistack_field_io::write_stack(&layers, display, stack).map_err(field_error)?;
+    let index = lumistack_field_io::read_stack_index(&layers).map_err(field_error)?;
+    let mut files: Vec<PathBuf> = vec!["layers/stack.json".into()];
+    files.extend(index.layers.iter().map(|layer| Path::new("layers").join(&layer.file)));
+    files.extend(index.backlight.iter().map(|backlight| Path::new("layers").join(&backlight.file)));
+    Ok(files)
+}
+
+/// The patterns that a job starts from.
+fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack>, PipelineError> {
+    let Some(path) = &job.warm_start else { return Ok(None) };
+    let stack = lumistack_field_io::read_stack(path).map_err(field_error)?;
+    check_stack(&stack, display, path)?;
+    Ok(Some(stack))
+}
+
+/// Checks the names in a job's table, without any work.
+///
+/// # Errors
+/// When there is no such solver or start.
+pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
+    start_kind(&job.start)?;
+    lumistack_factorizer::solver(&job.solver).map(drop).map_err(PipelineError::Factorize)
+}
+
+fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack_factorizer::Settings, PipelineError> {
+    Ok(lumistack_factorizer::Settings {
+        solver: job.solver.clone(),
+        iterations: job.iterations,
+        seed,
+        start: start_kind(&job.start)?,
+        coarse_levels: job.coarse_levels,
+        coarse_iterations: job.coarse_iterations,
+        report_every: (job.iterations / CURVE_POINTS).max(1),
+        levels: job.levels,
+    })
+}
+
+/// `None` for the choice that suits the solver.
+fn start_kind(name: &str) -> Result<Option<StartKind>, PipelineError> {
+    if name == AUTO {
+        return Ok(None);
+    }
+    StartKind::from_name(name).map(Some).ok_or_else(|| {
+        let names: Vec<&str> = [AUTO].into_iter().chain(StartKind::ALL.iter().map(|(name, _)| *name)).collect();
+        let hint =
+            nearest(name, names.iter().copied()).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
+        let expected = format!("one of {}", names.join(", "));
+        PipelineError::job("factorize.start", expected, format!("`{name}`{hint}"))
+    })
+}
+
+/// Adds patterns to a key.
+pub(crate) fn add_stack(key: &mut KeyBuilder, stack: &LayerStack) {
+    for layer in &stack.layers {
+        key.add_f32("layer", layer.data());
+    }
+    if let Some(emission) = &stack.emission {
+        key.add_f32("emission", emission.data());
+    }
+}
+
+/// Refuses patterns of another display.
+///
+/// # Errors
+/// Where shapes differ.
+pub(crate) fn check_stack(stack: &LayerStack, display: &Display, path: &Path) -> Result<(), PipelineError> {
+    stack.check(display).map_err(|source: StackError| PipelineError::Stack { path: path.to_owned(), source })
+}

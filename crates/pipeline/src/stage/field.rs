@@ -1,0 +1,293 @@
+//! The light field that displays are made to show: what every node and every output of a run starts from, and its folder `target/`.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::{Task, Tensor};
+use lumistack_display::{Display, FieldGeometry, LightField, Projection, Weights};
+use lumistack_field_io::GeometryDefaults;
+use lumistack_report::DepthBudget;
+use serde_json::{Map, Value, json};
+
+use super::denoise::Denoised;
+use super::expose::Exposed;
+use super::fields::Shot;
+use super::look::Look;
+use super::place::Placement;
+use super::trace::Traced;
+use crate::error::{PipelineError, display_error, field_error};
+use crate::job::FactorizeJob;
+use crate::store::code;
+use crate::store::key::KeyBuilder;
+use crate::store::stamps::Stamps;
+
+/// A light field with all that is known of it.
+pub(crate) struct Field {
+    pub(crate) target: LightField,
+    pub(crate) held_out: Option<LightField>,
+    pub(crate) outside: Option<LightField>,
+    /// The display that it was made for, or that has adapted to it.
+    pub(crate) display: Display,
+    /// How it became display-referred, where it was rendered.
+    pub(crate) look: Option<Look>,
+    /// What the scene's depth asks of the display, where it was rendered.
+    pub(crate) depth: Option<DepthBudget>,
+    /// What a denoiser did to the target.
+    pub(crate) denoised: Option<Denoised>,
+    /// For the report.
+    pub(crate) about: Value,
+    /// Folders of cached views that it was made from.
+    pub(crate) views: Vec<PathBuf>,
+}
+
+impl Field {
+    /// Writes the folders of a shot's light fields, where they do not hold them already.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub(crate) fn of_scene(
+        path: &Path,
+        shot: Shot<'_>,
+        traced: &Traced,
+        exposed: Exposed,
+        display: &Display,
+        stamps: &Stamps,
+        task: Task<'_>,
+    ) -> Result<Self, PipelineError> {
+        let Shot { placement, geometry, .. } = shot;
+        let info = field_info(exposed.look, placement);
+        let fields = [
+            ("target", Some(&exposed.target)),
+            ("held-out", exposed.held_out.as_ref()),
+            ("outside", exposed.outside.as_ref()),
+        ];
+        task.progress.begin("write light field", fields.len() as u64, "folders");
+        let written = fields.into_iter().try_for_each(|(name, field)| {
+            task.progress.advance(1, "");
+            field.map_or(Ok(()), |field| write_if_changed(stamps, name, field, &info))
+        });
+        task.progress.end();
+        written?;
+        let depth = traced.depths.budget(display, geometry, placement);
+        warn_of_depth(&depth, task);
+        let about = about_scene(path, shot, traced, &exposed);
+        let Exposed { target, held_out, outside, look, denoised } = exposed;
+        Ok(Self {
+            target: target.with_depth(Some(traced.depths.seen(placement))),
+            held_out,
+            outside,
+            display: display.clone(),
+            look: Some(look),
+            depth: Some(depth),
+            denoised,
+            about,
+            views: traced.fields.iter().map(|field| field.folder.clone()).collect(),
+        })
+    }
+
+    /// Makes a light field from `place`, that no scene was rendered for, the target; the display adapts to it.
+    ///
+    /// # Errors
+    /// When the display cannot show it, or it cannot be written.
+    pub(crate) fn of_given(
+        target: LightField,
+        place: &Path,
+        about: Value,
+        display: &Display,
+        stamps: &Stamps,
+        task: Task<'_>,
+    ) -> Result<Self, PipelineError> {
+        let adapted = display.adapted_to(target.geometry());
+        let adapted = adapted.map_err(|source| display_error(source, &place.display().to_string()))?;
+        if let Some(change) = display.backlight_change(&adapted) {
+            task.warn("display", change);
+        }
+        adapted.check().map_err(|source| display_error(source, "light field"))?;
+        write_if_changed(stamps, "target", &target, &Map::new())?;
+        Ok(Self {
+            target,
+            held_out: None,
+            outside: None,
+            display: adapted,
+            look: None,
+            depth: None,
+            denoised: None,
+            about,
+            views: Vec::new(),
+        })
+    }
+}
+
+/// Refuses a light field whose rays are not those of the time before, which stand at `place`.
+///
+/// # Errors
+/// On another geometry.
+pub(crate) fn check_geometry(
+    path: &Path,
+    found: &FieldGeometry,
+    expected: &FieldGeometry,
+    place: &str,
+) -> Result<(), PipelineError> {
+    if found == expected {
+        return Ok(());
+    }
+    let text = |geometry: &FieldGeometry| {
+        let [view_rows, view_cols] = geometry.grid.views();
+        let projection = match geometry.grid.projection {
+            Projection::Oblique => "oblique".into(),
+            Projection::Perspective { distance_mm } => format!("perspective from {distance_mm} mm"),
+        };
+        format!(
+            "{view_cols} × {view_rows} views of {} × {} pixels of {} mm, {projection}, slopes x {:?}, y {:?}",
+            geometry.cols, geometry.rows, geometry.pitch_mm, geometry.grid.slope_x, geometry.grid.slope_y
+        )
+    };
+    let expected = format!("that of {place}: {}", text(expected));
+    Err(PipelineError::value(path, "geometry", expected, text(found)))
+}
+
+/// What a light field takes of its display where it does not say itself.
+pub(crate) fn field_defaults(display: &Display) -> GeometryDefaults {
+    GeometryDefaults { width_mm: Some(display.field_pixels().size_mm()[0]), fov_deg: Some(display.field.fov_deg) }
+}
+
+pub(crate) fn warn_of_depth(budget: &DepthBudget, task: Task<'_>) {
+    if !budget.is_seen() {
+        let message = "no surface is seen: the picture is empty. --look-from AZ,EL frames the scene from another side, --camera takes another \
+                       camera, --near=off shows what stands before the near limit";
+        task.warn("window", message);
+    }
+    if let Some(advice) = budget.advice() {
+        task.warn("depth", advice);
+    }
+}
+
+fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) -> Value {
+    let Shot { ingested, placement, geometry, .. } = shot;
+    let scene = &ingested.scene;
+    let pose = serde_json::to_value(&ingested.pose).expect("poses serialize");
+    let mut values = exposed.target.radiance().data().to_vec();
+    let percentile = |values: &mut [f32], share| f64::from(lumistack_core::metrics::percentile(values, share));
+    let span = percentile(&mut values, 0.99) - percentile(&mut values, 0.01);
+    let map = placement.window.scene_from_display;
+    json!({
+        "file": path.display().to_string(),
+        "pose": pose,
+        "triangles": scene.triangle_count(),
+        "meshes": scene.meshes.len(),
+        "instances": scene.instances.len(),
+        "materials": scene.materials.len(),
+        "textures": scene.textures.len(),
+        "lights": scene.lights.len(),
+        "window centre (scene units)": map.translation.to_array(),
+        "scene units per millimetre": map.scale,
+        "window moved back to fit (mm)": placement.moved_back_mm,
+        "depth scale": placement.depth_scale,
+        "framed from azimuth and elevation (degrees)": placement.looked_from_deg,
+        "near limit before the window (mm)": placement.window.near_mm,
+        "exposure": exposed.look.exposure,
+        "tone curve": exposed.look.curve.name(),
+        // shares of the window and of the range 0..1: whether framing, light and exposure fit the scene
+        "coverage": traced.depths.coverage(geometry.grid.views().map(|count| count / 2)),
+        "target span": span,
+    })
+}
+
+/// What a light field's index says of how it was made.
+pub(crate) fn field_info(look: Look, placement: &Placement) -> Map<String, Value> {
+    let mut info = Map::new();
+    info.insert("exposure".into(), look.exposure.into());
+    info.insert("tone".into(), look.curve.name().into());
+    info.insert("depth_scale".into(), placement.depth_scale.into());
+    if let Some(from_deg) = placement.looked_from_deg {
+        info.insert("look_from_deg".into(), from_deg.to_vec().into());
+    }
+    info
+}
+
+/// Writes a light-field folder unless it already holds these values.
+fn write_if_changed(
+    stamps: &Stamps,
+    name: &str,
+    field: &LightField,
+    info: &Map<String, Value>,
+) -> Result<(), PipelineError> {
+    let write = || {
+        lumistack_field_io::write_field(&stamps.dir().join(name), field, info).map_err(field_error)?;
+        let mut files = vec![Path::new(name).join("lightfield.json")];
+        let views = field.geometry().grid.views();
+        let view_file = |view| Path::new(name).join(lumistack_field_io::view_file_name(views, view));
+        files.extend(field.geometry().grid.iter().map(view_file));
+        Ok(((), files))
+    };
+    stamps.take_up(name, &field_key(name, field, info), || Some(()), write).map(|_| ())
+}
+
+/// Hash of everything that a light-field folder holds.
+pub(crate) fn field_key(name: &str, field: &LightField, info: &Map<String, Value>) -> String {
+    let mut key = KeyBuilder::new(name, code::FIELDS);
+    key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_f32("radiance", field.radiance().data());
+    key.add_json("info", info).finish()
+}
+
+/// The weights of a job's file, or else of its expected eyes; uniform where there are none.
+///
+/// # Errors
+/// When the file cannot be read, the weights do not fit the light field, or both are given.
+pub(crate) fn weights(job: &FactorizeJob, target: &LightField) -> Result<Weights, PipelineError> {
+    let Some(path) = &job.weights else { return eye_weights(job, target) };
+    if !job.eyes.is_empty() {
+        return Err(PipelineError::job("factorize.eyes", "either `weights` or `eyes`", "both"));
+    }
+    let (shape, data) = lumistack_field_io::npy::read(path).map_err(field_error)?;
+    array_weights(path, &shape, data, target)
+}
+
+/// The weights of expected eyes; uniform where there are none.
+///
+/// # Errors
+/// When an eye is no eye.
+pub(crate) fn eye_weights(job: &FactorizeJob, target: &LightField) -> Result<Weights, PipelineError> {
+    if job.eyes.is_empty() {
+        return Ok(Weights::Uniform);
+    }
+    Weights::eye_boxes(target.geometry(), &job.eye_boxes(), job.eye_floor as f32)
+        .map_err(|error| PipelineError::job("factorize.eyes", error.expected, error.found))
+}
+
+/// Weights from an array that came from `path`.
+///
+/// # Errors
+/// When they do not fit the light field.
+pub(crate) fn array_weights(
+    path: &Path,
+    shape: &[usize],
+    data: Vec<f32>,
+    target: &LightField,
+) -> Result<Weights, PipelineError> {
+    let weights = match shape {
+        &[y, x] => Tensor::from_vec(["view_y", "view_x"], [y, x], data).map(Weights::PerView),
+        &[y, x, rows, cols] => {
+            Tensor::from_vec(["view_y", "view_x", "row", "col"], [y, x, rows, cols], data).map(Weights::PerRay)
+        }
+        other => {
+            let expected = "[view_y][view_x] or [view_y][view_x][row][col]";
+            return Err(PipelineError::value(path, "shape", expected, format!("{other:?}")));
+        }
+    }
+    .map_err(|error| PipelineError::value(path, "weights", "values that fill the shape", error.to_string()))?;
+    weights.check(target.geometry()).map_err(|source| PipelineError::Weights { path: path.to_owned(), source })?;
+    Ok(weights)
+}
+
+/// Adds weights to a key.
+pub(crate) fn add_weights(key: &mut KeyBuilder, weights: &Weights) {
+    match weights {
+        Weights::Uniform => {}
+        Weights::PerView(t) => {
+            key.add_f32("weights per view", t.data());
+        }
+        Weights::PerRay(t) => {
+            key.add_f32("weights per ray", t.data());
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! Error and flicker of a time of a sequence, kept between runs.
+
+use std::path::Path;
+
+use lumistack_core::Task;
+use lumistack_core::metrics::SquaredError;
+use lumistack_display::{Display, Weights};
+use serde::{Deserialize, Serialize};
+
+use super::factorize::add_stack;
+use super::field::add_weights;
+use super::flicker::{self, Shown, TimeError};
+use crate::error::PipelineError;
+use crate::store::code;
+use crate::store::files::{read_json, write_json};
+use crate::store::key::KeyBuilder;
+use crate::store::stamps::Stamps;
+
+/// Sums of squares and counts, as they are kept between runs.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    error: (f64, u64),
+    change: (f64, u64),
+    still: (f64, u64),
+}
+
+/// The figures of a time, their key, and whether they were kept.
+///
+/// # Errors
+/// When they cannot be kept, or when cancelled.
+pub(crate) fn run(
+    display: &Display,
+    weights: &Weights,
+    now: Shown<'_>,
+    before: Option<Shown<'_>>,
+    stamps: &Stamps,
+    task: Task<'_>,
+) -> Result<(TimeError, String, bool), PipelineError> {
+    let mut key = KeyBuilder::new("measure", code::FIELDS);
+    key.add("display", display.without_panels().to_toml().as_bytes());
+    add_weights(&mut key, weights);
+    for shown in before.into_iter().chain([now]) {
+        key.add_f32("target", shown.target.radiance().data());
+        add_stack(&mut key, shown.stack);
+    }
+    let (key, file) = (key.finish(), Path::new("cache/measure-figures.json"));
+    let path = stamps.dir().join(file);
+    let kept = || {
+        let Kept { error, change, still } = read_json(&path)?;
+        let [error, change, still] = [error, change, still].map(|(sum, count)| SquaredError { sum, count });
+        Some(TimeError { error, change, still })
+    };
+    let make = || {
+        let found = flicker::measure(display, now, before, weights, task)?;
+        let pair = |error: SquaredError| (error.sum, error.count);
+        write_json(&path, &Kept { error: pair(found.error), change: pair(found.change), still: pair(found.still) })?;
+        Ok((found, vec![file.to_owned()]))
+    };
+    let (found, cached) = stamps.take_up("measure", &key, kept, make)?;
+    Ok((found, key, cached))
+}

@@ -1,0 +1,102 @@
+//! Nodes: what makes the patterns of a display from a light field. `tensor-display` is the factorizer, every other is a plugin.
+
+use lumistack_core::Task;
+use lumistack_display::{Display, FieldGeometry, LightField};
+use lumistack_plugin_host::{PluginKind, Registry, Time};
+
+use super::factorize::{Solved, check_stack, write_layers};
+use crate::error::{PipelineError, display_error, host_error};
+use crate::job::NodeJob;
+use crate::store::code;
+use crate::store::key::KeyBuilder;
+use crate::store::plugin_files::plugin_key;
+use crate::store::stamps::Stamps;
+
+/// Whether the factorizer makes a node's patterns; without nodes it does.
+pub(crate) fn is_factorized(node: Option<&NodeJob>) -> bool {
+    node.is_none_or(|node| node.plugin == NodeJob::TENSOR_DISPLAY)
+}
+
+/// Checks a node's plugin and parameters, without any work.
+///
+/// # Errors
+/// When there is no such node, or it does not take the parameters.
+pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineError> {
+    if is_factorized(Some(node)) {
+        return Ok(());
+    }
+    registry.get_kind(&node.plugin, PluginKind::Node).map_err(PipelineError::Output)?;
+    registry.check_params(&node.plugin, &node.params.clone().into()).map_err(PipelineError::Output)?;
+    Ok(())
+}
+
+/// The display of a node on a light field of this geometry: its own, `of_job`, or else the one that all share. With how its backlight had to change.
+///
+/// # Errors
+/// When it cannot show the light field.
+pub(crate) fn display(
+    node: &NodeJob,
+    of_job: &Display,
+    shared: &Display,
+    geometry: &FieldGeometry,
+) -> Result<(Display, Option<String>), PipelineError> {
+    let place = format!("node `{}`", node.id);
+    let (display, change) = match node.display {
+        Some(_) => {
+            let adapted = of_job.adapted_to(geometry).map_err(|source| display_error(source, &place))?;
+            let change = of_job.backlight_change(&adapted);
+            (adapted, change)
+        }
+        None => (shared.clone(), None),
+    };
+    display.check().map_err(|source| display_error(source, &place))?;
+    Ok((display, change))
+}
+
+/// The patterns that a node plugin makes, in `layers/`; and whether they were current.
+///
+/// # Errors
+/// When the plugin fails or is cancelled, or a file cannot be written.
+pub(crate) fn run(
+    node: &NodeJob,
+    display: &Display,
+    target: &LightField,
+    stamps: &Stamps,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<(Solved, bool), PipelineError> {
+    let mut key = KeyBuilder::new("node", code::PLUGINS);
+    key.add("plugin", plugin_key(registry, &node.plugin, &node.params)?.as_bytes())
+        .add("display", display.to_toml().as_bytes())
+        .add("geometry", format!("{:?}", target.geometry()).as_bytes())
+        .add_f32("target", target.radiance().data());
+    let layers = stamps.dir().join("layers");
+    let kept = || {
+        let stack = lumistack_field_io::read_stack(&layers).ok()?;
+        check_stack(&stack, display, &layers).ok()?;
+        Some(Solved { stack, steps: Vec::new(), solution: None })
+    };
+    let make = || {
+        let solved = make(node, display, target, registry, task)?;
+        let files = write_layers(stamps, display, &solved.stack)?;
+        Ok((solved, files))
+    };
+    stamps.take_up("node", &key.finish(), kept, make)
+}
+
+/// The patterns that a node plugin makes, which are kept nowhere.
+///
+/// # Errors
+/// When the plugin fails or is cancelled.
+pub(crate) fn make(
+    node: &NodeJob,
+    display: &Display,
+    target: &LightField,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<Solved, PipelineError> {
+    let (params, time) = (node.params.clone().into(), Time::default());
+    let stack = lumistack_plugin_host::make_stack(registry, &node.plugin, &params, display, time, target, task)
+        .map_err(host_error)?;
+    Ok(Solved { stack, steps: Vec::new(), solution: None })
+}

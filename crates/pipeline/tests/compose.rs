@@ -1,0 +1,171 @@
+//! Plans compose: a sequence of a job with several nodes, a sweep over it, and every step of it alone.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use lumistack_core::{Cancel, Collector, Task};
+use lumistack_pipeline::{Job, Plan, Registry, plan, run, run_step, sweep};
+use serde_json::Value;
+
+/// Figures of a sweep against those of a run: both sum the same errors, in another order.
+const AGREEMENT_DB: f64 = 1e-9;
+
+const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [24, 15]\nviews = [3, 3]\nframes = 2\n";
+const NODES: &str = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\n[nodes.display]\npreset = \"fig4-two-layer\"\nframes = 1\n\
+                     [[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"light_field\"\n";
+const SOURCE: &str = "[source]\nplugin = \"test_views\"\nparams = { pattern = \"numbers\" }\n";
+const TIMES: &str = "[sequence]\ntimes = 2\niterations = 3\nduration_s = 0.5\n";
+
+fn with_task<T>(work: impl FnOnce(Task<'_>) -> T) -> T {
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    work(Task::quiet(&warnings, &cancel))
+}
+
+fn job(folder: &Path, head: &str, tables: &[&str]) -> Job {
+    let path = folder.join("job.toml");
+    std::fs::write(&path, format!("{head}\n{}[factorize]\niterations = 6\n", tables.concat())).unwrap();
+    Job::load(&path).unwrap()
+}
+
+/// Files below a folder, those of the cache and reports, which tell times, left out.
+fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    fn walk(folder: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            if path.is_dir() && name != "cache" {
+                walk(&path, root, found);
+            } else if path.is_file() && !name.starts_with("report.") && name != "job.toml" {
+                found.insert(path.strip_prefix(root).unwrap().to_owned(), std::fs::read(&path).unwrap());
+            }
+        }
+    }
+    let mut found = BTreeMap::new();
+    walk(dir, dir, &mut found);
+    found
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+fn cached(plan: &Plan, id: &str) -> Option<bool> {
+    plan.steps.iter().find(|step| step.id == id).unwrap_or_else(|| panic!("{id} is no step")).cached
+}
+
+#[test]
+fn a_sweep_over_a_sequence_of_two_nodes() {
+    let registry = Registry::built_in().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let job = job(folder.path(), "name = \"both\"", &[SOURCE, DISPLAY, NODES, TIMES]);
+    let dir = folder.path().join("run");
+    assert_eq!(cached(&plan(&job, &dir, &registry).unwrap(), "t0002/nodes/a/factorize"), Some(false));
+    assert!(!dir.exists(), "a plan writes nothing");
+
+    let summary = with_task(|task| run(&job, &dir, &registry, None, task)).unwrap();
+    assert_eq!(summary.nodes.iter().map(|node| node.id.as_str()).collect::<Vec<_>>(), ["a", "b"]);
+    assert_eq!(summary.sequence.unwrap().times, 2);
+    for file in ["nodes/a/layers/stack.json", "nodes/b/layers/stack.json", "outputs/a/images/images.json"] {
+        assert!(dir.join("t0002").join(file).is_file(), "{file}");
+    }
+    let report = json(&dir.join("report.json"));
+    for (number, id) in ["a", "b"].iter().enumerate() {
+        let node = &report["nodes"][number];
+        assert_eq!((&node["id"], node["times"].as_array().unwrap().len()), (&Value::from(*id), 2));
+        assert_eq!(node["times"][1]["iterations"], 3);
+        assert!(node["psnr_change"].is_number(), "{node}");
+    }
+    assert_eq!(report["psnr_view"], report["nodes"][0]["psnr_view"]);
+
+    // a rerun finds all of it, as the plan has told
+    let found = plan(&job, &dir, &registry).unwrap();
+    for id in ["t0001/source", "t0001/nodes/a/factorize", "t0002/nodes/b/factorize", "t0002/nodes/a/output-images"] {
+        assert_eq!(cached(&found, id), Some(true), "{id}");
+    }
+    assert!(found.steps.iter().all(|step| step.memory_bytes > 0 && step.key.is_some()));
+    let first = results(&dir);
+    with_task(|task| run(&job, &dir, &registry, None, task)).unwrap();
+    assert!(results(&dir) == first);
+    assert!(
+        json(&dir.join("report.json"))["nodes"][1]["times"].as_array().unwrap().iter().all(|t| t["cached"] == true)
+    );
+
+    // a time is a graph that runs on its own
+    let alone = folder.path().join("alone");
+    let of_time = Job::load(&dir.join("t0002/job.toml")).unwrap();
+    with_task(|task| run(&of_time, &alone, &registry, None, task)).unwrap();
+    let (again, all) = (results(&alone), &first);
+    for name in ["nodes/a/layers/layer_0.npy", "nodes/b/layers/layer_0.npy"] {
+        assert!(again[Path::new(name)] == all[&Path::new("t0002").join(name)], "{name}");
+    }
+
+    // its designs: a takes them, b has a display of its own and is the same in every row
+    let mut swept = job.clone();
+    let table = lumistack_pipeline::SweepJob { frames: vec![1, 2], ..lumistack_pipeline::SweepJob::default() };
+    swept.sweep = Some(table);
+    let out = folder.path().join("sweep");
+    let done = with_task(|task| sweep(&swept, &out, &registry, task)).unwrap();
+    assert_eq!((done.designs, done.kept), (2, 0));
+    let rows = json(&out.join("sweep.json"))["rows"].clone();
+    let figure = |row: usize, node: usize, key: &str| rows[row]["nodes"][node][key].as_f64().unwrap();
+    assert_eq!(figure(0, 1, "psnr_view_db"), figure(1, 1, "psnr_view_db"));
+    assert_ne!(figure(0, 0, "psnr_view_db"), figure(1, 0, "psnr_view_db"), "{rows}");
+    for (node, summed) in summary.nodes.iter().enumerate() {
+        let (found, wanted) = (figure(1, node, "psnr_view_db"), summed.psnr_view);
+        assert!((found - wanted).abs() < AGREEMENT_DB, "{}: {found} dB, the run has {wanted} dB", summed.id);
+        assert!(figure(1, node, "psnr_worst_db") <= found);
+    }
+    let csv = std::fs::read_to_string(out.join("sweep.csv")).unwrap();
+    assert!(
+        csv.lines()
+            .next()
+            .unwrap()
+            .ends_with(",psnr_worst_db,a_psnr_view_db,a_psnr_worst_db,b_psnr_view_db,b_psnr_worst_db")
+    );
+    let again = with_task(|task| sweep(&swept, &out, &registry, task)).unwrap();
+    assert_eq!((again.designs, again.kept), (2, 2));
+}
+
+/// A window that moves through a scene before two displays, with a report of every display at every time.
+#[test]
+fn a_walk_before_two_displays() {
+    let registry = Registry::built_in().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/letters/letters.gltf");
+    let head = format!("name = \"walk\"\nscene = {scene:?}");
+    let render = "[render]\nsamples = 1\nheld_out = 0\noutside = 0\n[report]\nzone_directions = 0\n";
+    let walk = "[sequence]\ntimes = 2\niterations = 2\nturn_deg = 5.0\nreports = true\n";
+    let job = job(folder.path(), &head, &[DISPLAY, render, NODES, walk]);
+    let dir = folder.path().join("run");
+    let summary = with_task(|task| run(&job, &dir, &registry, None, task)).unwrap();
+    assert_eq!(summary.nodes.len(), 2);
+    for time in ["t0001", "t0002"] {
+        let graph = json(&dir.join(time).join("report.json"));
+        assert_eq!(graph["nodes"].as_array().unwrap().len(), 2, "{graph}");
+        assert!(dir.join(time).join("nodes/b/report.html").is_file());
+    }
+    let found = plan(&job, &dir, &registry).unwrap();
+    for id in ["t0001/trace", "t0002/trace", "t0002/expose", "t0002/nodes/a/factorize"] {
+        assert_eq!(cached(&found, id), Some(true), "{id}");
+    }
+    // one that is stopped, or changed later, is known to be gone
+    std::fs::write(dir.join("t0002/nodes/a/layers/layer_0.npy"), "damaged").unwrap();
+    assert_eq!(cached(&plan(&job, &dir, &registry).unwrap(), "t0002/nodes/a/factorize"), Some(false));
+}
+
+#[test]
+fn every_step_can_be_executed_alone() {
+    let registry = Registry::built_in().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let job = job(folder.path(), "name = \"both\"", &[SOURCE, DISPLAY, NODES, TIMES]);
+    let [whole, parts] = ["whole", "parts"].map(|name| folder.path().join(name));
+    with_task(|task| run(&job, &whole, &registry, None, task)).unwrap();
+    for step in plan(&job, &parts, &registry).unwrap().steps {
+        // nothing but the run folder goes from one to the next
+        with_task(|task| run_step(&job, &parts, &step.id, &registry, task)).unwrap();
+    }
+    assert!(results(&whole) == results(&parts));
+    assert!(parts.join("report.html").is_file());
+    let error = with_task(|task| run_step(&job, &parts, "t0009/factorize", &registry, task)).unwrap_err();
+    assert!(error.to_string().contains("t0009/factorize"), "{error}");
+}
