@@ -54,7 +54,7 @@ fn table(plan: &Plan) -> Vec<String> {
 
 fn duration(seconds: f64) -> String {
     match seconds {
-        s if s == 0.0 => "0 s".into(),
+        0.0 => "0 s".into(),
         s if s < 1.0 => format!("{:.0} ms", (1e3 * s).max(1.0)),
         s if s < 100.0 => format!("{s:.1} s"),
         s if s < 6000.0 => format!("{:.0} min", s / 60.0),
