@@ -525,9 +525,10 @@ impl<'a> Executor<'a> {
     }
 
     fn check_geometry(&self, part: usize, path: &Path, found: &FieldGeometry) -> Result<(), PipelineError> {
-        let first = self.plan.time(part).filter(|(time, _)| *time > 0).and_then(|_| self.plan.at_time(part, 0));
-        let Some(expected) = first.and_then(|first| self.states[first].geometry.clone()) else { return Ok(()) };
-        check_geometry(path, found, &expected, &self.source_of(part, 0))
+        let Some((time, _)) = self.plan.time(part).filter(|(time, _)| *time > 0) else { return Ok(()) };
+        // all have the first one's, so the time before has it, too
+        let first = self.plan.at_time(part, 0).and_then(|first| self.states[first].geometry.as_ref());
+        first.map_or(Ok(()), |expected| check_geometry(path, found, expected, &self.source_of(part, time - 1)))
     }
 
     fn source_of(&self, part: usize, time: usize) -> String {
