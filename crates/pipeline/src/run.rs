@@ -215,10 +215,8 @@ impl<'a> Run<'a> {
         dir: &Path,
         registry: &'a Registry,
     ) -> Result<Self, PipelineError> {
-        if node.plugin != NodeJob::TENSOR_DISPLAY {
-            registry.get_kind(&node.plugin, PluginKind::Node).map_err(PipelineError::Output)?;
-            registry.check_params(&node.plugin, &node.params.clone().into()).map_err(PipelineError::Output)?;
-        }
+        registry.get_kind(&node.plugin, PluginKind::Node).map_err(PipelineError::Output)?;
+        registry.check_params(&node.plugin, &node.params.clone().into()).map_err(PipelineError::Output)?;
         let outputs = format!("../../outputs/{}", node.id);
         Ok(Self { node: Some(node), outputs, ..Self::open(job, dir, registry)? })
     }
@@ -267,7 +265,10 @@ impl<'a> Run<'a> {
                 let (stack, (steps, solution)) = self.factorize(&display, &input.target, &weights, task)?;
                 (stack, (steps, Some(solution)))
             }
-            Some(node) => (self.run_node(node, &display, &input.target, task)?, (Vec::new(), None)),
+            Some(node) => {
+                let (stack, solved) = self.run_node(node, &display, &input.target, &weights, task)?;
+                (stack, solved.map_or((Vec::new(), None), |(steps, solution)| (steps, Some(solution))))
+            }
         };
         // only now: a run that was stopped before has left the older settings, patterns and report together
         self.write_settings(&display)?;

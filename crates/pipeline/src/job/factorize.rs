@@ -70,6 +70,18 @@ impl Default for FactorizeJob {
 }
 
 impl FactorizeJob {
+    /// The parameters of the node `tensor-display`.
+    pub(crate) fn params(&self) -> serde_json::Value {
+        serde_json::json!({
+            "solver": self.solver,
+            "iterations": self.iterations,
+            "start": self.start,
+            "coarse_levels": self.coarse_levels.map_or(-1, i64::from),
+            "coarse_iterations": self.coarse_iterations,
+            "levels": self.levels,
+        })
+    }
+
     /// The expected eyes as the display model takes them.
     pub(crate) fn eye_boxes(&self) -> Vec<EyeBox> {
         let boxed = |&EyeJob { eye_mm, sigma_mm, weight }: &EyeJob| EyeBox { eye_mm, sigma_mm, weight };

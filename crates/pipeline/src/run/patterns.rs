@@ -1,15 +1,15 @@
 //! The patterns of a run: factorized, or made by a node plugin.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use lumistack_core::config::nearest;
 use lumistack_core::{Task, Tensor};
 use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
-use lumistack_factorizer::{AUTO, Factorization, Problem, StartKind};
-use lumistack_plugin_host::Time;
+use lumistack_factorizer::{AUTO, Problem, StartKind};
+use lumistack_plugin_host::{Made, NodeData};
 use lumistack_report::{Iteration, Solution};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::Run;
 use crate::cache::KeyBuilder;
@@ -18,9 +18,6 @@ use crate::error::{PipelineError, factorize_error, field_error, host_error};
 use crate::files::{read_json, write_json};
 use crate::ingest;
 use crate::job::{FactorizeJob, NodeJob};
-
-/// Points of the convergence curve: enough for a plot; each costs a part of an update.
-const CURVE_POINTS: u32 = 40;
 
 /// A point of the convergence curve, as it is kept between runs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -43,17 +40,13 @@ struct Solved {
 }
 
 impl Solved {
-    fn of(factorization: &Factorization, steps: Vec<Step>, warm: bool) -> Self {
-        let settings = &factorization.settings;
-        let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
-        Self {
-            solver: settings.solver.clone(),
-            start: start.into(),
-            coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
-            unsettled: factorization.unsettled,
-            levels: factorization.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized]),
-            steps,
-        }
+    fn of(solution: lumistack_plugin_host::Solution, steps: &[(lumistack_plugin_host::Step, f64)]) -> Self {
+        let lumistack_plugin_host::Solution { solver, start, coarse_levels, unsettled, levels } = solution;
+        let steps = steps.iter().map(|&(at, seconds)| {
+            let psnr_view = at.psnr_view.is_finite().then_some(at.psnr_view);
+            Step { iteration: at.iteration, objective: at.objective, psnr_view, seconds }
+        });
+        Self { solver, start, coarse_levels, unsettled, levels, steps: steps.collect() }
     }
 
     /// For the report.
@@ -134,7 +127,11 @@ impl Run<'_> {
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())
             .add_f32("target", target.radiance().data())
             .add_json("settings", &(&job.solver, job.iterations, &job.start, self.job.seed))
-            .add_json("coarse and levels", &(job.coarse_levels, job.coarse_iterations, job.levels));
+            .add_json("coarse and levels", &(job.coarse_levels, job.coarse_iterations, job.levels))
+            .add(
+                "plugin",
+                lumistack_plugin_host::fingerprint_of(NodeJob::TENSOR_DISPLAY).unwrap_or_default().as_bytes(),
+            );
         add_weights(&mut key, weights);
         if let Some(warm) = &warm {
             add_stack(&mut key, warm);
@@ -151,9 +148,12 @@ impl Run<'_> {
                 return Ok(((stack, solved.told()), true));
             }
             run.stamps.clear("factorize")?;
-            let (factorization, steps) = run.solve(display, target, weights, warm.as_ref(), task)?;
-            let solved = Solved::of(&factorization, steps, warm.is_some());
-            let stack = factorization.stack;
+            let params = run.job.factorize.params();
+            let made = run.made_by(NodeJob::TENSOR_DISPLAY, &params, display, target, weights, warm.as_ref(), task)?;
+            let solution = made.solution.ok_or_else(|| {
+                PipelineError::value("factorize", "solution", "how the patterns were found", "nothing")
+            })?;
+            let (stack, solved) = (made.stack, Solved::of(solution, &made.steps));
             let mut files = run.write_layers(display, &stack)?;
             write_json(&curve, &solved)?;
             files.push("cache/convergence.json".into());
@@ -179,54 +179,53 @@ impl Run<'_> {
         node: &NodeJob,
         display: &Display,
         target: &LightField,
+        weights: &Weights,
         task: Task<'_>,
-    ) -> Result<LayerStack, PipelineError> {
-        let mut key = KeyBuilder::new("node", code::PLUGINS);
+    ) -> Result<(LayerStack, Option<(Vec<Iteration>, Solution)>), PipelineError> {
+        // baselines solve by the factorizer, too
+        let mut key = KeyBuilder::new("node", code::PATTERNS);
         key.add("plugin", ingest::plugin_key(self.registry, &node.plugin, &node.params)?.as_bytes())
             .add("display", display.to_toml().as_bytes())
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())
-            .add_f32("target", target.radiance().data());
+            .add_f32("target", target.radiance().data())
+            .add_json("seed", &self.job.seed);
+        add_weights(&mut key, weights);
         let key = key.finish();
         self.timed(&node.plugin, |run| {
             let layers = run.dir.join("layers");
+            let curve = run.dir.join("cache/convergence.json");
             if run.stamps.is_current("node", &key)
                 && let Ok(stack) = lumistack_field_io::read_stack(&layers)
                 && check_stack(&stack, display, &layers).is_ok()
+                && let Some(solved) = read_json::<Option<Solved>>(&curve)
             {
-                return Ok((stack, true));
+                return Ok(((stack, solved.map(Solved::told)), true));
             }
             run.stamps.clear("node")?;
-            let (params, time) = (node.params.clone().into(), Time::default());
-            let stack =
-                lumistack_plugin_host::make_stack(run.registry, &node.plugin, &params, display, time, target, task)
-                    .map_err(host_error)?;
-            let files = run.write_layers(display, &stack)?;
+            let params = node.params.clone().into();
+            let made = run.made_by(&node.plugin, &params, display, target, weights, None, task)?;
+            let solved = made.solution.map(|solution| Solved::of(solution, &made.steps));
+            let mut files = run.write_layers(display, &made.stack)?;
+            write_json(&curve, &solved)?;
+            files.push("cache/convergence.json".into());
             run.stamps.write("node", &key, &files)?;
-            Ok((stack, false))
+            Ok(((made.stack, solved.map(Solved::told)), false))
         })
     }
 
-    fn solve(
+    /// What a node of the registry makes of a light field.
+    fn made_by(
         &self,
+        plugin: &str,
+        params: &Value,
         display: &Display,
         target: &LightField,
         weights: &Weights,
         warm: Option<&LayerStack>,
         task: Task<'_>,
-    ) -> Result<(Factorization, Vec<Step>), PipelineError> {
-        let settings = solver_settings(&self.job.factorize, self.job.seed)?;
-        let problem = Problem { display, target, weights };
-        let start = Instant::now();
-        let mut steps = Vec::new();
-        let result = lumistack_factorizer::factorize(&problem, &settings, warm, task, &mut |step| {
-            let seconds = start.elapsed().as_secs_f64();
-            let psnr_view = step.psnr_view.is_finite().then_some(step.psnr_view);
-            steps.push(Step { iteration: step.iteration, objective: step.objective, psnr_view, seconds });
-        });
-        match result {
-            Ok(factorization) => Ok((factorization, steps)),
-            Err(error) => Err(factorize_error(error)),
-        }
+    ) -> Result<Made, PipelineError> {
+        let node = NodeData { weights, start: warm, seed: self.job.seed, ..NodeData::new(display, target) };
+        lumistack_plugin_host::make_stack(self.registry, plugin, params, &node, task).map_err(host_error)
     }
 }
 
@@ -277,7 +276,7 @@ pub(crate) fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack
         start: start_kind(&job.start)?,
         coarse_levels: job.coarse_levels,
         coarse_iterations: job.coarse_iterations,
-        report_every: (job.iterations / CURVE_POINTS).max(1),
+        report_every: lumistack_factorizer::Settings::curve_interval(job.iterations),
         levels: job.levels,
     })
 }
