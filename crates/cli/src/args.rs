@@ -78,7 +78,14 @@ pub(crate) enum Command {
     )]
     Clean(Clean),
     /// All plugins with their parameters and where they come from, and which libraries could not be used and why
-    Plugins,
+    #[command(
+        after_help = "Example:\n  lumistack plugins tensor-display      one plugin, with the words that its parameters take"
+    )]
+    Plugins {
+        /// Only these
+        #[arg(value_name = "ID")]
+        ids: Vec<String>,
+    },
     /// The displays that come with the program
     Displays,
     /// A display file for your own panels, and its calibration

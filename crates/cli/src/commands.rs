@@ -56,10 +56,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         Command::Clean(args_of) => clean_command(&args_of, args.json, task),
         Command::Show(show) => crate::show::show_command(&show, args.json, task),
         Command::Info(info) => info::print(&info, &registry_for_work()?, args.json, task),
-        Command::Plugins => {
-            info::print_plugins(&registry()?, args.json);
-            Ok(())
-        }
+        Command::Plugins { ids } => info::print_plugins(&ids, &registry()?, args.json),
         Command::Display { what } => crate::display::display_command(&what, args.json),
         Command::Displays => info::print_displays(args.json),
         Command::Setup { what: Setup::Usd { materialx, python } } => {

@@ -304,12 +304,13 @@ fn short(value: &Value) -> String {
     }
 }
 
-pub(crate) fn print_plugins(registry: &Registry, as_json: bool) {
+pub(crate) fn print_plugins(ids: &[String], registry: &Registry, as_json: bool) -> Result<(), PipelineError> {
     if as_json {
-        say!("{}", plugin_list(registry));
+        say!("{}", plugin_list(registry, ids)?);
     } else {
-        say!("{}", plugin_text(registry));
+        say!("{}", plugin_text(registry, ids)?);
     }
+    Ok(())
 }
 
 pub(crate) fn print_displays(as_json: bool) -> Result<(), PipelineError> {

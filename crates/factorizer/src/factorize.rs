@@ -47,6 +47,11 @@ impl Default for Settings {
 }
 
 impl Settings {
+    /// `report_every` for a curve of convergence with some 40 points: enough for a plot; each costs a part of an update.
+    pub fn curve_interval(iterations: u32) -> u32 {
+        (iterations / 40).max(1)
+    }
+
     /// The same with every choice made. The paper's rule begins as the paper leaves open, at random; all else begins near the content, at half the
     /// resolution. On every light field measured that reached any quality first.
     pub fn resolved(&self) -> Self {

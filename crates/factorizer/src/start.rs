@@ -44,6 +44,15 @@ impl StartKind {
             Self::Content => "content",
         }
     }
+
+    /// One sentence for people who choose.
+    pub fn doc(self) -> &'static str {
+        match self {
+            Self::Random => "Independent uniform noise.",
+            Self::Smooth => "Noise that is blurred, so that neighbouring rays see nearly the same.",
+            Self::Content => "Every pixel near the mean of the rays through it, times smooth noise.",
+        }
+    }
 }
 
 /// Standard deviation of the blur of smooth noise, pixels.

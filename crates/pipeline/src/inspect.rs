@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
 use lumistack_field_io::{Description, GeometryFlags};
-use lumistack_plugin_host::{Param, Registry};
+use lumistack_plugin_host::{Kind, Origin, Param, PluginInfo, Registry};
 
 use crate::error::{PipelineError, field_error};
 
@@ -32,36 +32,65 @@ pub fn plugins(paths: &[PathBuf]) -> Result<Registry, PipelineError> {
     Ok(registry)
 }
 
-/// All plugins with their parameters and where they come from, and what gave no plugin and why, as JSON.
-pub fn plugin_list(registry: &Registry) -> serde_json::Value {
-    let plugins = registry.entries().map(|(info, origin)| {
+/// Plugins with their parameters and where they come from, those of `ids` or else all, and what gave no plugin and why, as JSON.
+///
+/// # Errors
+/// When there is no plugin of such an id, or its library cannot be used.
+pub fn plugin_list(registry: &Registry, ids: &[String]) -> Result<serde_json::Value, PipelineError> {
+    let plugins = chosen(registry, ids)?.into_iter().map(|(info, origin)| {
         let mut plugin = serde_json::to_value(info).expect("descriptions serialize");
         plugin["origin"] = origin.to_string().into();
         plugin
     });
     let plugins: Vec<_> = plugins.collect();
-    let failed: Vec<_> = registry.failed().iter().map(ToString::to_string).collect();
-    serde_json::json!({ "plugins": plugins, "failed": failed })
+    let failed = failed(registry, ids);
+    Ok(serde_json::json!({ "plugins": plugins, "failed": failed }))
 }
 
-/// The same as text.
-pub fn plugin_text(registry: &Registry) -> String {
+/// The plugins of these ids, of none all, and where each comes from.
+fn chosen<'a>(registry: &'a Registry, ids: &[String]) -> Result<Vec<(&'a PluginInfo, &'a Origin)>, PipelineError> {
+    if ids.is_empty() {
+        return Ok(registry.entries().collect());
+    }
+    let one = |id: &String| {
+        let info = registry.get(id).map_err(PipelineError::Output)?.info();
+        Ok((info, registry.origin(id).expect("what is there came from somewhere")))
+    };
+    ids.iter().map(one).collect()
+}
+
+/// Why some libraries gave no plugin, where all are listed.
+fn failed(registry: &Registry, ids: &[String]) -> Vec<String> {
+    if ids.is_empty() { registry.failed().iter().map(ToString::to_string).collect() } else { Vec::new() }
+}
+
+/// The same as text; of plugins that were asked for by id with the words of their choices.
+///
+/// # Errors
+/// As [`plugin_list`].
+pub fn plugin_text(registry: &Registry, ids: &[String]) -> Result<String, PipelineError> {
     let mut text = String::new();
-    for (info, origin) in registry.entries() {
+    for (info, origin) in chosen(registry, ids)? {
         let kind = serde_json::to_value(info.kind).expect("names serialize");
         let _ = writeln!(text, "{} {} ({}, {origin})", info.id, info.version, kind.as_str().unwrap_or_default());
         let _ = writeln!(text, "  {}", info.doc.trim());
         for param in &info.schema.params {
             let _ = writeln!(text, "    {:14} {} [{}]", param.name, param.help, values_of(param));
+            if let (Kind::Choice { options, .. }, false) = (&param.kind, ids.is_empty()) {
+                for option in options {
+                    let _ = writeln!(text, "    {:16} {}: {}", "", option.value, option.help);
+                }
+            }
         }
     }
-    if !registry.failed().is_empty() {
+    let failed = failed(registry, ids);
+    if !failed.is_empty() {
         text.push_str("not loaded\n");
     }
-    for error in registry.failed() {
+    for error in failed {
         let _ = writeln!(text, "  {error}");
     }
-    text.trim_end().to_string()
+    Ok(text.trim_end().to_string())
 }
 
 /// What a parameter takes, in its unit, and its value when none is given.
@@ -92,7 +121,7 @@ mod tests {
         ] {
             assert_eq!(values_of(&param), expected);
         }
-        let all = plugin_text(&plugins(&[]).unwrap());
+        let all = plugin_text(&plugins(&[]).unwrap(), &[]).unwrap();
         assert!(
             all.contains("images") && !["Text {", "Float {", "File]"].iter().any(|name| all.contains(name)),
             "{all}"

@@ -23,7 +23,7 @@
 /**
  * Version of what was added at the ends of structs.
  */
-#define LUMISTACK_ABI_MINOR 2
+#define LUMISTACK_ABI_MINOR 3
 
 /**
  * IEEE 754 binary32, native byte order.
@@ -277,7 +277,9 @@ typedef struct LumistackData {
    * Shapes and geometry. A layer stack: `{"port": "layer_stack", "brightness", "frames", "layers": [[rows, cols], ...] (rearmost
    * first), "emission": [bins_y, bins_x, lenslet_rows, lenslet_cols] or null, "target": geometry, "target_views": whether `view_plane` lends
    * the target's views, "target_depth": depth}`. A light field: `{"port":
-   * "light_field", "geometry": geometry, "depth": depth}`. A depth, left out where nobody knows it: how deep the view [view rows / 2, view columns / 2]
+   * "light_field", "geometry": geometry, "depth": depth}`, and for a node also `"seed"`, `"weights": {"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`;
+   * left out where all rays count alike), and `"start": {"brightness"}` where there are patterns to begin from, of the display's own
+   * shape, which `layer_plane` and `emission_plane` lend. A depth, left out where nobody knows it: how deep the view [view rows / 2, view columns / 2]
    * sees, `{"rows", "cols", "z_mm": [row by row, millimetres towards the viewer, null where nothing is met]}`; it may be coarser than the views. A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
    * "distance_mm", "slope_x": [...], "slope_y": [...]}`.
    */
@@ -307,6 +309,14 @@ typedef struct LumistackData {
                                 size_t view_x,
                                 struct LumistackPlane *plane,
                                 const struct LumistackErrorSink *error);
+  /**
+   * Weights `[row][col][1]`, not below 0, of the rays of one view, where the description says `"per_ray"`. Since version 0.3.
+   */
+  LumistackStatus (*weight_plane)(const void *context,
+                                  size_t view_y,
+                                  size_t view_x,
+                                  struct LumistackPlane *plane,
+                                  const struct LumistackErrorSink *error);
 } LumistackData;
 
 /**
@@ -596,6 +606,21 @@ typedef struct LumistackStackSink {
                                     size_t bin_x,
                                     const struct LumistackPlane *plane,
                                     const struct LumistackErrorSink *error);
+  /**
+   * Reports how far an iterative method is: its objective after `iteration` iterations (0: at the start), which the method makes small, and the PSNR of
+   * what is shown against the target, dB; NaN where it is not known. Optional, in order. Since version 0.3.
+   */
+  LumistackStatus (*step)(void *context,
+                          uint32_t iteration,
+                          double objective,
+                          double psnr_view_db,
+                          const struct LumistackErrorSink *error);
+  /**
+   * Reports how an iterative method came to the patterns: `{"solver", "start", "coarse_levels": levels of half the resolution before the first iteration,
+   * "unsettled": root mean square of the change of the emission that a further exact step would make, "levels": [continuous, rounded, re-optimized] PSNR
+   * in dB for panels of few bits, or null}`. Optional, once. Since version 0.3.
+   */
+  LumistackStatus (*solution)(void *context, struct LumistackStr solution_json, const struct LumistackErrorSink *error);
 } LumistackStackSink;
 
 /**
@@ -607,7 +632,7 @@ typedef struct LumistackNodeVtable {
    */
   size_t size;
   /**
-   * Makes the patterns of one time; `data` is a light field of the display's own geometry. `host` as for importers.
+   * Makes the patterns of one time; `data` is a light field of the display's own geometry, with what else its description names. `host` as for importers.
    */
   LumistackStatus (*make)(const struct LumistackHostServices *host,
                           struct LumistackStr params_json,

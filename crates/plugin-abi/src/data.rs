@@ -94,7 +94,9 @@ pub struct Data {
     /// Shapes and geometry. A layer stack: `{"port": "layer_stack", "brightness", "frames", "layers": [[rows, cols], ...] (rearmost
     /// first), "emission": [bins_y, bins_x, lenslet_rows, lenslet_cols] or null, "target": geometry, "target_views": whether `view_plane` lends
     /// the target's views, "target_depth": depth}`. A light field: `{"port":
-    /// "light_field", "geometry": geometry, "depth": depth}`. A depth, left out where nobody knows it: how deep the view [view rows / 2, view columns / 2]
+    /// "light_field", "geometry": geometry, "depth": depth}`, and for a node also `"seed"`, `"weights": {"per_view": [[...], ...]}` or `"per_ray"` (see `weight_plane`;
+    /// left out where all rays count alike), and `"start": {"brightness"}` where there are patterns to begin from, of the display's own
+    /// shape, which `layer_plane` and `emission_plane` lend. A depth, left out where nobody knows it: how deep the view [view rows / 2, view columns / 2]
     /// sees, `{"rows", "cols", "z_mm": [row by row, millimetres towards the viewer, null where nothing is met]}`; it may be coarser than the views. A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
     /// "distance_mm", "slope_x": [...], "slope_y": [...]}`.
     pub description_json: Str,
@@ -117,6 +119,14 @@ pub struct Data {
     ) -> Status,
     /// Linear radiance `[row][col][rgb]` of one view of a light field, or of a layer stack's target where it has views.
     pub view_plane: unsafe extern "C" fn(
+        context: *const c_void,
+        view_y: usize,
+        view_x: usize,
+        plane: *mut Plane,
+        error: *const ErrorSink,
+    ) -> Status,
+    /// Weights `[row][col][1]`, not below 0, of the rays of one view, where the description says `"per_ray"`. Since version 0.3.
+    pub weight_plane: unsafe extern "C" fn(
         context: *const c_void,
         view_y: usize,
         view_x: usize,

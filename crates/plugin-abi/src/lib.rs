@@ -48,7 +48,7 @@ use core::ffi::c_void;
 pub const ABI_MAJOR: u32 = 0;
 
 /// Version of what was added at the ends of structs.
-pub const ABI_MINOR: u32 = 2;
+pub const ABI_MINOR: u32 = 3;
 
 /// A plugin's entry symbol is this followed by its id; see [`Entry`].
 pub const ENTRY_PREFIX: &str = "lumistack_plugin_entry_";
@@ -180,9 +180,10 @@ mod tests {
             offset_of!(Data, layer_plane),
             offset_of!(Data, emission_plane),
             offset_of!(Data, view_plane),
+            offset_of!(Data, weight_plane),
             size_of::<Data>(),
         ];
-        assert_eq!(data, [8, 16, 24, 40, 48, 56, 64]);
+        assert_eq!(data, [8, 16, 24, 40, 48, 56, 64, 72]);
 
         let plane = [
             offset_of!(Plane, data),
@@ -208,8 +209,10 @@ mod tests {
             offset_of!(StackSink, brightness),
             offset_of!(StackSink, layer_plane),
             offset_of!(StackSink, emission_plane),
+            offset_of!(StackSink, step),
+            offset_of!(StackSink, solution),
         ];
-        assert_eq!((stack, size_of::<StackSink>()), ([8, 16, 24, 32], 40));
+        assert_eq!((stack, size_of::<StackSink>()), ([8, 16, 24, 32, 40, 48], 56));
         assert_eq!((offset_of!(SourceVtable, make), size_of::<SourceVtable>()), (8, 16));
         assert_eq!((offset_of!(NodeVtable, make), size_of::<NodeVtable>()), (8, 16));
 

@@ -130,6 +130,19 @@ pub struct StackSink {
         plane: *const Plane,
         error: *const ErrorSink,
     ) -> Status,
+    /// Reports how far an iterative method is: its objective after `iteration` iterations (0: at the start), which the method makes small, and the PSNR of
+    /// what is shown against the target, dB; NaN where it is not known. Optional, in order. Since version 0.3.
+    pub step: unsafe extern "C" fn(
+        context: *mut c_void,
+        iteration: u32,
+        objective: f64,
+        psnr_view_db: f64,
+        error: *const ErrorSink,
+    ) -> Status,
+    /// Reports how an iterative method came to the patterns: `{"solver", "start", "coarse_levels": levels of half the resolution before the first iteration,
+    /// "unsettled": root mean square of the change of the emission that a further exact step would make, "levels": [continuous, rounded, re-optimized] PSNR
+    /// in dB for panels of few bits, or null}`. Optional, once. Since version 0.3.
+    pub solution: unsafe extern "C" fn(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status,
 }
 
 /// Functions of a node, which makes the layer stack of a display from a light field.
@@ -138,7 +151,7 @@ pub struct StackSink {
 pub struct NodeVtable {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Makes the patterns of one time; `data` is a light field of the display's own geometry. `host` as for importers.
+    /// Makes the patterns of one time; `data` is a light field of the display's own geometry, with what else its description names. `host` as for importers.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,

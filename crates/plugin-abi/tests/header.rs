@@ -135,12 +135,12 @@ fn c_compilers_see_the_same_layout() {
             size, context, log, progress_begin, progress_advance, progress_end, is_cancelled, file_open, file_append,
             file_commit, file_abort, simulate,
         }
-        Data { size, port, context, description_json, layer_plane, emission_plane, view_plane }
+        Data { size, port, context, description_json, layer_plane, emission_plane, view_plane, weight_plane }
         Plane { size, data, dtype, ndim, shape, strides, owner, release }
         Time { size, index, seconds } View { size, kind, value }
         ByteSink { size, context, write } Assets { size, context, read } ImporterVtable { size, extensions, import }
         FieldSink { size, context, geometry, view_plane } SourceVtable { size, make }
-        StackSink { size, context, brightness, layer_plane, emission_plane } NodeVtable { size, make }
+        StackSink { size, context, brightness, layer_plane, emission_plane, step, solution } NodeVtable { size, make }
     );
     for (name, value) in [
         ("ABI_MAJOR", abi::ABI_MAJOR),

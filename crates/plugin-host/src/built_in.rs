@@ -27,6 +27,7 @@ plugins! {
     "images": lumistack_plugin_images;
     "obj": lumistack_plugin_obj;
     "quilt": lumistack_plugin_quilt;
+    "tensor-display": lumistack_plugin_tensor_display;
     "test-views": lumistack_plugin_test_views;
     "transparencies": lumistack_plugin_transparencies;
     "web-simulator": lumistack_plugin_web_simulator;

@@ -43,5 +43,5 @@ pub use run::{OpenOutput, OutputContext, run_output, with_output};
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-pub use lumistack_plugin::{Choice, Kind, Param, ParamError, PluginError, Port, Schema, Time};
-pub use serve::{OutputData, Plugin, PluginInfo, PluginKind, ReadAsset};
+pub use lumistack_plugin::{Choice, Kind, Param, ParamError, PluginError, Port, Schema, Solution, Step, Time};
+pub use serve::{Made, NodeData, OutputData, Plugin, PluginInfo, PluginKind, ReadAsset};

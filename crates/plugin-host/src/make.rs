@@ -1,11 +1,11 @@
 //! Importers, sources and nodes: messages, progress and cancellation go to the task, files nowhere.
 
-use crate::serve::{self, LogLevel, Plugin, PluginKind, ReadAsset, Services};
 use lumistack_core::Task;
-use lumistack_display::{Display, LayerStack, LightField};
+use lumistack_display::{Display, LightField};
 use lumistack_plugin::{PluginError, Time};
 use serde_json::Value;
 
+use crate::serve::{self, LogLevel, Made, NodeData, Plugin, PluginKind, ReadAsset, Services};
 use crate::{HostError, Registry};
 
 /// Has the importer `id` turn the file `file` into a glTF document, not yet validated. `read` reads that file and those beside it.
@@ -42,7 +42,7 @@ pub fn make_field(
     })
 }
 
-/// Has the node `id` make the layer stack of one time; `field` must have the display's own geometry.
+/// Has the node `id` make the layer stack of one time.
 ///
 /// # Errors
 /// If there is no such node, it does not take the parameters or the display, it fails, or what it makes does not fit the display.
@@ -50,13 +50,11 @@ pub fn make_stack(
     registry: &Registry,
     id: &str,
     params: &Value,
-    display: &Display,
-    time: Time,
-    field: &LightField,
+    node: &NodeData<'_>,
     task: Task<'_>,
-) -> Result<LayerStack, HostError> {
+) -> Result<Made, HostError> {
     make(registry, id, PluginKind::Node, params, task, |plugin, host, params| {
-        serve::make_stack(plugin, host, params, display, time, field)
+        serve::make_stack(plugin, host, params, node)
     })
 }
 

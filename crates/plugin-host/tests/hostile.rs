@@ -12,7 +12,8 @@ use lumistack_core::{Cancel, Collector, NoProgress, Task};
 use lumistack_display::{Display, LayerStack};
 use lumistack_plugin_host::serve::OutputData;
 use lumistack_plugin_host::{
-    HostError, Limits, OutputContext, PluginPaths, Registry, Time, import_scene, make_field, make_stack, run_output,
+    HostError, Limits, NodeData, OutputContext, PluginPaths, Registry, Time, import_scene, make_field, make_stack,
+    run_output,
 };
 use lumistack_plugin_testkit::{Sample, random_field, samples};
 use serde_json::json;
@@ -245,7 +246,7 @@ fn plugins_of_the_other_kinds_are_named_as_well() {
         let read = |_: &str| Ok(Vec::new());
         let importer = import_scene(&registry, "h_importer", &params, "a.hostile", &read, task).map(drop);
         let source = make_field(&registry, "h_source", &params, display, Time::default(), task).map(drop);
-        let node = make_stack(&registry, "h_node", &params, display, Time::default(), &field, task).map(drop);
+        let node = make_stack(&registry, "h_node", &params, &NodeData::new(display, &field), task).map(drop);
         for (result, kind, doing) in [
             (importer, "importer", "it read `a.hostile`"),
             (source, "source", "it made a light field"),

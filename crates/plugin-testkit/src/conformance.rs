@@ -45,8 +45,8 @@ pub fn conformance_of(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
     let surroundings = listing();
     match plugin.info().kind {
         PluginKind::Output => output_conformance(plugin, at_default),
-        PluginKind::Node => makers::node_conformance(plugin),
-        PluginKind::Source => makers::source_conformance(plugin),
+        PluginKind::Node => makers::node_conformance(plugin, at_default),
+        PluginKind::Source => makers::source_conformance(plugin, at_default),
         PluginKind::Importer => makers::importer_conformance(plugin),
     }?;
     let added: Vec<String> = listing().difference(&surroundings).cloned().collect();

@@ -2,10 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use lumistack_core::Tensor;
 use lumistack_core::seed::{Stream, derive};
-use lumistack_display::{Display, LayerStack, LensletBacklight, LightField};
+use lumistack_display::{Display, LayerStack, LensletBacklight, LightField, Weights};
 use lumistack_plugin::{Export, PluginError, Time};
-use lumistack_plugin_host::serve::{Plugin, PluginKind, import, make_field, make_stack, resolved};
+use lumistack_plugin_host::serve::{
+    Made as MadeStack, NodeData, Plugin, PluginKind, import, make_field, make_stack, resolved,
+};
 use serde_json::{Value, json};
 
 use crate::memory_host::MemoryHost;
@@ -39,27 +42,56 @@ pub fn random_field(display: &Display) -> Made<LightField> {
 /// # Errors
 /// What the node says.
 pub fn made_by(node: &'static Export, params: &str, display: &Display, field: &LightField) -> Made<LayerStack> {
-    make_stack(&Plugin::compiled_in(node)?, &MemoryHost::new(), params, display, Time::default(), field)
+    let made = make_stack(&Plugin::compiled_in(node)?, &MemoryHost::new(), params, &NodeData::new(display, field))?;
+    Ok(made.stack)
 }
 
-fn stack_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<LayerStack> {
-    make_stack(plugin, host, params, display, Time::default(), &random_field(display)?)
+/// What a node makes, and what it tells of the way there, but for the time that took.
+type Told = (LayerStack, String);
+
+fn told(made: MadeStack) -> Told {
+    let steps: Vec<_> = made.steps.into_iter().map(|(step, _)| step).collect();
+    (made.stack, format!("{steps:?} {:?}", made.solution))
+}
+
+fn stack_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<Told> {
+    make_stack(plugin, host, params, &NodeData::new(display, &random_field(display)?)).map(told)
+}
+
+/// The same with weights per ray, patterns to begin from and another seed, which a node may leave aside.
+fn stack_from_all(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<Told> {
+    let field = random_field(display)?;
+    let [views_y, views_x, rows, cols, _] = field.radiance().shape();
+    let mut stream = Stream::new(derive(6, &[]));
+    let mut weights = Tensor::zeros(["view_y", "view_x", "row", "col"], [views_y, views_x, rows, cols]);
+    weights.data_mut().fill_with(|| stream.next_f32());
+    let mut start = LayerStack::filled(display, 0.0);
+    let layers = start.layers.iter_mut().map(Tensor::data_mut);
+    layers.for_each(|layer| layer.fill_with(|| 0.25 + 0.5 * stream.next_f32()));
+    if let Some(emission) = &mut start.emission {
+        emission.data_mut().fill_with(|| 0.25 + 0.5 * stream.next_f32());
+    }
+    let weights = Weights::PerRay(weights);
+    let node = NodeData { weights: &weights, start: Some(&start), seed: 7, ..NodeData::new(display, &field) };
+    make_stack(plugin, host, params, &node).map(told)
 }
 
 fn field_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<LightField> {
     make_field(plugin, host, params, display, Time::default())
 }
 
-pub(crate) fn node_conformance(plugin: &Plugin) -> Result<(), Broken> {
-    maker_conformance(plugin, stack_of)
+pub(crate) fn node_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken> {
+    maker_conformance(plugin, at_default, stack_of)?;
+    maker_conformance(plugin, at_default, stack_from_all)
 }
 
-pub(crate) fn source_conformance(plugin: &Plugin) -> Result<(), Broken> {
-    maker_conformance(plugin, field_of)
+pub(crate) fn source_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken> {
+    maker_conformance(plugin, at_default, field_of)
 }
 
 fn maker_conformance<T: PartialEq>(
     plugin: &Plugin,
+    at_default: &[&str],
     make: impl Fn(&Plugin, &MemoryHost, &str, &Display) -> Made<T>,
 ) -> Result<(), Broken> {
     let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
@@ -88,7 +120,7 @@ fn maker_conformance<T: PartialEq>(
         let stopped = matches!(&result, Err(PluginError::Cancelled));
         require("returns `cancelled` when asked to stop before", stopped, || format!("{:?}", result.as_ref().err()))?;
         closed(&host, "cancelled before")?;
-        for params in defaults_and_ends(plugin, &[]) {
+        for params in defaults_and_ends(plugin, at_default) {
             let result = resolved(plugin, &params).and_then(|p| make(plugin, &MemoryHost::new(), &p, display));
             let fine = matches!(&result, Ok(_) | Err(PluginError::Refused(_)));
             require("works with every parameter in its range", fine, || {
@@ -169,11 +201,11 @@ pub(crate) fn same(plugin: &Plugin, other: &Plugin, params: &Value) -> Result<us
     let mut count = 0;
     for display in displays() {
         let equal = match plugin.info().kind {
-            PluginKind::Node => {
-                let [a, b] = [plugin, other].map(|p| stack_of(p, &MemoryHost::new(), &params, &display));
+            PluginKind::Node => [stack_of, stack_from_all].into_iter().all(|make| {
+                let [a, b] = [plugin, other].map(|p| make(p, &MemoryHost::new(), &params, &display));
                 count += usize::from(a.is_ok());
                 a == b
-            }
+            }),
             PluginKind::Source => {
                 let [a, b] = [plugin, other].map(|p| field_of(p, &MemoryHost::new(), &params, &display));
                 count += usize::from(a.is_ok());

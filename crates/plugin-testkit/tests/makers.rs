@@ -1,12 +1,13 @@
 //! Importers, sources and nodes through the C boundary, and what the host refuses of what they make.
 
 use lumistack_plugin::abi::{self, ErrorSink, Plane, StackSink, Status};
-use lumistack_plugin::display::{Backlight, Display, LayerStack, LensletBacklight, LightField};
+use lumistack_plugin::core::Tensor;
+use lumistack_plugin::display::{Backlight, Display, LayerStack, LensletBacklight, LightField, Weights};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{
-    Assets, FieldInput, Host, ImporterPlugin, NodePlugin, Param, PluginError, Schema, SourcePlugin, Time,
+    Assets, Host, ImporterPlugin, NodeInput, NodePlugin, Param, PluginError, Schema, Solution, SourcePlugin, Step, Time,
 };
-use lumistack_plugin_testkit::serve::{Output, Plugin, import, make_field, make_stack};
+use lumistack_plugin_testkit::serve::{NodeData, Output, Plugin, import, make_field, make_stack};
 use lumistack_plugin_testkit::{MemoryHost, conformance};
 
 #[derive(Deserialize)]
@@ -34,25 +35,24 @@ impl NodePlugin for Flat {
         gain_schema()
     }
 
-    fn make(
-        host: &Host,
-        params: GainParams,
-        display: &Display,
-        time: Time,
-        field: &FieldInput<'_>,
-    ) -> Result<LayerStack, PluginError> {
+    fn make(params: GainParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
+        let host = input.host();
         host.check_cancelled()?;
-        assert!(params.fault != "panic", "no patterns at time {}", time.index);
+        assert!(params.fault != "panic", "no patterns at time {}", input.time().index);
         if params.fault == "file" {
             host.write("a.txt", b"x")?;
         }
-        let values = field.view([0, 0])?.to_vec();
+        let values = input.field().view([0, 0])?.to_vec();
         let mean = values.iter().sum::<f32>() / values.len() as f32 * params.gain;
-        let mut stack = LayerStack::filled(display, mean);
+        let mut stack = LayerStack::filled(input.display(), mean);
         stack.brightness = f64::from(params.gain).max(0.01);
         match params.fault.as_str() {
             "bright" => stack.layers[0].data_mut()[0] = 1.5,
             "layers" => drop(stack.layers.pop()),
+            "steps" => {
+                let step = |iteration| Step { iteration, objective: 1.0, psnr_view: f64::NAN };
+                input.step(step(1)).and_then(|()| input.step(step(1)))?;
+            }
             _ => {}
         }
         Ok(stack)
@@ -133,7 +133,7 @@ fn target() -> LightField {
 
 fn flat(params: &str) -> Result<LayerStack, PluginError> {
     let plugin = Plugin::compiled_in(&flat::PLUGIN).unwrap();
-    make_stack(&plugin, &MemoryHost::new(), params, &display(), Time::default(), &target())
+    make_stack(&plugin, &MemoryHost::new(), params, &NodeData::new(&display(), &target())).map(|made| made.stack)
 }
 
 #[test]
@@ -190,7 +190,7 @@ fn plugins_are_not_taken_for_other_kinds() {
     let display = display();
     let error = Output::open(&card, &host, &lumistack_plugin::serde_json::json!({}), &display).err().unwrap();
     assert_eq!(error.to_string(), "`card` is no output but a source");
-    let error = make_stack(&card, &host, "{}", &display, Time::default(), &target()).unwrap_err();
+    let error = make_stack(&card, &host, "{}", &NodeData::new(&display, &target())).unwrap_err();
     assert_eq!(error.to_string(), "`card` is no node but a source");
 }
 
@@ -247,7 +247,7 @@ fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
     let field = LightField::black(display.geometry().unwrap()).unwrap();
     let made = |steps: &str| {
         let params = format!(r#"{{"steps": {steps}}}"#);
-        make_stack(&plugin, &MemoryHost::new(), &params, &display, Time::default(), &field)
+        make_stack(&plugin, &MemoryHost::new(), &params, &NodeData::new(&display, &field)).map(|made| made.stack)
     };
     for (steps, message) in [
         ("[]", "the plugin did not give layer 0, frame 0"),
@@ -262,4 +262,87 @@ fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
     }
     let stack = made("[[0, 1, 3, 1], [0, 0, 3, 0.25]]").unwrap();
     assert_eq!([0, 1].map(|frame| stack.layers[0].block([frame])[7]), [0.25, 1.0]);
+}
+
+/// Hands back what it may begin from, each value times the mean weight of a view, and tells a step and a solution.
+struct Warm;
+
+impl NodePlugin for Warm {
+    const DOC: &'static str = "Hands back what it may begin from.";
+    type Params = GainParams;
+
+    fn schema() -> Schema {
+        gain_schema()
+    }
+
+    fn make(_: GainParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
+        let grid = &input.field().geometry().grid;
+        let mean = match input.weights()? {
+            Weights::Uniform => 1.0,
+            Weights::PerView(weights) => weights.block([0, grid.slope_x.len() - 1])[0],
+            Weights::PerRay(weights) => weights.block([0, grid.slope_x.len() - 1, 1])[2],
+        };
+        let mut stack = input.start()?.unwrap_or_else(|| LayerStack::filled(input.display(), 0.125));
+        for value in stack.layers.iter_mut().flat_map(|layer| layer.data_mut()) {
+            *value *= mean;
+        }
+        input.step(Step { iteration: 0, objective: 3.0, psnr_view: 20.5 })?;
+        input.step(Step { iteration: 4, objective: 0.1 + 0.2, psnr_view: f64::INFINITY })?;
+        input.solution(&Solution {
+            solver: format!("seed {}", input.seed()),
+            start: "warm".into(),
+            coarse_levels: 2,
+            unsettled: 1e-300,
+            levels: Some([1.0, 2.0, 3.0]),
+        })?;
+        Ok(stack)
+    }
+}
+
+mod warm {
+    lumistack_plugin::export_plugin!("warm", super::Warm as node);
+}
+
+#[test]
+fn weights_seed_and_patterns_reach_a_node_and_what_it_tells_comes_back() {
+    let plugin = Plugin::compiled_in(&warm::PLUGIN).unwrap();
+    let (display, field) = (display(), target());
+    let made = |node: &NodeData<'_>| make_stack(&plugin, &MemoryHost::new(), "{}", node).unwrap();
+    let plain = made(&NodeData::new(&display, &field));
+    assert_eq!((plain.stack.layers[0].data()[0], plain.stack.brightness), (0.125, display.brightness));
+    let solution = plain.solution.unwrap();
+    assert_eq!((solution.solver.as_str(), solution.unsettled, solution.coarse_levels), ("seed 1", 1e-300, 2));
+    let steps: Vec<Step> = plain.steps.iter().map(|(step, _)| *step).collect();
+    let last = Step { iteration: 4, objective: 0.1 + 0.2, psnr_view: f64::INFINITY };
+    assert_eq!(steps, [Step { iteration: 0, objective: 3.0, psnr_view: 20.5 }, last]);
+    assert!(plain.steps[0].1 >= 0.0 && plain.steps[1].1 >= plain.steps[0].1);
+
+    let mut start = LayerStack::filled(&display, 0.0);
+    start.brightness = 0.3;
+    let mut counted = 0.0;
+    let count = |values: &mut [f32], counted: &mut f32| {
+        values.iter_mut().for_each(|value| {
+            *counted += 1.0 / 4096.0;
+            *value = *counted;
+        });
+    };
+    start.layers.iter_mut().for_each(|layer| count(layer.data_mut(), &mut counted));
+    count(start.emission.as_mut().unwrap().data_mut(), &mut counted);
+    let seven = NodeData { start: Some(&start), seed: u64::MAX, ..NodeData::new(&display, &field) };
+    let same = made(&seven);
+    assert_eq!((&same.stack, same.solution.unwrap().solver), (&start, format!("seed {}", u64::MAX)));
+
+    let third = 1.0f32 / 3.0;
+    let per_view = Weights::PerView(Tensor::from_vec(["view_y", "view_x"], [1, 3], vec![0.0, 1.0, third]).unwrap());
+    let mut per_ray = Tensor::filled(["view_y", "view_x", "row", "col"], [1, 3, 3, 4], 0.5);
+    *per_ray.at_mut([0, 2, 1, 2]) = third;
+    for weights in [per_view, Weights::PerRay(per_ray)] {
+        let scaled = made(&NodeData { weights: &weights, ..seven });
+        assert_eq!(scaled.stack.layers[0].data()[5], start.layers[0].data()[5] * third);
+    }
+    let wrong = Weights::PerView(Tensor::filled(["view_y", "view_x"], [2, 2], 1.0));
+    let error = make_stack(&plugin, &MemoryHost::new(), "{}", &NodeData { weights: &wrong, ..seven }).unwrap_err();
+    assert!(matches!(error, PluginError::Refused(_)), "{error:?}");
+    let error = flat(r#"{"fault": "steps"}"#).unwrap_err();
+    assert_eq!(error.to_string(), "iteration 1 came after a later one");
 }

@@ -1,9 +1,12 @@
 //! The host as a plugin sees it: messages, progress, cancellation, and the only way for bytes to leave.
 
 use std::io;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+use std::thread::Thread;
+use std::time::Duration;
 
-use lumistack_core::Cancelled;
+use lumistack_core::{Cancel, Cancelled, Progress, Task, Warning, Warnings};
 use lumistack_plugin_abi::{Bytes, Data, HostServices, Plane, Str, View, level};
 
 use crate::wire::{call, needs};
@@ -88,6 +91,29 @@ impl Host {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
+    /// Runs work of the program's own libraries: their progress and warnings go to the host, and its wish to stop to them.
+    pub fn run<T>(&self, work: impl FnOnce(Task<'_>) -> T) -> T {
+        let told = Told { host: self, stages: Mutex::default() };
+        let (cancel, done) = (Cancel::default(), AtomicBool::new(false));
+        let ask = || {
+            if self.is_cancelled() {
+                cancel.cancel();
+            }
+        };
+        ask();
+        std::thread::scope(|scope| {
+            let asks = scope.spawn(|| {
+                while !done.load(Ordering::SeqCst) {
+                    std::thread::park_timeout(ASKS);
+                    ask();
+                }
+            });
+            // also where the work panics, or the scope would wait for good
+            let _done = Done { done: &done, asks: asks.thread().clone() };
+            work(Task { progress: &told, warnings: &told, cancel: &cancel })
+        })
+    }
+
     /// Starts a file. `path` is relative to the output's folder, with `/` between its parts. The file is written through
     /// [`io::Write`] and appears once it is committed and the output has finished; a file that is dropped before leaves nothing.
     ///
@@ -120,6 +146,57 @@ impl Host {
         self.call(|table, error| unsafe { (table.simulate)(table.context, data, &view, &mut plane, error) })?;
         // SAFETY: the host filled the plane in; a simulated plane is the plugin's until it is released.
         unsafe { PlaneView::new(plane) }
+    }
+}
+
+/// How often [`Host::run`] asks whether to stop.
+const ASKS: Duration = Duration::from_millis(20);
+
+/// Ends the thread that asks.
+struct Done<'a> {
+    done: &'a AtomicBool,
+    asks: Thread,
+}
+
+impl Drop for Done<'_> {
+    fn drop(&mut self) {
+        self.done.store(true, Ordering::SeqCst);
+        self.asks.unpark();
+    }
+}
+
+/// Passes on what the program's libraries tell.
+struct Told<'a> {
+    host: &'a Host,
+    stages: Mutex<Vec<Stage>>,
+}
+
+impl Told<'_> {
+    fn stages(&self) -> MutexGuard<'_, Vec<Stage>> {
+        self.stages.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Progress for Told<'_> {
+    fn begin(&self, stage: &str, total: u64, unit: &str) {
+        let stage = self.host.stage(stage, total, unit);
+        self.stages().push(stage);
+    }
+
+    fn advance(&self, steps: u64, note: &str) {
+        if let Some(stage) = self.stages().last() {
+            stage.advance(steps, note);
+        }
+    }
+
+    fn end(&self) {
+        self.stages().pop();
+    }
+}
+
+impl Warnings for Told<'_> {
+    fn warn(&self, warning: Warning) {
+        self.host.warn(&warning.to_string());
     }
 }
 

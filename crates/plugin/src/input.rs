@@ -2,10 +2,11 @@
 
 use std::marker::PhantomData;
 
-use lumistack_display::{FieldGeometry, Projection, SeenDepth};
+use lumistack_core::Tensor;
+use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, SeenDepth, Weights};
 use lumistack_plugin_abi::{Data, ErrorSink, Plane, Status, view};
 
-use crate::wire::{Description, call, lent_text};
+use crate::wire::{Description, RayWeights, Start, call, lent_text};
 use crate::{Host, PlaneView, PluginError, Port};
 
 /// What one `submit` brings. More ports may come.
@@ -59,6 +60,9 @@ pub struct FieldInput<'a> {
     lent: Lent<'a>,
     geometry: FieldGeometry,
     depth: Option<SeenDepth>,
+    seed: Option<u64>,
+    weights: Option<RayWeights>,
+    start: Option<Start>,
 }
 
 impl<'a> Input<'a> {
@@ -75,9 +79,9 @@ impl<'a> Input<'a> {
                 let (target, depth) = (target.try_into()?, target_depth.map(SeenDepth::try_from).transpose()?);
                 Self::LayerStack(StackInput { lent, brightness, frames, layers, emission, target, target_views, depth })
             }
-            Description::LightField { geometry, depth } => {
+            Description::LightField { geometry, depth, seed, weights, start } => {
                 let depth = depth.map(SeenDepth::try_from).transpose()?;
-                Self::LightField(FieldInput { lent, geometry: geometry.try_into()?, depth })
+                Self::LightField(FieldInput { lent, geometry: geometry.try_into()?, depth, seed, weights, start })
             }
         })
     }
@@ -196,6 +200,98 @@ impl FieldInput<'_> {
         // SAFETY: the context is the data's own.
         self.lent.plane(|data, plane, error| unsafe { (data.view_plane)(data.context, view[0], view[1], plane, error) })
     }
+
+    /// All views in one piece, a copy.
+    ///
+    /// # Errors
+    /// If the host cannot lend a view, or lends one of another shape.
+    pub fn to_light_field(&self) -> Result<LightField, PluginError> {
+        let geometry = self.geometry.clone();
+        let mut whole =
+            LightField::black(geometry.clone()).map_err(|error| PluginError::failed("light field", error))?;
+        for view in geometry.grid.iter() {
+            fill(whole.view_mut(view), &self.view(view)?)?;
+        }
+        Ok(whole.with_depth(self.depth.clone()))
+    }
+
+    /// Seed of everything random; 1 where the host says none.
+    pub(crate) fn seed(&self) -> u64 {
+        self.seed.unwrap_or(1)
+    }
+
+    /// How much each ray counts.
+    pub(crate) fn weights(&self) -> Result<Weights, PluginError> {
+        let wrong = |error: &dyn std::fmt::Display| PluginError::Failed(format!("weights: {error}"));
+        let FieldGeometry { rows, cols, grid, .. } = &self.geometry;
+        let [views_y, views_x] = grid.views();
+        let weights = match &self.weights {
+            None => return Ok(Weights::Uniform),
+            Some(RayWeights::PerView(rows)) => {
+                let values = rows.iter().flatten().map(|weight| *weight as f32).collect();
+                let tensor = Tensor::from_vec(["view_y", "view_x"], [views_y, views_x], values);
+                Weights::PerView(tensor.map_err(|error| wrong(&error))?)
+            }
+            Some(RayWeights::PerRay) => {
+                let shape = [views_y, views_x, *rows, *cols];
+                let mut tensor = Tensor::zeros(["view_y", "view_x", "row", "col"], shape);
+                for [y, x] in grid.iter() {
+                    // SAFETY: the context is the data's own.
+                    let plane = self
+                        .lent
+                        .plane(|data, plane, error| unsafe { (data.weight_plane)(data.context, y, x, plane, error) })?;
+                    fill(tensor.block_mut([y, x]), &plane)?;
+                }
+                Weights::PerRay(tensor)
+            }
+        };
+        weights.check(&self.geometry).map_err(|error| wrong(&error))?;
+        Ok(weights)
+    }
+
+    /// Patterns of the display from which to begin.
+    pub(crate) fn start(&self, display: &Display) -> Result<Option<LayerStack>, PluginError> {
+        let Some(Start { brightness }) = self.start else { return Ok(None) };
+        let mut stack = LayerStack::filled(display, 0.0);
+        stack.brightness = brightness;
+        let frames = stack.frames();
+        for (n, layer) in stack.layers.iter_mut().enumerate() {
+            for frame in 0..frames {
+                // SAFETY: the context is the data's own.
+                let plane = self
+                    .lent
+                    .plane(|data, plane, error| unsafe { (data.layer_plane)(data.context, n, frame, plane, error) })?;
+                fill(layer.block_mut([frame]), &plane)?;
+            }
+        }
+        if let Some(emission) = &mut stack.emission {
+            let [_, bins_y, bins_x, ..] = emission.shape();
+            for (frame, y, x) in bins(frames, [bins_y, bins_x]) {
+                // SAFETY: the context is the data's own.
+                let plane = self.lent.plane(|data, plane, error| unsafe {
+                    (data.emission_plane)(data.context, frame, y, x, plane, error)
+                })?;
+                fill(emission.block_mut([frame, y, x]), &plane)?;
+            }
+        }
+        Ok(Some(stack))
+    }
+}
+
+/// Every (frame, bin_y, bin_x) of a directional backlight.
+pub(crate) fn bins(frames: usize, [bins_y, bins_x]: [usize; 2]) -> impl Iterator<Item = (usize, usize, usize)> {
+    (0..frames).flat_map(move |frame| (0..bins_y).flat_map(move |y| (0..bins_x).map(move |x| (frame, y, x))))
+}
+
+/// Copies a lent plane to where as many values belong.
+fn fill(to: &mut [f32], plane: &PlaneView<'_>) -> Result<(), PluginError> {
+    let values = plane.values();
+    if values.len() != to.len() {
+        let (expected, found) = (to.len(), values.len());
+        return Err(PluginError::Failed(format!("the host lent a plane of {found} values, expected {expected}")));
+    }
+    to.copy_from_slice(&values);
+    Ok(())
 }
 
 impl Lent<'_> {

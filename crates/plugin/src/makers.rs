@@ -9,7 +9,8 @@ use serde::de::DeserializeOwned;
 
 use crate::given::params_of;
 use crate::host::CloseHost;
-use crate::input::{FieldInput, Input};
+use crate::input::{Input, bins};
+use crate::node::NodeInput;
 use crate::time::Time;
 use crate::wire::{Geometry, answer, append, call, dense, display_from_json, lent_text, needs};
 use crate::{Host, PluginError, Schema};
@@ -65,18 +66,12 @@ pub trait NodePlugin: 'static {
     /// Its parameters. Checked before `make`, which therefore gets every parameter, of the right type and in range.
     fn schema() -> Schema;
 
-    /// Makes the patterns of one time. The light field has the display's own geometry; the stack must fit the display, with values in 0..1, and its
-    /// `brightness` is the β by which what is shown is to be divided.
+    /// Makes the patterns of one time. The stack must fit the display, with values in 0..1, and its `brightness` is the β by which what is shown is to be
+    /// divided. Weights and patterns to begin from are offers: a node that has no use for them makes what it makes without.
     ///
     /// # Errors
     /// [`PluginError::Refused`] if the display is not of the kind that the plugin serves; [`PluginError::Cancelled`] when the user asked to stop.
-    fn make(
-        host: &Host,
-        params: Self::Params,
-        display: &Display,
-        time: Time,
-        field: &FieldInput<'_>,
-    ) -> Result<LayerStack, PluginError>;
+    fn make(params: Self::Params, input: &NodeInput<'_>) -> Result<LayerStack, PluginError>;
 }
 
 /// Files that an importer may read: the imported one, and those beside it.
@@ -189,9 +184,14 @@ unsafe extern "C" fn make_stack<P: NodePlugin>(
             needs((*data).size, size_of::<Data>())?;
             Input::new(data, host.get())?
         };
-        let Input::LightField(field) = &input else { return Err(PluginError::unexpected(&input)) };
-        let made = P::make(&host.get(), params, &display, time, field)?;
-        made.check(&display).map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
+        let field = match input {
+            Input::LightField(field) => field,
+            other => return Err(PluginError::unexpected(&other)),
+        };
+        let input = NodeInput { host: host.get(), display, time, field, sink };
+        let made = P::make(params, &input)?;
+        made.check(&input.display)
+            .map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
         // SAFETY: the sink's own context; planes are lent for the call.
         call(|error| unsafe { (sink.brightness)(sink.context, made.brightness, error) })?;
         for (n, layer) in made.layers.iter().enumerate() {
@@ -204,9 +204,7 @@ unsafe extern "C" fn make_stack<P: NodePlugin>(
         }
         if let Some(emission) = &made.emission {
             let [frames, bins_y, bins_x, rows, cols, channels] = emission.shape();
-            for (frame, y, x) in
-                (0..frames).flat_map(|frame| (0..bins_y).flat_map(move |y| (0..bins_x).map(move |x| (frame, y, x))))
-            {
+            for (frame, y, x) in bins(frames, [bins_y, bins_x]) {
                 let plane = dense(emission.block([frame, y, x]), [rows, cols, channels]);
                 // SAFETY: as above.
                 call(|error| unsafe { (sink.emission_plane)(sink.context, frame, y, x, &plane, error) })?;

@@ -373,7 +373,7 @@ pub(crate) fn info<'py>(
 pub(crate) fn plugins(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let registry = registry(py)?;
     // libraries are loaded for this, in processes of their own
-    let list = py.detach(|| plugin_list(registry));
+    let list = py.detach(|| plugin_list(registry, &[])).map_err(|error| raised(py, &error))?;
     to_python(py, &list["plugins"])
 }
 

@@ -14,7 +14,7 @@
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, PluginError, Schema, Time, expects, export_plugin};
+use lumistack_plugin::{NodeInput, NodePlugin, PluginError, Schema, expects, export_plugin};
 
 /// The plugin.
 pub struct DirectionalSequence;
@@ -33,13 +33,8 @@ impl NodePlugin for DirectionalSequence {
         Schema::new([])
     }
 
-    fn make(
-        host: &Host,
-        _params: SequenceParams,
-        display: &Display,
-        _time: Time,
-        field: &FieldInput<'_>,
-    ) -> Result<LayerStack, PluginError> {
+    fn make(_params: SequenceParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
+        let (host, display, field) = (input.host(), input.display(), input.field());
         let lenslets = expects::lenslets(display)?;
         expects::attenuating(display)?;
         let [bins_x, bins_y] = lenslets.views;

@@ -12,7 +12,7 @@
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{Display, FieldInput, Host, NodePlugin, PluginError, Schema, Time, expects, export_plugin};
+use lumistack_plugin::{NodeInput, NodePlugin, PluginError, Schema, expects, export_plugin};
 
 /// The plugin.
 pub struct IntegralImaging;
@@ -31,13 +31,8 @@ impl NodePlugin for IntegralImaging {
         Schema::new([])
     }
 
-    fn make(
-        host: &Host,
-        _params: IntegralParams,
-        display: &Display,
-        _time: Time,
-        field: &FieldInput<'_>,
-    ) -> Result<LayerStack, PluginError> {
+    fn make(_params: IntegralParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
+        let (host, display, field) = (input.host(), input.display(), input.field());
         let lenslets = expects::lenslets(display)?;
         expects::attenuating(display)?;
         let geometry = field.geometry();

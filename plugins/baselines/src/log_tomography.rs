@@ -12,9 +12,7 @@
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{
-    Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
-};
+use lumistack_plugin::{Display, NodeInput, NodePlugin, Param, PluginError, Schema, expects, export_plugin};
 
 /// The plugin.
 pub struct LogTomography;
@@ -45,13 +43,8 @@ impl NodePlugin for LogTomography {
         ])
     }
 
-    fn make(
-        host: &Host,
-        params: TomographyParams,
-        display: &Display,
-        _time: Time,
-        field: &FieldInput<'_>,
-    ) -> Result<LayerStack, PluginError> {
+    fn make(params: TomographyParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
+        let (host, display, field) = (input.host(), input.display(), input.field());
         expects::attenuating(display)?;
         expects::uniform_backlight(display)?;
         let geometry = field.geometry();

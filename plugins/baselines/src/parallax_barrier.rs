@@ -16,9 +16,7 @@
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{
-    Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
-};
+use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, expects, export_plugin};
 
 /// The plugin.
 pub struct ParallaxBarrier;
@@ -50,13 +48,8 @@ impl NodePlugin for ParallaxBarrier {
         ])
     }
 
-    fn make(
-        host: &Host,
-        params: BarrierParams,
-        display: &Display,
-        _time: Time,
-        field: &FieldInput<'_>,
-    ) -> Result<LayerStack, PluginError> {
+    fn make(params: BarrierParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
+        let (host, display, field) = (input.host(), input.display(), input.field());
         // a picture and a mask in front of it
         expects::layers(display, 2)?;
         expects::attenuating(display)?;

@@ -13,11 +13,9 @@
 
 use lumistack_factorizer::{FactorizeError, Multiplicative, Problem, Settings, Solver, StartKind};
 use lumistack_plugin::core::{Cancel, Collector, Task};
-use lumistack_plugin::display::{LayerStack, LightField, Weights};
+use lumistack_plugin::display::{LayerStack, Weights};
 use lumistack_plugin::serde::Deserialize;
-use lumistack_plugin::{
-    Display, FieldInput, Host, NodePlugin, Param, PluginError, Schema, Time, expects, export_plugin,
-};
+use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, expects, export_plugin};
 
 /// The plugin.
 pub struct TwoLayerNmf;
@@ -42,17 +40,12 @@ impl NodePlugin for TwoLayerNmf {
         ])
     }
 
-    fn make(
-        host: &Host,
-        params: NmfParams,
-        display: &Display,
-        _time: Time,
-        field: &FieldInput<'_>,
-    ) -> Result<LayerStack, PluginError> {
+    fn make(params: NmfParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
+        let (host, display) = (input.host(), input.display());
         expects::layers(display, 2)?;
         expects::attenuating(display)?;
         expects::uniform_backlight(display)?;
-        let target = whole(field)?;
+        let target = input.field().to_light_field()?;
         let problem = Problem { display, target: &target, weights: &Weights::Uniform };
         let settings = Settings {
             solver: Multiplicative.name().into(),
@@ -76,19 +69,6 @@ impl NodePlugin for TwoLayerNmf {
         }
         Ok(run.download())
     }
-}
-
-/// The views in one piece.
-fn whole(field: &FieldInput<'_>) -> Result<LightField, PluginError> {
-    let geometry = field.geometry().clone();
-    let mut whole = LightField::black(geometry.clone()).map_err(|error| PluginError::Failed(error.to_string()))?;
-    for view in geometry.grid.iter() {
-        let lent = field.view(view)?;
-        for (line, values) in whole.view_mut(view).chunks_exact_mut(3 * geometry.cols).zip(lent.iter_rows()) {
-            line.copy_from_slice(&values[..3 * geometry.cols]);
-        }
-    }
-    Ok(whole)
 }
 
 export_plugin!("two_layer_nmf", TwoLayerNmf as node);

@@ -57,7 +57,7 @@ pub struct SourceJob {
 pub struct NodeJob {
     /// Name, unique in the job; also that of its folder.
     pub id: String,
-    /// `tensor-display`, the factorizer, or the id of a node plugin.
+    /// The id of a node plugin; see `lumistack plugins`.
     #[serde(default = "default_node")]
     pub plugin: String,
     /// Its display, which takes the light field's resolution and views; default: the job's.
@@ -72,7 +72,7 @@ pub struct NodeJob {
 }
 
 impl NodeJob {
-    /// The factorizer, which is no plugin.
+    /// The factorizer, whose parameters are the table `factorize`.
     pub const TENSOR_DISPLAY: &'static str = "tensor-display";
 }
 

@@ -31,6 +31,7 @@ use crate::stage::fields::Shot;
 use crate::stage::flicker::{Shown, TimeError};
 use crate::stage::ingest::{self, Ingested};
 use crate::stage::look::Look;
+use crate::stage::node::Given;
 use crate::stage::place::{self, Placement};
 use crate::stage::report::{self, About, thumbnails};
 use crate::stage::score::{self, References};
@@ -578,7 +579,10 @@ impl<'a> Executor<'a> {
         let weights = field::weights(&job.factorize, &field.target)?;
         let target = &field.target;
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
-            Some(of_node) => node::run(of_node, &display, target, &stamps, self.registry, task)?,
+            Some(node) => {
+                let given = Given { node, seed: job.seed, display: &display, target, weights: &weights };
+                node::run(given, &stamps, self.registry, task)?
+            }
             None => {
                 let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
                 let afresh = match self.fresh(part) {

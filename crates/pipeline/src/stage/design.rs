@@ -15,6 +15,7 @@ use lumistack_plugin_host::Registry;
 use super::factorize::Solve;
 use super::field::{Field, add_weights, eye_weights};
 use super::node;
+use super::node::Given;
 use crate::error::{PipelineError, display_error};
 use crate::job::{FactorizeJob, Job, NodeJob};
 use crate::store::code;
@@ -177,7 +178,10 @@ impl Solver<'_> {
             };
             let weights = eye_weights(factorize, target)?;
             let stack = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
-                Some(of_node) => node::make(of_node, &display, target, self.registry, task)?.stack,
+                Some(node) => {
+                    let given = Given { node, seed: self.job.seed, display: &display, target, weights: &weights };
+                    node::make(given, self.registry, task)?.0
+                }
                 None => {
                     let weights = &weights;
                     let solve = Solve { job: &first, seed: self.job.seed, display: &display, target, weights };

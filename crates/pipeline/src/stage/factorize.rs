@@ -18,14 +18,11 @@ use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 
-/// Points of the convergence curve: enough for a plot; each costs a part of an update.
-const CURVE_POINTS: u32 = 40;
-
 /// Patterns, and how a solver came to them.
 pub(crate) struct Solved {
     pub(crate) stack: LayerStack,
     pub(crate) steps: Vec<Iteration>,
-    /// `None` of those that a plugin made.
+    /// `None` of a method that tells none.
     pub(crate) solution: Option<Solution>,
 }
 
@@ -88,7 +85,7 @@ impl Solve<'_> {
 
 /// How the solver came to the patterns, as it is kept between runs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct Kept {
+pub(crate) struct Kept {
     solver: String,
     start: String,
     coarse_levels: u32,
@@ -107,6 +104,19 @@ struct Step {
 }
 
 impl Kept {
+    /// By a node plugin.
+    pub(crate) fn of_node(
+        solution: lumistack_plugin_host::Solution,
+        steps: &[(lumistack_plugin_host::Step, f64)],
+    ) -> Self {
+        let lumistack_plugin_host::Solution { solver, start, coarse_levels, unsettled, levels } = solution;
+        let steps = steps.iter().map(|&(at, seconds)| {
+            let psnr_view = at.psnr_view.is_finite().then_some(at.psnr_view);
+            Step { iteration: at.iteration, objective: at.objective, psnr_view, seconds }
+        });
+        Self { solver, start, coarse_levels, unsettled, levels, steps: steps.collect() }
+    }
+
     fn of(factorization: &Factorization, steps: Vec<Step>, warm: bool) -> Self {
         let settings = &factorization.settings;
         let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
@@ -121,7 +131,7 @@ impl Kept {
     }
 
     /// For the report.
-    fn told(self, stack: LayerStack) -> Solved {
+    pub(crate) fn told(self, stack: LayerStack) -> Solved {
         let Self { solver, start, coarse_levels, unsettled, levels, steps } = self;
         let steps = steps.into_iter().map(|step| Iteration {
             iteration: step.iteration,
@@ -244,7 +254,7 @@ fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack_factorizer
         start: start_kind(&job.start)?,
         coarse_levels: job.coarse_levels,
         coarse_iterations: job.coarse_iterations,
-        report_every: (job.iterations / CURVE_POINTS).max(1),
+        report_every: lumistack_factorizer::Settings::curve_interval(job.iterations),
         levels: job.levels,
     })
 }

@@ -1,13 +1,16 @@
-//! Nodes: what makes the patterns of a display from a light field. `tensor-display` is the factorizer, every other is a plugin.
+//! Nodes: what makes the patterns of a display from a light field. `tensor-display` is the factorizer, which takes the light field
+//! where it lies; every other is lent it across the boundary of plugins.
 
 use lumistack_core::Task;
-use lumistack_display::{Display, FieldGeometry, LightField};
-use lumistack_plugin_host::{PluginKind, Registry, Time};
+use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};
+use lumistack_plugin_host::{NodeData, PluginKind, Registry};
 
-use super::factorize::{Solved, check_stack, write_layers};
+use super::factorize::{Kept, Solved, check_stack, write_layers};
+use super::field::add_weights;
 use crate::error::{PipelineError, display_error, host_error};
 use crate::job::NodeJob;
 use crate::store::code;
+use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
@@ -53,50 +56,68 @@ pub(crate) fn display(
     Ok((display, change))
 }
 
+/// What a node makes patterns of.
+#[derive(Clone, Copy)]
+pub(crate) struct Given<'a> {
+    pub(crate) node: &'a NodeJob,
+    pub(crate) seed: u64,
+    pub(crate) display: &'a Display,
+    pub(crate) target: &'a LightField,
+    pub(crate) weights: &'a Weights,
+}
+
 /// The patterns that a node plugin makes, in `layers/`; and whether they were current.
 ///
 /// # Errors
 /// When the plugin fails or is cancelled, or a file cannot be written.
 pub(crate) fn run(
-    node: &NodeJob,
-    display: &Display,
-    target: &LightField,
+    given: Given<'_>,
     stamps: &Stamps,
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(Solved, bool), PipelineError> {
-    let mut key = KeyBuilder::new("node", code::PLUGINS);
+    let Given { node, seed, display, target, weights } = given;
+    // baselines solve by the factorizer, too
+    let mut key = KeyBuilder::new("node", code::PATTERNS);
     key.add("plugin", plugin_key(registry, &node.plugin, &node.params)?.as_bytes())
         .add("display", display.to_toml().as_bytes())
         .add("geometry", format!("{:?}", target.geometry()).as_bytes())
-        .add_f32("target", target.radiance().data());
+        .add_f32("target", target.radiance().data())
+        .add_json("seed", &seed);
+    add_weights(&mut key, weights);
     let layers = stamps.dir().join("layers");
+    let curve = stamps.dir().join("cache/convergence.json");
+    let told = |kept: Option<Kept>, stack| match kept {
+        Some(kept) => kept.told(stack),
+        None => Solved { stack, steps: Vec::new(), solution: None },
+    };
     let kept = || {
         let stack = lumistack_field_io::read_stack(&layers).ok()?;
         check_stack(&stack, display, &layers).ok()?;
-        Some(Solved { stack, steps: Vec::new(), solution: None })
+        Some(told(read_json::<Option<Kept>>(&curve)?, stack))
     };
     let make = || {
-        let solved = make(node, display, target, registry, task)?;
-        let files = write_layers(stamps, display, &solved.stack)?;
-        Ok((solved, files))
+        let (stack, solved) = make(given, registry, task)?;
+        let mut files = write_layers(stamps, display, &stack)?;
+        write_json(&curve, &solved)?;
+        files.push("cache/convergence.json".into());
+        Ok((told(solved, stack), files))
     };
     stamps.take_up("node", &key.finish(), kept, make)
 }
 
-/// The patterns that a node plugin makes, which are kept nowhere.
+/// The patterns that a node plugin makes, which are kept nowhere, and how it came to them.
 ///
 /// # Errors
 /// When the plugin fails or is cancelled.
 pub(crate) fn make(
-    node: &NodeJob,
-    display: &Display,
-    target: &LightField,
+    given: Given<'_>,
     registry: &Registry,
     task: Task<'_>,
-) -> Result<Solved, PipelineError> {
-    let (params, time) = (node.params.clone().into(), Time::default());
-    let stack = lumistack_plugin_host::make_stack(registry, &node.plugin, &params, display, time, target, task)
+) -> Result<(LayerStack, Option<Kept>), PipelineError> {
+    let Given { node, seed, display, target, weights } = given;
+    let data = NodeData { weights, seed, ..NodeData::new(display, target) };
+    let made = lumistack_plugin_host::make_stack(registry, &node.plugin, &node.params.clone().into(), &data, task)
         .map_err(host_error)?;
-    Ok(Solved { stack, steps: Vec::new(), solution: None })
+    Ok((made.stack, made.solution.map(|solution| Kept::of_node(solution, &made.steps))))
 }

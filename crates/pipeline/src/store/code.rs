@@ -31,7 +31,16 @@ pub(crate) const VIEWS: Code = &[
 pub(crate) const FIELDS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY];
 
 /// From a light field to patterns.
-pub(crate) const PATTERNS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY, SIMD, lumistack_factorizer::FINGERPRINT];
+pub(crate) const PATTERNS: Code = &[
+    PIPELINE,
+    CORE,
+    FIELD_IO,
+    DISPLAY,
+    SIMD,
+    lumistack_factorizer::FINGERPRINT,
+    lumistack_plugin_host::PLUGIN_FINGERPRINT,
+    lumistack_plugin_host::FINGERPRINT,
+];
 
 /// From a light field to a row of a sweep's table.
 pub(crate) const DESIGNS: Code =
@@ -71,7 +80,7 @@ mod tests {
         holds(VIEWS, &scene);
         holds(VIEWS, &["display", "simd", "pathtracer"]);
         holds(FIELDS, &["pipeline", "core", "display", "field-io"]);
-        holds(PATTERNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer"]);
+        holds(PATTERNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer", "plugin", "plugin-host"]);
         holds(DESIGNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer", "design"]);
         holds(PLUGINS, &["pipeline", "core", "display", "field-io", "plugin", "plugin-host"]);
         holds(REPORTS, &["pipeline", "core", "display", "report"]);

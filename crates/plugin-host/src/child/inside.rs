@@ -382,6 +382,17 @@ unsafe extern "C" fn view_plane(
     unsafe { fetch(context, |call| Request::ViewPlane { call, view_y, view_x }, plane, error) }
 }
 
+unsafe extern "C" fn weight_plane(
+    context: *const c_void,
+    view_y: usize,
+    view_x: usize,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above.
+    unsafe { fetch(context, |call| Request::WeightPlane { call, view_y, view_x }, plane, error) }
+}
+
 /// Fetches a plane; it is the plugin's until that gives it back.
 ///
 /// # Safety
@@ -515,6 +526,32 @@ unsafe extern "C" fn give_emission(
     unsafe { give(context, |call, shape| Request::GiveEmission { call, frame, bin_y, bin_x, shape }, plane, error) }
 }
 
+unsafe extern "C" fn give_step(
+    context: *mut c_void,
+    iteration: u32,
+    objective: f64,
+    psnr_view: f64,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: see above.
+    unsafe {
+        let Running { link, call } = running(context);
+        let [objective_bits, psnr_bits] = [objective, psnr_view].map(f64::to_bits);
+        link.status(Request::GiveStep { call: *call, iteration, objective_bits, psnr_bits }, &[], error)
+    }
+}
+
+unsafe extern "C" fn give_solution(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status {
+    // SAFETY: see above.
+    unsafe {
+        let Running { link, call } = running(context);
+        match bytes(solution_json.ptr, solution_json.len, "solution", error) {
+            Ok(solution) => link.status(Request::GiveSolution { call: *call }, solution, error),
+            Err(refused) => refused,
+        }
+    }
+}
+
 /// Sends a plane that the plugin lends.
 ///
 /// # Safety
@@ -625,6 +662,8 @@ impl Worker {
                         brightness: give_brightness,
                         layer_plane: give_layer,
                         emission_plane: give_emission,
+                        step: give_step,
+                        solution: give_solution,
                     };
                     let (params, display) = (Str::new(params), Str::new(display));
                     with_data(link, call, data, |data| {
@@ -669,6 +708,7 @@ fn with_data(
         layer_plane,
         emission_plane,
         view_plane,
+        weight_plane,
     };
     function(&data)
 }

@@ -126,6 +126,11 @@ pub(super) enum Request {
         view_y: usize,
         view_x: usize,
     },
+    WeightPlane {
+        call: u64,
+        view_y: usize,
+        view_x: usize,
+    },
     Simulate {
         call: u64,
         kind: u32,
@@ -168,6 +173,16 @@ pub(super) enum Request {
         bin_y: usize,
         bin_x: usize,
         shape: [usize; 3],
+    },
+    GiveStep {
+        call: u64,
+        iteration: u32,
+        objective_bits: u64,
+        psnr_bits: u64,
+    },
+    /// The body is the solution.
+    GiveSolution {
+        call: u64,
     },
 }
 

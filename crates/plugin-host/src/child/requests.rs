@@ -154,6 +154,12 @@ impl Lending {
                     }
                     None => refused(GONE),
                 },
+                Request::WeightPlane { call, view_y, view_x } => match of(call).data.as_ref() {
+                    Some(data) => fetch(answer, out, error, |plane| {
+                        (data.weight_plane)(data.context, view_y, view_x, plane, error)
+                    }),
+                    None => refused(GONE),
+                },
                 Request::Simulate { call, kind, value_bits } => match of(call).data.as_ref() {
                     Some(data) => {
                         let view = View { size: size_of::<View>(), kind, value: value_bits.map(f64::from_bits) };
@@ -197,6 +203,17 @@ impl Lending {
                     Some(sink) => given(body, shape, error, |plane| {
                         (sink.emission_plane)(sink.context, frame, bin_y, bin_x, plane, error)
                     }),
+                    None => refused(GONE),
+                },
+                Request::GiveStep { call, iteration, objective_bits, psnr_bits } => match of(call).stack.as_ref() {
+                    Some(sink) => {
+                        let [objective, psnr] = [objective_bits, psnr_bits].map(f64::from_bits);
+                        (sink.step)(sink.context, iteration, objective, psnr, error)
+                    }
+                    None => refused(GONE),
+                },
+                Request::GiveSolution { call } => match of(call).stack.as_ref() {
+                    Some(sink) => (sink.solution)(sink.context, path, error),
                     None => refused(GONE),
                 },
             }

@@ -3,10 +3,12 @@
 use std::ffi::c_void;
 use std::sync::OnceLock;
 
-use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, RayMap, Simulator, ViewGrid};
+use lumistack_display::{
+    Display, FieldGeometry, LayerStack, LightField, Projection, RayMap, Simulator, ViewGrid, Weights,
+};
 use lumistack_plugin::abi::{Data, ErrorSink, Plane, Status, Str, View, view};
-use lumistack_plugin::wire::{Depth, Description, Geometry, answer, dense};
-use lumistack_plugin::{PluginError, Port};
+use lumistack_plugin::wire::{Depth, Description, Geometry, RayWeights, Start, answer, dense};
+use lumistack_plugin::{PluginError, Port, Time};
 
 /// What an output is given at one time.
 #[derive(Clone, Copy, Debug)]
@@ -28,6 +30,30 @@ impl OutputData<'_> {
     }
 }
 
+/// What a node makes patterns from.
+#[derive(Clone, Copy, Debug)]
+pub struct NodeData<'a> {
+    /// The display.
+    pub display: &'a Display,
+    /// Place in the sequence; the default for a still.
+    pub time: Time,
+    /// The light field, of the display's own geometry.
+    pub field: &'a LightField,
+    /// How much its rays count.
+    pub weights: &'a Weights,
+    /// Patterns of the display from which to begin.
+    pub start: Option<&'a LayerStack>,
+    /// Seed of everything random.
+    pub seed: u64,
+}
+
+impl<'a> NodeData<'a> {
+    /// A light field whose rays count alike, and nothing to begin from.
+    pub fn new(display: &'a Display, field: &'a LightField) -> Self {
+        Self { display, time: Time::default(), field, weights: &Weights::Uniform, start: None, seed: 1 }
+    }
+}
+
 /// Data that are being lent: what the C struct's context points to.
 pub(crate) struct Lent<'a> {
     data: OutputData<'a>,
@@ -36,6 +62,9 @@ pub(crate) struct Lent<'a> {
     geometry: FieldGeometry,
     /// Made when the first view is asked for.
     simulator: OnceLock<Simulator<'a>>,
+    /// For nodes: weights of the rays, and patterns to begin from.
+    weights: Option<&'a Weights>,
+    start: Option<&'a LayerStack>,
     description: String,
 }
 
@@ -68,13 +97,56 @@ impl<'a> Lent<'a> {
             }
             OutputData::LightField(field) => {
                 let geometry = field.geometry().clone();
-                let depth = field.depth().map(Depth::from);
-                (geometry, Description::LightField { geometry: Geometry::from(field.geometry()), depth })
+                (geometry, of_field(field))
             }
         };
+        Self::described(display, data, geometry, &description)
+    }
+
+    /// # Errors
+    /// If weights or patterns do not fit.
+    pub(crate) fn for_node(node: &NodeData<'a>) -> Result<Self, PluginError> {
+        let NodeData { display, field, weights, start, .. } = *node;
+        let refused = |what: &str, error: String| PluginError::Refused(format!("{what}: {error}"));
+        weights.check(field.geometry()).map_err(|error| refused("light field", error.to_string()))?;
+        if let Some(start) = start {
+            start.check(display).map_err(|error| refused("patterns to begin from", error.to_string()))?;
+        }
+        let mut description = of_field(field);
+        if let Description::LightField { seed, weights: told, start: begins, .. } = &mut description {
+            *seed = Some(node.seed);
+            *told = match weights {
+                Weights::Uniform => None,
+                Weights::PerView(weights) => {
+                    let rows = weights.data().chunks_exact(weights.shape()[1]);
+                    Some(RayWeights::PerView(rows.map(|row| row.iter().map(|w| f64::from(*w)).collect()).collect()))
+                }
+                Weights::PerRay(_) => Some(RayWeights::PerRay),
+            };
+            *begins = start.map(|start| Start { brightness: start.brightness });
+        }
+        let lent = Self::described(display, OutputData::LightField(field), field.geometry().clone(), &description)?;
+        Ok(Self { weights: Some(weights), start, ..lent })
+    }
+
+    fn described(
+        display: &'a Display,
+        data: OutputData<'a>,
+        geometry: FieldGeometry,
+        description: &Description,
+    ) -> Result<Self, PluginError> {
         let description =
-            serde_json::to_string(&description).map_err(|error| PluginError::failed("description", error))?;
-        Ok(Self { data, display, geometry, simulator: OnceLock::new(), description })
+            serde_json::to_string(description).map_err(|error| PluginError::failed("description", error))?;
+        Ok(Self { data, display, geometry, simulator: OnceLock::new(), weights: None, start: None, description })
+    }
+
+    /// The patterns that are lent.
+    fn patterns(&self, what: &str) -> Result<&'a LayerStack, PluginError> {
+        match self.data {
+            OutputData::LayerStack(stack, _) => Some(stack),
+            OutputData::LightField(_) => self.start,
+        }
+        .ok_or_else(|| wrong_port(what))
     }
 
     pub(crate) fn port(&self) -> Port {
@@ -91,8 +163,15 @@ impl<'a> Lent<'a> {
             layer_plane,
             emission_plane,
             view_plane,
+            weight_plane,
         }
     }
+}
+
+fn of_field(field: &LightField) -> Description {
+    let depth = field.depth().map(Depth::from);
+    let geometry = Geometry::from(field.geometry());
+    Description::LightField { geometry, depth, seed: None, weights: None, start: None }
 }
 
 unsafe extern "C" fn layer_plane(
@@ -104,9 +183,7 @@ unsafe extern "C" fn layer_plane(
 ) -> Status {
     let lend = || {
         // SAFETY: the plugin passes back the context of `to_abi` during submit.
-        let OutputData::LayerStack(stack, _) = (unsafe { lent(context) }).data else {
-            return Err(wrong_port("layers"));
-        };
+        let stack = (unsafe { lent(context) }).patterns("layers")?;
         let values = stack.layers.get(layer).ok_or_else(|| beyond("layer", layer, stack.layers.len()))?;
         let [frames, rows, cols, channels] = values.shape();
         within("frame", frame, frames)?;
@@ -127,9 +204,7 @@ unsafe extern "C" fn emission_plane(
 ) -> Status {
     let lend = || {
         // SAFETY: as in `layer_plane`.
-        let OutputData::LayerStack(stack, _) = (unsafe { lent(context) }).data else {
-            return Err(wrong_port("emission"));
-        };
+        let stack = (unsafe { lent(context) }).patterns("emission")?;
         let Some(emission) = &stack.emission else {
             return Err(PluginError::Refused("the backlight is uniform and has no emission".into()));
         };
@@ -162,6 +237,28 @@ unsafe extern "C" fn view_plane(
         within("view_x", view_x, views_x)?;
         // SAFETY: as in `layer_plane`.
         unsafe { give(plane, field.view([view_y, view_x]), [rows, cols, channels]) }
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, lend) }
+}
+
+unsafe extern "C" fn weight_plane(
+    context: *const c_void,
+    view_y: usize,
+    view_x: usize,
+    plane: *mut Plane,
+    error: *const ErrorSink,
+) -> Status {
+    let lend = || {
+        // SAFETY: as in `layer_plane`.
+        let Some(Weights::PerRay(weights)) = (unsafe { lent(context) }).weights else {
+            return Err(wrong_port("weights per ray"));
+        };
+        let [views_y, views_x, rows, cols] = weights.shape();
+        within("view_y", view_y, views_y)?;
+        within("view_x", view_x, views_x)?;
+        // SAFETY: as in `layer_plane`.
+        unsafe { give(plane, weights.block([view_y, view_x]), [rows, cols, 1]) }
     };
     // SAFETY: null or a valid sink.
     unsafe { answer(error, lend) }

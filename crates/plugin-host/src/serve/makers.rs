@@ -2,15 +2,16 @@
 
 use std::ffi::c_void;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use lumistack_core::Tensor;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField};
 use lumistack_plugin::abi::{self as abi, Assets, ByteSink, ErrorSink, FieldSink, Plane, StackSink, Status, Str};
 use lumistack_plugin::wire::{Geometry, answer, append, call, lent_text};
-use lumistack_plugin::{PlaneView, PluginError, Time};
+use lumistack_plugin::{PlaneView, PluginError, Solution, Step, Time};
 use serde_json::Value;
 
-use crate::serve::lend::{Lent, OutputData};
+use crate::serve::lend::{Lent, NodeData};
 use crate::serve::plugin::{Plugin, PluginKind};
 use crate::serve::services::{Services, table};
 
@@ -90,46 +91,62 @@ pub fn make_field<S: Services>(
     Ok(field)
 }
 
-/// Has a node make the layer stack of one time; `field` must have the display's own geometry.
+/// Patterns that a node made, and what it told of the way there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Made {
+    /// The patterns.
+    pub stack: LayerStack,
+    /// Where an iterative method stood, and after how many seconds.
+    pub steps: Vec<(Step, f64)>,
+    /// How the patterns were found.
+    pub solution: Option<Solution>,
+}
+
+/// Has a node make the layer stack of one time.
 ///
 /// # Errors
-/// If the plugin is no node, what it returns, or what is wrong with the stack.
+/// If the plugin is no node, the data do not fit the display, what it returns, or what is wrong with the stack.
 pub fn make_stack<S: Services>(
     plugin: &Plugin,
     services: &S,
     params_json: &str,
-    display: &Display,
-    time: Time,
-    field: &LightField,
-) -> Result<LayerStack, PluginError> {
+    node: &NodeData<'_>,
+) -> Result<Made, PluginError> {
     let functions = plugin.of_kind(PluginKind::Node)?;
+    let display = node.display;
     let display_json = display_json(display)?;
-    let lent = Lent::new(display, OutputData::LightField(field))?;
+    let lent = Lent::for_node(node)?;
     let stack = LayerStack::filled(display, 0.0);
     let frames = stack.frames();
     let bins = stack.emission.as_ref().map_or([0, 0], |emission| [emission.shape()[1], emission.shape()[2]]);
     let given_layers = vec![false; stack.layers.len() * frames];
     let given_bins = vec![false; frames * bins[0] * bins[1]];
-    let builder = Builder::new(Stack { stack, frames, bins, given_layers, given_bins });
+    let (steps, solution, began) = (Vec::new(), None, Instant::now());
+    let made = Made { stack, steps, solution };
+    let builder = Builder::new(Stack { made, began, frames, bins, given_layers, given_bins });
     let sink = StackSink {
         size: size_of::<StackSink>(),
         context: (&raw const builder).cast_mut().cast(),
         brightness: stack_brightness,
         layer_plane: stack_layer,
         emission_plane: stack_emission,
+        step: stack_step,
+        solution: stack_solution,
     };
-    let (host, time, data) = (table(services), time.to_abi(), lent.to_abi());
+    let (host, time, data) = (table(services), node.time.to_abi(), lent.to_abi());
     // SAFETY: everything is lent for the call.
     call(|error| unsafe {
         functions.make_stack(&host, Str::new(params_json), Str::new(&display_json), &time, &data, &sink, error)
     })?;
-    let Stack { stack, given_layers, given_bins, .. } = builder.into_inner();
+    let Stack { made, given_layers, given_bins, .. } = builder.into_inner();
     all_given(&given_layers, |i| format!("layer {}, frame {}", i / frames, i % frames))?;
     all_given(&given_bins, |i| {
         format!("emission of frame {}, bin {}, {}", i / (bins[0] * bins[1]), i / bins[1] % bins[0], i % bins[1])
     })?;
-    stack.check(display).map_err(|error| PluginError::Failed(format!("the plugin gave a wrong stack: {error}")))?;
-    Ok(stack)
+    made.stack
+        .check(display)
+        .map_err(|error| PluginError::Failed(format!("the plugin gave a wrong stack: {error}")))?;
+    Ok(made)
 }
 
 /// What a sink's context points to; a plugin may call from several threads although it should not.
@@ -141,7 +158,9 @@ struct Field {
 }
 
 struct Stack {
-    stack: LayerStack,
+    made: Made,
+    /// When the node was asked.
+    began: Instant,
     frames: usize,
     /// Of the emission: [bins_y, bins_x].
     bins: [usize; 2],
@@ -224,7 +243,7 @@ unsafe extern "C" fn stack_brightness(context: *mut c_void, brightness: f64, err
             return Err(PluginError::Refused(format!("brightness: expected above 0, at most 1, found {brightness}")));
         }
         // SAFETY: as above.
-        unsafe { Builder::<Stack>::of(context) }.stack.brightness = brightness;
+        unsafe { Builder::<Stack>::of(context) }.made.stack.brightness = brightness;
         Ok(())
     };
     // SAFETY: null or a valid sink.
@@ -241,7 +260,7 @@ unsafe extern "C" fn stack_layer(
     let take = || {
         // SAFETY: as above.
         let mut built = unsafe { Builder::<Stack>::of(context) };
-        let Stack { stack, frames, given_layers, .. } = &mut *built;
+        let Stack { made: Made { stack, .. }, frames, given_layers, .. } = &mut *built;
         let what = || format!("layer {layer}, frame {frame}");
         if layer >= stack.layers.len() || frame >= *frames {
             let text = format!("{} of {} layers and {frames} frames", what(), stack.layers.len());
@@ -269,7 +288,7 @@ unsafe extern "C" fn stack_emission(
     let take = || {
         // SAFETY: as above.
         let mut built = unsafe { Builder::<Stack>::of(context) };
-        let Stack { stack, frames, bins, given_bins, .. } = &mut *built;
+        let Stack { made: Made { stack, .. }, frames, bins, given_bins, .. } = &mut *built;
         let what = || format!("emission of frame {frame}, bin {bin_y}, {bin_x}");
         let Some(emission) = &mut stack.emission else {
             return Err(PluginError::Refused("the backlight is uniform and takes no emission".into()));
@@ -282,6 +301,41 @@ unsafe extern "C" fn stack_emission(
         let values = unsafe { values_of(plane, [rows, cols, channels], 1.0, &what)? };
         mark(given_bins, (frame * bins[0] + bin_y) * bins[1] + bin_x, &what)?;
         emission.block_mut([frame, bin_y, bin_x]).copy_from_slice(&values);
+        Ok(())
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, take) }
+}
+
+unsafe extern "C" fn stack_step(
+    context: *mut c_void,
+    iteration: u32,
+    objective: f64,
+    psnr_view: f64,
+    error: *const ErrorSink,
+) -> Status {
+    let take = || {
+        // SAFETY: as above.
+        let mut built = unsafe { Builder::<Stack>::of(context) };
+        let seconds = built.began.elapsed().as_secs_f64();
+        if built.made.steps.last().is_some_and(|(last, _)| last.iteration >= iteration) {
+            return Err(PluginError::Refused(format!("iteration {iteration} came after a later one")));
+        }
+        built.made.steps.push((Step { iteration, objective, psnr_view }, seconds));
+        Ok(())
+    };
+    // SAFETY: null or a valid sink.
+    unsafe { answer(error, take) }
+}
+
+unsafe extern "C" fn stack_solution(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status {
+    let take = || {
+        // SAFETY: as above; the plugin lends the text.
+        let (mut built, text) = unsafe { (Builder::<Stack>::of(context), lent_text(solution_json, "solution")?) };
+        let told = serde_json::from_str(text).map_err(|error| PluginError::failed("solution", error))?;
+        if built.made.solution.replace(told).is_some() {
+            return Err(PluginError::Refused("the solution was already given".into()));
+        }
         Ok(())
     };
     // SAFETY: null or a valid sink.

@@ -12,8 +12,8 @@ mod plugin;
 mod services;
 
 pub use functions::Functions;
-pub use lend::OutputData;
-pub use makers::{ReadAsset, import, make_field, make_stack, resolved};
+pub use lend::{NodeData, OutputData};
+pub use makers::{Made, ReadAsset, import, make_field, make_stack, resolved};
 pub use output::Output;
 pub use path::path_parts;
 pub use plugin::{Plugin, PluginInfo, PluginKind};

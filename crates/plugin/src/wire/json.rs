@@ -37,7 +37,33 @@ pub enum Description {
         /// How deep the middle view sees.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         depth: Option<Depth>,
+        /// Seed of everything random that a node does.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        seed: Option<u64>,
+        /// How much each ray counts for a node; without it all count alike.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        weights: Option<RayWeights>,
+        /// Patterns from which a node may begin.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        start: Option<Start>,
     },
+}
+
+/// How much rays count.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RayWeights {
+    /// `[view_y][view_x]`.
+    PerView(Vec<Vec<f64>>),
+    /// Lent view by view.
+    PerRay,
+}
+
+/// Patterns of the display's own shape, lent plane by plane.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Start {
+    /// Brightness β.
+    pub brightness: f64,
 }
 
 /// How deep a light field's middle view sees.

@@ -8,5 +8,5 @@ mod planes;
 pub use calls::{answer, append, call, keeping, lent_bytes, lent_lossy, lent_text, tell};
 pub(crate) use calls::{needs, panic_text};
 pub(crate) use json::display_from_json;
-pub use json::{Depth, Description, Geometry};
+pub use json::{Depth, Description, Geometry, RayWeights, Start};
 pub use planes::dense;

@@ -1,0 +1,120 @@
+//! Node plugin `tensor_display`: the factorizer behind the boundary of plugins. Its parameters are the factorizer's settings, and their words are the
+//! factorizer's own; weights, a warm start and the seed come with the light field.
+
+use lumistack_factorizer::{AUTO, Factorization, FactorizeError, LevelsLoss, Problem, Settings, StartKind, solvers};
+use lumistack_plugin::display::LayerStack;
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, Solution, Step, export_plugin};
+
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
+
+/// The plugin.
+pub struct TensorDisplay;
+
+/// Parameters; see [`TensorDisplay::schema`](NodePlugin::schema) for their meaning.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct TensorParams {
+    solver: String,
+    iterations: u32,
+    start: String,
+    coarse_levels: i64,
+    coarse_iterations: u32,
+    levels: bool,
+}
+
+impl TensorParams {
+    fn settings(&self, seed: u64) -> Settings {
+        Settings {
+            solver: self.solver.clone(),
+            iterations: self.iterations,
+            seed,
+            // of the schema's words only `auto` is none of them
+            start: StartKind::from_name(&self.start),
+            coarse_levels: u32::try_from(self.coarse_levels).ok(),
+            coarse_iterations: self.coarse_iterations,
+            report_every: Settings::curve_interval(self.iterations),
+            levels: self.levels,
+        }
+    }
+}
+
+impl NodePlugin for TensorDisplay {
+    const DOC: &'static str = "The factorizer: patterns of any display by weighted nonnegative tensor factorization of the light field (Wetzstein et al. 2012). \
+        The node of every job that names no other.";
+    type Params = TensorParams;
+
+    fn schema() -> Schema {
+        let defaults = Settings::default();
+        let most = i64::from(u32::MAX);
+        let auto = |help| std::iter::once((AUTO, help));
+        Schema::new([
+            Param::choice(
+                "solver",
+                &defaults.solver,
+                auto("The best known.").chain(solvers().iter().map(|solver| (solver.name(), solver.doc()))),
+                "Rule by which patterns are improved.",
+            ),
+            Param::int("iterations", defaults.iterations.into(), 0..=most, "Updates of all layers.").unit("1"),
+            Param::choice(
+                "start",
+                AUTO,
+                auto("What suits the solver.").chain(StartKind::ALL.iter().map(|(name, kind)| (*name, kind.doc()))),
+                "Starting patterns, unless there are some to begin from.",
+            ),
+            Param::int(
+                "coarse_levels",
+                -1,
+                -1..=most,
+                "Coarser levels at which to begin, each of half the resolution, as many as make sense; -1 for what suits the solver.",
+            )
+            .unit("1"),
+            Param::int("coarse_iterations", defaults.coarse_iterations.into(), 0..=most, "Updates at each coarser level.")
+                .unit("1"),
+            Param::bool(
+                "levels",
+                defaults.levels,
+                "Whether patterns of layers with few bits are re-optimized on the levels that the panel can show.",
+            ),
+        ])
+    }
+
+    fn make(params: TensorParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
+        let (target, weights, start) = (input.field().to_light_field()?, input.weights()?, input.start()?);
+        let problem = Problem { display: input.display(), target: &target, weights: &weights };
+        let settings = params.settings(input.seed());
+        let mut told = Ok(());
+        let made = input.host().run(|task| {
+            lumistack_factorizer::factorize(&problem, &settings, start.as_ref(), task, &mut |at| {
+                let step = Step { iteration: at.iteration, objective: at.objective, psnr_view: at.psnr_view };
+                if told.is_ok() {
+                    told = input.step(step);
+                }
+            })
+        });
+        let made = made.map_err(|error| match error {
+            FactorizeError::Cancelled(_) => PluginError::Cancelled,
+            other => PluginError::Refused(other.to_string()),
+        })?;
+        told?;
+        input.solution(&solution(&made, start.is_some()))?;
+        Ok(made.stack)
+    }
+}
+
+/// How the factorizer came to the patterns.
+fn solution(made: &Factorization, warm: bool) -> Solution {
+    let settings = &made.settings;
+    let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
+    let of_levels = |loss: &LevelsLoss| [loss.continuous, loss.rounded, loss.reoptimized];
+    Solution {
+        solver: settings.solver.clone(),
+        start: start.into(),
+        coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
+        unsettled: made.unsettled,
+        levels: made.levels.as_ref().map(of_levels),
+    }
+}
+
+export_plugin!("tensor_display", TensorDisplay as node);
