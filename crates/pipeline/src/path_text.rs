@@ -26,6 +26,20 @@ pub(crate) mod optional {
     }
 }
 
+/// `#[serde(with = "crate::path_text::hashed")]` of paths that are opened again, each with a hash of its content.
+pub(crate) mod hashed {
+    use super::*;
+
+    pub(crate) fn serialize<S: Serializer>(files: &[(PathBuf, String)], serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(files.iter().map(|(path, hash)| (Text(path), hash)))
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(PathBuf, String)>, D::Error> {
+        let files = Vec::<(Read, String)>::deserialize(deserializer)?;
+        Ok(files.into_iter().map(|(Read(path), hash)| (path, hash)).collect())
+    }
+}
+
 /// `#[serde(serialize_with = "crate::path_text::told")]` of a path that is only told.
 pub(crate) fn told<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&path.to_string_lossy())
