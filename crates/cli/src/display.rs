@@ -4,7 +4,7 @@ use std::io::{BufRead, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use clap::{Args as ClapArgs, Subcommand};
-use lumistack_display::{Backlight, Display, LensletBacklight, Panel, Transfer};
+use lumistack_display::{LensArray, PanelStack, Transfer};
 use lumistack_pipeline::{PipelineError, presets, resealed};
 use lumistack_plugin_panels::calibrate::calibrate;
 use lumistack_plugin_panels::keep_panels;
@@ -288,28 +288,27 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         Some(("5x5".into(), [5, 5])),
         size,
     )?;
-    let lens = match lens_pitch_mm > 0.0 {
+    let lenses = match lens_pitch_mm > 0.0 {
         false => None,
         true => {
-            let focal = ask.value(
+            let focal_mm = ask.value(
                 "--lens-focal-mm",
                 "Focal length of the lenses in air, mm",
                 args.lens_focal_mm,
                 None,
                 positive,
             )?;
-            let gap = ask.value(
+            let gap_mm = ask.value(
                 "--lens-gap-mm",
                 "Distance from the lenses to the next layer, mm",
                 args.lens_gap_mm,
                 None,
                 positive,
             )?;
-            Some((focal, gap))
+            Some(LensArray { pitch_mm: lens_pitch_mm, focal_mm, gap_mm })
         }
     };
-    let lens_fov = lens.map(|(focal, _)| 2.0 * (0.5 * lens_pitch_mm / focal).atan().to_degrees());
-    let fov_default = lens_fov.unwrap_or(20.0);
+    let fov_default = lenses.as_ref().map_or(20.0, LensArray::fov_deg);
     let fov = ask.value(
         "--fov",
         "Full angles of view, degrees",
@@ -325,7 +324,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         Some((format!("{rate:.2}"), rate)),
         positive,
     )?;
-    let steady = ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1);
+    let steady = PanelStack::steady_frames(refresh_hz);
     let frames = ask.value(
         "--frames",
         "Time-multiplexed frames (more show more, and flicker where a period comes less than 60 times a second)",
@@ -341,38 +340,23 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         positive,
     )?;
 
-    // the middle of the layers is the display's plane
-    let depth_mm: f64 = gaps_mm.iter().sum();
-    let mut d_mm = vec![-depth_mm / 2.0];
-    gaps_mm.iter().for_each(|gap| d_mm.push(d_mm[d_mm.len() - 1] + gap));
-    if layers % 2 == 1 {
-        let middle = d_mm[layers / 2];
-        d_mm.iter_mut().for_each(|d| *d -= middle);
-    }
-    let mask = resolution.map(|count| (count / scale).max(1));
-    let mask_pitch_mm = pitch_mm * scale as f64;
-    let mut display =
-        Display { name, refresh_hz, brightness, ..Display::uniform(mask, mask_pitch_mm, views, fov, &d_mm, frames) };
-    let transfer = args.gamma.map_or(Transfer::Srgb, Transfer::gamma);
-    let black_level = args.contrast.map_or(0.0, |contrast| 1.0 / contrast);
-    let mut names = names.into_iter().map(Some).chain(std::iter::repeat(None));
-    let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
-    if let Some((focal_mm, gap_mm)) = lens {
-        let count = resolution.map(|count| ((count as f64 * pitch_mm / lens_pitch_mm) as usize).max(1));
-        let lens_fov = lens_fov.unwrap_or(fov[0]);
-        let mut backlight = LensletBacklight::new(d_mm[0] - gap_mm, count, lens_pitch_mm, views, [lens_fov; 2]);
-        (backlight.transfer, backlight.black_level) = (transfer.clone(), black_level);
-        (backlight.panel_resolution, backlight.panel_pitch_mm) = (Some(resolution), Some(pitch_mm));
-        backlight.panel = panel();
-        backlight.lens = Some(lumistack_display::Lens { focal_mm: Some(focal_mm), ..Default::default() });
-        display.backlight = Backlight::Lenslets(backlight);
-    }
-    for layer in &mut display.layers {
-        (layer.transfer, layer.black_level) = (transfer.clone(), black_level);
-        (layer.panel_resolution, layer.panel_pitch_mm) = (Some(resolution), Some(pitch_mm));
-        layer.panel = panel();
-    }
-    display.check().map_err(|source| PipelineError::Display {
+    let stack = PanelStack {
+        name,
+        gaps_mm,
+        panel_resolution: resolution,
+        panel_pitch_mm: pitch_mm,
+        panel_pixels: scale,
+        outputs: names,
+        views,
+        fov_deg: fov,
+        frames,
+        refresh_hz,
+        brightness,
+        transfer: args.gamma.map_or(Transfer::Srgb, Transfer::gamma),
+        black_level: args.contrast.map_or(0.0, |contrast| 1.0 / contrast),
+        lenses,
+    };
+    let display = stack.display().map_err(|source| PipelineError::Display {
         path: args.file.clone(),
         text: String::new(),
         source,

@@ -30,7 +30,7 @@ pub use flat::flat_codes;
 pub use keep::{KeepError, keep_panels};
 pub use pattern::{Pattern, PatternError};
 pub use picture::Picture;
-pub use place::{Homography, Place};
+pub use place::Place;
 pub use tally::{Skew, Tally};
 
 use lumistack_plugin::display::{Backlight, Display};

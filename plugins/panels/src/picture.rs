@@ -7,10 +7,11 @@
 //! Masks are in linear light, and so is mixing between them; only what comes out are codes. Beside the mask a panel is dark, or as if it were not there
 //! where the display says so (`missing = "clear"`). A colour of a sequence is shown by all three channels: such panels have no colour filters.
 
-use lumistack_plugin::display::{Backlight, Display, LayerStack, LensletBacklight, Missing, Sampling, Transfer};
+use lumistack_plugin::display::{
+    Backlight, Display, Homography, LayerStack, LensletBacklight, Missing, Sampling, Transfer,
+};
 use lumistack_plugin::lenslets::LensletPanel;
 
-use crate::place::Homography;
 use crate::{Place, Shows};
 
 /// Points per pixel and axis over which a pixel behind lenses is averaged.

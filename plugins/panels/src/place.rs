@@ -1,40 +1,8 @@
 //! Where a pixel of an output is: from output pixels to millimetres on the layer; the equations are those of `lumistack_display::Panel`.
 
-use lumistack_plugin::display::{Backlight, Display, Flip, Panel};
+use lumistack_plugin::display::{Backlight, Display, Flip, Homography, Panel};
 
 use crate::Shows;
-
-/// A projective map of the plane: rows of a 3 × 3 matrix.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Homography(pub [[f64; 3]; 3]);
-
-impl Homography {
-    /// Everything stays where it is.
-    pub const IDENTITY: Self = Self([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
-
-    /// Where a point goes.
-    #[inline]
-    pub fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let [a, b, c] = self.0.map(|row| row[0] * x + row[1] * y + row[2]);
-        [a / c, b / c]
-    }
-
-    /// The way back, by cofactors.
-    pub fn inverse(&self) -> Self {
-        let m = &self.0;
-        let minor = |r: usize, c: usize| {
-            let (r0, r1, c0, c1) = ((r + 1) % 3, (r + 2) % 3, (c + 1) % 3, (c + 2) % 3);
-            m[r0][c0] * m[r1][c1] - m[r0][c1] * m[r1][c0]
-        };
-        let determinant: f64 = (0..3).map(|c| m[0][c] * minor(0, c)).sum();
-        Self([0, 1, 2].map(|r| [0, 1, 2].map(|c| minor(c, r) / determinant)))
-    }
-
-    /// `self` after `first`.
-    pub fn after(&self, first: &Self) -> Self {
-        Self([0, 1, 2].map(|r| [0, 1, 2].map(|c| (0..3).map(|k| self.0[r][k] * first.0[k][c]).sum())))
-    }
-}
 
 /// Where the pixels of one output are on what it shows.
 #[derive(Clone, Debug, PartialEq)]

@@ -19,6 +19,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec2, DVec3};
+use lumistack_display::Homography;
 use lumistack_field_io::picture::Picture;
 use serde::Serialize;
 
@@ -128,8 +129,7 @@ const CLIPPED: f32 = 0.991;
 /// Where the camera stood, display millimetres. `map` is the homography from the unit square that the display of `size_mm` fills.
 fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_px: f64) -> Option<[f64; 3]> {
     let m = &map.0;
-    let unit =
-        DMat3::from_cols(DVec3::new(m[0], m[3], m[6]), DVec3::new(m[1], m[4], m[7]), DVec3::new(m[2], m[5], 1.0));
+    let unit = DMat3::from_cols_array_2d(m).transpose();
     // from millimetres, y up, to the unit square, y down
     let from_mm = DMat3::from_cols(
         DVec3::new(1.0 / size_mm[0], 0.0, 0.0),
@@ -150,39 +150,6 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
     Some([-r_1.dot(t), -r_2.dot(t), -r_3.dot(t)])
 }
 
-/// From the unit square, x to the right and y down, to the plane of a picture.
-struct Homography([f64; 8]);
-
-impl Homography {
-    /// (0,0), (1,0), (1,1), (0,1) go to the corners; `None` where they span nothing. Source: Heckbert, "Fundamentals of Texture Mapping and Image Warping"
-    /// (1989), section 2.2.3.
-    fn of_unit_square([a, b, c, d]: [[f64; 2]; 4]) -> Option<Self> {
-        let (dx1, dx2, sx) = (b[0] - c[0], d[0] - c[0], a[0] - b[0] + c[0] - d[0]);
-        let (dy1, dy2, sy) = (b[1] - c[1], d[1] - c[1], a[1] - b[1] + c[1] - d[1]);
-        let area = dx1 * dy2 - dx2 * dy1;
-        let (g, h) = ((sx * dy2 - dx2 * sy) / area, (dx1 * sy - sx * dy1) / area);
-        let found = [
-            b[0] - a[0] + g * b[0],
-            d[0] - a[0] + h * d[0],
-            a[0],
-            b[1] - a[1] + g * b[1],
-            d[1] - a[1] + h * d[1],
-            a[1],
-            g,
-            h,
-        ];
-        // nothing of the square may lie on or beyond the horizon
-        let sound = area.abs() > 1e-9 && [1.0, 1.0 + g, 1.0 + h, 1.0 + g + h].iter().all(|w| *w > 1e-9);
-        (sound && found.iter().all(|value| value.is_finite())).then_some(Self(found))
-    }
-
-    fn at(&self, u: f64, v: f64) -> [f64; 2] {
-        let m = &self.0;
-        let w = m[6] * u + m[7] * v + 1.0;
-        [(m[0] * u + m[1] * v + m[2]) / w, (m[3] * u + m[4] * v + m[5]) / w]
-    }
-}
-
 /// Points per pixel and axis of the rectified picture.
 const POINTS: usize = 4;
 
@@ -194,7 +161,7 @@ fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, 
         let (row, col) = (i / cols, i % cols);
         for (py, px) in (0..POINTS).flat_map(|y| (0..POINTS).map(move |x| (y, x))) {
             let part = |i: usize, p: usize, count: usize| (i as f64 + (p as f64 + 0.5) / POINTS as f64) / count as f64;
-            let [x, y] = map.at(part(col, px, cols), part(row, py, rows));
+            let [x, y] = map.apply([part(col, px, cols), part(row, py, rows)]);
             let axis = |at: f64, count: usize| {
                 let at = (at - 0.5).clamp(0.0, (count - 1) as f64);
                 (at.floor() as usize, (at.floor() as usize + 1).min(count - 1), (at - at.floor()) as f32)

@@ -1,6 +1,6 @@
 //! How a camera sees a plane: a homography and radial distortion, fitted by Levenberg and Marquardt's method.
 
-use crate::place::Homography;
+use lumistack_plugin::display::Homography;
 
 /// A camera that looks at the plane z = 0.
 #[derive(Clone, Debug, PartialEq)]

@@ -14,11 +14,10 @@ mod camera;
 mod crosses;
 
 use image::GrayImage;
-use lumistack_plugin::display::Display;
+use lumistack_plugin::display::{Display, Homography};
 use thiserror::Error;
 
 use crate::pattern;
-use crate::place::Homography;
 
 pub use camera::Camera;
 pub use crosses::{Cross, find_crosses};

@@ -1,0 +1,148 @@
+//! A display from what its builder knows: panels of one kind, the gaps between them, and maybe a lens array.
+
+use crate::{Backlight, Display, DisplayError, Lens, LensletBacklight, Panel, Transfer};
+
+/// Equal panels behind one another.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PanelStack {
+    /// Name for people.
+    pub name: String,
+    /// Distances from layer to layer, rear to front, millimetres; one less than there are layers.
+    pub gaps_mm: Vec<f64>,
+    /// [columns, rows] of a panel.
+    pub panel_resolution: [usize; 2],
+    /// Its pixel pitch, millimetres.
+    pub panel_pitch_mm: f64,
+    /// Panel pixels per pixel of the masks and of the light field, per axis; at least 1.
+    pub panel_pixels: usize,
+    /// Names of the outputs, rear to front, that of the backlight's panel first; empty for those from left to right.
+    pub outputs: Vec<String>,
+    /// [horizontal, vertical] views of the light field.
+    pub views: [usize; 2],
+    /// [horizontal, vertical] full angles of view, degrees.
+    pub fov_deg: [f64; 2],
+    /// Time-multiplexed frames M.
+    pub frames: usize,
+    /// Refresh rate of the panels, hertz.
+    pub refresh_hz: f64,
+    /// Brightness scale β.
+    pub brightness: f64,
+    /// What a code value lets through.
+    pub transfer: Transfer,
+    /// Transmittance of black.
+    pub black_level: f64,
+    /// A lens array before a panel of its own, which then is the rearmost.
+    pub lenses: Option<LensArray>,
+}
+
+/// Lenses in front of a panel, which become a directional backlight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LensArray {
+    /// Distance of their axes, millimetres.
+    pub pitch_mm: f64,
+    /// Focal length in air, millimetres.
+    pub focal_mm: f64,
+    /// Distance to the layer in front of them, millimetres.
+    pub gap_mm: f64,
+}
+
+impl LensArray {
+    /// Full angle under which a lens sends light, degrees: 2 atan(p / 2f).
+    pub fn fov_deg(&self) -> f64 {
+        2.0 * (0.5 * self.pitch_mm / self.focal_mm).atan().to_degrees()
+    }
+}
+
+impl PanelStack {
+    /// Most frames that do not flicker at this refresh rate; at least 1.
+    pub fn steady_frames(refresh_hz: f64) -> usize {
+        ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)
+    }
+
+    /// The display. The plane of zero parallax is the middle layer, or the middle between the two in the middle.
+    ///
+    /// # Errors
+    /// If a number makes no sense.
+    pub fn display(&self) -> Result<Display, DisplayError> {
+        let &Self { panel_resolution: resolution, panel_pitch_mm: pitch_mm, panel_pixels: scale, .. } = self;
+        let depth_mm: f64 = self.gaps_mm.iter().sum();
+        let mut d_mm = vec![-depth_mm / 2.0];
+        self.gaps_mm.iter().for_each(|gap| d_mm.push(d_mm[d_mm.len() - 1] + gap));
+        if d_mm.len() % 2 == 1 {
+            let middle = d_mm[d_mm.len() / 2];
+            d_mm.iter_mut().for_each(|d| *d -= middle);
+        }
+        let mask = resolution.map(|count| (count / scale).max(1));
+        let plain = Display::uniform(mask, pitch_mm * scale as f64, self.views, self.fov_deg, &d_mm, self.frames);
+        let (refresh_hz, brightness) = (self.refresh_hz, self.brightness);
+        let mut display = Display { name: self.name.clone(), refresh_hz, brightness, ..plain };
+        let mut names = self.outputs.iter().cloned().map(Some).chain(std::iter::repeat(None));
+        let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
+        if let Some(lenses) = &self.lenses {
+            let count = resolution.map(|count| ((count as f64 * pitch_mm / lenses.pitch_mm) as usize).max(1));
+            let (z_mm, fov_deg) = (d_mm[0] - lenses.gap_mm, [lenses.fov_deg(); 2]);
+            let mut backlight = LensletBacklight::new(z_mm, count, lenses.pitch_mm, self.views, fov_deg);
+            (backlight.transfer, backlight.black_level) = (self.transfer.clone(), self.black_level);
+            (backlight.panel_resolution, backlight.panel_pitch_mm) = (Some(resolution), Some(pitch_mm));
+            backlight.panel = panel();
+            backlight.lens = Some(Lens { focal_mm: Some(lenses.focal_mm), ..Lens::default() });
+            display.backlight = Backlight::Lenslets(backlight);
+        }
+        for layer in &mut display.layers {
+            (layer.transfer, layer.black_level) = (self.transfer.clone(), self.black_level);
+            (layer.panel_resolution, layer.panel_pitch_mm) = (Some(resolution), Some(pitch_mm));
+            layer.panel = panel();
+        }
+        display.check()?;
+        Ok(display)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn three() -> PanelStack {
+        PanelStack {
+            name: "three".into(),
+            gaps_mm: vec![10.0, 30.0],
+            panel_resolution: [1680, 1050],
+            panel_pitch_mm: 0.25,
+            panel_pixels: 2,
+            outputs: ["a", "b", "c"].map(String::from).into(),
+            views: [5, 5],
+            fov_deg: [20.0, 20.0],
+            frames: 2,
+            refresh_hz: 120.0,
+            brightness: 0.2,
+            transfer: Transfer::Srgb,
+            black_level: 0.001,
+            lenses: None,
+        }
+    }
+
+    #[test]
+    fn the_middle_layer_is_the_plane_of_the_display() {
+        let display = three().display().unwrap();
+        assert_eq!(display.layers.iter().map(|layer| layer.d_mm).collect::<Vec<_>>(), [-10.0, 0.0, 30.0]);
+        let layer = &display.layers[2];
+        assert_eq!((layer.resolution, layer.pitch_mm, layer.black_level), ([840, 525], 0.5, 0.001));
+        assert_eq!(layer.panel.as_ref().unwrap().output.as_deref(), Some("c"));
+        let two = PanelStack { gaps_mm: vec![40.0], outputs: Vec::new(), ..three() }.display().unwrap();
+        assert_eq!(two.layers.iter().map(|layer| layer.d_mm).collect::<Vec<_>>(), [-20.0, 20.0]);
+        assert_eq!((PanelStack::steady_frames(120.0), PanelStack::steady_frames(50.0)), (2, 1));
+    }
+
+    #[test]
+    fn lenses_stand_behind_the_layers_on_a_panel_of_their_own() {
+        let lenses = Some(LensArray { pitch_mm: 2.0, focal_mm: 5.0, gap_mm: 7.0 });
+        let outputs = ["back", "front"].map(String::from).into();
+        let display = PanelStack { gaps_mm: Vec::new(), outputs, lenses, ..three() }.display().unwrap();
+        let Backlight::Lenslets(backlight) = &display.backlight else { panic!("{:?}", display.backlight) };
+        assert_eq!(backlight.lenslets, [210, 131]);
+        assert!((backlight.fov_deg[0] - 2.0 * 0.2f64.atan().to_degrees()).abs() < 1e-12);
+        let output = |panel: &Option<Panel>| panel.as_ref().unwrap().output.clone().unwrap();
+        assert_eq!((output(&backlight.panel), output(&display.layers[0].panel)), ("back".into(), "front".into()));
+        assert!(PanelStack { brightness: 2.0, ..three() }.display().is_err());
+    }
+}
