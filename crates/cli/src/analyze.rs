@@ -10,9 +10,8 @@ use lumistack_display::{Display, Variation};
 use lumistack_pipeline::{FitDepth, PipelineError, Registry, RunFolder, outlook_on, presets};
 use serde_json::json;
 
-use crate::args::FileArgs;
-use crate::commands::{change_importer, job_or_scene};
 use crate::console::say;
+use crate::groups::{FileArgs, change_importer, job_or_scene};
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:
@@ -73,8 +72,8 @@ impl FromStr for Which {
                 "frames" => change.frames = Some(value.parse().map_err(|_| wrong())?),
                 "brightness" => change.brightness = Some(value.parse().map_err(|_| wrong())?),
                 "gap_mm" => change.gap_mm = Some(value.parse().map_err(|_| wrong())?),
-                "fov" => change.fov_deg = Some(value.parse::<crate::args::Angles>().map_err(|_| wrong())?.0),
-                "lenslets" => change.lenslets = Some(value.parse::<crate::args::Size>().map_err(|_| wrong())?.0),
+                "fov" => change.fov_deg = Some(value.parse::<crate::values::Angles>().map_err(|_| wrong())?.0),
+                "lenslets" => change.lenslets = Some(value.parse::<crate::values::Size>().map_err(|_| wrong())?.0),
                 _ => {
                     return Err(format!("expected layers, frames, brightness, gap_mm, fov or lenslets, found `{key}`"));
                 }

@@ -2,9 +2,13 @@
 
 use std::ffi::OsString;
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
+
+use crate::groups::{
+    DisplayArgs, FactorizeArgs, FactorizeDisplayArgs, FieldLookArgs, FileArgs, GeometryArgs, RenderArgs, SequenceArgs,
+};
+use crate::values::Numbers;
 
 /// Turns 3D scenes into glasses-free 3D: path-traces the light field that a viewer should see and factorizes it into the layer
 /// patterns of a tensor display.
@@ -121,150 +125,6 @@ pub(crate) enum Setup {
     },
 }
 
-/// Changes to the display.
-#[derive(Debug, Default, ClapArgs)]
-#[command(next_help_heading = "Display")]
-pub(crate) struct DisplayArgs {
-    /// A preset (see `lumistack displays`) or a display file
-    #[arg(long, value_name = "NAME|FILE")]
-    pub(crate) display: Option<OsString>,
-    /// Columns and rows of the light field; masks scale along
-    #[arg(long, value_name = "CxR")]
-    pub(crate) resolution: Option<Size>,
-    /// Time-multiplexed frames M
-    #[arg(long, value_name = "M")]
-    pub(crate) frames: Option<usize>,
-    /// Brightness scale β, above 0 and at most 1
-    #[arg(long, value_name = "B")]
-    pub(crate) brightness: Option<f64>,
-}
-
-/// Changes to rendering.
-#[derive(Debug, Default, ClapArgs)]
-#[command(next_help_heading = "Rendering")]
-pub(crate) struct RenderArgs {
-    /// Paths per pixel and view
-    #[arg(long, value_name = "N")]
-    pub(crate) samples: Option<u32>,
-    /// Who renders the views: lumistack, our path tracer; of a .blend scene blender, the file's own engine with its settings; or auto: our path tracer unless a .blend scene has what it cannot show
-    #[arg(long, value_name = "NAME")]
-    pub(crate) engine: Option<lumistack_pipeline::Engine>,
-    /// Bounces after the first hit
-    #[arg(long, value_name = "N")]
-    pub(crate) max_bounces: Option<u32>,
-    /// Takes noise out of finished views: off, guided (our own filter over all views) or oidn (Open Image Denoise, where installed)
-    #[arg(long, value_name = "KIND")]
-    pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
-    /// Name or number of the camera whose plane of focus the display takes
-    #[arg(long, value_name = "NAME|N")]
-    pub(crate) camera: Option<String>,
-    /// Frames the scene from this azimuth (0 the front, +z; above 0 to its right, +x) and elevation, degrees, even where the file has a camera [default: the
-    /// front, or where that shows next to nothing, from where more is seen]
-    #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
-    pub(crate) look_from: Option<Numbers<2>>,
-    /// Nothing nearer to the viewer is seen: auto (a camera's near plane, or what the display can show), off, or a distance before the window, scene units
-    #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
-    pub(crate) near: Option<lumistack_pipeline::Near>,
-    /// Whether light sources with a surface are seen as such [default: as the file says, else not]
-    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
-    pub(crate) lights_visible: Option<bool>,
-    /// Time at which the scene's animations are sampled, seconds; without it the scene as its nodes stand, in USD the first time code
-    #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
-    pub(crate) time_s: Option<f64>,
-    /// Name or number of the animation; default: all that do not conflict, otherwise the first
-    #[arg(long, value_name = "NAME|N")]
-    pub(crate) animation: Option<String>,
-    /// glTF: name or number of the material variant. USD: SET=VARIANT on every prim that has them, /PRIM{SET=VARIANT} on one; may be given
-    /// several times
-    #[arg(long, value_name = "NAME|N|SET=VARIANT")]
-    pub(crate) variant: Vec<String>,
-    /// Environment map (Radiance HDR or EXR) instead of the scene's
-    #[arg(long, value_name = "FILE")]
-    pub(crate) environment: Option<PathBuf>,
-    /// Factor on the environment's light, the studio light's too
-    #[arg(long, value_name = "K")]
-    pub(crate) environment_strength: Option<f32>,
-    /// Turn of the environment about the up axis, degrees; above 0 what lies straight ahead moves to the left
-    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
-    pub(crate) environment_rotation: Option<f64>,
-    /// Seen where no surface is: environment, or a colour such as #202028; the light does not depend on it
-    #[arg(long, value_name = "COLOUR")]
-    pub(crate) background: Option<lumistack_pipeline::Background>,
-    /// Stops added to the automatic exposure
-    #[arg(long, value_name = "EV", allow_hyphen_values = true)]
-    pub(crate) exposure_ev: Option<f64>,
-    /// Tone curve of all views: auto, linear, khronos-neutral or agx
-    #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
-    pub(crate) tone: Option<String>,
-    /// Bring the scene into the display's depth of field: auto (where it does not fit), off, move the window, or compress depth as well
-    #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
-    pub(crate) fit_depth: Option<String>,
-    /// Factor on parallax between views, and so on depth
-    #[arg(long, value_name = "K")]
-    pub(crate) depth_scale: Option<f64>,
-    /// Angle under which a lens is seen from the window, degrees: what lies off the display's plane blurs [default: 0, no lens]
-    #[arg(long, value_name = "DEG")]
-    pub(crate) lens_deg: Option<f64>,
-    /// Seed of all random streams
-    #[arg(long)]
-    pub(crate) seed: Option<u64>,
-    #[command(flatten)]
-    pub(crate) files: FileArgs,
-}
-
-/// Which files a scene may read, and how much memory its pictures may take.
-#[derive(Clone, Debug, Default, ClapArgs)]
-pub(crate) struct FileArgs {
-    /// Let a glTF or OBJ scene read files outside of its own folder
-    #[arg(long, help_heading = "Scene files")]
-    pub(crate) allow_outside: bool,
-    /// Memory for the decoded pictures of a glTF or OBJ scene, MiB [default: 8192]
-    #[arg(long, value_name = "MIB", help_heading = "Scene files", value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
-    pub(crate) picture_budget: Option<u64>,
-}
-
-/// Changes to the factorization.
-#[derive(Debug, Default, ClapArgs)]
-#[command(next_help_heading = "Factorization")]
-pub(crate) struct FactorizeArgs {
-    /// Full updates of all layers
-    #[arg(long, value_name = "N")]
-    pub(crate) iterations: Option<u32>,
-    /// Solver: auto, multiplicative, block-exact or extrapolated
-    #[arg(long, value_name = "NAME")]
-    pub(crate) solver: Option<String>,
-    /// Starting values: auto, random, smooth or content
-    #[arg(long, value_name = "NAME")]
-    pub(crate) start: Option<String>,
-    /// A `layers` folder to start from
-    #[arg(long, value_name = "DIR")]
-    pub(crate) warm_start: Option<PathBuf>,
-    /// Weights ≥ 0 as .npy, one per view or one per ray
-    #[arg(long, value_name = "FILE")]
-    pub(crate) weights: Option<PathBuf>,
-}
-
-/// A sequence of times instead of a still: the window moves through the scene, or the scene moves.
-#[derive(Debug, Default, ClapArgs)]
-#[command(next_help_heading = "Sequence")]
-pub(crate) struct SequenceArgs {
-    /// Number of times; every one is a run folder t0001, t0002, ... and starts from the patterns of the one before
-    #[arg(long, value_name = "N")]
-    pub(crate) times: Option<usize>,
-    /// Turn of the window about its vertical axis from the first time to the last, degrees; above 0 the viewer walks to the right
-    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
-    pub(crate) turn_deg: Option<f64>,
-    /// Movement of the window from the first time to the last, millimetres of the display: X right, Y up, Z to the viewer
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
-    pub(crate) shift_mm: Option<Numbers<3>>,
-    /// Time of the scene's animations from the first time to the last, seconds, from --time or 0 on
-    #[arg(long, value_name = "S", allow_hyphen_values = true)]
-    pub(crate) duration_s: Option<f64>,
-    /// Full updates at every time after the first [default: 5]
-    #[arg(long, value_name = "N")]
-    pub(crate) sequence_iterations: Option<u32>,
-}
-
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Run {
     /// Job file (.toml) or scene (.gltf, .glb, USD, and what importer plugins take)
@@ -331,75 +191,6 @@ pub(crate) struct Factorize {
     /// Full updates at every time after the first [default: 5]
     #[arg(long, value_name = "N", requires = "sequence", help_heading = "Sequence")]
     pub(crate) sequence_iterations: Option<u32>,
-}
-
-/// What to do about values beyond 0 to 1. Without these flags values count as they are.
-#[derive(Debug, Default, ClapArgs)]
-#[command(next_help_heading = "Light field")]
-pub(crate) struct FieldLookArgs {
-    /// Exposure in stops for all views: values times 2^EV; what is above 1 then is clipped, unless --tone says otherwise
-    #[arg(long, value_name = "EV", allow_hyphen_values = true)]
-    pub(crate) exposure_ev: Option<f64>,
-    /// Tone curve of all views: linear (clips to 0..1), khronos-neutral or agx [default: values as they are]
-    #[arg(long, value_name = "CURVE", value_parser = ["linear", "khronos-neutral", "agx"])]
-    pub(crate) tone: Option<String>,
-}
-
-/// The display; its light field is the one that is read.
-#[derive(Debug, ClapArgs)]
-#[command(next_help_heading = "Display")]
-pub(crate) struct FactorizeDisplayArgs {
-    /// A preset (see `lumistack displays`) or a display file; takes the light field's resolution and views
-    #[arg(long, value_name = "NAME|FILE", default_value = "paper-three-layer")]
-    pub(crate) display: OsString,
-    /// Time-multiplexed frames M
-    #[arg(long, value_name = "M")]
-    pub(crate) frames: Option<usize>,
-    /// Brightness scale β, above 0 and at most 1
-    #[arg(long, value_name = "B")]
-    pub(crate) brightness: Option<f64>,
-}
-
-/// What a foreign light field does not say itself; a flag wins over what the files say.
-#[derive(Debug, Default, ClapArgs)]
-#[command(next_help_heading = "Light field")]
-pub(crate) struct GeometryArgs {
-    /// View grid
-    #[arg(long, value_name = "KIND", value_parser = ["oblique", "perspective"])]
-    pub(crate) grid: Option<String>,
-    /// Full horizontal and vertical angle of view, degrees
-    #[arg(long, value_name = "HxV")]
-    pub(crate) fov: Option<Angles>,
-    /// Pixel pitch on the display plane, millimetres
-    #[arg(long, value_name = "MM")]
-    pub(crate) pitch_mm: Option<f64>,
-    /// Viewing distance of a perspective grid, millimetres
-    #[arg(long, value_name = "MM")]
-    pub(crate) distance_mm: Option<f64>,
-    /// Views to keep of a larger set
-    #[arg(long, value_name = "HxV")]
-    pub(crate) views: Option<Size>,
-    /// Columns and rows of a quilt whose name does not say
-    #[arg(long, value_name = "CxR")]
-    pub(crate) quilt: Option<Size>,
-    /// Views of a single picture of tiles, view (0, 0) at the top left
-    #[arg(long, value_name = "HxV")]
-    pub(crate) tiles: Option<Size>,
-    /// Reduce every view to this many columns and rows
-    #[arg(long, value_name = "CxR")]
-    pub(crate) resolution: Option<Size>,
-    /// Disparity that is put on the display plane: pixels by which content moves left per view to the right
-    #[arg(long, value_name = "PX", allow_hyphen_values = true)]
-    pub(crate) focus_px: Option<f64>,
-    /// Reverse the order of views from left to right
-    #[arg(long)]
-    pub(crate) mirror_x: bool,
-    /// Reverse the order of views from top to bottom
-    #[arg(long)]
-    pub(crate) mirror_y: bool,
-    /// Average every view over the slopes that the display cannot tell apart, of all views that are there, before `--views` are chosen
-    #[arg(long)]
-    pub(crate) prefilter: bool,
 }
 
 #[derive(Debug, ClapArgs)]
@@ -470,55 +261,6 @@ pub(crate) struct Info {
     pub(crate) geometry: GeometryArgs,
 }
 
-/// Two whole numbers, "420x262".
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Size(pub(crate) [usize; 2]);
-
-impl FromStr for Size {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parts: Option<Vec<usize>> = text.split(['x', '×']).map(|part| part.trim().parse().ok()).collect();
-        match parts.as_deref() {
-            Some(&[a, b]) if a > 0 && b > 0 => Ok(Self([a, b])),
-            _ => Err("expected two whole numbers above 0, such as 420x262".into()),
-        }
-    }
-}
-
-/// Two angles, "20x20".
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Angles(pub(crate) [f64; 2]);
-
-impl FromStr for Angles {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parts: Option<Vec<f64>> = text.split(['x', '×']).map(|part| part.trim().parse().ok()).collect();
-        match parts.as_deref() {
-            Some(&[a, b]) if (0.0..180.0).contains(&a) && (0.0..180.0).contains(&b) => Ok(Self([a, b])),
-            _ => Err("expected two angles of 0 to less than 180 degrees, such as 20x20".into()),
-        }
-    }
-}
-
-/// Numbers between commas.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Numbers<const N: usize>(pub(crate) [f64; N]);
-
-impl<const N: usize> FromStr for Numbers<N> {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parts: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
-        parts
-            .filter(|parts| parts.iter().all(|value| value.is_finite()))
-            .and_then(|parts| parts.try_into().ok())
-            .map(Self)
-            .ok_or_else(|| format!("expected {N} numbers between commas"))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -535,14 +277,5 @@ mod tests {
         let args = Args::parse_from(["lumistack", "plugins", "--plugin-path", "a", "--plugin-path=b"]);
         assert_eq!(args.plugin_path, ["a", "b"].map(PathBuf::from));
         assert_eq!(Args::parse_from(["lumistack", "--plugin-path", "a", "plugins"]).plugin_path, [PathBuf::from("a")]);
-    }
-
-    #[test]
-    fn sizes_and_numbers_are_checked() {
-        assert_eq!("420x262".parse::<Size>().unwrap().0, [420, 262]);
-        assert!("420".parse::<Size>().is_err() && "0x3".parse::<Size>().is_err());
-        assert_eq!("-1.5,2".parse::<Numbers<2>>().unwrap().0, [-1.5, 2.0]);
-        assert!("1,nan".parse::<Numbers<2>>().is_err() && "1".parse::<Numbers<2>>().is_err());
-        assert!("20x180".parse::<Angles>().is_err());
     }
 }

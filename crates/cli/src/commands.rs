@@ -1,28 +1,23 @@
 //! The commands.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
-use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{
-    BadValue, DisplayJob, FitDepth, Freed, ImporterJob, Job, OutputJob, PipelineError, Place, Registry, RunFolder,
-    SequenceJob, Tone, ViewOptions, Viewpoint, WindowFrom, clean, is_usd, plugins, presets, render_only,
-    run as run_job, set_threads, simulate_to_file,
+    BadValue, Freed, Job, OutputJob, PipelineError, Place, Registry, RunFolder, SequenceJob, ViewOptions, Viewpoint, clean, plugins,
+    presets, render_only, run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
-use crate::args::{
-    Args, Clean, Command, DisplayArgs, Factorize, FactorizeArgs, FileArgs, GeometryArgs, Render, RenderArgs, Run,
-    SequenceArgs, Setup, Simulate,
-};
+use crate::args::{Args, Clean, Command, Factorize, Render, Run, Setup, Simulate};
 use crate::console::{Console, say};
+use crate::groups::{
+    change_display, change_factorize, change_render, change_sequence, geometry, is_job, job_or_scene, stem,
+};
 use crate::info;
 use crate::preview::{preview_command, written_preview};
 use crate::program;
-
-/// The display of `run` and `render` when nobody names one.
-pub const DEFAULT_DISPLAY: &str = "paper-three-layer";
 
 /// Runs a command; `line` is what was typed, for reports.
 pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), PipelineError> {
@@ -247,157 +242,5 @@ fn in_place(error: PipelineError, input: &Path) -> PipelineError {
             PipelineError::Value(Box::new(BadValue { place, ..*value }))
         }
         other => other,
-    }
-}
-
-/// A job file, or a job around a scene.
-pub(crate) fn job_or_scene(path: &Path) -> Result<Job, PipelineError> {
-    if is_job(path) {
-        return Job::load(path);
-    }
-    if path.is_dir() {
-        let expected = "a scene (.gltf, .glb, USD, .blend, .obj) or a job file (.toml); `lumistack factorize` takes folders of views";
-        return Err(PipelineError::value(path, "input", expected, "a folder"));
-    }
-    let mut job = Job::new(DisplayJob { preset: Some(DEFAULT_DISPLAY.into()), ..DisplayJob::default() });
-    job.name = stem(path);
-    job.scene = Some(path.to_owned());
-    Ok(job)
-}
-
-fn is_job(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"))
-}
-
-fn stem(path: &Path) -> String {
-    path.file_stem().map_or("run".into(), |stem| stem.to_string_lossy().into_owned())
-}
-
-pub(crate) fn change_display(job: &mut Job, args: &DisplayArgs) {
-    if let Some(display) = &args.display {
-        let named = presets::by_name_or_path(display);
-        (job.display.preset, job.display.file) = (named.preset, named.file);
-    }
-    if let Some(resolution) = args.resolution {
-        job.display.resolution = Some(resolution.0);
-    }
-    job.display.frames = args.frames.or(job.display.frames);
-    job.display.brightness = args.brightness.or(job.display.brightness);
-}
-
-fn tone_of(name: &str) -> Tone {
-    match name {
-        "linear" => Tone::Linear,
-        "khronos-neutral" => Tone::KhronosNeutral,
-        "agx" => Tone::Agx,
-        _ => Tone::Auto,
-    }
-}
-
-pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
-    job.render.samples = args.samples.unwrap_or(job.render.samples);
-    job.render.engine = args.engine.unwrap_or(job.render.engine);
-    job.render.max_bounces = args.max_bounces.unwrap_or(job.render.max_bounces);
-    job.render.denoise = args.denoise.unwrap_or(job.render.denoise);
-    job.light.exposure_ev = args.exposure_ev.unwrap_or(job.light.exposure_ev);
-    job.seed = args.seed.unwrap_or(job.seed);
-    job.window.depth_scale = args.depth_scale.unwrap_or(job.window.depth_scale);
-    job.render.lens_deg = args.lens_deg.unwrap_or(job.render.lens_deg);
-    job.light.tone = args.tone.as_deref().map_or(job.light.tone, tone_of);
-    match args.fit_depth.as_deref() {
-        Some("move") => job.window.fit_depth = FitDepth::Move,
-        Some("compress") => job.window.fit_depth = FitDepth::Compress,
-        Some("off") => job.window.fit_depth = FitDepth::Off,
-        Some(_) => job.window.fit_depth = FitDepth::Auto,
-        None => {}
-    }
-    change_importer(&mut job.importer, &args.files);
-    // what stands on the command line goes before what the job says
-    if args.camera.is_some() {
-        job.window.camera = args.camera.clone();
-        job.window.look_from = None;
-    }
-    if let Some(look_from) = args.look_from {
-        job.window.look_from = Some(look_from.0);
-        if args.camera.is_none() {
-            (job.window.from, job.window.camera) = (WindowFrom::Bounds, None);
-        }
-    }
-    job.window.near = args.near.unwrap_or(job.window.near);
-    job.light.visible = args.lights_visible.or(job.light.visible);
-    if args.environment.is_some() {
-        job.light.environment = args.environment.clone();
-    }
-    let light = &mut job.light;
-    light.environment_strength = args.environment_strength.unwrap_or(light.environment_strength);
-    light.environment_rotation_deg = args.environment_rotation.unwrap_or(light.environment_rotation_deg);
-    light.background = args.background.unwrap_or(light.background);
-    job.pose.time_s = args.time_s.or(job.pose.time_s);
-    if args.animation.is_some() {
-        job.pose.animation.clone_from(&args.animation);
-    }
-    let is_usd = job.scene.as_deref().is_some_and(is_usd);
-    if is_usd && !args.variant.is_empty() {
-        job.pose.variants.clone_from(&args.variant);
-    } else if let Some(variant) = args.variant.last() {
-        job.pose.variant = Some(variant.clone());
-    }
-}
-
-/// What the command line says of the scene's files.
-pub(crate) fn change_importer(importer: &mut ImporterJob, args: &FileArgs) {
-    importer.allow_outside |= args.allow_outside;
-    importer.picture_mib = args.picture_budget.unwrap_or(importer.picture_mib);
-}
-
-pub(crate) fn change_factorize(job: &mut Job, args: &FactorizeArgs) {
-    let factorize = &mut job.factorize;
-    factorize.iterations = args.iterations.unwrap_or(factorize.iterations);
-    if let Some(solver) = &args.solver {
-        factorize.solver = solver.clone();
-    }
-    if let Some(start) = &args.start {
-        factorize.start = start.clone();
-    }
-    let path = |new: &Option<PathBuf>, old: &mut Option<PathBuf>| {
-        if new.is_some() {
-            *old = new.clone();
-        }
-    };
-    path(&args.warm_start, &mut factorize.warm_start);
-    path(&args.weights, &mut factorize.weights);
-}
-
-fn change_sequence(job: &mut Job, args: &SequenceArgs) {
-    let SequenceArgs { times, turn_deg, shift_mm, duration_s, sequence_iterations } = args;
-    let moves = turn_deg.is_some() || shift_mm.is_some() || duration_s.is_some();
-    if times.is_none() && !moves && sequence_iterations.is_none() {
-        return;
-    }
-    let sequence = job.sequence.get_or_insert_default();
-    sequence.times = times.or(sequence.times);
-    sequence.turn_deg = turn_deg.unwrap_or(sequence.turn_deg);
-    sequence.shift_mm = shift_mm.map_or(sequence.shift_mm, |shift| shift.0);
-    sequence.duration_s = duration_s.unwrap_or(sequence.duration_s);
-    sequence.iterations = sequence_iterations.unwrap_or(sequence.iterations);
-}
-
-/// The geometry flags as the job has them.
-pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
-    GeometryFlags {
-        grid: args.grid.as_deref().map(|grid| match grid {
-            "perspective" => lumistack_display::ProjectionKind::Perspective,
-            _ => lumistack_display::ProjectionKind::Oblique,
-        }),
-        fov_deg: args.fov.map(|fov| fov.0),
-        pitch_mm: args.pitch_mm,
-        distance_mm: args.distance_mm,
-        views: args.views.map(|views| views.0),
-        quilt: args.quilt.map(|quilt| quilt.0),
-        tiles: args.tiles.map(|tiles| tiles.0),
-        resolution: args.resolution.map(|resolution| resolution.0),
-        focus_px: args.focus_px,
-        mirror: [args.mirror_x, args.mirror_y],
-        prefilter: args.prefilter,
     }
 }

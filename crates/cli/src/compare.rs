@@ -9,8 +9,8 @@ use lumistack_pipeline::{
 };
 use serde_json::json;
 
-use crate::args::Numbers;
 use crate::console::say;
+use crate::values::Numbers;
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:

@@ -10,8 +10,8 @@ use lumistack_plugin_panels::calibrate::calibrate;
 use lumistack_plugin_panels::keep_panels;
 use serde_json::json;
 
-use crate::args::{Angles, Numbers, Size};
 use crate::console::{say, tell};
+use crate::values::{Angles, Numbers, Size};
 
 /// What can be done with displays.
 #[derive(Debug, Subcommand)]
@@ -439,6 +439,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
 mod tests {
     use super::*;
     use clap::Parser;
+    use lumistack_display::{Backlight, Display};
 
     #[derive(Parser)]
     struct Line {

@@ -12,9 +12,12 @@ use lumistack_pipeline::{
 use lumistack_usd::VariantSet;
 use serde_json::{Value, json};
 
-use crate::args::{DisplayArgs, FileArgs, GeometryArgs, Info, RenderArgs};
-use crate::commands::{change_display, change_importer, change_render, geometry, job_or_scene};
+use crate::args::Info;
 use crate::console::say;
+use crate::groups::{
+    DisplayArgs, FileArgs, GeometryArgs, RenderArgs, change_display, change_importer, change_render, geometry,
+    job_or_scene,
+};
 
 pub(crate) fn print(args: &Info, registry: &Registry, as_json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let mut value = describe(args, registry, task)?;

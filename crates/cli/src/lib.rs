@@ -8,6 +8,7 @@ mod commands;
 mod compare;
 mod console;
 mod display;
+mod groups;
 mod info;
 mod plan;
 mod preview;
@@ -16,6 +17,7 @@ mod server;
 mod show;
 mod sweep;
 mod usage;
+mod values;
 
 use std::ffi::OsString;
 
@@ -25,7 +27,7 @@ use lumistack_pipeline::PipelineError;
 
 use crate::console::tell;
 
-pub use commands::DEFAULT_DISPLAY;
+pub use groups::DEFAULT_DISPLAY;
 pub use info::describe_path;
 #[cfg(feature = "dynamic")]
 pub use lumistack_pipeline::{Launcher, plugin_child};

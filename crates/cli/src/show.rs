@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::args::Numbers;
+use crate::values::Numbers;
 use clap::Args as ClapArgs;
 
 #[derive(Debug, ClapArgs)]

@@ -7,9 +7,11 @@ use lumistack_core::Task;
 use lumistack_design::table::{Plots, Row};
 use lumistack_pipeline::{PipelineError, Registry, SearchJob, sweep};
 
-use crate::args::{Angles, DisplayArgs, FactorizeArgs, RenderArgs, Size};
-use crate::commands::{change_display, change_factorize, change_render, job_or_scene};
 use crate::console::say;
+use crate::groups::{
+    DisplayArgs, FactorizeArgs, RenderArgs, change_display, change_factorize, change_render, job_or_scene,
+};
+use crate::values::{Angles, Size};
 
 pub(crate) const EXAMPLES: &str = "\
 Every combination of the axes is a design; an axis that is not given stays as the display has it. The results are DIR/sweep.csv, DIR/sweep.json and

@@ -54,7 +54,7 @@ pub use multiplicative::Multiplicative;
 pub use problem::{FactorizeError, Problem};
 pub use quantize::{has_levels, reoptimize_on_levels, round_to_levels};
 pub use solver::{Objective, Run, Solver};
-pub use solvers::{AUTO, solver, solvers};
+pub use solvers::{AUTO, solver, solver_names, solvers};
 pub use start::{FLOOR, StartKind, random_start, start_patterns};
 pub use stream::{ChannelRun, Estimate};
 pub use target::LentTarget;

@@ -13,6 +13,11 @@ pub fn solvers() -> &'static [&'static dyn Solver] {
     &[&Multiplicative, &BlockExact, &Extrapolated]
 }
 
+/// All names by which a solver is chosen; the first is [`AUTO`].
+pub fn solver_names() -> impl Iterator<Item = &'static str> {
+    std::iter::once(AUTO).chain(solvers().iter().map(|solver| solver.name()))
+}
+
 /// The solver of a name; [`AUTO`] is the best known.
 ///
 /// # Errors
@@ -20,7 +25,7 @@ pub fn solvers() -> &'static [&'static dyn Solver] {
 pub fn solver(name: &str) -> Result<&'static dyn Solver, FactorizeError> {
     let name = if name == AUTO { Extrapolated.name() } else { name };
     solvers().iter().copied().find(|solver| solver.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {
-        expected: [AUTO].into_iter().chain(solvers().iter().map(|solver| solver.name())).collect::<Vec<_>>().join(", "),
+        expected: solver_names().collect::<Vec<_>>().join(", "),
         found: name.into(),
     })
 }

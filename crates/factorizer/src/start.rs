@@ -31,6 +31,11 @@ impl StartKind {
     pub const ALL: [(&'static str, Self); 3] =
         [("random", Self::Random), ("smooth", Self::Smooth), ("content", Self::Content)];
 
+    /// All names by which a start is chosen; the first is [`AUTO`](crate::AUTO).
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        std::iter::once(crate::AUTO).chain(Self::ALL.iter().map(|(name, _)| *name))
+    }
+
     /// The kind of a name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().find(|(known, _)| *known == name).map(|(_, kind)| *kind)

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use lumistack_core::{Task, colour};
 
 use crate::FieldError;
-use crate::folder::{parse_json, read_index};
 use crate::geometry::{GeometryJson, Hints, place};
+use crate::index::{parse_json, read_index};
 use crate::npy::{NpyFile, zeros};
 use crate::source::{Kind, Source, Views};
 

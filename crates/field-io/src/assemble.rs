@@ -9,13 +9,13 @@ use std::path::Path;
 use lumistack_core::{Task, Tensor};
 use lumistack_display::{FieldGeometry, LightField};
 
+use crate::FieldError;
 use crate::disparity::{self, Motion};
 use crate::geometry::{self, GeometryDefaults, GeometryFlags, Pixels, pick};
 use crate::npy::zeros;
 use crate::prefilter::{self, Footprint, Shares};
 use crate::resample::{Rect, area};
 use crate::source::Source;
-use crate::{FieldError, detect};
 
 /// Largest amount of light that is taken for real: the largest half float.
 pub(crate) const LARGEST: f32 = 65504.0;
@@ -26,60 +26,15 @@ const SQUARE: f64 = 0.01;
 /// A plane is looked for only if content moves by more than this, in pixels a view.
 const STILL_PX: f64 = 0.5;
 
-/// Reads a light field of any kind: our folder (or a run's folder), `.npy` with or without a `.json` beside it, a folder of pictures as
-/// in the Stanford archive, the HCI benchmark or `RR_CC.png`, a quilt, a picture of tiles.
-///
-/// # Errors
-/// If the path is none of these, a file is damaged, views differ in size, values are not finite, or the geometry is incomplete.
-pub fn open(
-    path: &Path,
-    flags: &GeometryFlags,
-    defaults: &GeometryDefaults,
-    task: Task<'_>,
-) -> Result<LightField, FieldError> {
-    open_for(path, flags, defaults, None, task)
-}
-
-/// As [`open`], for a display: with [`GeometryFlags::prefilter`] every view that is kept is averaged with those around it over the display's footprint.
-///
-/// # Errors
-/// As [`open`], and when a prefilter is asked for without a footprint.
-pub fn open_for(
-    path: &Path,
-    flags: &GeometryFlags,
-    defaults: &GeometryDefaults,
-    footprint: Option<Footprint<'_>>,
-    task: Task<'_>,
-) -> Result<LightField, FieldError> {
-    let mut source = detect::detect(path, flags, task)?;
-    source.mirror(flags.mirror);
-    assemble(&mut source, flags, defaults, footprint, task)
-}
-
-/// The geometry that [`open`] would give a light field, without reading all of its pictures.
-///
-/// # Errors
-/// As [`open`], as far as no values are needed.
-pub fn geometry_of(
-    path: &Path,
-    flags: &GeometryFlags,
-    defaults: &GeometryDefaults,
-    task: Task<'_>,
-) -> Result<FieldGeometry, FieldError> {
-    let mut source = detect::detect(path, flags, task)?;
-    source.mirror(flags.mirror);
-    plan(&mut source, flags, defaults, task).map(|plan| plan.geometry)
-}
-
 /// What is read of a source, and as what.
-struct Plan {
+pub(crate) struct Plan {
     /// Views that are kept: [view rows, view columns].
     picks: [Vec<usize>; 2],
     window: Window,
-    geometry: FieldGeometry,
+    pub(crate) geometry: FieldGeometry,
 }
 
-fn plan(
+pub(crate) fn plan(
     source: &mut Source,
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,

@@ -15,13 +15,14 @@ use std::path::{Component, Path, PathBuf};
 use exr::prelude::f16;
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{FieldGeometry, LightField, Projection, ProjectionKind};
-use lumistack_files::{Folder, MAX_TEXT_BYTES, Refusal};
+use lumistack_files::{Folder, Refusal};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::assemble::{LARGEST, assemble};
 use crate::cameras::PictureGrid;
 use crate::geometry::{GeometryDefaults, GeometryFlags, GeometryJson};
+use crate::index::{check_schema, parse_json, read_index, write_json};
 use crate::picture::{Precision, write_exr};
 use crate::source::{Kind, Source};
 use crate::{FieldError, atomic};
@@ -340,44 +341,4 @@ fn listed_files(
         *slot = Some(folder.join(name));
     }
     Ok(files.into_iter().flatten().collect())
-}
-
-/// The text of an index.
-pub(crate) fn read_index(path: &Path) -> Result<Vec<u8>, FieldError> {
-    lumistack_files::read_at_most(path, MAX_TEXT_BYTES).map_err(FieldError::io(path, "read"))
-}
-
-pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), FieldError> {
-    atomic::write(path, |writer| {
-        serde_json::to_writer_pretty(&mut *writer, value)?;
-        std::io::Write::write_all(writer, b"\n")
-    })
-}
-
-pub(crate) fn parse_json<'a, T: Deserialize<'a>>(path: &Path, text: &'a [u8]) -> Result<T, FieldError> {
-    serde_json::from_slice(text).map_err(|error| {
-        let place = format!("line {}, column {}", error.line(), error.column());
-        let text = lumistack_core::config::plain(&error.to_string(), "");
-        let text = text.split(" at line ").next().unwrap_or_default();
-        match text.strip_prefix("expected ").and_then(|rest| rest.split_once(", found ")) {
-            Some((expected, found)) => FieldError::malformed(path, place, expected, found),
-            None => FieldError::malformed(path, place, "JSON of this kind", text),
-        }
-    })
-}
-
-pub(crate) fn check_schema(
-    path: &Path,
-    schema: &str,
-    expected_schema: &str,
-    version: u32,
-    newest: u32,
-) -> Result<(), FieldError> {
-    if schema != expected_schema {
-        return Err(FieldError::malformed(path, "schema", expected_schema, schema));
-    }
-    if version == 0 || version > newest {
-        return Err(FieldError::malformed(path, "version", format!("1 to {newest}"), version.to_string()));
-    }
-    Ok(())
 }

@@ -10,8 +10,8 @@ use lumistack_core::Task;
 
 use crate::FieldError;
 use crate::cameras::{PictureGrid, pictures};
-use crate::folder::read_index;
 use crate::geometry::{Cameras, Hints, place};
+use crate::index::read_index;
 use crate::source::{Kind, Source};
 
 const PARAMETERS: &str = "parameters.cfg";

@@ -8,7 +8,7 @@ use lumistack_display::{Backlight, Display, LayerStack};
 use lumistack_files::{Folder, Refusal};
 use serde::{Deserialize, Serialize};
 
-use crate::folder::{check_schema, parse_json, read_index, write_json};
+use crate::index::{check_schema, parse_json, read_index, write_json};
 use crate::{FieldError, atomic, npy};
 
 const INDEX: &str = "stack.json";

@@ -4,8 +4,7 @@ use lumistack_core::metrics::percentile;
 use lumistack_display::{Display, FieldGeometry};
 use serde_json::{Value, json};
 
-use crate::format;
-use crate::json::figure;
+use crate::format::{self, figure};
 
 /// Bars of a histogram.
 const BARS: usize = 60;

@@ -1,5 +1,17 @@
 //! Numbers as people read them. Units stand in the text around them unless the function's name says otherwise.
 
+use serde_json::Value;
+
+/// A number, `"Infinity"`, `"-Infinity"` or null.
+pub(crate) fn figure(value: f64) -> Value {
+    match value {
+        f64::INFINITY => "Infinity".into(),
+        f64::NEG_INFINITY => "-Infinity".into(),
+        // serde_json writes NaN as null
+        finite => finite.into(),
+    }
+}
+
 /// Decibels with one decimal; "∞" for equal pictures, "–" where nothing was compared.
 pub(crate) fn decibels(value: f64) -> String {
     match value {

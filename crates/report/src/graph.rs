@@ -14,7 +14,7 @@
 use lumistack_core::Warning;
 use serde_json::{Value, json};
 
-use crate::json::figure;
+use crate::format::figure;
 use crate::{Output, ReportError, Thumbnail, page};
 
 /// One node.

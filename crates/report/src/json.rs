@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 
 use crate::convergence::reached;
 use crate::depth::DepthBudget;
+use crate::format::figure;
 use crate::measure::{FieldScore, Measured};
 use crate::{DenoisedView, Found, ReportError, ReportInput};
 
@@ -107,16 +108,6 @@ pub(crate) fn report(input: &ReportInput, measured: &Measured, found: &Found) ->
         "warnings": input.warnings.iter().map(|w| json!({ "place": w.place, "message": w.message })).collect::<Vec<_>>(),
         "outputs": input.outputs.iter().map(|o| json!({ "label": o.label, "path": o.path, "failed": o.failed })).collect::<Vec<_>>(),
     }))
-}
-
-/// A number, `"Infinity"`, `"-Infinity"` or null.
-pub(crate) fn figure(value: f64) -> Value {
-    match value {
-        f64::INFINITY => "Infinity".into(),
-        f64::NEG_INFINITY => "-Infinity".into(),
-        // serde_json writes NaN as null
-        finite => finite.into(),
-    }
 }
 
 fn views(score: &FieldScore) -> Value {

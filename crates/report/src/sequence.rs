@@ -20,7 +20,7 @@ use lumistack_core::Warning;
 use lumistack_core::metrics::SquaredError;
 use serde_json::{Value, json};
 
-use crate::json::figure;
+use crate::format::figure;
 use crate::picture::{Embedded, Encoding, Linear};
 use crate::{ReportError, page};
 

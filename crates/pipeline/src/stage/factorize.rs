@@ -265,7 +265,7 @@ fn start_kind(name: &str) -> Result<Option<StartKind>, PipelineError> {
         return Ok(None);
     }
     StartKind::from_name(name).map(Some).ok_or_else(|| {
-        let names: Vec<&str> = [AUTO].into_iter().chain(StartKind::ALL.iter().map(|(name, _)| *name)).collect();
+        let names: Vec<&str> = StartKind::names().collect();
         let hint =
             nearest(name, names.iter().copied()).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
         let expected = format!("one of {}", names.join(", "));
