@@ -146,7 +146,7 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
 fn load(which: &Which, run: Option<&Path>) -> Result<Display, PipelineError> {
     let base = match run {
         Some(folder) => presets::load_file(&folder.join("display.toml"))?,
-        None => presets::by_name_or_path(&which.name).resolve()?,
+        None => lumistack_pipeline::DisplayJob::by_name_or_path(&which.name).resolve()?,
     };
     let changed = which.change.applied_to(&base);
     let mut display = changed.map_err(|source| PipelineError::Display {

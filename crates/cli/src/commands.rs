@@ -5,19 +5,20 @@ use std::path::Path;
 use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_pipeline::{
-    BadValue, Freed, Job, OutputJob, PipelineError, Place, Registry, RunFolder, SequenceJob, ViewOptions, Viewpoint, clean, plugins,
-    presets, render_only, run as run_job, set_threads, simulate_to_file,
+    BadValue, Freed, Job, OutputJob, PipelineError, Place, Registry, RunFolder, SequenceJob, ViewOptions, Viewpoint,
+    clean, plugins, render_only, run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
 use crate::args::{Args, Clean, Command, Factorize, Render, Run, Setup, Simulate};
 use crate::console::{Console, say};
 use crate::groups::{
-    change_display, change_factorize, change_render, change_sequence, geometry, is_job, job_or_scene, stem,
+    change_display, change_factorize, change_render, change_sequence, geometry, is_job, job_or_scene, stem, tone_of,
 };
 use crate::info;
 use crate::preview::{preview_command, written_preview};
 use crate::program;
+use crate::values::size_text;
 
 /// Runs a command; `line` is what was typed, for reports.
 pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), PipelineError> {
@@ -95,7 +96,7 @@ fn factorize_command(
     json: bool,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let mut job = Job::new(presets::by_name_or_path(&args.display.display));
+    let mut job = Job::new(lumistack_pipeline::DisplayJob::by_name_or_path(&args.display.display));
     job.name = stem(&args.light_field);
     job.light_field = Some(args.light_field.clone());
     job.geometry = geometry(&args.geometry);
@@ -186,15 +187,6 @@ fn clean_command(args: &Clean, json: bool, task: Task<'_>) -> Result<(), Pipelin
         say!("{:>10}  {done} in {}; {kept} stay in its cache{hint}", freed, dir.display());
     }
     Ok(())
-}
-
-pub(crate) fn size_text(bytes: u64) -> String {
-    match bytes {
-        0..1_000 => format!("{bytes} B"),
-        1_000..1_000_000 => format!("{:.1} kB", bytes as f64 / 1e3),
-        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 / 1e6),
-        _ => format!("{:.1} GB", bytes as f64 / 1e9),
-    }
 }
 
 fn render_command(args: &Render, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args as ClapArgs;
 use lumistack_factorizer::{StartKind, solver_names};
 use lumistack_field_io::GeometryFlags;
-use lumistack_pipeline::{DisplayJob, FitDepth, ImporterJob, Job, PipelineError, Tone, WindowFrom, is_usd, presets};
+use lumistack_pipeline::{DisplayJob, FitDepth, ImporterJob, Job, PipelineError, Tone, WindowFrom, is_usd};
 
 use crate::values::{Angles, Numbers, Size};
 
@@ -256,7 +256,7 @@ pub(crate) fn stem(path: &Path) -> String {
 
 pub(crate) fn change_display(job: &mut Job, args: &DisplayArgs) {
     if let Some(display) = &args.display {
-        let named = presets::by_name_or_path(display);
+        let named = lumistack_pipeline::DisplayJob::by_name_or_path(display);
         (job.display.preset, job.display.file) = (named.preset, named.file);
     }
     if let Some(resolution) = args.resolution {

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use lumistack_pipeline::{Job, PipelineError, Plan, Registry, Step, plan};
 
-use crate::commands::size_text;
 use crate::console::say;
+use crate::values::size_text;
 
 /// Prints the plan of a job in a run folder; does nothing else.
 pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -> Result<(), PipelineError> {

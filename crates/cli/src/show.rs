@@ -160,7 +160,7 @@ mod with_windows {
             let run = RunFolder::open(dir)?;
             Subject { display: run.display, stack: Some(run.stack), file: Some(dir.join("display.toml")) }
         } else if args.pattern.is_some() || args.full_resolution_2d.is_some() {
-            match presets::by_name_or_path(dir).file {
+            match lumistack_pipeline::DisplayJob::by_name_or_path(dir).file {
                 Some(file) => Subject { display: presets::load_file(&file)?, stack: None, file: Some(file) },
                 None => Subject { display: presets::load(&dir.to_string_lossy())?, stack: None, file: None },
             }

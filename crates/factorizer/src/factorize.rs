@@ -6,7 +6,8 @@ use lumistack_display::LayerStack;
 use crate::coarse::Coarse;
 use crate::engine::Engine;
 use crate::quantize::{has_levels, reoptimize_on_levels, round_to_levels};
-use crate::solvers::{AUTO, solver};
+use crate::solver::AUTO;
+use crate::solvers::solver;
 use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, start_patterns, unlit};
 
 /// How to factorize.

@@ -53,8 +53,8 @@ pub use factorize::{Factorization, Iteration, LevelsLoss, Settings, factorize, w
 pub use multiplicative::Multiplicative;
 pub use problem::{FactorizeError, Problem};
 pub use quantize::{has_levels, reoptimize_on_levels, round_to_levels};
-pub use solver::{Objective, Run, Solver};
-pub use solvers::{AUTO, solver, solver_names, solvers};
+pub use solver::{AUTO, Objective, Run, Solver};
+pub use solvers::{solver, solver_names, solvers};
 pub use start::{FLOOR, StartKind, random_start, start_patterns};
 pub use stream::{ChannelRun, Estimate};
 pub use target::LentTarget;

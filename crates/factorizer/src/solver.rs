@@ -5,6 +5,9 @@ use lumistack_display::LayerStack;
 
 use crate::problem::{FactorizeError, Problem};
 
+/// Name of the choice of solver by what the benchmarks show to be best.
+pub const AUTO: &str = "auto";
+
 /// A method that improves patterns iteration by iteration.
 pub trait Solver: Sync {
     /// Name by which it is chosen.

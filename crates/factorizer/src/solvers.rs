@@ -3,10 +3,7 @@
 use crate::block_exact::{BlockExact, Extrapolated};
 use crate::multiplicative::Multiplicative;
 use crate::problem::FactorizeError;
-use crate::solver::Solver;
-
-/// Name of the choice of solver by what the benchmarks show to be best.
-pub const AUTO: &str = "auto";
+use crate::solver::{AUTO, Solver};
 
 /// All solvers.
 pub fn solvers() -> &'static [&'static dyn Solver] {

@@ -386,7 +386,6 @@ fn is_folder_name(name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::presets;
 
     /// The keys that a table takes: what the parser offers when it meets one that it does not know.
     fn keys<T: serde::de::DeserializeOwned>() -> Vec<String> {
@@ -430,14 +429,17 @@ mod tests {
 
     #[test]
     fn a_written_job_reads_back_the_same() {
-        let job =
-            Job { scene: Some("a.glb".into()), name: "a".into(), ..Job::new(presets::by_name_or_path("fig7-uniform")) };
+        let job = Job {
+            scene: Some("a.glb".into()),
+            name: "a".into(),
+            ..Job::new(DisplayJob::by_name_or_path("fig7-uniform"))
+        };
         assert_eq!(config::parse::<Job>(&job.to_toml()).unwrap(), job);
     }
 
     #[test]
     fn a_display_is_changed_by_the_job() {
-        let mut job = Job::new(presets::by_name_or_path("paper-three-layer"));
+        let mut job = Job::new(DisplayJob::by_name_or_path("paper-three-layer"));
         job.display.resolution = Some([420, 262]);
         job.display.frames = Some(6);
         let display = job.resolve_display().unwrap();

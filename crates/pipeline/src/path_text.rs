@@ -124,7 +124,7 @@ pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Job, presets};
+    use crate::{DisplayJob, Job};
 
     #[cfg(unix)]
     #[test]
@@ -132,7 +132,7 @@ mod tests {
         use std::os::unix::ffi::OsStrExt;
 
         let path = |bytes: &[u8]| Some(PathBuf::from(std::ffi::OsStr::from_bytes(bytes)));
-        let mut job = Job::new(presets::by_name_or_path("paper-three-layer"));
+        let mut job = Job::new(DisplayJob::by_name_or_path("paper-three-layer"));
         job.scene = path(b"/tmp/100%/m\xF6bel.glb");
         job.light.environment = path(b"sky%20.hdr");
         job.factorize.weights = path(b"\xFF");

@@ -1,6 +1,5 @@
 //! Displays that come with the program: the paper's prototypes and figures.
 
-use std::ffi::OsStr;
 use std::path::Path;
 
 use lumistack_core::config::nearest;
@@ -52,18 +51,6 @@ pub fn load(name: &str) -> Result<Display, PipelineError> {
 /// When it cannot be read or is wrong.
 pub fn load_file(path: &Path) -> Result<Display, PipelineError> {
     parse(path, &read_to_string(path)?)
-}
-
-/// What a user typed: the name of a preset or the path of a file.
-pub fn by_name_or_path(text: impl AsRef<OsStr>) -> crate::DisplayJob {
-    let path = Path::new(text.as_ref());
-    match path.to_str() {
-        Some(name) if !(name.ends_with(".toml") || name.contains(['/', '\\'])) => {
-            crate::DisplayJob { preset: Some(name.into()), ..Default::default() }
-        }
-        // the names of presets are UTF-8
-        _ => crate::DisplayJob { file: Some(path.to_owned()), ..Default::default() },
-    }
 }
 
 fn parse(path: &Path, text: &str) -> Result<Display, PipelineError> {

@@ -187,7 +187,7 @@ fn display(job: &Job) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::presets;
+    use crate::DisplayJob;
 
     /// All of them.
     const STAGES: [&StageInfo; 14] = [
@@ -206,7 +206,7 @@ mod tests {
     /// A value that a stage reads is part of its key, and one that it does not read is not.
     #[test]
     fn what_a_stage_reads_is_what_it_depends_on() {
-        let job = Job { scene: Some("a.glb".into()), ..Job::new(presets::by_name_or_path("fig7-uniform")) };
+        let job = Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) };
         let changed = |change: fn(&mut Job)| {
             let mut other = job.clone();
             change(&mut other);

@@ -24,6 +24,7 @@ mod disk;
 mod dynamic;
 mod error;
 mod make;
+mod origin;
 mod publish;
 mod registry;
 mod run;
@@ -37,7 +38,8 @@ pub use child::{Launcher, Limits, plugin_child};
 pub use dynamic::PluginPaths;
 pub use error::{HostError, LoadError};
 pub use make::{import_scene, make_field, make_stack};
-pub use registry::{Origin, Registry};
+pub use origin::Origin;
+pub use registry::Registry;
 pub use run::{OpenOutput, OutputContext, run_output, with_output};
 
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.

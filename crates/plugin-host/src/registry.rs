@@ -1,9 +1,8 @@
 //! All plugins of the program, and where each came from.
 
-use std::fmt;
-use std::path::PathBuf;
 use std::sync::OnceLock;
 
+use crate::origin::Origin;
 use crate::serve::{Plugin, PluginInfo, PluginKind};
 use lumistack_core::config::nearest;
 use serde_json::{Map, Value};
@@ -53,24 +52,6 @@ impl Library {
     #[cfg(not(feature = "dynamic"))]
     fn load(&self) -> Result<Plugin, LoadError> {
         unreachable!("without the feature `dynamic` nobody adds a library")
-    }
-}
-
-/// Where a plugin came from.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Origin {
-    /// It is part of the program.
-    CompiledIn,
-    /// This shared library.
-    Library(PathBuf),
-}
-
-impl fmt::Display for Origin {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::CompiledIn => f.write_str("compiled in"),
-            Self::Library(path) => write!(f, "{}", path.display()),
-        }
     }
 }
 

@@ -4,7 +4,7 @@ use lumistack_core::Cancelled;
 use lumistack_display::Display;
 use thiserror::Error;
 
-use crate::{Input, ParamError};
+use crate::ParamError;
 
 /// An error that crosses the boundary, in either direction.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
@@ -40,11 +40,6 @@ impl PluginError {
             Ok(own) => own,
             Err(other) => Self::failed(doing, other),
         }
-    }
-
-    /// Data of a port that the plugin does not accept.
-    pub fn unexpected(data: &Input<'_>) -> Self {
-        Self::Refused(format!("data of port {} are not accepted", data.port()))
     }
 }
 

@@ -4,51 +4,11 @@ use std::panic::catch_unwind;
 use std::sync::LazyLock;
 
 use lumistack_plugin_abi::{ABI_MAJOR, ABI_MINOR, Descriptor, Str, kind, port};
-use serde::{Deserialize, Serialize};
 
 use crate::makers::{importer_vtable, node_vtable, source_vtable};
 use crate::output::vtable_of;
+
 use crate::{ImporterPlugin, NodePlugin, OutputPlugin, Schema, SourcePlugin};
-
-/// A type of the graph's edges.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Port {
-    /// A validated scene.
-    Scene,
-    /// Linear radiance of many views.
-    LightField,
-    /// The patterns of a tensor display.
-    LayerStack,
-    /// A file that another part wrote.
-    File,
-}
-
-impl Port {
-    /// All ports.
-    pub const ALL: [Self; 4] = [Self::Scene, Self::LightField, Self::LayerStack, Self::File];
-
-    /// Its bit in a descriptor.
-    pub const fn bit(self) -> u32 {
-        match self {
-            Self::Scene => port::SCENE,
-            Self::LightField => port::LIGHT_FIELD,
-            Self::LayerStack => port::LAYER_STACK,
-            Self::File => port::FILE,
-        }
-    }
-}
-
-impl std::fmt::Display for Port {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Scene => "scene",
-            Self::LightField => "light_field",
-            Self::LayerStack => "layer_stack",
-            Self::File => "file",
-        })
-    }
-}
 
 /// The descriptor of a plugin that was written against this crate's safe traits.
 #[derive(Clone, Copy, Debug)]
@@ -167,6 +127,7 @@ macro_rules! export_plugin {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Port;
 
     #[test]
     fn ids_can_end_a_symbol() {

@@ -6,6 +6,7 @@ use lumistack_core::Tensor;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, SeenDepth, Weights};
 use lumistack_plugin_abi::{Data, ErrorSink, Plane, Status, view};
 
+use crate::viewpoint::ViewPoint;
 use crate::wire::{Description, RayWeights, Start, call, lent_text};
 use crate::{Host, PlaneView, PluginError, Port};
 
@@ -17,15 +18,6 @@ pub enum Input<'a> {
     LayerStack(StackInput<'a>),
     /// Linear radiance of many views.
     LightField(FieldInput<'a>),
-}
-
-/// A place to look at the display from.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ViewPoint {
-    /// A parallel projection of slope (s_x, s_y), as from far away.
-    Slope([f64; 2]),
-    /// An eye at (x, y, z) millimetres in display space, z > 0.
-    Eye([f64; 3]),
 }
 
 /// Lent functions and pointers of one `submit`.
@@ -92,6 +84,13 @@ impl<'a> Input<'a> {
             Self::LayerStack(_) => Port::LayerStack,
             Self::LightField(_) => Port::LightField,
         }
+    }
+}
+
+impl PluginError {
+    /// Data of a port that the plugin does not accept.
+    pub fn unexpected(data: &Input<'_>) -> Self {
+        Self::Refused(format!("data of port {} are not accepted", data.port()))
     }
 }
 

@@ -75,20 +75,24 @@ mod makers;
 mod node;
 mod output;
 mod plane;
+mod port;
 mod schema;
 mod time;
+mod viewpoint;
 pub mod wire;
 
 pub use error::PluginError;
-pub use export::{Export, Port, entry_of, is_plugin_id};
+pub use export::{Export, entry_of, is_plugin_id};
 pub use host::{Host, OutputFile, Stage};
-pub use input::{FieldInput, Input, StackInput, ViewPoint};
+pub use input::{FieldInput, Input, StackInput};
 pub use makers::{Assets, ImporterPlugin, NodePlugin, SourcePlugin};
 pub use node::{NodeInput, Solution, Step};
 pub use output::OutputPlugin;
 pub use plane::PlaneView;
+pub use port::Port;
 pub use schema::{Choice, Kind, Param, ParamError, Schema};
 pub use time::Time;
+pub use viewpoint::ViewPoint;
 
 pub use lumistack_core as core;
 pub use lumistack_display as display;

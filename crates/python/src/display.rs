@@ -200,7 +200,7 @@ pub(crate) fn display_of(py: Python<'_>, what: Option<&Bound<'_, PyAny>>) -> PyR
 }
 
 fn preset(py: Python<'_>, name: &str) -> PyResult<Arc<Description>> {
-    presets::by_name_or_path(name).resolve().map(Arc::new).map_err(|error| raised(py, &error))
+    lumistack_pipeline::DisplayJob::by_name_or_path(name).resolve().map(Arc::new).map_err(|error| raised(py, &error))
 }
 
 /// The display that shows this light field: itself where it is made for it.

@@ -5,29 +5,17 @@
 
 mod depth;
 mod hardware;
+mod limit;
 mod solver;
 mod variants;
 mod views;
 
 use lumistack_core::Task;
-use serde_json::Value;
 
 use crate::measure::{FieldScore, outstanding_views};
 use crate::{ReportError, ReportInput};
+pub(crate) use limit::Limit;
 use variants::{Tone, Variant, simulated_error, variants};
-
-/// One thing that keeps the result from being better.
-#[derive(Clone, Debug)]
-pub(crate) struct Limit {
-    /// "Depth".
-    pub(crate) name: &'static str,
-    /// How much better psnr_view would be without it; `None` where one run cannot tell.
-    pub(crate) decibels: Option<f64>,
-    /// What was measured, in plain words.
-    pub(crate) text: String,
-    /// The numbers behind it.
-    pub(crate) figures: Value,
-}
 
 /// Number of progress steps of [`find`].
 pub(crate) fn count(input: &ReportInput) -> usize {
@@ -69,9 +57,4 @@ pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Resu
     limits.sort_by(|a, b| b.decibels.unwrap_or(0.0).total_cmp(&a.decibels.unwrap_or(0.0)));
     limits.push(solver::frames(input, target, gain(Variant::Still)));
     Ok(limits)
-}
-
-/// dB that taking a share of the squared error away gives.
-fn without(share: f64) -> f64 {
-    -10.0 * (1.0 - share).log10()
 }

@@ -7,7 +7,8 @@ use lumistack_plugin::serde_json::{self, Value, json};
 use tobj::{Mesh, Model};
 
 use crate::mtl::{Look, Map};
-use crate::{Up, forward};
+use crate::paths::forward;
+use crate::up::Up;
 
 /// glTF's numbers for what a component is and what a buffer is for.
 const FLOAT: u32 = 5126;

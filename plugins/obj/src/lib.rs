@@ -14,7 +14,9 @@
 
 mod glb;
 mod mtl;
+mod paths;
 mod text;
+mod up;
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -25,6 +27,8 @@ use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema,
 use tobj::{LoadOptions, Material};
 
 use crate::mtl::Look;
+use crate::paths::forward;
+use crate::up::Up;
 
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
@@ -38,13 +42,6 @@ pub struct Obj;
 pub struct ObjParams {
     up: Up,
     scale: f64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
-pub(crate) enum Up {
-    Y,
-    Z,
 }
 
 impl ImporterPlugin for Obj {
@@ -118,11 +115,6 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<L
         })
     });
     each.flatten().collect()
-}
-
-/// A path of an OBJ or MTL file, which may come from Windows.
-pub(crate) fn forward(path: &Path) -> String {
-    path.to_string_lossy().replace('\\', "/").trim_start_matches("./").to_string()
 }
 
 export_plugin!("obj", Obj as importer);

@@ -10,18 +10,21 @@
 
 pub mod curve;
 mod pages;
+mod params;
 pub mod pdf;
 pub mod sheet;
 
 use std::sync::{Mutex, PoisonError};
 
 use lumistack_plugin::display::{Backlight, Formation, Layer};
-use lumistack_plugin::serde::{Deserialize, Serialize};
+use lumistack_plugin::serde::Serialize;
 use lumistack_plugin::{
     Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, StackInput, Time, export_plugin, serde_json,
 };
 
 use curve::Film;
+use params::Paper;
+pub use params::TransparenciesParams;
 use pdf::{Document, Page};
 use sheet::{INCH_MM, Sheet};
 
@@ -37,30 +40,6 @@ pub struct Transparencies {
     film: Film,
     sheet: Sheet,
     written: Mutex<Vec<Entry>>,
-}
-
-/// Parameters; see [`Transparencies::schema`](OutputPlugin::schema) for their meaning.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(crate = "lumistack_plugin::serde")]
-pub struct TransparenciesParams {
-    paper: Paper,
-    dpi: u32,
-    curve: String,
-    min_transmittance: f64,
-    mirror: bool,
-    border_mm: f64,
-    film_mm: f64,
-    spacer_index: f64,
-    chart: bool,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
-enum Paper {
-    A4,
-    A3,
-    Letter,
-    Tight,
 }
 
 impl Paper {
@@ -227,7 +206,8 @@ impl Transparencies {
         let stage = self.host.stage("films", layers.len() as u64, "pages");
         let mut document = Document::new(&self.display.name);
         let spacers = pages::spacers_mm(layers, self.params.film_mm, self.params.spacer_index)?;
-        document.add(self.sheet.page_mm, pages::assembly(self, &spacers));
+        document
+            .add(self.sheet.page_mm, pages::assembly(&self.sheet, &self.display, &self.params, &self.film, &spacers));
         if self.params.chart {
             document.add(self.sheet.page_mm, pages::chart(&self.sheet));
         }

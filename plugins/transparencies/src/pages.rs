@@ -3,7 +3,8 @@
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, Layer};
 
-use crate::Transparencies;
+use crate::TransparenciesParams;
+use crate::curve::Film;
 use crate::pdf::Page;
 use crate::sheet::Sheet;
 
@@ -62,8 +63,13 @@ pub(crate) fn film(sheet: &Sheet, display: &Display, n: usize, mirror: bool) -> 
 }
 
 /// Order, spacers, and a ruler.
-pub(crate) fn assembly(output: &Transparencies, spacers_mm: &[f64]) -> Page {
-    let (sheet, display, params) = (&output.sheet, &output.display, &output.params);
+pub(crate) fn assembly(
+    sheet: &Sheet,
+    display: &Display,
+    params: &TransparenciesParams,
+    film: &Film,
+    spacers_mm: &[f64],
+) -> Page {
     let mut page = Page::default();
     let mut lines = vec![
         display.name.clone(),
@@ -90,10 +96,10 @@ pub(crate) fn assembly(output: &Transparencies, spacers_mm: &[f64]) -> Page {
             lines.push(format!("    spacer of {spacer:.3} mm, {what}"));
         }
     }
-    let darkest = output.film.dark.map(|dark| format!("{dark:.3}")).join(", ");
+    let darkest = film.dark.map(|dark| format!("{dark:.3}")).join(", ");
     lines.push(String::new());
     lines.push(format!("Films of {} mm. Darkest print over clear film: {darkest} (red, green, blue).", params.film_mm));
-    if let Some(clear) = output.film.clear {
+    if let Some(clear) = film.clear {
         let clear = clear.map(|clear| format!("{clear:.3}")).join(", ");
         lines.push(format!("Clear film lets {clear} through; every layer loses that factor."));
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageFormat, ImageReader};
 
-use super::{PIXEL_LIMIT, Picture, Samples};
+use super::samples::{PIXEL_LIMIT, Picture, Samples};
 use crate::FieldError;
 
 /// Bytes at a JPEG's end in which its end marker must lie; cameras append small extras.

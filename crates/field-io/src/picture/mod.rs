@@ -4,6 +4,7 @@
 
 mod encoded;
 mod openexr;
+mod samples;
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -12,29 +13,10 @@ use lumistack_core::colour;
 
 use crate::FieldError;
 
+pub use samples::Picture;
+use samples::Samples;
+
 pub use openexr::{MultiView, Precision, exr_bytes, write_exr, write_exr_channels, write_exr_noted};
-
-/// Most pixels of one picture; a header that claims more is refused before memory is taken.
-pub(crate) const PIXEL_LIMIT: usize = 1 << 28;
-
-/// One decoded picture, as compact as its file had it.
-#[derive(Clone, Debug)]
-pub struct Picture {
-    cols: usize,
-    rows: usize,
-    samples: Samples,
-}
-
-/// `[row][col][rgb]`.
-#[derive(Clone, Debug)]
-enum Samples {
-    /// sRGB code values.
-    Srgb8(Vec<u8>),
-    /// sRGB code values.
-    Srgb16(Vec<u16>),
-    /// Linear light.
-    Linear(Vec<f32>),
-}
 
 impl Picture {
     /// Reads a picture; the kind follows from the name's extension.

@@ -11,7 +11,7 @@ use exr::prelude::{
     ReadChannels, ReadLayers, SmallVec, SpecificChannels, Text, Vec2, WritableImage, f16, read as read_exr,
 };
 
-use super::{PIXEL_LIMIT, Picture, Samples};
+use super::samples::{PIXEL_LIMIT, Picture, Samples};
 use crate::{FieldError, atomic};
 
 /// How samples are stored.

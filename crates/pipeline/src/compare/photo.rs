@@ -182,7 +182,6 @@ fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, 
 mod tests {
     use super::*;
 
-
     /// Corners as a pinhole sees them, from the camera's own axes; the eye is found again.
     #[test]
     fn corners_tell_where_the_camera_stood() {

@@ -1,5 +1,6 @@
 //! `[display]`: which display, and what to change about it.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use lumistack_display::{Display, Missing, Sampling};
@@ -42,6 +43,18 @@ pub struct DisplayJob {
 }
 
 impl DisplayJob {
+    /// Of what a user typed: the name of a preset or the path of a file.
+    pub fn by_name_or_path(text: impl AsRef<OsStr>) -> Self {
+        let path = Path::new(text.as_ref());
+        match path.to_str() {
+            Some(name) if !(name.ends_with(".toml") || name.contains(['/', '\\'])) => {
+                Self { preset: Some(name.into()), ..Default::default() }
+            }
+            // the names of presets are UTF-8
+            _ => Self { file: Some(path.to_owned()), ..Default::default() },
+        }
+    }
+
     /// The display that is asked for.
     ///
     /// # Errors

@@ -287,7 +287,7 @@ mod tests {
     fn the_pose_goes_from_its_own_time_over_the_duration() {
         let job = Job {
             pose: PoseJob { time_s: Some(0.5), ..PoseJob::default() },
-            ..Job::new(crate::presets::by_name_or_path("fig7-uniform"))
+            ..Job::new(crate::job::DisplayJob::by_name_or_path("fig7-uniform"))
         };
         let sequence = SequenceJob { duration_s: 2.0, ..SequenceJob::default() };
         assert_eq!([0.0, 0.25, 1.0].map(|share| pose_at(&job, &sequence, share).time_s), [0.5, 1.0, 2.5].map(Some));

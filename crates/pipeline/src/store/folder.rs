@@ -115,7 +115,7 @@ mod tests {
     use lumistack_display::Display;
 
     fn job(folder: &Path) -> Job {
-        Job { scene: Some(folder.join("a.glb")), ..Job::new(presets::by_name_or_path("fig7-uniform")) }
+        Job { scene: Some(folder.join("a.glb")), ..Job::new(crate::DisplayJob::by_name_or_path("fig7-uniform")) }
     }
 
     fn with_task<T>(work: impl FnOnce(Task<'_>) -> T) -> T {

@@ -5,8 +5,8 @@ use lumistack_display::Layer;
 use rayon::prelude::*;
 use serde_json::json;
 
+use super::limit::{Limit, without};
 use super::variants::{AT_END, BRIGHTER, Tone, USUAL_BITS, bits_are_given, emission_range};
-use super::{Limit, without};
 use crate::{ReportInput, format};
 
 /// To how much more light the gain of [`BRIGHTER`] is extrapolated.

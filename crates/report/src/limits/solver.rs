@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::Limit;
+use super::limit::Limit;
 use crate::measure::FieldScore;
 use crate::{Iteration, ReportInput, format};
 

@@ -6,8 +6,8 @@ use lumistack_display::{Backlight, Display, RayMap, Simulator, view_error};
 use rayon::prelude::*;
 use serde_json::json;
 
-use super::Limit;
 use super::depth::DepthMap;
+use super::limit::Limit;
 use crate::measure::{FieldScore, counting, left_to_right, top_to_bottom};
 use crate::{ReportError, ReportInput, format};
 

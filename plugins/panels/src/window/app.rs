@@ -18,6 +18,7 @@ use super::conductor::{Baton, Conductor};
 use super::gpu::{self, Part};
 use super::outputs::{self, Watch, is_x11, outputs_of};
 use super::producer::{Producer, Work};
+use super::session::session;
 use super::{Command, Content, Event, Mode, Report, Settings, WindowError};
 use crate::assign::{Change, Output, assign, bounds, change};
 use crate::fit::{fitted, misfits};
@@ -78,10 +79,6 @@ pub fn present(
     let ran = event_loop.run_app(&mut app).map_err(session);
     // why it ended comes before what the end itself met
     app.result.unwrap_or_else(|| ran.map(|()| Report::default()))
-}
-
-pub(super) fn session(error: winit::error::EventLoopError) -> WindowError {
-    WindowError::Session(error.to_string())
 }
 
 struct App<'a> {

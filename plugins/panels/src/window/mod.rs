@@ -18,6 +18,7 @@ mod feedback;
 mod gpu;
 mod outputs;
 mod producer;
+mod session;
 #[cfg(all(unix, not(target_os = "macos")))]
 mod wayland;
 

@@ -14,7 +14,7 @@ use winit::monitor::MonitorHandle;
 use winit::window::{Window, WindowId};
 
 use super::WindowError;
-use super::app::session;
+use super::session::session;
 use crate::assign::Output;
 
 /// The outputs of this session, from left to right.

@@ -7,7 +7,6 @@ use lumistack_display::{Display, Variation};
 
 use crate::error::{PipelineError, display_error};
 use crate::job::{DisplayJob, FitDepth, Job, SweepJob};
-use crate::presets;
 use crate::stage::design::Candidate;
 
 /// Every design once, and a job per light field.
@@ -60,7 +59,7 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
 
 /// A preset or a file, with what the job changes about its display.
 fn base(job: &Job, text: &str) -> (String, DisplayJob) {
-    let named = presets::by_name_or_path(text);
+    let named = DisplayJob::by_name_or_path(text);
     let name = Path::new(text).file_stem().map_or(text.into(), |stem| stem.to_string_lossy().into_owned());
     let file = named.file.map(|file| job.folder.join(file));
     (name, DisplayJob { preset: named.preset, file, ..job.display.clone() })
@@ -95,7 +94,7 @@ mod tests {
     use super::*;
 
     fn job(sweep: SweepJob) -> Job {
-        let display = DisplayJob { resolution: Some([16, 10]), ..presets::by_name_or_path("fig7-uniform") };
+        let display = DisplayJob { resolution: Some([16, 10]), ..DisplayJob::by_name_or_path("fig7-uniform") };
         Job { scene: Some("a.glb".into()), sweep: Some(sweep), ..Job::new(display) }
     }
 

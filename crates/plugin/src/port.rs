@@ -1,0 +1,44 @@
+//! Ports: types of what flows between parts of a job.
+
+use lumistack_plugin_abi::port;
+use serde::{Deserialize, Serialize};
+
+/// A type of the graph's edges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Port {
+    /// A validated scene.
+    Scene,
+    /// Linear radiance of many views.
+    LightField,
+    /// The patterns of a tensor display.
+    LayerStack,
+    /// A file that another part wrote.
+    File,
+}
+
+impl Port {
+    /// All ports.
+    pub const ALL: [Self; 4] = [Self::Scene, Self::LightField, Self::LayerStack, Self::File];
+
+    /// Its bit in a descriptor.
+    pub const fn bit(self) -> u32 {
+        match self {
+            Self::Scene => port::SCENE,
+            Self::LightField => port::LIGHT_FIELD,
+            Self::LayerStack => port::LAYER_STACK,
+            Self::File => port::FILE,
+        }
+    }
+}
+
+impl std::fmt::Display for Port {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Scene => "scene",
+            Self::LightField => "light_field",
+            Self::LayerStack => "layer_stack",
+            Self::File => "file",
+        })
+    }
+}

@@ -1,0 +1,10 @@
+//! Where the display is looked at from.
+
+/// A place to look at the display from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ViewPoint {
+    /// A parallel projection of slope (s_x, s_y), as from far away.
+    Slope([f64; 2]),
+    /// An eye at (x, y, z) millimetres in display space, z > 0.
+    Eye([f64; 3]),
+}

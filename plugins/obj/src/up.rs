@@ -1,0 +1,10 @@
+//! Which axis is up.
+
+use lumistack_plugin::serde::Deserialize;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
+pub(crate) enum Up {
+    Y,
+    Z,
+}
