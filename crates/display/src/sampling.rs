@@ -20,6 +20,6 @@ pub enum Missing {
     /// The ray has weight 0.
     #[default]
     Drop,
-    /// The value of a layer that is not there: [`Formation::neutral`].
+    /// The value of a layer that is not there: [`Formation::neutral`](crate::Formation::neutral).
     Clear,
 }
