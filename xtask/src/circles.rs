@@ -17,12 +17,14 @@ struct Source {
     path: PathBuf,
     /// Its module.
     module: Names,
-    /// Names that `use` brings into reach, each with the whole path; first those that are re-exported.
+    /// Names that `use` brings into reach, each with the whole path.
     known: BTreeMap<String, Names>,
     /// Modules that every name is taken from.
     globs: Vec<Names>,
     /// Paths that the code names, whole.
     named: BTreeSet<Names>,
+    /// Items that stand in the file.
+    defined: BTreeSet<String>,
 }
 
 /// Circles of the crate whose root file this is: of each its files, and after them a line for every use within it.
@@ -77,6 +79,7 @@ fn read(path: &Path, module: Names, files: &mut BTreeMap<Names, Source>) -> Resu
             known: BTreeMap::new(),
             globs: Vec::new(),
             named: BTreeSet::new(),
+            defined: BTreeSet::new(),
         },
         inner: Vec::new(),
         children: Vec::new(),
@@ -167,6 +170,19 @@ impl<'ast> Visit<'ast> for Reader {
     fn visit_file(&mut self, file: &'ast File) {
         // modules first: `use` may stand before their lines
         for item in &file.items {
+            let name = match item {
+                Item::Const(item) => &item.ident,
+                Item::Enum(item) => &item.ident,
+                Item::Fn(item) => &item.sig.ident,
+                Item::Static(item) => &item.ident,
+                Item::Struct(item) => &item.ident,
+                Item::Trait(item) => &item.ident,
+                Item::Type(item) => &item.ident,
+                Item::Union(item) => &item.ident,
+                Item::Mod(item) => &item.ident,
+                _ => continue,
+            };
+            self.source.defined.insert(name.to_string());
             if let Item::Mod(ItemMod { attrs, ident, content: None, .. }) = item
                 && !for_tests(attrs)
             {
@@ -235,21 +251,13 @@ fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Op
         }
         // a name behind a glob: taken for the glob's own where only one stands here
         if let [glob] = source.globs.as_slice()
-            && !source_defines(source, name)
+            && !source.defined.contains(name)
         {
             let from: Names = glob.iter().chain(&path[module.len()..]).cloned().collect();
             return home_of(files, &from, depth + 1);
         }
     }
     Some(module.to_vec())
-}
-
-/// Whether a file holds the name of an item that it defines.
-fn source_defines(source: &Source, name: &str) -> bool {
-    let text = std::fs::read_to_string(&source.path).unwrap_or_default();
-    ["fn ", "struct ", "enum ", "trait ", "type ", "const ", "static ", "union "]
-        .iter()
-        .any(|kind| text.contains(&format!("{kind}{name}")))
 }
 
 /// Whether code is there for tests only.

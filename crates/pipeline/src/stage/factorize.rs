@@ -131,7 +131,7 @@ impl Kept {
     }
 
     /// For the report.
-    pub(crate) fn told(self, stack: LayerStack) -> Solved {
+    fn told(self, stack: LayerStack) -> Solved {
         let Self { solver, start, coarse_levels, unsettled, levels, steps } = self;
         let steps = steps.into_iter().map(|step| Iteration {
             iteration: step.iteration,
@@ -144,21 +144,13 @@ impl Kept {
     }
 }
 
-/// The patterns in `layers/`, made where they are not current; and whether they were.
+/// The patterns in `layers/`, factorized where they are not current; and whether they were.
 ///
 /// # Errors
 /// When the settings make no sense, the solver fails, a file cannot be written, or when cancelled.
 pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(Solved, bool), PipelineError> {
-    let Solve { job, display, .. } = solve;
-    let warm = warm_stack(job, display)?;
-    let layers = stamps.dir().join("layers");
-    let curve = stamps.dir().join("cache/convergence.json");
-    let kept = || {
-        let stack = lumistack_field_io::read_stack(&layers).ok()?;
-        check_stack(&stack, display, &layers).ok()?;
-        Some(read_json::<Kept>(&curve)?.told(stack))
-    };
-    let make = || {
+    let warm = warm_stack(solve.job, solve.display)?;
+    take_up("factorize", &solve.key(warm.as_ref()), solve.display, stamps, || {
         let (start, mut steps) = (Instant::now(), Vec::new());
         let factorization = solve.factorize(warm.as_ref(), task, &mut |step| {
             let seconds = start.elapsed().as_secs_f64();
@@ -166,12 +158,40 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
             steps.push(Step { iteration: step.iteration, objective: step.objective, psnr_view, seconds });
         })?;
         let kept = Kept::of(&factorization, steps, warm.is_some());
-        let mut files = write_layers(stamps, display, &factorization.stack)?;
+        Ok((factorization.stack, Some(kept)))
+    })
+}
+
+/// The patterns of a stage in `layers/` and how they were found, as `make` gives them where they are not current; and whether they were.
+///
+/// # Errors
+/// Those of `make`, and when a file cannot be written.
+pub(crate) fn take_up(
+    stage: &str,
+    key: &str,
+    display: &Display,
+    stamps: &Stamps,
+    make: impl FnOnce() -> Result<(LayerStack, Option<Kept>), PipelineError>,
+) -> Result<(Solved, bool), PipelineError> {
+    let layers = stamps.dir().join("layers");
+    let curve = stamps.dir().join("cache/convergence.json");
+    let told = |kept: Option<Kept>, stack| match kept {
+        Some(kept) => kept.told(stack),
+        None => Solved { stack, steps: Vec::new(), solution: None },
+    };
+    let kept = || {
+        let stack = lumistack_field_io::read_stack(&layers).ok()?;
+        check_stack(&stack, display, &layers).ok()?;
+        Some(told(read_json::<Option<Kept>>(&curve)?, stack))
+    };
+    let make = || {
+        let (stack, kept) = make()?;
+        let mut files = write_layers(stamps, display, &stack)?;
         write_json(&curve, &kept)?;
         files.push("cache/convergence.json".into());
-        Ok((kept.told(factorization.stack), files))
+        Ok((told(kept, stack), files))
     };
-    stamps.take_up("factorize", &solve.key(warm.as_ref()), kept, make)
+    stamps.take_up(stage, key, kept, make)
 }
 
 /// Which start a time of a sequence takes, as it is kept between runs.
@@ -215,11 +235,7 @@ pub(crate) fn prefers_fresh(
 ///
 /// # Errors
 /// When a file cannot be written.
-pub(crate) fn write_layers(
-    stamps: &Stamps,
-    display: &Display,
-    stack: &LayerStack,
-) -> Result<Vec<PathBuf>, PipelineError> {
+fn write_layers(stamps: &Stamps, display: &Display, stack: &LayerStack) -> Result<Vec<PathBuf>, PipelineError> {
     let layers = stamps.dir().join("layers");
     lumistack_field_io::write_stack(&layers, display, stack).map_err(field_error)?;
     let index = lumistack_field_io::read_stack_index(&layers).map_err(field_error)?;

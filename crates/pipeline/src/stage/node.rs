@@ -5,12 +5,11 @@ use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};
 use lumistack_plugin_host::{NodeData, PluginKind, Registry};
 
-use super::factorize::{Kept, Solved, check_stack, write_layers};
+use super::factorize::{Kept, Solved, take_up};
 use super::field::add_weights;
 use crate::error::{PipelineError, display_error, host_error};
 use crate::job::NodeJob;
 use crate::store::code;
-use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
@@ -85,25 +84,7 @@ pub(crate) fn run(
         .add_f32("target", target.radiance().data())
         .add_json("seed", &seed);
     add_weights(&mut key, weights);
-    let layers = stamps.dir().join("layers");
-    let curve = stamps.dir().join("cache/convergence.json");
-    let told = |kept: Option<Kept>, stack| match kept {
-        Some(kept) => kept.told(stack),
-        None => Solved { stack, steps: Vec::new(), solution: None },
-    };
-    let kept = || {
-        let stack = lumistack_field_io::read_stack(&layers).ok()?;
-        check_stack(&stack, display, &layers).ok()?;
-        Some(told(read_json::<Option<Kept>>(&curve)?, stack))
-    };
-    let make = || {
-        let (stack, solved) = make(given, registry, task)?;
-        let mut files = write_layers(stamps, display, &stack)?;
-        write_json(&curve, &solved)?;
-        files.push("cache/convergence.json".into());
-        Ok((told(solved, stack), files))
-    };
-    stamps.take_up("node", &key.finish(), kept, make)
+    take_up("node", &key.finish(), display, stamps, || make(given, registry, task))
 }
 
 /// The patterns that a node plugin makes, which are kept nowhere, and how it came to them.
