@@ -259,6 +259,9 @@ def display_of(settings) -> lumistack.Display:
         changes["resolution"] = [max(round(share * pixels), 8) for pixels in field["resolution"]]
     if settings.use_views:
         changes["views"] = list(settings.views)
+    elif field["views"] == "auto":
+        # each view is a picture that Blender renders, not a share of the samples
+        changes["views"] = [5, 5]
     if settings.use_brightness:
         changes["brightness"] = settings.brightness
     return lumistack.Display(display, **changes) if changes else display

@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use clap::Args as ClapArgs;
+use lumistack_display::Views;
 use lumistack_factorizer::{StartKind, solver_names};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{DisplayJob, FitDepth, ImporterJob, Job, PipelineError, Tone, WindowFrom, is_usd};
@@ -23,6 +24,9 @@ pub(crate) struct DisplayArgs {
     /// Columns and rows of the light field; masks scale along
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
+    /// Views that sample the zone: auto, as many as make the display right between them, or columns and rows
+    #[arg(long, value_name = "auto|CxR")]
+    pub(crate) views: Option<Views>,
     /// Time-multiplexed frames M
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
@@ -35,8 +39,11 @@ pub(crate) struct DisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Rendering")]
 pub(crate) struct RenderArgs {
-    /// Paths per pixel and view
+    /// Paths per pixel of all views together, which are spread over them [default: 800]
     #[arg(long, value_name = "N")]
+    pub(crate) zone_samples: Option<u32>,
+    /// Paths per pixel and view, instead of --zone-samples
+    #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
     /// Who renders the views: lumistack, our path tracer; of a .blend scene blender, the file's own engine with its settings; or auto: our path tracer unless a .blend scene has what it cannot show
     #[arg(long, value_name = "NAME")]
@@ -174,6 +181,9 @@ pub(crate) struct FactorizeDisplayArgs {
     /// A preset (see `lumistack displays`) or a display file; takes the light field's resolution and views
     #[arg(long, value_name = "NAME|FILE", default_value = "paper-three-layer")]
     pub(crate) display: OsString,
+    /// Views that sample the zone: auto, as many as make the display right between them, or columns and rows
+    #[arg(long, value_name = "auto|CxR")]
+    pub(crate) views: Option<Views>,
     /// Time-multiplexed frames M
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
@@ -262,6 +272,7 @@ pub(crate) fn change_display(job: &mut Job, args: &DisplayArgs) {
     if let Some(resolution) = args.resolution {
         job.display.resolution = Some(resolution.0);
     }
+    job.display.views = args.views.or(job.display.views);
     job.display.frames = args.frames.or(job.display.frames);
     job.display.brightness = args.brightness.or(job.display.brightness);
 }
@@ -276,7 +287,10 @@ pub(crate) fn tone_of(name: &str) -> Tone {
 }
 
 pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
-    job.render.samples = args.samples.unwrap_or(job.render.samples);
+    if let Some(zone_samples) = args.zone_samples {
+        (job.render.samples, job.render.zone_samples) = (None, zone_samples);
+    }
+    job.render.samples = args.samples.or(job.render.samples);
     job.render.engine = args.engine.unwrap_or(job.render.engine);
     job.render.max_bounces = args.max_bounces.unwrap_or(job.render.max_bounces);
     job.render.denoise = args.denoise.unwrap_or(job.render.denoise);
@@ -333,7 +347,7 @@ pub(crate) fn change_importer(importer: &mut ImporterJob, args: &FileArgs) {
 
 pub(crate) fn change_factorize(job: &mut Job, args: &FactorizeArgs) {
     let factorize = &mut job.factorize;
-    factorize.iterations = args.iterations.unwrap_or(factorize.iterations);
+    factorize.iterations = args.iterations.or(factorize.iterations);
     if let Some(solver) = &args.solver {
         factorize.solver = solver.clone();
     }

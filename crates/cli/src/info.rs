@@ -231,7 +231,7 @@ fn display(display: &Display) -> Value {
         ),
         "views": format!(
             "{} × {} over {}° × {}°, {}",
-            display.field.views[0], display.field.views[1], display.field.fov_deg[0], display.field.fov_deg[1],
+            display.views()[0], display.views()[1], display.field.fov_deg[0], display.field.fov_deg[1],
             name(serde_json::to_value(display.field.projection)).as_str().unwrap_or_default()
         ),
         "layers": display.layers.iter().map(|layer| format!(

@@ -255,7 +255,7 @@ impl Zone {
         let field = &display.field;
         let half = field.fov_deg.map(|fov| (0.5 * fov.to_radians()).tan());
         let size = display.field_pixels().size_mm();
-        let step = [0, 1].map(|axis| 2.0 * half[axis] / field.views[axis] as f64);
+        let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
         // from D on the rays to both edges have slopes of no more than tan(α/2); an axis with one direction never has that
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
@@ -267,7 +267,7 @@ impl Zone {
         let views_between_eyes = Self::EYES_MM / (at_mm * step[0]);
         Self {
             fov_deg: field.fov_deg,
-            views: field.views,
+            views: display.views(),
             step,
             whole_from_mm,
             width_mm,

@@ -28,7 +28,7 @@ use std::f64::consts::TAU;
 
 use lumistack_core::{NoProgress, Task};
 use lumistack_display::{
-    Backlight, Display, FieldGeometry, LayerStack, LightField, RayMap, Simulator, ViewGrid, Weights,
+    Backlight, Display, FieldGeometry, LayerStack, LightField, RayMap, Simulator, ViewGrid, Views, Weights,
 };
 pub use lumistack_factorizer::FactorizeError;
 use lumistack_factorizer::{Problem, Settings};
@@ -132,9 +132,9 @@ impl Gratings {
     /// # Errors
     /// If the display makes no sense, or when cancelled.
     pub fn measure(&self, display: &Display, axis: usize, task: Task<'_>) -> Result<Vec<Contrast>, ContrastError> {
-        let own_views = strip(display, axis, display.field.views[axis])?;
+        let own_views = strip(display, axis, display.views()[axis])?;
         let useful = useful_views(display, axis);
-        let dense = if useful > display.field.views[axis] { Some(strip(display, axis, useful)?) } else { None };
+        let dense = if useful > display.views()[axis] { Some(strip(display, axis, useful)?) } else { None };
         let own = 0.5 / display.field.pitch_mm;
         let mut found = Vec::new();
         task.progress.begin("contrast", (self.depths_mm.len() * self.frequencies.len()) as u64, "gratings");
@@ -239,7 +239,7 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     let width_mm = cols as f64 * display.field.pitch_mm;
     let half = (0.5 * display.field.fov_deg[axis].to_radians()).tan();
     strip.field.resolution = [cols, 1];
-    strip.field.views = [views, 1];
+    strip.field.views = Views::Fixed([views, 1]);
     strip.field.fov_deg = [display.field.fov_deg[axis], 0.0];
     for layer in &mut strip.layers {
         // no wider than the layer is, and no narrower than the rays need

@@ -25,8 +25,8 @@ const DEPTHS: usize = 65;
 pub fn features(display: &Display) -> [f64; 3] {
     let design = Design::of("", display);
     let own = 0.5 / display.field.pitch_mm;
-    let steps = [0, 1]
-        .map(|axis| 2.0 / display.field.views[axis] as f64 * (0.5 * display.field.fov_deg[axis].to_radians()).tan());
+    let steps =
+        [0, 1].map(|axis| 2.0 / display.views()[axis] as f64 * (0.5 * display.field.fov_deg[axis].to_radians()).tan());
     let step = steps[0].max(steps[1]);
     // one direction has no depth
     let reach = if step > 0.0 { display.field.pitch_mm / step } else { 0.0 };

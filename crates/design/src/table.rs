@@ -45,7 +45,7 @@ impl Design {
             (rear, lenslets) = (backlight.d_mm, backlight.lenslets);
             values += pixels(lenslets) * pixels(backlight.views);
         }
-        let rays = pixels(display.field.resolution) * pixels(display.field.views);
+        let rays = pixels(display.field.resolution) * pixels(display.views());
         Self {
             display: name.into(),
             layers: layers.len(),

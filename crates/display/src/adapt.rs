@@ -1,7 +1,7 @@
 //! The same display at another resolution, or for another light field.
 
 use crate::{
-    Backlight, Display, DisplayError, FieldGeometry, LensletBacklight, OutsideBins, Projection, ProjectionKind,
+    Backlight, Display, DisplayError, FieldGeometry, LensletBacklight, OutsideBins, Projection, ProjectionKind, Views,
 };
 
 /// Angles and lengths that differ by less, relatively, are equal: a display keeps its own numbers for a light field of its own.
@@ -49,6 +49,9 @@ impl Display {
     /// # Errors
     /// If the light field's rays spread over so many of a view's widths that the backlight would need more than 64 bins along an axis.
     pub fn adapted_to(&self, geometry: &FieldGeometry) -> Result<Self, DisplayError> {
+        if self.geometry()? == *geometry {
+            return Ok(self.clone());
+        }
         let mut display = self.with_resolution([geometry.cols, geometry.rows]);
         let pitch_factor = geometry.pitch_mm / display.field.pitch_mm;
         display.field.pitch_mm = geometry.pitch_mm;
@@ -57,9 +60,9 @@ impl Display {
         }
         let [view_rows, view_cols] = geometry.grid.views();
         let widths = geometry.grid.bin_width();
-        display.field.views = [view_cols, view_rows];
+        display.field.views = Views::Fixed([view_cols, view_rows]);
         display.field.fov_deg = [0, 1].map(|axis| {
-            let fov_deg = full_angle_deg(0.5 * widths[axis] * display.field.views[axis] as f64);
+            let fov_deg = full_angle_deg(0.5 * widths[axis] * [view_cols, view_rows][axis] as f64);
             kept(self.field.fov_deg[axis], fov_deg)
         });
         (display.field.projection, display.field.distance_mm) = match geometry.grid.projection {
@@ -83,7 +86,9 @@ impl Display {
         geometry: &FieldGeometry,
     ) -> Result<(usize, f64), DisplayError> {
         let half = |fov_deg: f64| (0.5 * fov_deg.to_radians()).tan();
-        let (own_views, own_bins) = (self.field.views[axis] as f64, own.views[axis] as f64);
+        let own_bins = own.views[axis] as f64;
+        // views that the display chooses follow its bins, not the other way round
+        let own_views = if self.field.views == Views::Auto { own_bins } else { self.views()[axis] as f64 };
         let (own_reach, bins_reach) = (half(self.field.fov_deg[axis]), half(own.fov_deg[axis]));
         // bins to a view, and the bins' reach relative to the views', as the display has them
         let (fineness, spread) = if own_reach > 0.0 {

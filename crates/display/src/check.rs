@@ -1,6 +1,6 @@
 //! Which displays make sense.
 
-use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel};
+use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 
 /// A matrix whose rows were normalized in another program still sums to one.
 const ROW_SUM_ROUNDING: f64 = 1e-6;
@@ -30,7 +30,15 @@ impl Display {
         let brightness_ok = self.brightness > 0.0 && self.brightness <= 1.0;
         check(brightness_ok, "brightness", "above 0, at most 1", self.brightness.to_string())?;
         pixels("field.resolution", self.field.resolution)?;
-        pixels("field.views", self.field.views)?;
+        match self.field.views {
+            Views::Auto => {}
+            Views::Fixed(views) => pixels("field.views", views)?,
+            Views::Step(step) => {
+                let ok = step.iter().all(|step| step.is_finite() && *step >= 0.0);
+                check(ok, "field.views.step", "slopes of at least 0", format!("{step:?}"))?;
+                pixels("field.views", self.views())?;
+            }
+        }
         self.geometry()?.check()?;
         check(!self.layers.is_empty(), "layers", "at least one layer", "none".into())?;
         for (n, layer) in self.layers.iter().enumerate() {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     Backlight, ColourOrder, ColourSequence, DisplayError, FieldGeometry, Formation, Layer, LensletBacklight, Missing,
-    Projection, Sampling, ViewGrid,
+    Projection, Sampling, ViewGrid, Views,
 };
 
 /// A tensor display and the light field that it is made for.
@@ -76,8 +76,9 @@ pub struct FieldConfig {
     pub resolution: [usize; 2],
     /// Pixel pitch on z = 0, millimetres.
     pub pitch_mm: f64,
-    /// [horizontal, vertical] number of views.
-    pub views: [usize; 2],
+    /// Which views sample the zone.
+    #[serde(default)]
+    pub views: Views,
     /// [horizontal, vertical] full angle of view, degrees.
     pub fov_deg: [f64; 2],
     /// How the rays of one view relate.
@@ -135,7 +136,7 @@ impl Display {
             field: FieldConfig {
                 resolution,
                 pitch_mm,
-                views,
+                views: Views::Fixed(views),
                 fov_deg,
                 projection: ProjectionKind::default(),
                 distance_mm: None,
@@ -177,7 +178,7 @@ impl Display {
                 });
             }
         };
-        let grid = ViewGrid::uniform(projection, field.views, field.fov_deg)?;
+        let grid = self.view_grid(projection)?;
         Ok(FieldGeometry { grid, ..self.field_pixels() })
     }
 

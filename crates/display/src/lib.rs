@@ -38,6 +38,7 @@ mod tests;
 mod time;
 mod transfer;
 mod variation;
+mod views;
 mod weights;
 mod zone;
 
@@ -64,5 +65,6 @@ pub use score::{Score, ViewScore, score, view_error};
 pub use stack::{LayerStack, StackError};
 pub use transfer::{Channels, Transfer};
 pub use variation::Variation;
+pub use views::Views;
 pub use weights::{EyeBox, WeightError, Weights};
 pub use zone::{DirectionScore, LEAST_DIRECTIONS, Zone, ZoneScore, native_step};

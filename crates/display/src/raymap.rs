@@ -296,7 +296,7 @@ mod tests {
     #[test]
     fn a_ray_of_the_target_grid_reads_its_own_view() {
         let mut display = small_display();
-        let backlight = LensletBacklight::new(-100.0, [4, 3], 4.0, display.field.views, display.field.fov_deg);
+        let backlight = LensletBacklight::new(-100.0, [4, 3], 4.0, display.views(), display.field.fov_deg);
         display.backlight = Backlight::Lenslets(backlight.clone());
         let geometry = display.geometry().unwrap();
         let map = RayMap::new(&display, &geometry).backlight.unwrap();

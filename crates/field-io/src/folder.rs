@@ -16,6 +16,7 @@ use exr::prelude::f16;
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{FieldGeometry, LightField, Projection, ProjectionKind};
 use lumistack_files::{Folder, Refusal};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -100,9 +101,9 @@ pub fn view_file_name(views: [usize; 2], view: [usize; 2]) -> String {
 pub fn write_field(folder: &Path, field: &LightField, info: &Map<String, Value>) -> Result<(), FieldError> {
     atomic::create_folder(folder)?;
     atomic::remove(&folder.join(INDEX))?;
-    for view in field.geometry().grid.iter() {
-        write_view(folder, field.geometry(), view, field.view(view))?;
-    }
+    let views: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
+    // compressing takes longer than writing
+    views.par_iter().try_for_each(|&view| write_view(folder, field.geometry(), view, field.view(view)))?;
     write_index(folder, field.geometry(), info)
 }
 

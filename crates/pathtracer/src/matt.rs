@@ -29,6 +29,12 @@ impl Matt {
         Self { albedo, geometric, normals }
     }
 
+    /// Its reflectance.
+    #[inline]
+    pub(crate) fn albedo(&self) -> Vec3 {
+        self.albedo
+    }
+
     /// The same point with another horizon than that of the geometric normal.
     #[inline]
     pub(crate) fn above(&self, horizon: Vec3) -> Self {

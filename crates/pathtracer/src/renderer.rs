@@ -25,6 +25,7 @@ mod checks;
 mod depth;
 mod features;
 mod misses;
+mod split;
 
 #[cfg(test)]
 pub(crate) use checks::Check;
@@ -32,6 +33,7 @@ pub use checks::Checks;
 #[cfg(test)]
 pub(crate) use features::FEATURES;
 pub use features::{Feature, Features};
+pub use split::SplitView;
 
 /// Edge of a tile in pixels: the unit of work and of progress.
 const TILE: usize = 16;

@@ -109,6 +109,22 @@ struct Path {
     inside: Option<usize>,
     /// Wavelength of a path that has entered dispersing glass.
     wave_nm: Option<f32>,
+    /// Share of what arrives that the first surface scatters by Lambert's law, where that is asked for.
+    diffuse: Vec3,
+}
+
+/// What is known of the first surface of a path, and its light that goes alike to all viewers.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct First {
+    /// Whether there is one.
+    pub(crate) is_there: bool,
+    /// Radiance that it scatters by Lambert's law.
+    pub(crate) diffuse: Vec3,
+    /// Reflectance of that.
+    pub(crate) reflectance: Vec3,
+    /// Where it is, in render space, and its geometric normal on the viewer's side.
+    pub(crate) position: Vec3,
+    pub(crate) normal: Vec3,
 }
 
 /// What would arrive from sampled lights if nothing were between, for as many paths as `count`.
@@ -117,6 +133,8 @@ struct Shadows {
     rays: [Ray; BEAM],
     /// Path, direction towards the light, contribution.
     lights: [(usize, Vec3, Vec3); BEAM],
+    /// Share of the contribution that a first surface scatters by Lambert's law, where that is asked for.
+    diffuse: [Vec3; BEAM],
 }
 
 /// A hit with what shading needs.
@@ -141,6 +159,20 @@ impl Tracer<'_> {
         draws: &Draws<'_>,
         stack: &mut Stack,
     ) -> [Vec3; BEAM] {
+        self.radiance_split::<false>(rays, cone, in_bounds, settings, draws, stack, &mut [])
+    }
+
+    /// [`radiance`](Self::radiance); with `SPLIT` also what is known of every path's first surface, into as many places as there are rays.
+    pub(crate) fn radiance_split<const SPLIT: bool>(
+        &self,
+        rays: &mut [Ray],
+        cone: Cone,
+        in_bounds: bool,
+        settings: &Settings,
+        draws: &Draws<'_>,
+        stack: &mut Stack,
+        first: &mut [First],
+    ) -> [Vec3; BEAM] {
         let mut hits = [None; BEAM];
         self.first_hits(rays, in_bounds, draws, stack, &mut hits);
         hits.iter().flatten().for_each(|hit| self.geometry.prefetch(hit.triangle));
@@ -153,9 +185,15 @@ impl Tracer<'_> {
             straight: true,
             inside: None,
             wave_nm: None,
+            diffuse: Vec3::ZERO,
         };
         let mut paths = [start; BEAM];
-        let mut shadows = Shadows { count: 0, rays: [rays[0]; BEAM], lights: [(0, Vec3::ZERO, Vec3::ZERO); BEAM] };
+        let mut shadows = Shadows {
+            count: 0,
+            rays: [rays[0]; BEAM],
+            lights: [(0, Vec3::ZERO, Vec3::ZERO); BEAM],
+            diffuse: [Vec3::ZERO; BEAM],
+        };
         // a bit per path that goes on
         let mut going = (1u32 << rays.len()) - 1;
         for bounce in 0..=settings.max_bounces {
@@ -165,10 +203,11 @@ impl Tracer<'_> {
             let around_normal = self.cosine_directions(going, &pairs[0]);
             for (place, index) in ones(going).enumerate() {
                 let path = &mut paths[index];
+                let before = path.radiance;
                 let next = match &hits[index] {
                     Some(hit) => {
                         let around_normal = Vec3::from_array(around_normal.map(|row| row[place]));
-                        self.scatter(
+                        self.scatter::<SPLIT>(
                             path,
                             index,
                             &rays[index],
@@ -179,6 +218,7 @@ impl Tracer<'_> {
                             around_normal,
                             draws,
                             &mut shadows,
+                            first,
                         )
                     }
                     None if bounce == 0 && settings.hide_environment => None,
@@ -192,14 +232,23 @@ impl Tracer<'_> {
                         None
                     }
                 };
+                if SPLIT && bounce > 0 {
+                    // scattering has changed no share but that of first surfaces
+                    first[index].diffuse += (path.radiance - before) * path.diffuse;
+                }
                 match next {
                     Some(ray) => rays[index] = ray,
                     None => going &= !(1 << index),
                 }
             }
-            for (ray, (index, direction, light)) in shadows.rays.iter().zip(&shadows.lights).take(shadows.count) {
+            for (place, (ray, (index, direction, light))) in
+                shadows.rays.iter().zip(&shadows.lights).take(shadows.count).enumerate()
+            {
                 let passed = self.bvh.transmittance(ray, stack, |hit| self.passed(hit, *direction));
                 paths[*index].radiance += *light * passed;
+                if SPLIT {
+                    first[*index].diffuse += *light * passed * shadows.diffuse[place];
+                }
             }
             if going == 0 {
                 break;
@@ -249,7 +298,7 @@ impl Tracer<'_> {
 
     /// A vertex of a path: what it emits, the light to ask for, and the ray to go on with.
     #[inline]
-    fn scatter(
+    fn scatter<const SPLIT: bool>(
         &self,
         path: &mut Path,
         index: usize,
@@ -261,6 +310,7 @@ impl Tracer<'_> {
         around_normal: Vec3,
         draws: &Draws<'_>,
         shadows: &mut Shadows,
+        first: &mut [First],
     ) -> Option<Ray> {
         let vertex = self.vertex(ray, path.cone, hit);
         if let Some(material) = path.inside {
@@ -290,6 +340,12 @@ impl Tracer<'_> {
             vertex_nm = appearance.disperse(path.wave_nm, || draws.pair(WAVE_PAIR).of(index)[0]);
             Surface::General(self.bsdf(&vertex, &appearance, -ray.direction))
         };
+        let is_first = SPLIT && bounce == 0;
+        if is_first {
+            let (position, normal) = (vertex.point.position, vertex.normal);
+            let reflectance = surface.diffuse_reflectance();
+            first[index] = First { is_there: true, diffuse: Vec3::ZERO, reflectance, position, normal };
+        }
         let [u_roulette, u_fresnel] = pairs[2].of(index);
         if surface.is_smooth() && self.lights.can_be_sampled() {
             // the roulette's number may serve twice: this term and the rest of the path only add up
@@ -302,9 +358,17 @@ impl Tracer<'_> {
                 index,
                 path.throughput,
                 shadows,
+                |value, direction| match (SPLIT, is_first) {
+                    (false, _) => Vec3::ZERO,
+                    (_, true) => surface.diffuse_share(value, direction),
+                    (_, false) => path.diffuse,
+                },
             );
         }
         let scatter = surface.sample(pairs[0].of(index), around_normal, u_fresnel)?;
+        if is_first && scatter.pdf.is_finite() {
+            path.diffuse = surface.diffuse_share(scatter.weight * scatter.pdf, scatter.direction);
+        }
         path.throughput *= scatter.weight;
         if bounce >= settings.roulette_start {
             let survival = path.throughput.max_element().min(MOST_SURVIVAL);
@@ -393,6 +457,7 @@ impl Tracer<'_> {
         index: usize,
         throughput: Vec3,
         shadows: &mut Shadows,
+        diffuse: impl FnOnce(Vec3, Vec3) -> Vec3,
     ) {
         let receiver = vertex.receiver(surface, self.lights.has_horizon());
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
@@ -418,6 +483,7 @@ impl Tracer<'_> {
         }
         shadows.rays[shadows.count] = shadow;
         shadows.lights[shadows.count] = (index, light.direction, throughput * contribution);
+        shadows.diffuse[shadows.count] = diffuse(value, light.direction);
         shadows.count += 1;
     }
 
@@ -498,6 +564,26 @@ impl Surface {
         match self {
             Self::Matt(matt) => matt.sample(around_normal),
             Self::General(bsdf) => bsdf.sample(u, u_fresnel),
+        }
+    }
+
+    /// Reflectance of what scatters alike to all viewers.
+    fn diffuse_reflectance(&self) -> Vec3 {
+        match self {
+            Self::Matt(matt) => matt.albedo(),
+            Self::General(bsdf) => bsdf.diffuse_reflectance(),
+        }
+    }
+
+    /// The share of that in `value` = f |cos| of a direction, 0..1 by channel.
+    fn diffuse_share(&self, value: Vec3, direction: Vec3) -> Vec3 {
+        match self {
+            Self::Matt(_) => Vec3::ONE,
+            Self::General(bsdf) => {
+                let share = bsdf.evaluate_diffuse(direction) / value;
+                // where nothing is scattered nothing is shared
+                Vec3::select(value.cmpgt(Vec3::ZERO), share.min(Vec3::ONE), Vec3::ZERO)
+            }
         }
     }
 

@@ -16,7 +16,7 @@ mod window;
 use std::path::{Path, PathBuf};
 
 use lumistack_core::config;
-use lumistack_display::{Display, LEAST_DIRECTIONS};
+use lumistack_display::{Display, LEAST_DIRECTIONS, Views};
 use lumistack_field_io::GeometryFlags;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +31,12 @@ pub use self::sweep::{SearchJob, SweepJob};
 pub use self::window::{FitDepth, Near, WindowFrom, WindowJob};
 use crate::error::{PipelineError, read_to_string};
 use crate::path_text::is_default;
+use crate::reader::is_blend;
+
+/// Full updates of a light field all over the zone.
+const ZONE_ITERATIONS: u32 = 16;
+/// Views that are chosen where Blender may render them, at most.
+const MOST_OF_BLENDER: usize = 25;
 
 /// A job, as its file says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -242,12 +248,44 @@ impl Job {
         own.into_iter().chain(of_nodes).flatten()
     }
 
-    /// The display that the job asks for.
+    /// The display that the job asks for, with its choice of views made: within the memory that the job allows.
     ///
     /// # Errors
     /// When the preset is unknown, the file does not parse, or a changed value is out of range.
     pub fn resolve_display(&self) -> Result<Display, PipelineError> {
-        self.display.resolve()
+        let display = self.display.resolve()?;
+        let bytes_of_view =
+            RenderJob::BYTES_PER_RAY * (display.field.resolution[0] * display.field.resolution[1]) as u64;
+        let affordable = (self.render.field_mib << 20).div_ceil(bytes_of_view) as usize;
+        Ok(display.with_views_chosen(if self.may_be_blenders() { affordable.min(MOST_OF_BLENDER) } else { affordable }))
+    }
+
+    /// The job with the choices made that it leaves to the display's views, where it asks for a display.
+    pub(crate) fn settled(&self) -> Self {
+        let mut job = self.clone();
+        if let Ok(display) = job.display.resolve() {
+            job.render.denoise = job.denoise_for(&display);
+            if !matches!(display.field.views, Views::Fixed(_)) && self.scene.is_some() {
+                job.factorize.iterations.get_or_insert(ZONE_ITERATIONS);
+            }
+        }
+        job
+    }
+
+    /// What takes noise out of the views of a display: light is shared where there are as many as the display wants.
+    pub(crate) fn denoise_for(&self, display: &Display) -> Denoise {
+        let fixed = matches!(display.field.views, Views::Fixed(_));
+        match self.render.denoise {
+            Denoise::Auto if fixed || self.may_be_blenders() => Denoise::Off,
+            Denoise::Auto => Denoise::Shared,
+            chosen => chosen,
+        }
+    }
+
+    /// Whether Blender may render the views, which takes minutes each.
+    fn may_be_blenders(&self) -> bool {
+        let is_file = self.scene.as_deref().is_some_and(is_blend);
+        self.render.engine == Engine::Blender || is_file && self.render.engine == Engine::Auto
     }
 
     /// Checks values that no parser checks.

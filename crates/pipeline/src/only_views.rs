@@ -37,7 +37,7 @@ pub fn render_only(
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     // found out before the first ray, not after
-    options.check(job)?;
+    options.check(job, geometry.grid.iter().count())?;
     options.chosen(geometry.grid.views())?;
     let cache = target_dir.join("cache");
     let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, Some(&cache), task)?;

@@ -99,7 +99,7 @@ mod tests {
         let display = load("paper-three-layer").unwrap();
         assert_eq!(display.layers.iter().map(|layer| layer.d_mm).collect::<Vec<_>>(), [-40.0, 0.0, 40.0]);
         assert_eq!((display.frames, display.brightness, display.refresh_hz), (12, 0.2, 120.0));
-        assert_eq!(display.geometry().unwrap().grid.views(), [5, 5]);
+        assert_eq!(display.views(), [25, 25]);
         let directional = load("paper-directional").unwrap();
         let lumistack_display::Backlight::Lenslets(lenslets) = &directional.backlight else {
             panic!("no directional backlight")

@@ -201,7 +201,7 @@ fn share_beyond_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
         Viewpoint::Eye(eye) if eye[2] > 0.0 => Some([0, 1].map(|axis| (eye[axis] - place[axis]) / eye[2])),
         _ => None,
     };
-    let mut outside = 0;
+    let (views, mut outside) = (display.views(), 0);
     for i in 0..PROBES * PROBES {
         let place = [i % PROBES, i / PROBES].map(|i| (i as f64 + 0.5) / PROBES as f64 - 0.5);
         let place = [place[0] * size_mm[0], place[1] * size_mm[1]];
@@ -215,7 +215,7 @@ fn share_beyond_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
                 _ => slope[axis],
             };
             let limit = (0.5 * field.fov_deg[axis].to_radians()).tan();
-            field.views[axis] > 1 && seen.abs() > limit * (1.0 + 1e-9)
+            views[axis] > 1 && seen.abs() > limit * (1.0 + 1e-9)
         };
         outside += usize::from(is_outside(0) || is_outside(1));
     }

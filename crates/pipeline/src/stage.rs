@@ -69,9 +69,10 @@ pub(crate) const TRACE: StageInfo = StageInfo {
     told: Some("render"),
     reads: |job| {
         // another filter traces nothing again, but for halves
-        let halves = job.render.denoise != Denoise::Off;
+        let denoise = job.render.denoise;
+        let kept = [denoise.takes_halves(), denoise == Denoise::Shared];
         let render = RenderJob { denoise: Denoise::Off, ..job.render.clone() };
-        json!([render, halves, job.seed, job.light.background == Background::Environment, display(job)])
+        json!([render, kept, job.seed, job.light.background == Background::Environment, display(job)])
     },
     writes: &["cache/views"],
     code: code::VIEWS,
@@ -213,9 +214,9 @@ mod tests {
             let names = STAGES.iter().filter(|stage| (stage.reads)(&job) != (stage.reads)(&other));
             names.map(|stage| stage.name).filter(|name| *name != "report").collect::<Vec<_>>()
         };
-        assert_eq!(changed(|job| job.render.samples += 1), ["trace"]);
+        assert_eq!(changed(|job| job.render.zone_samples += 1), ["trace"]);
         assert_eq!(changed(|job| job.light.exposure_ev += 1.0), ["expose", "read"]);
-        assert_eq!(changed(|job| job.factorize.iterations += 1), ["factorize", "design"]);
+        assert_eq!(changed(|job| job.factorize.iterations = Some(7)), ["factorize", "design"]);
         assert_eq!(changed(|job| job.pose.time_s = Some(1.0)), ["ingest"]);
         assert_eq!(changed(|job| job.render.denoise = Denoise::Guided), ["trace", "denoise"]);
         assert_eq!(

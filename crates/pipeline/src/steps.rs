@@ -52,6 +52,7 @@ pub fn render_field(
     let placement = place::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
+    job.render.denoise = job.denoise_for(display);
     let footprint = display.angular_footprint();
     let shot = Shot { job: &job, ingested, placement: &placement, geometry: &geometry, footprint };
     let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;

@@ -3,7 +3,7 @@
 use std::str::FromStr;
 
 use crate::error::PipelineError;
-use crate::job::{Denoise, Engine, Job};
+use crate::job::{Engine, Job};
 
 /// What `render_only` writes.
 #[derive(Clone, Debug, Default)]
@@ -114,12 +114,12 @@ impl ViewOptions {
         self.layers.contains(&ViewLayer::Variance)
     }
 
-    /// Checks that the job can give what is wanted.
-    pub(crate) fn check(&self, job: &Job) -> Result<(), PipelineError> {
+    /// Checks that the job can give what is wanted of a light field of so many views.
+    pub(crate) fn check(&self, job: &Job, views: usize) -> Result<(), PipelineError> {
         let fail =
             |flag: &str, expected: &str, found: String| Err(PipelineError::value("render", flag, expected, found));
         let denoise = job.render.denoise;
-        if !self.only.is_empty() && denoise != Denoise::Off {
+        if !self.only.is_empty() && denoise.filters() {
             let expected = "`--denoise off`, since the denoiser works on all views together";
             return fail("--only-views", expected, format!("`--denoise {}`", denoise.name()));
         }
@@ -127,10 +127,11 @@ impl ViewOptions {
             if job.render.engine == Engine::Blender {
                 return fail("--layers", "`variance` of our own path tracer only", "`--engine blender`".into());
             }
-            let least = if denoise == Denoise::Off { 2 } else { 3 };
-            if job.render.samples < least {
-                let expected = format!("at least {least} samples for `variance`");
-                return fail("--layers", &expected, job.render.samples.to_string());
+            let least = if denoise.takes_halves() { 3 } else { 2 };
+            let samples = job.render.samples_of_view(views);
+            if samples < least {
+                let expected = format!("at least {least} samples a view for `variance`");
+                return fail("--layers", &expected, samples.to_string());
             }
         }
         Ok(())

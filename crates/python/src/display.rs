@@ -18,7 +18,7 @@ use crate::json::{map_of, parsed, table, to_python};
 /// without it the preset "paper-three-layer". What else is given changes it:
 ///
 /// * resolution: (columns, rows) of the light field; masks and lenslets scale along, the size in millimetres stays
-/// * views: (horizontal, vertical) views
+/// * views: "auto", as many as make the display right between them; (horizontal, vertical) views; or {"step": (x, y)}, at multiples of these slopes
 /// * fov_deg: (horizontal, vertical) full angles of view, degrees, 0 to less than 180
 /// * frames: time-multiplexed frames M, 1 to 1000
 /// * brightness: brightness scale β, above 0 and at most 1: the display emits β times the target
@@ -104,8 +104,8 @@ impl Display {
     /// Shape of the light field that the display is made for: (view_y, view_x, row, col, rgb).
     #[getter]
     fn light_field_shape(&self) -> (usize, usize, usize, usize, usize) {
-        let field = &self.0.field;
-        (field.views[1], field.views[0], field.resolution[1], field.resolution[0], 3)
+        let (field, [view_cols, view_rows]) = (&self.0.field, self.0.views());
+        (view_rows, view_cols, field.resolution[1], field.resolution[0], 3)
     }
 
     /// Tangents of the view columns, left to right, and of the view rows, y up, top to bottom.
@@ -162,7 +162,7 @@ impl Display {
     fn __repr__(&self) -> String {
         let field = &self.0.field;
         let [cols, rows] = field.resolution;
-        let [x, y] = field.views;
+        let [x, y] = self.0.views();
         let layers = self.0.layers.len();
         let backlight =
             if self.0.backlight == lumistack_display::Backlight::Uniform { "" } else { ", directional backlight" };

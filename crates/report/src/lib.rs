@@ -27,7 +27,7 @@
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_zone`, `psnr_zone_worst_tenth` | the headline: dB of seen pictures over directions all over the zone, which no solver saw, and over the worst tenth of them; null where the scene's pictures from there are not known |
 //! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), and `ssim` and `flip`, means over those whose references have enough samples, the first eight |
-//! | `psnr_view`, `psnr_raw` | dB, all target views by their pixels' centre rays: how well the solver did |
+//! | `psnr_view`, `psnr_raw` | dB, target views by their pixels' centre rays: how well the solver did. Here and below, where there are more than 7 views along an axis, 7 of them stand for all |
 //! | `ssim`, `flip` | means over all target views |
 //! | `pixels_per_degree` | of visual angle, for FLIP |
 //! | `brightness` | β |
@@ -61,6 +61,7 @@ mod patterns;
 mod picture;
 mod plot;
 mod sequence;
+mod thinned;
 
 use lumistack_core::Task;
 use lumistack_display::LightField;
@@ -84,6 +85,11 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 pub fn build(input: &ReportInput, task: Task) -> Result<Report, ReportError> {
     input.stack.check(input.display)?;
     input.weights.check(input.target.geometry())?;
+    let some = thinned::thinned(input.target, input.weights);
+    let input = &match &some {
+        Some((target, weights)) => ReportInput { target, weights, ..*input },
+        None => *input,
+    };
     let views = |field: &LightField| field.geometry().grid.iter().count();
     let others = [input.held_out, input.outside].into_iter().flatten().map(views);
     let steps = views(input.target) + others.sum::<usize>() + limits::count(input) + patterns::count(input.stack);

@@ -88,7 +88,7 @@ pub fn write_problem(folder: &Path, case: &Case, start: &LayerStack) -> Outcome 
     let about = json!({
         "resolution": field.resolution,
         "pitch_mm": field.pitch_mm,
-        "views": field.views,
+        "views": case.display.views(),
         "fov_deg": field.fov_deg,
         "d_mm": case.display.layers.iter().map(|layer| layer.d_mm).collect::<Vec<_>>(),
         "frames": case.display.frames,

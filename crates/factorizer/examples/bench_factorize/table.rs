@@ -97,8 +97,8 @@ impl Report {
                 "{}×{} pixels, {}×{} views, RGB, {} layers, {} frames, β = {}, nearest, rays that leave a layer dropped",
                 field.resolution[0],
                 field.resolution[1],
-                field.views[0],
-                field.views[1],
+                display.views()[0],
+                display.views()[1],
                 display.layers.len(),
                 display.frames,
                 display.brightness

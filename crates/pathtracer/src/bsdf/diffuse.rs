@@ -27,6 +27,13 @@ impl Diffuse {
     }
 }
 
+impl Diffuse {
+    /// Share of the light that it scatters, by channel.
+    pub(crate) fn reflectance(&self) -> Vec3 {
+        self.albedo
+    }
+}
+
 impl Lobe for Diffuse {
     // its normal is not bent, and so has another horizon
     const OWN_FRAME: bool = true;

@@ -182,3 +182,10 @@ lobes! {
         coat: Coat,
     }
 }
+
+impl Lobes {
+    /// The lobe that scatters alike to all viewers.
+    pub(crate) fn diffuse(&self) -> Option<&Diffuse> {
+        self.diffuse.as_ref()
+    }
+}

@@ -4,10 +4,11 @@ use glam::{Vec2, Vec3};
 
 use super::albedo::{self, Albedo, COMMON_IOR, albedo};
 use super::appearance::{Appearance, Extras};
+use super::diffuse::Diffuse;
 use super::frame::{Frame, local_frame, local_viewer};
 use super::fresnel::{Fresnel, dielectric_rise, normal_reflectance};
 use super::ggx;
-use super::lobe::{Facet, Light, MIRROR_ALPHA, Microfacet, Sample, Surface};
+use super::lobe::{Facet, Light, Lobe, MIRROR_ALPHA, Microfacet, Sample, Surface};
 use super::lobes::{LOBES, Lobes};
 
 /// The scattering function at one point for one outgoing direction.
@@ -141,6 +142,18 @@ impl Bsdf {
             lobes.evaluate::<true>(chances, facet, &light, (&mut value, &mut pdf));
         }
         (value, pdf)
+    }
+
+    /// Reflectance of the lobe that scatters alike to all viewers; 0 where there is none.
+    pub(crate) fn diffuse_reflectance(&self) -> Vec3 {
+        self.lobes.diffuse().map_or(Vec3::ZERO, Diffuse::reflectance)
+    }
+
+    /// That lobe's part of [`evaluate`](Self::evaluate).
+    pub(crate) fn evaluate_diffuse(&self, direction: Vec3) -> Vec3 {
+        let i = self.facet.scene_from_local.transpose() * direction;
+        let light = Light { direction, i, reflected: None };
+        self.lobes.diffuse().map_or(Vec3::ZERO, |lobe| lobe.evaluate(&self.facet, &light).0)
     }
 
     /// Chooses a direction for `u` in [0, 1)². The first number also chooses the lobe and is stretched over the lobe's share, which

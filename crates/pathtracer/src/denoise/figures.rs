@@ -5,7 +5,6 @@
 
 use lumistack_core::Tensor;
 
-use super::view::NoisyView;
 use crate::Checks;
 
 /// Edge of the blocks over which the change of the mean is spread, pixels: wide enough that noise in one says little of the next.
@@ -76,9 +75,8 @@ impl Estimate {
     }
 }
 
-/// Compares a filtered view with what it was made from and with its checks.
-pub fn figures(filtered: &Tensor<3>, view: &NoisyView, checks: &Checks) -> ViewFigures {
-    let unbiased = view.mean();
+/// Compares a filtered view with the unbiased one that it was made from and with its checks, all `[row][col][rgb]`.
+pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> ViewFigures {
     let [rows, cols, _] = unbiased.shape();
     let mut figures = ViewFigures::default();
     for top in (0..rows).step_by(BLOCK) {
@@ -103,7 +101,7 @@ pub fn figures(filtered: &Tensor<3>, view: &NoisyView, checks: &Checks) -> ViewF
             let [first, second] = check.radiance;
             (0..3).map(|c| f64::from(pixel[c] - first[c]) * f64::from(pixel[c] - second[c])).sum::<f64>() / 3.0
         };
-        let (before, after) = (squared(&unbiased), squared(filtered));
+        let (before, after) = (squared(unbiased), squared(filtered));
         // a pixel that either render could not finish says nothing
         if before.is_finite() && after.is_finite() {
             figures.mse_before.add(before);

@@ -3,7 +3,7 @@
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-use lumistack_display::{Display, Missing, Sampling};
+use lumistack_display::{Display, Missing, Sampling, Views};
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
@@ -22,9 +22,9 @@ pub struct DisplayJob {
     /// [columns, rows] of the light field; masks scale along, the width in millimetres stays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
-    /// [horizontal, vertical] views.
+    /// Which views sample the zone: `"auto"`, as many as it takes; [horizontal, vertical]; or `{ step = [x, y] }`, at multiples of these slopes.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub views: Option<[usize; 2]>,
+    pub views: Option<Views>,
     /// [horizontal, vertical] full angles of view, degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fov_deg: Option<[f64; 2]>,

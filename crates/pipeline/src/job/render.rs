@@ -10,8 +10,13 @@ use crate::error::PipelineError;
 pub struct RenderJob {
     /// Who renders them.
     pub engine: Engine,
-    /// Paths per pixel and view.
-    pub samples: u32,
+    /// Paths per pixel and view. Without it `zone_samples` are spread over the views.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub samples: Option<u32>,
+    /// Paths per pixel of all views together: the solver averages over all rays that meet a layer's pixel, so more views need fewer each.
+    pub zone_samples: u32,
+    /// Memory that the light field may take while it is solved for, MiB: fewer views are chosen where `views = "auto"` would take more.
+    pub field_mib: u64,
     /// Bounces after the first hit.
     pub max_bounces: u32,
     /// Largest value of a single path, which dims brighter ones and so loses light; none keeps all.
@@ -72,9 +77,13 @@ pub enum AngularFilter {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Denoise {
-    /// Nothing: views are unbiased.
+    /// [`Shared`](Self::Shared) where the display chooses the views and our path tracer renders them, else nothing.
     #[default]
+    Auto,
+    /// Nothing: views are unbiased.
     Off,
+    /// Light that does not depend on the view is averaged over all views that see the point.
+    Shared,
     /// Our own filter, over all views together.
     Guided,
     /// Intel's Open Image Denoise, view by view, where it is installed.
@@ -83,7 +92,23 @@ pub enum Denoise {
 
 impl Denoise {
     /// All of them, by the names that jobs use.
-    pub const ALL: [(&str, Self); 3] = [("off", Self::Off), ("guided", Self::Guided), ("oidn", Self::Oidn)];
+    pub const ALL: [(&str, Self); 5] = [
+        ("auto", Self::Auto),
+        ("off", Self::Off),
+        ("shared", Self::Shared),
+        ("guided", Self::Guided),
+        ("oidn", Self::Oidn),
+    ];
+
+    /// Whether views are changed.
+    pub(crate) fn filters(self) -> bool {
+        !matches!(self, Self::Auto | Self::Off)
+    }
+
+    /// Whether it compares two halves of the samples.
+    pub(crate) fn takes_halves(self) -> bool {
+        matches!(self, Self::Guided | Self::Oidn)
+    }
 
     /// Its name.
     pub fn name(self) -> &'static str {
@@ -96,7 +121,7 @@ impl std::str::FromStr for Denoise {
 
     fn from_str(name: &str) -> Result<Self, String> {
         let found = Self::ALL.iter().find(|(known, _)| *known == name);
-        found.map(|&(_, kind)| kind).ok_or_else(|| "expected off, guided or oidn".into())
+        found.map(|&(_, kind)| kind).ok_or_else(|| "expected auto, off, shared, guided or oidn".into())
     }
 }
 
@@ -104,12 +129,14 @@ impl Default for RenderJob {
     fn default() -> Self {
         Self {
             engine: Engine::Auto,
-            samples: 32,
+            samples: None,
+            zone_samples: 800,
+            field_mib: 4096,
             max_bounces: 6,
             clamp: None,
             angular_filter: AngularFilter::Point,
             lens_deg: 0.0,
-            denoise: Denoise::Off,
+            denoise: Denoise::Auto,
             held_out: 0,
             outside: 1,
         }
@@ -117,17 +144,33 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
+    /// Memory that a ray takes while patterns are solved: three channels as f32, and as half floats in the solver's own order.
+    pub(crate) const BYTES_PER_RAY: u64 = 3 * (4 + 2);
+
+    /// Paths per pixel of one of so many views.
+    pub fn samples_of_view(&self, views: usize) -> u32 {
+        let spread = (f64::from(self.zone_samples) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
+        // a filter compares two halves
+        self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
+    }
+
     /// Whether nothing is asked for that our path tracer alone does.
     pub(crate) fn is_plain(&self) -> bool {
-        let kind = (self.angular_filter, self.lens_deg, self.denoise);
-        kind == (AngularFilter::Point, 0.0, Denoise::Off) && self.clamp.is_none()
+        let kind = (self.angular_filter, self.lens_deg);
+        kind == (AngularFilter::Point, 0.0) && !self.denoise.filters() && self.clamp.is_none()
     }
 
     /// Checks values that no parser checks.
     pub(super) fn check(&self) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
-        if !(1..=65536).contains(&self.samples) {
-            return fail("render.samples", "1 to 65536", self.samples.to_string());
+        if let Some(samples) = self.samples.filter(|samples| !(1..=65536).contains(samples)) {
+            return fail("render.samples", "1 to 65536", samples.to_string());
+        }
+        if !(1..=1 << 24).contains(&self.zone_samples) {
+            return fail("render.zone_samples", "1 to 16777216", self.zone_samples.to_string());
+        }
+        if !(1..=1 << 24).contains(&self.field_mib) {
+            return fail("render.field_mib", "1 to 16777216", self.field_mib.to_string());
         }
         if self.max_bounces > 1024 {
             return fail("render.max_bounces", "0 to 1024", self.max_bounces.to_string());

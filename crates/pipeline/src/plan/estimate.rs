@@ -20,7 +20,7 @@ use serde_json::{Map, Value};
 
 use super::steps::{Kind, Plan, What};
 use crate::error::PipelineError;
-use crate::job::{Denoise, Job};
+use crate::job::Job;
 use crate::stage::fields::held_out_grid;
 use crate::stage::node::is_factorized;
 use crate::stage::output::stage_name;
@@ -272,17 +272,17 @@ fn work(plan: &Plan, index: usize) -> f64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
     let Some(sizes) = Sizes::of(job) else { return 0.0 };
-    let samples = f64::from(job.render.samples);
+    let samples = f64::from(job.render.samples_of_view(sizes.views as usize));
     match step.what {
         What::Ingest | What::Place => 1.0,
         What::Trace => sizes.pixels * (sizes.views + sizes.others) * samples,
-        What::Denoise if job.render.denoise == Denoise::Off => 0.0,
+        What::Denoise if !job.render.denoise.filters() => 0.0,
         What::Denoise | What::Expose => sizes.pixels * (sizes.views + sizes.others),
         What::Score => sizes.pixels * job.report.zone_directions as f64 * SCORE_SAMPLES,
-        What::Patterns => sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations.max(1)),
+        What::Patterns => sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations().max(1)),
         What::Design(_) | What::Search => {
             let count = if step.what == What::Search { job.sweep.as_ref().map_or(1, |sweep| sweep.count()) } else { 1 };
-            sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations.max(1)) * count as f64
+            sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations().max(1)) * count as f64
         }
         What::Report => sizes.pixels * (sizes.views + sizes.others + job.report.zone_directions as f64),
         _ => sizes.rays(),

@@ -1,13 +1,12 @@
 //! A still: one light field, the patterns of one display, its outputs and its report.
 
 use super::steps::{Kind, Plan, What};
-use crate::job::Denoise;
 
 /// Adds the steps to a part's light field; gives the last one's id. `first` are steps that must come before the first of them, `ingested` one that has loaded the
 /// scene already.
 pub(crate) fn add_field(plan: &mut Plan, part: usize, first: Vec<String>, ingested: Option<&str>) -> String {
     let job = &plan.parts[part].job;
-    let denoised = job.render.denoise != Denoise::Off;
+    let denoised = job.render.denoise.filters();
     if job.scene.is_none() {
         let what = if job.light_field.is_some() { What::Read } else { What::Source };
         return plan.add_step(part, what, first);

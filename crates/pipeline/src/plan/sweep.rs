@@ -137,7 +137,7 @@ pub(crate) fn execute(
     let sweep = Sweep { solver, used: Mutex::default(), task };
     let (rows, kept, proposed) = match job.sweep.as_ref().and_then(|sweep| sweep.search.as_ref()) {
         None => {
-            let (rows, kept) = sweep.solve_all(&designs.candidates, job.factorize.iterations)?;
+            let (rows, kept) = sweep.solve_all(&designs.candidates, job.factorize.iterations())?;
             (rows, kept, Vec::new())
         }
         Some(search) => sweep.search(designs.candidates.clone(), search)?,
@@ -234,6 +234,6 @@ impl Sweep<'_> {
         search: &SearchJob,
     ) -> Result<(Vec<Row>, usize, Vec<(Candidate, Row)>), PipelineError> {
         let mut solve_all = |candidates: &[Candidate], iterations| self.solve_all(candidates, iterations);
-        search::run(&mut solve_all, self.solver.job.factorize.iterations, candidates, search)
+        search::run(&mut solve_all, self.solver.job.factorize.iterations(), candidates, search)
     }
 }

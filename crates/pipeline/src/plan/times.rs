@@ -111,13 +111,13 @@ impl Times {
     pub(crate) fn warm(&self, first: &FactorizeJob, layers: Option<PathBuf>) -> FactorizeJob {
         let solver = if first.solver == AUTO { WARM_SOLVER.into() } else { first.solver.clone() };
         let iterations = self.sequence.iterations;
-        FactorizeJob { warm_start: layers, iterations, coarse_levels: None, solver, ..first.clone() }
+        FactorizeJob { warm_start: layers, iterations: Some(iterations), coarse_levels: None, solver, ..first.clone() }
     }
 
     /// How a time is factorized for which the patterns of the time before are no start.
     pub(crate) fn fresh(&self, job: &Job, node: Option<&NodeJob>) -> FactorizeJob {
         let first = node.and_then(|node| node.factorize.as_ref()).unwrap_or(&job.factorize);
-        FactorizeJob { warm_start: None, iterations: self.sequence.iterations, ..first.clone() }
+        FactorizeJob { warm_start: None, iterations: Some(self.sequence.iterations), ..first.clone() }
     }
 
     /// Where the light field of a time comes from, for people.
@@ -152,7 +152,7 @@ pub(crate) fn later(job: &Job) -> Later {
     let sequence = job.sequence.clone().unwrap_or_default();
     let times = Times { sequence, fields: Vec::new(), count: 1 };
     Box::new(move |first| {
-        let fresh = FactorizeJob { warm_start: None, iterations: times.sequence.iterations, ..first.clone() };
+        let fresh = FactorizeJob { warm_start: None, iterations: Some(times.sequence.iterations), ..first.clone() };
         [times.warm(first, None), fresh]
     })
 }

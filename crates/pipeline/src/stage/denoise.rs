@@ -5,7 +5,8 @@
 //! cache/views/target-KEY/guided/view_YY_XX.exr       filtered; figures.json is written last
 //! ```
 //!
-//! A run that is stopped goes on from its finished halves, and another filter costs no rendering.
+//! A run that is stopped goes on from its finished halves, and another filter costs no rendering. Light that views share is told from all else while it is
+//! traced: `split_YY_XX.exr` take the place of the halves.
 
 mod oidn;
 
@@ -14,7 +15,7 @@ use std::path::{Path, PathBuf};
 use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
 use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, ViewFigures, Window as Around};
-use lumistack_pathtracer::{Checks, Renderer, Settings};
+use lumistack_pathtracer::{Checks, Renderer, Settings, SplitView};
 use lumistack_report::{DenoisedView, Denoising};
 use lumistack_scene::Window;
 
@@ -24,12 +25,14 @@ use super::look::Look;
 use crate::error::{PipelineError, render_error};
 use crate::job::Denoise;
 use crate::store::files::{read_json, write_json};
-use crate::store::views::{read_view, view_path, write_view};
+use crate::store::views::{read_split, read_view, split_path, view_path, write_view};
 
 /// Rays per pixel that the guides are averaged over.
 pub(crate) const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
 const CHECK_FACTOR: u32 = 2;
+/// Views whose pixels are checked, at most: all over the zone, and enough to judge a filter by.
+const CHECKED_VIEWS: usize = 25;
 /// What the path tracer takes.
 const MOST_SAMPLES: u32 = 65536;
 
@@ -69,7 +72,7 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
 pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     let folder = field.finished(kind);
     let is_there = |view| read_view(&view_path(&folder, view, None), &field.traced).is_some();
-    kind == Denoise::Off || (read_figures(&folder).is_some() && field.traced.grid.iter().all(is_there))
+    !kind.filters() || (read_figures(&folder).is_some() && field.traced.grid.iter().all(is_there))
 }
 
 /// Filters the views; what was done to them is written last.
@@ -83,6 +86,81 @@ fn filter(
     window: &Window,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
+    let geometry = &field.traced;
+    let folder = field.finished(kind);
+    std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
+    let (unbiased, filtered) = match kind {
+        Denoise::Shared => shared(field, task)?,
+        _ => by_guides(field, kind, renderer, window, &folder, task)?,
+    };
+    let settings = field.seeded(&[]);
+    let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
+    let mut told = Vec::new();
+    let stage = if field.is_target() { "check the denoiser" } else { "write views" };
+    task.progress.begin(stage, unbiased.len() as u64, "views");
+    let all = geometry.grid.iter().zip(&unbiased).zip(&filtered).enumerate();
+    let checked = all.map(|(number, ((view, before), picture))| {
+        write_view(&view_path(&folder, view, None), picture)?;
+        let is_checked = field.is_target() && number % unbiased.len().div_ceil(CHECKED_VIEWS) == 0;
+        let checks = if is_checked {
+            renderer.render_checks(window, geometry, view, &of_checks, task).map_err(render_error)?
+        } else {
+            Checks::default()
+        };
+        let figures = denoise::figures(picture, before, &checks);
+        told.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
+        task.progress.advance(1, "");
+        Ok::<_, PipelineError>(())
+    });
+    let checked: Result<(), PipelineError> = checked.collect();
+    task.progress.end();
+    checked?;
+    write_json(&figures_path(&folder), &told)?;
+    if kind == Denoise::Shared {
+        // gigabytes, of which the report shows the middle
+        let middle = middle(geometry);
+        for view in geometry.grid.iter().filter(|view| *view != middle) {
+            let path = split_path(&field.folder, view);
+            std::fs::remove_file(&path).map_err(PipelineError::write(&path))?;
+        }
+    }
+    Ok(())
+}
+
+/// The view whose unbiased picture the report shows.
+fn middle(geometry: &FieldGeometry) -> [usize; 2] {
+    geometry.grid.views().map(|count| count / 2)
+}
+
+/// Views before and after the filter.
+type Filtered = (Vec<Tensor<3>>, Vec<Tensor<3>>);
+
+/// Averages the light that views share.
+fn shared(field: &FieldJob, task: Task<'_>) -> Result<Filtered, PipelineError> {
+    let geometry = &field.traced;
+    task.progress.begin("share light", denoise::share_steps(geometry), "views");
+    let views: Result<Vec<SplitView>, _> = geometry.grid.iter().map(|view| split(field, view)).collect();
+    let views = views?;
+    let filtered = denoise::share(geometry, &views, task);
+    task.progress.end();
+    Ok((views.iter().map(SplitView::radiance).collect(), filtered?))
+}
+
+/// A view in parts, as it was traced.
+fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError> {
+    let path = split_path(&field.folder, view);
+    read_split(&path, &field.traced).ok_or_else(PipelineError::replaced(&path, "cached view"))
+}
+
+/// Filters two halves of every view, guided by what they show.
+fn by_guides(
+    field: &FieldJob,
+    kind: Denoise,
+    renderer: &Renderer,
+    window: &Window,
+    folder: &Path,
+    task: Task<'_>,
+) -> Result<Filtered, PipelineError> {
     let (geometry, settings) = (&field.traced, field.seeded(&[]));
     let noisy = |view| -> Result<NoisyView, PipelineError> {
         let features = renderer.render_features(window, geometry, view, FEATURE_SAMPLES, settings.angular_filter, task);
@@ -96,28 +174,8 @@ fn filter(
     let views: Result<Vec<NoisyView>, _> = geometry.grid.iter().map(noisy).collect();
     task.progress.end();
     let views = views?;
-    let folder = field.finished(kind);
-    std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
-    let filtered = run_filter(kind, geometry, &views, &folder, task)?;
-    let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
-    let mut told = Vec::new();
-    let stage = if field.is_target() { "check the denoiser" } else { "write views" };
-    task.progress.begin(stage, count, "views");
-    let checked = geometry.grid.iter().zip(&views).zip(&filtered).try_for_each(|((view, noisy), picture)| {
-        write_view(&view_path(&folder, view, None), picture)?;
-        let checks = if field.is_target() {
-            renderer.render_checks(window, geometry, view, &of_checks, task).map_err(render_error)?
-        } else {
-            Checks::default()
-        };
-        let figures = denoise::figures(picture, noisy, &checks);
-        told.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
-        task.progress.advance(1, "");
-        Ok::<_, PipelineError>(())
-    });
-    task.progress.end();
-    checked?;
-    write_json(&figures_path(&folder), &told)
+    let filtered = run_filter(kind, geometry, &views, folder, task)?;
+    Ok((views.iter().map(NoisyView::mean).collect(), filtered))
 }
 
 /// A half of a view, as it was traced.
@@ -135,7 +193,7 @@ fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, Pi
 /// # Errors
 /// When what the filter wrote is not there.
 pub(crate) fn denoised(field: &FieldJob, kind: Denoise, look: Look) -> Result<Option<Denoised>, PipelineError> {
-    if kind == Denoise::Off {
+    if !kind.filters() {
         return Ok(None);
     }
     let folder = field.finished(kind);
@@ -148,9 +206,13 @@ pub(crate) fn denoised(field: &FieldJob, kind: Denoise, look: Look) -> Result<Op
         f.mse_before = f.mse_before.scaled(look.exposure.powi(2));
         f.mse_after = f.mse_after.scaled(look.exposure.powi(2));
     }
-    let middle = field.traced.grid.views().map(|count| count / 2);
-    let (a, b) = (half(field, middle, 0)?, half(field, middle, 1)?);
-    let mut unbiased: Vec<f32> = a.data().iter().zip(b.data()).map(|(a, b)| 0.5 * (a + b)).collect();
+    let middle = middle(&field.traced);
+    let mut unbiased: Vec<f32> = if kind == Denoise::Shared {
+        split(field, middle)?.radiance().data().to_vec()
+    } else {
+        let (a, b) = (half(field, middle, 0)?, half(field, middle, 1)?);
+        a.data().iter().zip(b.data()).map(|(a, b)| 0.5 * (a + b)).collect()
+    };
     let mut filtered = read_view(&view_path(&folder, middle, None), &field.traced).ok_or_else(missing)?;
     look.apply_to(&mut unbiased);
     look.apply_to(&mut filtered);
@@ -176,7 +238,8 @@ impl Denoised {
         };
         let name = match self.kind {
             Denoise::Oidn => "Intel Open Image Denoise, view by view",
-            Denoise::Guided | Denoise::Off => "the guided filter over all views",
+            Denoise::Shared => "light shared by the views that see a point",
+            Denoise::Guided | Denoise::Auto | Denoise::Off => "the guided filter over all views",
         };
         Denoising {
             name,
@@ -196,7 +259,7 @@ fn run_filter(
     task: Task<'_>,
 ) -> Result<Vec<Tensor<3>>, PipelineError> {
     match kind {
-        Denoise::Off => Ok(views.iter().map(NoisyView::mean).collect()),
+        Denoise::Auto | Denoise::Off | Denoise::Shared => Ok(views.iter().map(NoisyView::mean).collect()),
         Denoise::Guided => {
             task.progress.begin("denoise", denoise::steps(geometry), "bands");
             let filtered = denoise::denoise(geometry, views, Around::default(), task);

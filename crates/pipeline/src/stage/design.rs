@@ -167,7 +167,7 @@ impl Solver<'_> {
         let task = Task { progress: &NoProgress, warnings: &Silent, cancel };
         let own = of_node.and_then(|node| node.display.as_ref()).map(|display| display.resolve()).transpose()?;
         let factorize = of_node.and_then(|node| node.factorize.as_ref()).unwrap_or(&self.job.factorize);
-        let first = FactorizeJob { iterations, ..factorize.clone() };
+        let first = FactorizeJob { iterations: Some(iterations), ..factorize.clone() };
         let mut before: Option<LayerStack> = None;
         let mut all = Vec::new();
         for field in &shared.times {

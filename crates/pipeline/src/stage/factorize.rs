@@ -43,7 +43,7 @@ impl Solve<'_> {
         key.add("display", display.without_panels().to_toml().as_bytes())
             .add("geometry", format!("{:?}", target.geometry()).as_bytes())
             .add_f32("target", target.radiance().data())
-            .add_json("settings", &(&job.solver, job.iterations, &job.start, seed))
+            .add_json("settings", &(&job.solver, job.iterations(), &job.start, seed))
             .add_json("coarse and levels", &(job.coarse_levels, job.coarse_iterations, job.levels));
         add_weights(&mut key, weights);
         if let Some(warm) = warm {
@@ -265,12 +265,12 @@ pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
 fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack_factorizer::Settings, PipelineError> {
     Ok(lumistack_factorizer::Settings {
         solver: job.solver.clone(),
-        iterations: job.iterations,
+        iterations: job.iterations(),
         seed,
         start: start_kind(&job.start)?,
         coarse_levels: job.coarse_levels,
         coarse_iterations: job.coarse_iterations,
-        report_every: lumistack_factorizer::Settings::curve_interval(job.iterations),
+        report_every: lumistack_factorizer::Settings::curve_interval(job.iterations()),
         levels: job.levels,
     })
 }

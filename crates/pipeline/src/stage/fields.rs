@@ -52,7 +52,7 @@ impl Shot<'_> {
     fn settings(&self) -> Settings {
         let (job, depth_scale) = (self.job, self.placement.depth_scale);
         Settings {
-            samples: job.render.samples,
+            samples: job.render.samples_of_view(self.geometry.grid.iter().count()),
             max_bounces: job.render.max_bounces,
             seed: job.seed,
             clamp: job.render.clamp,
@@ -86,10 +86,16 @@ impl Shot<'_> {
             ..settings
         };
         let mut key = self.key();
-        key.add_json("render", &(&job.render.max_bounces, job.render.samples, job.seed));
+        key.add_json("render", &(&job.render.max_bounces, settings.samples, job.seed));
         key.add("settings", format!("{settings:?}").as_bytes());
-        if job.render.denoise != Denoise::Off {
-            key.add("halves", b"2");
+        match job.render.denoise {
+            Denoise::Auto | Denoise::Off => {}
+            Denoise::Shared => {
+                key.add("parts", b"split");
+            }
+            Denoise::Guided | Denoise::Oidn => {
+                key.add("halves", b"2");
+            }
         }
         if blender {
             key.add("engine", b"blender");
@@ -128,7 +134,7 @@ pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid
 
 /// Parts in which views are traced: the filters need two halves.
 pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
-    if kind == Denoise::Off { &[None] } else { &[Some(0), Some(1)] }
+    if kind.takes_halves() { &[Some(0), Some(1)] } else { &[None] }
 }
 
 /// One light field to render.
@@ -152,7 +158,7 @@ impl FieldJob {
 
     /// Where finished views lie.
     pub(crate) fn finished(&self, kind: Denoise) -> PathBuf {
-        if kind == Denoise::Off { self.folder.clone() } else { self.folder.join(kind.name()) }
+        if kind.filters() { self.folder.join(kind.name()) } else { self.folder.clone() }
     }
 
     /// The views to render: of the target those that were chosen, else all.

@@ -101,7 +101,7 @@ mod tests {
 
     fn display() -> Display {
         let mut display = presets::load("fig7-uniform").unwrap().with_resolution([24, 15]);
-        (display.frames, display.field.views) = (2, [3, 2]);
+        (display.frames, display.field.views) = (2, lumistack_display::Views::Fixed([3, 2]));
         display
     }
 

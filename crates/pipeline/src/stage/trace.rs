@@ -12,8 +12,8 @@ use super::denoise;
 use super::depth::Depths;
 use super::fields::{FieldJob, Shot, parts};
 use crate::error::{PipelineError, render_error};
-use crate::job::Engine;
-use crate::store::views::{read_view, variance_path, view_path, write_view};
+use crate::job::{Denoise, Engine};
+use crate::store::views::{read_split, read_view, split_path, variance_path, view_path, write_split, write_view};
 use crate::view_options::ViewOptions;
 
 /// The traced views of a shot, in the cache.
@@ -50,7 +50,7 @@ pub(crate) fn run(
     task: Task<'_>,
 ) -> Result<(Traced, bool), PipelineError> {
     let Shot { job, ingested, .. } = shot;
-    options.check(job)?;
+    options.check(job, shot.geometry.grid.iter().count())?;
     let views = options.chosen(shot.geometry.grid.views())?;
     let (window, kind) = (shot.window(), job.render.denoise);
     let engine = blender::engine(job, ingested, options.variance(), task);
@@ -59,12 +59,17 @@ pub(crate) fn run(
     for (number, field) in fields.iter().enumerate() {
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
         let variance = options.variance() && field.is_target();
+        // what light is shared from is dropped when that is done
+        let is_shared = kind == Denoise::Shared && denoise::is_finished(field, kind);
         for view in field.wanted(&views) {
             for &half in parts(kind) {
-                let path = view_path(&field.folder, view, half);
+                let shared = kind == Denoise::Shared;
+                let path = if shared { split_path(&field.folder, view) } else { view_path(&field.folder, view, half) };
                 let variance = variance.then(|| variance_path(&field.folder, view, half));
                 let is_there = |path: &PathBuf| read_view(path, &field.geometry).is_some();
-                if !(is_there(&path) && variance.as_ref().is_none_or(is_there)) {
+                let traced =
+                    if shared { is_shared || read_split(&path, &field.geometry).is_some() } else { is_there(&path) };
+                if !(traced && variance.as_ref().is_none_or(is_there)) {
                     todo.push(Todo { field: number, view, half, path, variance });
                 }
             }
@@ -89,7 +94,7 @@ pub(crate) fn run(
             }
         }
     } else if !todo.is_empty() {
-        trace(ingested.renderer(task)?, &todo, &fields, window, task)?;
+        trace(ingested.renderer(task)?, &todo, &fields, window, kind, task)?;
     }
     Ok((Traced { fields, depths, views, engine }, cached))
 }
@@ -99,6 +104,7 @@ fn trace(
     todo: &[Todo],
     fields: &[FieldJob],
     window: &Window,
+    kind: Denoise,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     let steps: u64 = todo.iter().map(|todo| Renderer::steps_per_view(&fields[todo.field].geometry)).sum();
@@ -107,15 +113,21 @@ fn trace(
         let field = &fields[*field];
         let settings = field.settings_of(*half);
         let picture = match variance {
-            None => renderer.render_view(window, &field.traced, *view, &settings, task).map_err(render_error)?,
+            None if kind == Denoise::Shared => None,
+            None => Some(renderer.render_view(window, &field.traced, *view, &settings, task).map_err(render_error)?),
             Some(path) => {
                 let both = renderer.render_view_and_variance(window, &field.traced, *view, &settings, task);
                 let (picture, variance) = both.map_err(render_error)?;
                 write_view(path, &variance)?;
-                picture
+                Some(picture)
             }
         };
-        write_view(path, &picture)?;
+        if kind == Denoise::Shared {
+            let split = renderer.render_split(window, &field.traced, *view, &settings, task).map_err(render_error)?;
+            write_split(path, &split)?;
+        } else if let Some(picture) = picture {
+            write_view(path, &picture)?;
+        }
         let of = if half.is_some() { "half view" } else { "view" };
         task.progress.advance(0, &format!("{of} {} of {}", number + 1, todo.len()));
         Ok(())

@@ -23,12 +23,12 @@ pub(crate) fn of<'a>(
     given.filter(|(_, path)| !path.is_empty() && !path.trim_start().starts_with('{'))
 }
 
-/// The job with every such path made absolute.
+/// The job with every such path made absolute, and [settled](Job::settled).
 ///
 /// # Errors
 /// On a file that cannot be read.
 pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
-    let mut job = job.clone();
+    let mut job = job.settled();
     let folder = job.folder.clone();
     // who reads a file without a plugin needs no look at all libraries
     let foreign = job.scene.as_ref().filter(|scene| own_reader(scene).is_none());

@@ -9,6 +9,8 @@ use lumistack_core::Tensor;
 use lumistack_display::FieldGeometry;
 use lumistack_field_io::picture::{self, Picture, Precision};
 
+use lumistack_pathtracer::SplitView;
+
 use super::key::KeyBuilder;
 use crate::error::{PipelineError, field_error};
 
@@ -23,6 +25,45 @@ pub(crate) fn variance_path(folder: &Path, view: [usize; 2], half: Option<usize>
     let half = half.map_or("", |half| ["-a", "-b"][half]);
     folder.join(format!("variance_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
+
+/// The file of a view in parts.
+pub(crate) fn split_path(folder: &Path, view: [usize; 2]) -> PathBuf {
+    folder.join(format!("split_{:02}_{:02}.exr", view[0], view[1]))
+}
+
+/// Reads a view in parts; `None` where it is not there as it was written.
+pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry) -> Option<SplitView> {
+    let [rows, cols] = [geometry.rows, geometry.cols];
+    let pictures = read_picture(path, [cols, SPLIT_PICTURES * rows])?;
+    let values = SplitView::VALUES;
+    let mut parts = Tensor::zeros(["row", "col", "part"], [rows, cols, values]);
+    for (number, picture) in pictures.chunks_exact(3 * rows * cols).enumerate() {
+        let taken = 3.min(values - 3 * number);
+        for (to, from) in parts.data_mut().chunks_exact_mut(values).zip(picture.chunks_exact(3)) {
+            to[3 * number..][..taken].copy_from_slice(&from[..taken]);
+        }
+    }
+    SplitView::from_values(parts)
+}
+
+/// Writes a view in parts: its values three by three as pictures, one below the other.
+///
+/// # Errors
+/// When the file cannot be written.
+pub(crate) fn write_split(path: &Path, split: &SplitView) -> Result<(), PipelineError> {
+    let ([rows, cols], values) = (split.size(), SplitView::VALUES);
+    let mut pictures = vec![0.0; 3 * rows * cols * SPLIT_PICTURES];
+    for (number, picture) in pictures.chunks_exact_mut(3 * rows * cols).enumerate() {
+        let taken = 3.min(values - 3 * number);
+        for (to, from) in picture.chunks_exact_mut(3).zip(split.values().data().chunks_exact(values)) {
+            to[..taken].copy_from_slice(&from[3 * number..][..taken]);
+        }
+    }
+    write_picture(path, [cols, SPLIT_PICTURES * rows], &pictures)
+}
+
+/// Pictures of three channels that hold a view in parts.
+const SPLIT_PICTURES: usize = SplitView::VALUES.div_ceil(3);
 
 /// Reads a view of the geometry's size; `None` where it is not there as it was written.
 pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {

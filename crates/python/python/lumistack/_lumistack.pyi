@@ -36,7 +36,7 @@ class Display:
         what: _DisplayLike | None = None,
         *,
         resolution: _Size | None = None,
-        views: _Size | None = None,
+        views: _Size | Literal["auto"] | dict[str, _Size] | None = None,
         fov_deg: _Pair | None = None,
         frames: int | None = None,
         brightness: float | None = None,

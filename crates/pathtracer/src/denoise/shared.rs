@@ -1,0 +1,162 @@
+//! Light that does not depend on the view, averaged over all views that see the point it comes from.
+//!
+//! ```text
+//! E = D / ρ_d                                     of the first surface (see SplitView): the same for every view that sees the point
+//! E'(v, p) = Σ_u w E(u, p_u) / Σ_u w              over the views u of a row, then over those of a column
+//! L' = G + ρ_d E'
+//! ```
+//!
+//! p_u is where view u sees the point of p: a point at depth z moves by (s − s')·z from view to view. w is 1 where u sees the same surface there, told by the
+//! distance of its point from the plane of p's, and falls to 0 where it is another. Nothing is averaged over pixels, so shadows and textures stay as sharp as a
+//! pixel's rounding leaves them: E is taken at the pixel nearest to p_u. What mirrors show, G, stays as it was rendered.
+//!
+//! So a point that hundreds of views see has the samples of all of them, for the price of one shift and one comparison each. Sharing over rows and columns
+//! one after another takes as many steps as there are rows and columns; in one pass over all views it would take their product.
+
+use glam::{DVec2, Vec3};
+use lumistack_core::{Cancelled, Task, Tensor};
+use lumistack_display::{FieldGeometry, Projection};
+#[cfg(feature = "parallel")]
+use rayon::prelude::*;
+
+use crate::SplitView;
+
+/// Distance of a point from the plane of another, in pixels, at which its weight has fallen to about a third.
+const PLANE_SCALE: f32 = 0.75;
+/// Cosine between normals at which surfaces count as different.
+const LEAST_COSINE: f32 = 0.8;
+/// Least reflectance that radiance is divided by: light of darker surfaces is too noisy for others.
+const LEAST_REFLECTANCE: f32 = 0.02;
+
+/// What the filter needs of a pixel.
+#[derive(Clone, Copy)]
+struct Point {
+    /// E of its own samples.
+    light: Vec3,
+    z_mm: f32,
+    normal: Vec3,
+    /// Whether it scatters light by Lambert's law.
+    is_lit: bool,
+}
+
+/// Steps by which [`share`] advances the progress.
+pub fn share_steps(geometry: &FieldGeometry) -> u64 {
+    2 * geometry.grid.iter().count() as u64
+}
+
+/// Averages the light of all views of a light field, given in the order of the grid: radiance `[row][col][rgb]` of each.
+///
+/// # Errors
+/// When cancelled.
+///
+/// # Panics
+/// If there are not as many views as the grid has, or they are not of the geometry's size.
+pub fn share(geometry: &FieldGeometry, views: &[SplitView], task: Task<'_>) -> Result<Vec<Tensor<3>>, Cancelled> {
+    let [view_rows, view_cols] = geometry.grid.views();
+    assert_eq!(views.len(), view_rows * view_cols, "one picture for every view of the grid");
+    let mut points: Vec<Vec<Point>> = Vec::with_capacity(views.len());
+    for view in views {
+        assert_eq!(view.size(), [geometry.rows, geometry.cols], "views of the geometry's size");
+        points.push(
+            (0..geometry.rows * geometry.cols).map(|i| point(view, i / geometry.cols, i % geometry.cols)).collect(),
+        );
+    }
+    let of_row = |index: usize| (0..view_cols).map(|x| index / view_cols * view_cols + x).collect::<Vec<usize>>();
+    let of_col = |index: usize| (0..view_rows).map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>();
+    let shared = pass(geometry, &points, of_row, task)?;
+    for (points, light) in points.iter_mut().zip(shared) {
+        points.iter_mut().zip(light).for_each(|(point, light)| point.light = light);
+    }
+    let shared = pass(geometry, &points, of_col, task)?;
+    drop(points);
+    let finish = |(view, light): (&SplitView, Vec<Vec3>)| {
+        let mut radiance = Tensor::zeros(["row", "col", "rgb"], [geometry.rows, geometry.cols, 3]);
+        for (i, (rgb, light)) in radiance.data_mut().chunks_exact_mut(3).zip(light).enumerate() {
+            let pixel = view.at(i / geometry.cols, i % geometry.cols);
+            rgb.copy_from_slice(&(pixel.other + divisor(pixel.reflectance) * light).to_array());
+        }
+        radiance
+    };
+    Ok(views.iter().zip(shared).map(finish).collect())
+}
+
+fn divisor(reflectance: Vec3) -> Vec3 {
+    reflectance.max(Vec3::splat(LEAST_REFLECTANCE))
+}
+
+fn point(view: &SplitView, row: usize, col: usize) -> Point {
+    let pixel = view.at(row, col);
+    Point {
+        light: pixel.diffuse / divisor(pixel.reflectance),
+        z_mm: pixel.z_mm,
+        normal: pixel.normal,
+        is_lit: pixel.reflectance.max_element() > 0.0,
+    }
+}
+
+/// The mean of every pixel's light over the views of one list.
+fn pass(
+    geometry: &FieldGeometry,
+    points: &[Vec<Point>],
+    partners: impl Fn(usize) -> Vec<usize> + Sync,
+    task: Task<'_>,
+) -> Result<Vec<Vec<Vec3>>, Cancelled> {
+    let one = |index: usize| {
+        task.cancel.check()?;
+        let light = of_view(geometry, points, index, &partners(index));
+        task.progress.advance(1, "");
+        Ok(light)
+    };
+    #[cfg(feature = "parallel")]
+    return (0..points.len()).into_par_iter().map(one).collect();
+    #[cfg(not(feature = "parallel"))]
+    (0..points.len()).map(one).collect()
+}
+
+fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partners: &[usize]) -> Vec<Vec3> {
+    let (rows, cols, pitch) = (geometry.rows, geometry.cols, geometry.pitch_mm);
+    let grid = &geometry.grid;
+    let view_cols = grid.slope_x.len();
+    let slope_of = |view: usize| DVec2::new(grid.slope_x[view % view_cols], grid.slope_y[view / view_cols]);
+    let own = &points[index];
+    let mut light = Vec::with_capacity(own.len());
+    let (mut sums, mut weights) = (vec![Vec3::ZERO; cols], vec![0.0f32; cols]);
+    for row in 0..rows {
+        let line = &own[row * cols..][..cols];
+        for ((sum, weight), point) in sums.iter_mut().zip(&mut weights).zip(line) {
+            (*sum, *weight) = (point.light, 1.0);
+        }
+        for &other in partners.iter().filter(|other| **other != index) {
+            let turn = (slope_of(index) - slope_of(other)) / pitch;
+            let (turn_x, turn_y) = (turn.x as f32, turn.y as f32);
+            let seen = &points[other];
+            for (col, point) in line.iter().enumerate() {
+                if !point.is_lit {
+                    continue;
+                }
+                // x + s z is the same for both views; in a perspective one s itself falls by x / D
+                let depth = match grid.projection {
+                    Projection::Oblique => point.z_mm,
+                    Projection::Perspective { distance_mm } => point.z_mm / (1.0 - point.z_mm / distance_mm as f32),
+                };
+                let x = (col as f32 + turn_x * depth).round();
+                let y = (row as f32 - turn_y * depth).round();
+                if !(x >= 0.0 && y >= 0.0 && x < cols as f32 && y < rows as f32) {
+                    continue;
+                }
+                let there = &seen[y as usize * cols + x as usize];
+                if !there.is_lit || point.normal.dot(there.normal) < LEAST_COSINE {
+                    continue;
+                }
+                // both points on the ray of p but for a pixel's rounding: what parts them is depth
+                let off = point.normal.z * (there.z_mm - point.z_mm) / pitch as f32;
+                let nearness = (1.0 - off * off * (0.25 / (PLANE_SCALE * PLANE_SCALE))).max(0.0);
+                let weight = (nearness * nearness) * (nearness * nearness);
+                sums[col] += weight * there.light;
+                weights[col] += weight;
+            }
+        }
+        light.extend(sums.iter().zip(&weights).map(|(sum, weight)| *sum / *weight));
+    }
+    light
+}
