@@ -208,8 +208,8 @@ fn libraries_of_other_versions_are_told_apart() {
          static int submit(void *i, const void *t, const void *d, const void *e) {{ return 0; }}\n\
          static int finish(void *i, const void *e) {{ return 0; }}\n\
          static void close_(void *i) {{ }}\n\
-         static const struct {{ size_t size; const void *open, *submit, *run, *finish, *close, *more; }} v =\n\
-           {{ {vtable} + 8, open_, submit, 0, finish, close_, 0 }};\n\
+         static const struct {{ size_t size; const void *open, *submit, *run, *finish, *close, *command, *more; }} v =\n\
+           {{ {vtable} + 8, open_, submit, 0, finish, close_, 0, 0 }};\n\
          static const struct {{ struct descriptor d; uint64_t more; }} d = {{ {{ {ABI_MAJOR}, {ABI_MINOR} + 7, {size} + 8, 4, 4,\n\
            {}, &v }}, 9 }};\n\
          const void *lumistack_plugin_entry_grown(void) {{ return &d; }}",
