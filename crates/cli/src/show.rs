@@ -192,10 +192,11 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
         }
     };
     set("hold", args.hold.map(Value::from));
-    // the parameter's 0 has no end
-    if args.duration_s.is_some_and(|seconds| seconds <= 0.0) {
-        let found = args.duration_s.unwrap_or_default().to_string();
-        return Err(PipelineError::value("--duration-s", "S", "a number of seconds above 0", found));
+    // 0 means something else to the presenter
+    for (flag, value) in [("--duration-s", args.duration_s), ("--eye-mm", args.eye_mm.map(|eye| eye.0[2]))] {
+        if let Some(found) = value.filter(|value| *value <= 0.0) {
+            return Err(PipelineError::value(flag, "value", "a number above 0", found.to_string()));
+        }
     }
     set("duration_s", args.duration_s.map(Value::from));
     for (axis, name) in ["from_x_deg", "from_y_deg"].into_iter().enumerate() {
