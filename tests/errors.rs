@@ -219,6 +219,10 @@ fn jobs() {
         &format!("scene = \"SCENE\"\n{display}[[outputs]]\nplugin = \"images\"\nparams = {{ pgn8 = true }}\n"),
         &["pgn8", "png8"],
     );
+    check(
+        &format!("scene = \"SCENE\"\n{display}[[outputs]]\nplugin = \"panels\"\n"),
+        &["a plugin that writes files", "`panels`, which presents"],
+    );
     check(&format!("scene = \"nowhere.glb\"\n{display}"), &["nowhere.glb"]);
     check(&format!("scene = \"SCENE\"\n{display}[window]\ncamera = \"left\"\n"), &["window.camera", "left"]);
     check(&format!("scene = \"SCENE\"\n{display}[window]\nfrom = \"given\"\n"), &["window.centre"]);

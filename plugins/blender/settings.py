@@ -17,7 +17,7 @@ QUALITY = {"DRAFT": (20, 10, 4), "PREVIEW": (50, 25, 16), "FULL": (100, 50, 64)}
 @functools.cache
 def plugins() -> list[dict]:
     """Plugins that write, as the package describes them."""
-    return [plugin for plugin in lumistack.plugins() if plugin["kind"] == "output"]
+    return [plugin for plugin in lumistack.plugins() if plugin["kind"] == "output" and not plugin["presents"]]
 
 
 @functools.cache

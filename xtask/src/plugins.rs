@@ -31,9 +31,7 @@ pub fn run(write: bool) -> Outcome {
     fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     for package in metadata["packages"].as_array().into_iter().flatten() {
         let manifest = Path::new(package["manifest_path"].as_str().unwrap_or_default());
-        // a library that the command line calls is none
-        let is_plugin = package["metadata"]["lumistack"]["plugin"] != false;
-        if manifest.starts_with(root().join("plugins")) && is_plugin {
+        if manifest.starts_with(root().join("plugins")) {
             let name = package["name"].as_str().unwrap_or_default();
             take(&target.join("debug/examples"), name, &folder)?;
         }

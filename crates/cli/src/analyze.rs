@@ -5,9 +5,10 @@ use std::str::FromStr;
 
 use lumistack_core::Task;
 use lumistack_design::contrast::{self, Achieved, Contrast, ContrastError, FactorizeError, Gratings};
-use lumistack_design::{Analysis, Scene, plot};
+use lumistack_design::{Analysis, Scene};
 use lumistack_display::{Display, Variation};
 use lumistack_pipeline::{FitDepth, PipelineError, Registry, RunFolder, outlook_on, presets};
+use lumistack_plot as plot;
 use serde_json::json;
 
 use crate::console::say;

@@ -118,10 +118,12 @@ pub(crate) fn display_command(command: &DisplayCommand, json: bool) -> Result<()
             let asks = new.questions || (!new.no_questions && std::io::stdin().is_terminal());
             let mut stdin = std::io::stdin().lock();
             let mut questions = Questions { input: if asks { Some(&mut stdin) } else { None } };
-            let outputs = system_outputs();
-            if asks && outputs.is_empty() {
-                tell!("{NO_OUTPUTS}");
-            }
+            let outputs = system_outputs().unwrap_or_else(|reason| {
+                if asks {
+                    tell!("{reason}");
+                }
+                Vec::new()
+            });
             new_display(new, &outputs, &mut questions, json)
         }
         DisplayCommand::Calibrate(args) => calibrate_display(args, json),
@@ -131,23 +133,11 @@ pub(crate) fn display_command(command: &DisplayCommand, json: bool) -> Result<()
 /// What is known of an output: name, [columns, rows], refresh rate.
 type Known = (String, [usize; 2], Option<f64>);
 
-#[cfg(feature = "panels")]
-const NO_OUTPUTS: &str = "found no outputs: there is no X11 or Wayland session here, or no monitor is on";
-
-#[cfg(not(feature = "panels"))]
-const NO_OUTPUTS: &str =
-    "this build does not read the outputs (cargo build --release -p lumistack-cli --features panels does)";
-
-#[cfg(feature = "panels")]
-fn system_outputs() -> Vec<Known> {
-    let outputs = lumistack_plugin_panels::window::outputs().unwrap_or_default();
-    outputs.into_iter().map(|output| (output.name, output.size, output.refresh_hz)).collect()
-}
-
-/// This build knows of no windows.
-#[cfg(not(feature = "panels"))]
-fn system_outputs() -> Vec<Known> {
-    Vec::new()
+/// The outputs of this session; where there are none, why.
+fn system_outputs() -> Result<Vec<Known>, String> {
+    let outputs = lumistack_plugin_panels::window::outputs().map_err(|error| error.to_string())?;
+    let known: Vec<Known> = outputs.into_iter().map(|output| (output.name, output.size, output.refresh_hz)).collect();
+    if known.is_empty() { Err("found no outputs: no monitor is on".into()) } else { Ok(known) }
 }
 
 /// Asks where an option is missing.

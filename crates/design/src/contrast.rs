@@ -35,7 +35,7 @@ use lumistack_factorizer::{Problem, Settings};
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::plot::{self, Axes, Curve, PlotError};
+use lumistack_plot::{self as plot, Axes, Curve, PlotError};
 
 /// Columns of a strip at most.
 const MOST_COLS: usize = 96;

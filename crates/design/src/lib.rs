@@ -11,7 +11,6 @@
 
 mod analysis;
 pub mod contrast;
-pub mod plot;
 pub mod predict;
 pub mod sheet;
 pub mod table;

@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use crate::plot::{self, FAMILY, PlotError};
+use lumistack_plot::{self as plot, FAMILY, PlotError};
 
 /// A picture and what is said under it.
 #[derive(Clone, Debug, Default)]

@@ -3,7 +3,7 @@
 use lumistack_display::{Backlight, Display};
 use serde::{Deserialize, Serialize};
 
-use crate::plot::{self, Axes, COLOURS, Curve, Map, PlotError};
+use lumistack_plot::{self as plot, Axes, COLOURS, Curve, Map, PlotError};
 
 /// One design: what it is and what it takes to build.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

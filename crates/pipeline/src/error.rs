@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::Cancelled;
 use lumistack_core::config::ConfigError;
-use lumistack_design::plot::PlotError;
 use lumistack_display::{DisplayError, GridError, StackError, WeightError};
 use lumistack_factorizer::FactorizeError;
 use lumistack_field_io::FieldError;
 use lumistack_gltf::GltfError;
 use lumistack_pathtracer::RenderError;
+use lumistack_plot::PlotError;
 use lumistack_plugin_host::HostError;
 use lumistack_report::ReportError;
 use lumistack_scene::{SceneError, WindowError};

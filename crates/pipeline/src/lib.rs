@@ -39,9 +39,9 @@ pub use job::{
     Near, NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone,
     WindowFrom, WindowJob,
 };
+pub use lumistack_plugin_host::{Asked, OutputData, PresentContext, Registry, Told, present};
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};
-pub use lumistack_plugin_host::{OutputData, Registry};
 pub use only_views::render_only;
 pub use outlook::{Outlook, outlook, outlook_on};
 pub use plan::steps::{Plan, Step};

@@ -23,7 +23,7 @@
 /**
  * Version of what was added at the ends of structs.
  */
-#define LUMISTACK_ABI_MINOR 3
+#define LUMISTACK_ABI_MINOR 4
 
 /**
  * IEEE 754 binary32, native byte order.
@@ -402,6 +402,10 @@ typedef struct LumistackHostServices {
                               const struct LumistackView *view,
                               struct LumistackPlane *plane,
                               const struct LumistackErrorSink *error);
+  /**
+   * Tells an event to the driver of a presenter, as JSON of the plugin's own form. Since version 0.4.
+   */
+  void (*tell)(const void *context, struct LumistackStr event_json);
 } LumistackHostServices;
 
 /**
@@ -423,7 +427,7 @@ typedef struct LumistackTime {
 } LumistackTime;
 
 /**
- * Functions of an output plugin. All but `run` must be there. `error` is where the text of a status other than
+ * Functions of an output plugin. All but `run` and `command` must be there. `error` is where the text of a status other than
  * `Status::OK` goes; it may be null when the caller does not want it.
  */
 typedef struct LumistackOutputVtable {
@@ -449,7 +453,8 @@ typedef struct LumistackOutputVtable {
                             const struct LumistackData *data,
                             const struct LumistackErrorSink *error);
   /**
-   * Presenters only, else null: runs on the main thread until the user closes the presentation or the host cancels.
+   * Presenters only, else null: runs on the main thread until the user closes the presentation or the host cancels. Meanwhile
+   * every `submit` replaces what is presented: only the newest state counts.
    */
   LumistackStatus (*run)(void *instance, const struct LumistackErrorSink *error);
   /**
@@ -460,6 +465,11 @@ typedef struct LumistackOutputVtable {
    * Frees the handle. Called exactly once, last, from whatever state: without `finish` the output is abandoned.
    */
   void (*close)(void *instance);
+  /**
+   * Presenters that take commands, else null: obeys a command while `run` runs; from any thread. `command_json` is of the plugin's own form.
+   * Since version 0.4.
+   */
+  LumistackStatus (*command)(void *instance, struct LumistackStr command_json, const struct LumistackErrorSink *error);
 } LumistackOutputVtable;
 
 /**

@@ -63,7 +63,7 @@ unsafe impl Send for Descriptor {}
 // SAFETY: as above.
 unsafe impl Sync for Descriptor {}
 
-/// Functions of an output plugin. All but `run` must be there. `error` is where the text of a status other than
+/// Functions of an output plugin. All but `run` and `command` must be there. `error` is where the text of a status other than
 /// [`Status::OK`] goes; it may be null when the caller does not want it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
@@ -91,10 +91,15 @@ pub struct OutputVtable {
             error: *const ErrorSink,
         ) -> Status,
     >,
-    /// Presenters only, else null: runs on the main thread until the user closes the presentation or the host cancels.
+    /// Presenters only, else null: runs on the main thread until the user closes the presentation or the host cancels. Meanwhile
+    /// every `submit` replaces what is presented: only the newest state counts.
     pub run: Option<unsafe extern "C" fn(instance: *mut c_void, error: *const ErrorSink) -> Status>,
     /// No more data will come. Called at most once, after every `submit` has returned.
     pub finish: Option<unsafe extern "C" fn(instance: *mut c_void, error: *const ErrorSink) -> Status>,
     /// Frees the handle. Called exactly once, last, from whatever state: without `finish` the output is abandoned.
     pub close: Option<unsafe extern "C" fn(instance: *mut c_void)>,
+    /// Presenters that take commands, else null: obeys a command while `run` runs; from any thread. `command_json` is of the plugin's own form.
+    /// Since version 0.4.
+    pub command:
+        Option<unsafe extern "C" fn(instance: *mut c_void, command_json: Str, error: *const ErrorSink) -> Status>,
 }

@@ -55,4 +55,6 @@ pub struct HostServices {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
+    /// Tells an event to the driver of a presenter, as JSON of the plugin's own form. Since version 0.4.
+    pub tell: unsafe extern "C" fn(context: *const c_void, event_json: Str),
 }

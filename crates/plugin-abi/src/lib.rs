@@ -8,7 +8,7 @@
 //!  │  open(HostServices, params, display) ─▶ │   JSON in, a handle out
 //!  │  submit(Time, Data) ──────────────────▶ │   any thread; the plugin fetches one lent Plane at a time
 //!  │ ◀── file_open / append / commit ─────── │   bytes leave only through the host
-//!  │  run() ───────────────────────────────▶ │   presenters only: the main thread until closed
+//!  │  run() ───────────────────────────────▶ │   presenters only: the main thread until closed; submit and command go on meanwhile
 //!  │  finish() ────────────────────────────▶ │   all data are in
 //!  │  close() ─────────────────────────────▶ │   frees the handle, finished or not
 //! ```
@@ -48,7 +48,7 @@ use core::ffi::c_void;
 pub const ABI_MAJOR: u32 = 0;
 
 /// Version of what was added at the ends of structs.
-pub const ABI_MINOR: u32 = 3;
+pub const ABI_MINOR: u32 = 4;
 
 /// A plugin's entry symbol is this followed by its id; see [`Entry`].
 pub const ENTRY_PREFIX: &str = "lumistack_plugin_entry_";
@@ -153,9 +153,10 @@ mod tests {
             offset_of!(OutputVtable, run),
             offset_of!(OutputVtable, finish),
             offset_of!(OutputVtable, close),
+            offset_of!(OutputVtable, command),
             size_of::<OutputVtable>(),
         ];
-        assert_eq!(vtable, [8, 16, 24, 32, 40, 48]);
+        assert_eq!(vtable, [8, 16, 24, 32, 40, 48, 56]);
 
         let host = [
             offset_of!(HostServices, context),
@@ -169,9 +170,10 @@ mod tests {
             offset_of!(HostServices, file_commit),
             offset_of!(HostServices, file_abort),
             offset_of!(HostServices, simulate),
+            offset_of!(HostServices, tell),
             size_of::<HostServices>(),
         ];
-        assert_eq!(host, [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96]);
+        assert_eq!(host, [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96, 104]);
 
         let data = [
             offset_of!(Data, port),

@@ -130,10 +130,10 @@ fn c_compilers_see_the_same_layout() {
     layout!(text,
         Str { ptr, len } Bytes { ptr, len } ErrorSink { size, context, write }
         Descriptor { abi_major, abi_minor, size, kind, ports, id, version, doc, schema_json, vtable }
-        OutputVtable { size, open, submit, run, finish, close }
+        OutputVtable { size, open, submit, run, finish, close, command }
         HostServices {
             size, context, log, progress_begin, progress_advance, progress_end, is_cancelled, file_open, file_append,
-            file_commit, file_abort, simulate,
+            file_commit, file_abort, simulate, tell,
         }
         Data { size, port, context, description_json, layer_plane, emission_plane, view_plane, weight_plane }
         Plane { size, data, dtype, ndim, shape, strides, owner, release }

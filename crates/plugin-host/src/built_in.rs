@@ -26,6 +26,7 @@ plugins! {
     "baselines": lumistack_plugin_baselines::two_layer_nmf;
     "images": lumistack_plugin_images;
     "obj": lumistack_plugin_obj;
+    "panels": lumistack_plugin_panels;
     "quilt": lumistack_plugin_quilt;
     "tensor-display": lumistack_plugin_tensor_display;
     "test-views": lumistack_plugin_test_views;

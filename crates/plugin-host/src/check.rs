@@ -12,7 +12,7 @@ use crate::{HostError, Registry};
 /// where it counts.
 ///
 /// # Errors
-/// If there is no such output, or it refuses the parameters or the display; [`HostError::Cancelled`] when the user asked to stop.
+/// If there is no such output, it is a presenter, or it refuses the parameters or the display; [`HostError::Cancelled`] when the user asked to stop.
 pub fn check_output(
     registry: &Registry,
     id: &str,
@@ -21,7 +21,7 @@ pub fn check_output(
     task: Task<'_>,
 ) -> Result<(), HostError> {
     task.cancel.check().map_err(|_| HostError::Cancelled)?;
-    let plugin = registry.get_kind(id, PluginKind::Output)?;
+    let plugin = registry.output(id, false)?;
     let resolved = registry.check_params(id, params)?;
     let host = Unused { cancel: task.cancel };
     let opened = Output::open(plugin, &host, &Value::Object(resolved), display);
@@ -31,12 +31,6 @@ pub fn check_output(
 /// A host on which nothing can be written.
 struct Unused<'a> {
     cancel: &'a Cancel,
-}
-
-impl Unused<'_> {
-    fn no_files() -> PluginError {
-        PluginError::Refused("an output writes files when it has data, not when it opens".into())
-    }
 }
 
 impl Services for Unused<'_> {
@@ -52,20 +46,8 @@ impl Services for Unused<'_> {
         self.cancel.is_cancelled()
     }
 
-    fn file_open(&self, _path: &str) -> Result<u64, PluginError> {
-        Err(Self::no_files())
-    }
-
-    fn file_append(&self, _file: u64, _bytes: &[u8]) -> Result<(), PluginError> {
-        Err(Self::no_files())
-    }
-
-    fn file_commit(&self, _file: u64) -> Result<(), PluginError> {
-        Err(Self::no_files())
-    }
-
-    fn file_abort(&self, _file: u64) -> Result<(), PluginError> {
-        Err(Self::no_files())
+    fn no_files(&self) -> PluginError {
+        PluginError::Refused("an output writes files when it has data, not when it opens".into())
     }
 }
 

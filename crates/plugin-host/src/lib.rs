@@ -1,7 +1,7 @@
-//! Plugin registry, and the host proper: outputs that end as files in a folder.
+//! Plugin registry, and the host proper: outputs that end as files in a folder, and presenters ([`present`]).
 //!
 //! ```text
-//! Registry ──get("images")──▶ Plugin ──run_output──▶ open, submit, (run,) finish  through the plugin's C functions
+//! Registry ──get("images")──▶ Plugin ──run_output──▶ open, submit, finish  through the plugin's C functions
 //!                                                       │ file_open / append / commit
 //!                                                       ▼
 //!                                  .NAME.partial/  ──only after finish succeeded──▶  NAME/
@@ -25,6 +25,7 @@ mod dynamic;
 mod error;
 mod make;
 mod origin;
+mod present;
 mod publish;
 mod registry;
 mod run;
@@ -39,6 +40,7 @@ pub use dynamic::PluginPaths;
 pub use error::{HostError, LoadError};
 pub use make::{import_scene, make_field, make_stack};
 pub use origin::Origin;
+pub use present::{Asked, PresentContext, Told, present};
 pub use registry::Registry;
 pub use run::{OpenOutput, OutputContext, run_output, with_output};
 

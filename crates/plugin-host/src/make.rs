@@ -81,12 +81,6 @@ struct TaskHost<'a> {
     task: Task<'a>,
 }
 
-impl TaskHost<'_> {
-    fn no_files(&self) -> PluginError {
-        PluginError::Refused(format!("{} writes no files", self.kind))
-    }
-}
-
 impl Services for TaskHost<'_> {
     fn log(&self, level: LogLevel, message: &str) {
         if matches!(level, LogLevel::Error | LogLevel::Warn) {
@@ -110,19 +104,7 @@ impl Services for TaskHost<'_> {
         self.task.cancel.is_cancelled()
     }
 
-    fn file_open(&self, _path: &str) -> Result<u64, PluginError> {
-        Err(self.no_files())
-    }
-
-    fn file_append(&self, _file: u64, _bytes: &[u8]) -> Result<(), PluginError> {
-        Err(self.no_files())
-    }
-
-    fn file_commit(&self, _file: u64) -> Result<(), PluginError> {
-        Err(self.no_files())
-    }
-
-    fn file_abort(&self, _file: u64) -> Result<(), PluginError> {
-        Err(self.no_files())
+    fn no_files(&self) -> PluginError {
+        PluginError::Refused(format!("{} writes no files", self.kind))
     }
 }

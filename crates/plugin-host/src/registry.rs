@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use crate::origin::Origin;
 use crate::serve::{Plugin, PluginInfo, PluginKind};
 use lumistack_core::config::nearest;
+use lumistack_plugin::PluginError;
 use serde_json::{Map, Value};
 
 use crate::built_in::{BUILT_IN, same_id};
@@ -112,6 +113,17 @@ impl Registry {
         let found = plugin.info().kind;
         if found != kind {
             return Err(HostError::OtherKind { id: id.into(), expected: kind, found });
+        }
+        Ok(plugin)
+    }
+
+    /// The output with this id, which must present, or else write files.
+    pub(crate) fn output(&self, id: &str, presents: bool) -> Result<&Plugin, HostError> {
+        let plugin = self.get_kind(id, PluginKind::Output)?;
+        if plugin.info().presents != presents {
+            let does = |presents| if presents { "presents" } else { "writes files" };
+            let reason = format!("expected a plugin that {}, found one that {}", does(presents), does(!presents));
+            return Err(HostError::of_plugin(PluginKind::Output, id, PluginError::Refused(reason)));
         }
         Ok(plugin)
     }

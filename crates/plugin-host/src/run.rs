@@ -27,7 +27,7 @@ pub struct OutputContext<'a> {
     pub task: Task<'a>,
 }
 
-/// Writes one time with the output plugin `id`; a presenter runs until the user closes it. Returns the files, relative to `out_dir`, sorted.
+/// Writes one time with the output plugin `id`, which must not be a presenter. Returns the files, relative to `out_dir`, sorted.
 ///
 /// Files are collected beside `out_dir` and moved into it once the plugin has finished: replaced are files of the same names, and removed
 /// what an earlier output into this folder wrote and this one does not. Other files in it stay. At most one output may be written into
@@ -74,7 +74,7 @@ pub fn with_output(
     task: Task<'_>,
     submit_all: impl FnOnce(&OpenOutput<'_>) -> Result<(), HostError>,
 ) -> Result<Vec<PathBuf>, HostError> {
-    let plugin = registry.get_kind(id, PluginKind::Output)?;
+    let plugin = registry.output(id, false)?;
     let resolved = registry.check_params(id, params)?;
     let staging = Staging::new(out_dir)?;
     let host = DiskHost::new(staging.path(), id, task);
@@ -82,9 +82,6 @@ pub fn with_output(
 
     let output = Output::open(plugin, &host, &Value::Object(resolved), display).map_err(of_plugin)?;
     submit_all(&OpenOutput { output: &output, id })?;
-    if plugin.info().presents {
-        output.run().map_err(of_plugin)?;
-    }
     output.finish().map_err(of_plugin)?;
 
     let files = host.into_files().map_err(|files| HostError::Uncommitted { plugin: id.into(), files })?;

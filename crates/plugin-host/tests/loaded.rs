@@ -46,7 +46,8 @@ fn every_plugin_is_the_same_loaded_as_compiled_in() {
             continue;
         };
         let count = same_outputs(same, plugin, at_default).unwrap_or_else(|broken| panic!("{origin}: {broken}"));
-        assert!(count > 0, "{}: nothing was compared", info.id);
+        // a presenter writes nothing
+        assert!(count > 0 || info.presents, "{}: nothing was compared", info.id);
         if info.id == "obj" {
             let [a, b] = [same, plugin].map(|plugin| {
                 import_conformance(plugin, "a.obj", &[("a.obj", OBJ), ("a.mtl", MTL)]).unwrap();

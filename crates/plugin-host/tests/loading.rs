@@ -202,22 +202,24 @@ fn libraries_of_other_versions_are_told_apart() {
     let bare = message("bare", ABI_MAJOR, ABI_MINOR, size, "4, 4, TEXTS, 0");
     assert_eq!(bare, "plugin `bare`: a function of an output is missing");
 
-    // a newer version of the same boundary only has more at the ends of its structs
-    let code = format!(
-        "static int open_(const void *h, struct str p, struct str d, void **i, const void *e) {{ *i = 0; return 0; }}\n\
-         static int submit(void *i, const void *t, const void *d, const void *e) {{ return 0; }}\n\
-         static int finish(void *i, const void *e) {{ return 0; }}\n\
-         static void close_(void *i) {{ }}\n\
-         static const struct {{ size_t size; const void *open, *submit, *run, *finish, *close, *more; }} v =\n\
-           {{ {vtable} + 8, open_, submit, 0, finish, close_, 0 }};\n\
-         static const struct {{ struct descriptor d; uint64_t more; }} d = {{ {{ {ABI_MAJOR}, {ABI_MINOR} + 7, {size} + 8, 4, 4,\n\
-           {}, &v }}, 9 }};\n\
-         const void *lumistack_plugin_entry_grown(void) {{ return &d; }}",
-        texts.replace("\"id\"", "\"grown\"")
-    );
-    let registry = load(&[&descriptor_in_c(folder.path(), "grown", &code)]);
-    assert!(registry.failed().is_empty(), "{:?}", registry.failed());
-    assert_eq!(registry.get("grown").unwrap().info().version, "1.0.0");
+    // versions of the same boundary differ at the ends of their structs: a newer one has more, one before 0.4 no `command`
+    for (id, last, vtable) in [("grown", ", *command, *more", vtable + 8), ("older", "", vtable - 8)] {
+        let code = format!(
+            "static int open_(const void *h, struct str p, struct str d, void **i, const void *e) {{ *i = 0; return 0; }}\n\
+             static int submit(void *i, const void *t, const void *d, const void *e) {{ return 0; }}\n\
+             static int finish(void *i, const void *e) {{ return 0; }}\n\
+             static void close_(void *i) {{ }}\n\
+             static const struct {{ size_t size; const void *open, *submit, *run, *finish, *close{last}; }} v =\n\
+               {{ {vtable}, open_, submit, 0, finish, close_ }};\n\
+             static const struct {{ struct descriptor d; uint64_t more; }} d = {{ {{ {ABI_MAJOR}, {ABI_MINOR} + 7, {size} + 8, 4, 4,\n\
+               {}, &v }}, 9 }};\n\
+             const void *lumistack_plugin_entry_{id}(void) {{ return &d; }}",
+            texts.replace("\"id\"", &format!("\"{id}\""))
+        );
+        let registry = load(&[&descriptor_in_c(folder.path(), id, &code)]);
+        assert!(registry.failed().is_empty(), "{:?}", registry.failed());
+        assert_eq!(registry.get(id).unwrap().info().version, "1.0.0");
+    }
 }
 
 #[test]

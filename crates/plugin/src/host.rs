@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use lumistack_core::{Cancel, Cancelled, Progress, Task, Warning, Warnings};
 use lumistack_plugin_abi::{Bytes, Data, HostServices, Plane, Str, View, level};
+use serde_json::Value;
 
 use crate::wire::{call, needs};
 use crate::{PlaneView, PluginError, ViewPoint};
@@ -65,6 +66,13 @@ impl Host {
     /// Tells the user what he may want to know.
     pub fn info(&self, message: &str) {
         self.log(level::INFO, message);
+    }
+
+    /// For presenters: tells an event to the driver of the presentation, as JSON of the plugin's own form.
+    pub fn tell(&self, event: &Value) {
+        let json = event.to_string();
+        // SAFETY: as in `log`.
+        self.with(|table| unsafe { (table.tell)(table.context, Str::new(&json)) });
     }
 
     fn log(&self, level: u32, message: &str) {

@@ -169,6 +169,14 @@ impl StackInput<'_> {
         })
     }
 
+    /// All patterns in one piece, a copy. `display` is the one that they are for.
+    ///
+    /// # Errors
+    /// If the host cannot lend a plane, or the display is another one.
+    pub fn to_layer_stack(&self, display: &Display) -> Result<LayerStack, PluginError> {
+        self.lent.patterns(display, self.brightness)
+    }
+
     /// What the display shows: emitted linear radiance `[row][col][rgb]` on the target's pixels. Divide by
     /// [`brightness`](Self::brightness) for what an adapted viewer sees.
     ///
@@ -250,30 +258,7 @@ impl FieldInput<'_> {
 
     /// Patterns of the display from which to begin.
     pub(crate) fn start(&self, display: &Display) -> Result<Option<LayerStack>, PluginError> {
-        let Some(Start { brightness }) = self.start else { return Ok(None) };
-        let mut stack = LayerStack::filled(display, 0.0);
-        stack.brightness = brightness;
-        let frames = stack.frames();
-        for (n, layer) in stack.layers.iter_mut().enumerate() {
-            for frame in 0..frames {
-                // SAFETY: the context is the data's own.
-                let plane = self
-                    .lent
-                    .plane(|data, plane, error| unsafe { (data.layer_plane)(data.context, n, frame, plane, error) })?;
-                fill(layer.block_mut([frame]), &plane)?;
-            }
-        }
-        if let Some(emission) = &mut stack.emission {
-            let [_, bins_y, bins_x, ..] = emission.shape();
-            for (frame, y, x) in bins(frames, [bins_y, bins_x]) {
-                // SAFETY: the context is the data's own.
-                let plane = self.lent.plane(|data, plane, error| unsafe {
-                    (data.emission_plane)(data.context, frame, y, x, plane, error)
-                })?;
-                fill(emission.block_mut([frame, y, x]), &plane)?;
-            }
-        }
-        Ok(Some(stack))
+        self.start.map(|Start { brightness }| self.lent.patterns(display, brightness)).transpose()
     }
 }
 
@@ -304,6 +289,32 @@ impl Lent<'_> {
         call(|error| fetch(data, &mut plane, error))?;
         // SAFETY: the host filled the plane in, and lends it at least until the submit returns.
         unsafe { PlaneView::new(plane) }
+    }
+
+    /// Copies the patterns that are lent.
+    fn patterns(&self, display: &Display, brightness: f64) -> Result<LayerStack, PluginError> {
+        let mut stack = LayerStack::filled(display, 0.0);
+        stack.brightness = brightness;
+        let frames = stack.frames();
+        for (n, layer) in stack.layers.iter_mut().enumerate() {
+            for frame in 0..frames {
+                // SAFETY: the context is the data's own.
+                let plane = self
+                    .plane(|data, plane, error| unsafe { (data.layer_plane)(data.context, n, frame, plane, error) })?;
+                fill(layer.block_mut([frame]), &plane)?;
+            }
+        }
+        if let Some(emission) = &mut stack.emission {
+            let [_, bins_y, bins_x, ..] = emission.shape();
+            for (frame, y, x) in bins(frames, [bins_y, bins_x]) {
+                // SAFETY: the context is the data's own.
+                let plane = self.plane(|data, plane, error| unsafe {
+                    (data.emission_plane)(data.context, frame, y, x, plane, error)
+                })?;
+                fill(emission.block_mut([frame, y, x]), &plane)?;
+            }
+        }
+        Ok(stack)
     }
 }
 

@@ -7,6 +7,7 @@ use std::sync::{PoisonError, RwLock};
 use lumistack_display::Display;
 use lumistack_plugin_abi::{self as abi, Data, ErrorSink, HostServices, OutputVtable, Status, Str};
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 use crate::given::params_of;
 use crate::host::CloseHost;
@@ -44,12 +45,21 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// If the data cannot be put where they belong; [`PluginError::Cancelled`] when the user asked to stop.
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError>;
 
-    /// For presenters: runs on the main thread until the user closes the presentation or asks to stop.
+    /// For presenters: runs on the main thread until the user closes the presentation or asks to stop. Every [`submit`](Self::submit) meanwhile
+    /// replaces what is presented: only the newest state counts. [`Host::tell`] tells events.
     ///
     /// # Errors
     /// If the presentation fails.
     fn run(&self) -> Result<(), PluginError> {
         Ok(())
+    }
+
+    /// For presenters: obeys a command while [`run`](Self::run) runs, JSON of the plugin's own form. Called from any thread.
+    ///
+    /// # Errors
+    /// [`PluginError::Refused`] if it is no command of the plugin.
+    fn command(&self, command: &Value) -> Result<(), PluginError> {
+        Err(PluginError::Refused(format!("no command is taken, found {command}")))
     }
 
     /// No more data will come.
@@ -81,6 +91,7 @@ impl<P: OutputPlugin> Instance<P> {
         run: if P::PRESENTS { Some(run::<P>) } else { None },
         finish: Some(finish::<P>),
         close: Some(close::<P>),
+        command: if P::PRESENTS { Some(command::<P>) } else { None },
     };
 
     /// Runs a call of the plugin and notes whether it panicked.
@@ -156,6 +167,21 @@ unsafe extern "C" fn run<P: OutputPlugin>(instance: *mut c_void, error: *const E
     // SAFETY: the host passes the handle of `open`.
     let this = unsafe { &*instance.cast::<Instance<P>>() };
     this.guarded(error, || this.with_plugin(P::run))
+}
+
+unsafe extern "C" fn command<P: OutputPlugin>(
+    instance: *mut c_void,
+    command_json: Str,
+    error: *const ErrorSink,
+) -> Status {
+    // SAFETY: the host passes the handle of `open`.
+    let this = unsafe { &*instance.cast::<Instance<P>>() };
+    this.guarded(error, || {
+        // SAFETY: the host lends the text until this call returns.
+        let text = unsafe { lent_text(command_json, "command")? };
+        let command = serde_json::from_str(text).map_err(|error| PluginError::Refused(format!("command: {error}")))?;
+        this.with_plugin(|plugin| plugin.command(&command))
+    })
 }
 
 unsafe extern "C" fn finish<P: OutputPlugin>(instance: *mut c_void, error: *const ErrorSink) -> Status {

@@ -183,14 +183,6 @@ impl Histogram {
         let all = values.len().max(1) as f64;
         Self { low, width, shares: counts.into_iter().map(|count| count as f64 / all).collect() }
     }
-
-    /// Left end, right end and share of every bar.
-    pub(crate) fn bars(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
-        self.shares.iter().enumerate().map(|(i, share)| {
-            let left = self.low + i as f64 * self.width;
-            (left, left + self.width, *share)
-        })
-    }
 }
 
 #[cfg(test)]
@@ -219,8 +211,8 @@ mod tests {
         assert!((most - 100.0 * step).abs() < 1e-3 && (largest - 100.0 * step).abs() < 1e-3);
         assert_eq!(budget.beyond_a_pixel, 0.5);
         assert!((budget.by_depth.shares.iter().sum::<f64>() - 1.0).abs() < 1e-9);
-        let at_79 = budget.by_depth.bars().find(|(left, right, _)| (*left..*right).contains(&79.0)).unwrap();
-        assert_eq!(at_79.2, 0.25);
+        let bar = ((79.0 - budget.by_depth.low) / budget.by_depth.width) as usize;
+        assert_eq!(budget.by_depth.shares[bar], 0.25);
         assert_eq!(budget.advice(), None);
         assert!(budget.sentence().starts_with("75.0 % of what is seen lies in the depth of field, −80 to 80 mm;"));
         let few = DepthBudget::measure(&display, &geometry, &[-100.0, 100.0, 0.0], &[0.0]);

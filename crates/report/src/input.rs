@@ -193,8 +193,8 @@ pub enum ReportError {
     #[error("encoding a picture: {0}")]
     Picture(#[from] image::ImageError),
     /// A plot could not be drawn.
-    #[error("drawing the convergence plot: {0}")]
-    Plot(String),
+    #[error(transparent)]
+    Plot(#[from] lumistack_plot::PlotError),
     /// The display could not be written as JSON.
     #[error("writing report.json: {0}")]
     Json(#[from] serde_json::Error),

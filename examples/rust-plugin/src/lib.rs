@@ -24,7 +24,9 @@ pub struct MeansParams {
 #[derive(Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
 pub enum Separator {
+    /// `,`
     Comma,
+    /// A tabulator.
     Tab,
 }
 

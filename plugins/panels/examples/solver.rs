@@ -4,11 +4,14 @@
 //! a stack every 0.3 s, holds still from the third to the fifth second (not with `steady` as the second word), and goes on. Printed are the submissions as lines
 //! of refresh, place, pictures, seconds.
 
-use std::sync::Arc;
+use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
+use lumistack_plugin::core::{Cancel, Collector, Task};
 use lumistack_plugin::display::{Display, LayerStack};
-use lumistack_plugin_panels::window::{Command, Content, Event, Mode, Settings, commands, present};
+use lumistack_plugin::serde_json::{from_value, json};
+use lumistack_plugin_host::{Asked, HostError, PresentContext, Registry, Told, present};
+use lumistack_plugin_panels::presentation::Event;
 
 /// A stack of its own for every number: all pixels of a layer alike, frame by frame another shade.
 fn stack(display: &Display, number: usize) -> LayerStack {
@@ -21,11 +24,11 @@ fn stack(display: &Display, number: usize) -> LayerStack {
     stack
 }
 
-fn main() {
+fn main() -> Result<(), HostError> {
     let seconds: u64 = std::env::args().nth(1).and_then(|word| word.parse().ok()).unwrap_or(8);
     let steady = std::env::args().nth(2).is_some_and(|word| word == "steady");
     let display = Display::uniform([320, 240], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], 3);
-    let (send, receive) = commands();
+    let (send, asked) = channel();
     let solver = {
         let display = display.clone();
         move || {
@@ -37,36 +40,26 @@ fn main() {
                     // anything may hold a solver up
                     std::thread::sleep(Duration::from_secs(2));
                 }
-                if send.send(Command::Stack(stack(&display, number))).is_err() {
+                if send.send(Asked::Stack(stack(&display, number))).is_err() {
                     return;
                 }
             }
         }
     };
     std::thread::spawn(solver);
-    let settings = Settings {
-        content: Content::Stack(stack(&display, 0)),
-        display,
-        mode: Mode::Outputs,
-        fit: false,
-        hold: None,
-        duration: Some(Duration::from_secs(seconds)),
-        log: true,
-    };
-    let tell = Arc::new(|event: Event| {
-        if let Event::Warning(text) = event {
-            eprintln!("warning: {text}");
-        }
-    });
-    match present(settings, receive, &|| false, tell) {
-        Ok(report) => {
-            for (refresh, place, pictures, seconds) in &report.log {
-                println!("{refresh},{place},{pictures},{seconds:.6}");
+    let told = |told: Told<'_>| match told {
+        Told::Warning(text) => eprintln!("warning: {text}"),
+        Told::Event(event) => {
+            if let Ok(Event::Report(report)) = from_value(event.clone()) {
+                for (refresh, place, pictures, seconds) in report.log {
+                    println!("{refresh},{place},{pictures},{seconds:.6}");
+                }
             }
         }
-        Err(error) => {
-            eprintln!("error: {error}");
-            std::process::exit(1);
-        }
-    }
+    };
+    let first = stack(&display, 0);
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    let context = PresentContext { display: &display, first: Some(&first), asked, told: &told, task };
+    present(&Registry::built_in()?, "panels", &json!({"duration_s": seconds, "log": true}), context)
 }

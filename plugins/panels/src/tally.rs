@@ -5,10 +5,15 @@
 
 use std::collections::BTreeMap;
 
+use lumistack_plugin::serde::{Deserialize, Serialize};
+
 /// Refreshes of one output.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
 pub struct Tally {
+    #[serde(skip)]
     interval_s: f64,
+    #[serde(skip)]
     last: Option<(u64, f64)>,
     /// Refreshes that came.
     pub shown: u64,

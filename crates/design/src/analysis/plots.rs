@@ -1,7 +1,7 @@
 //! Plots of several displays in one: the bound over depth (the paper's Figure 6) and the spectral supports (Figure 4).
 
 use super::{Analysis, Scene};
-use crate::plot::{self, Area, Axes, Curve, PlotError};
+use lumistack_plot::{self as plot, Area, Axes, Curve, PlotError};
 
 /// The bound is drawn up to this many times the light field's own.
 const MOST_DETAIL: f64 = 4.0;

@@ -18,8 +18,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use lumistack_core::Task;
-use lumistack_design::plot;
 use lumistack_design::table::{self, Row};
+use lumistack_plot as plot;
 use lumistack_plugin_host::Registry;
 use rayon::prelude::*;
 use serde::Serialize;

@@ -29,6 +29,10 @@ pub(crate) fn check(job: &Job, registry: &Registry) -> Result<(), PipelineError>
             let expected = format!("a plugin that takes a {port}");
             return Err(PipelineError::job("outputs", expected, format!("`{}`", output.plugin)));
         }
+        if info.presents {
+            let found = format!("`{}`, which presents (`lumistack show` does)", output.plugin);
+            return Err(PipelineError::job("outputs", "a plugin that writes files", found));
+        }
     }
     Ok(())
 }

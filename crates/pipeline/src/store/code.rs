@@ -43,15 +43,23 @@ pub(crate) const PATTERNS: Code = &[
 ];
 
 /// From a light field to a row of a sweep's table.
-pub(crate) const DESIGNS: Code =
-    &[PIPELINE, CORE, FIELD_IO, DISPLAY, SIMD, lumistack_factorizer::FINGERPRINT, lumistack_design::FINGERPRINT];
+pub(crate) const DESIGNS: Code = &[
+    PIPELINE,
+    CORE,
+    FIELD_IO,
+    DISPLAY,
+    SIMD,
+    lumistack_factorizer::FINGERPRINT,
+    lumistack_design::FINGERPRINT,
+    lumistack_plot::FINGERPRINT,
+];
 
 /// What plugins are given and how it is written, beside the plugins' own code.
 pub(crate) const PLUGINS: Code =
     &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_plugin_host::PLUGIN_FINGERPRINT, lumistack_plugin_host::FINGERPRINT];
 
 /// From patterns to a report.
-pub(crate) const REPORTS: Code = &[PIPELINE, CORE, DISPLAY, lumistack_report::FINGERPRINT];
+pub(crate) const REPORTS: Code = &[PIPELINE, CORE, DISPLAY, lumistack_plot::FINGERPRINT, lumistack_report::FINGERPRINT];
 
 #[cfg(test)]
 mod tests {
@@ -81,8 +89,8 @@ mod tests {
         holds(VIEWS, &["display", "simd", "pathtracer"]);
         holds(FIELDS, &["pipeline", "core", "display", "field-io"]);
         holds(PATTERNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer", "plugin", "plugin-host"]);
-        holds(DESIGNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer", "design"]);
+        holds(DESIGNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer", "design", "plot"]);
         holds(PLUGINS, &["pipeline", "core", "display", "field-io", "plugin", "plugin-host"]);
-        holds(REPORTS, &["pipeline", "core", "display", "report"]);
+        holds(REPORTS, &["pipeline", "core", "display", "plot", "report"]);
     }
 }

@@ -8,7 +8,7 @@ use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -21,7 +21,7 @@ use lumistack_plugin::wire::{keeping, lent_bytes, lent_lossy, tell};
 use super::protocol::{self, Answer, Call, FromChild, Loaded, PART, Request, Say, ToChild, read_frame, write_frame};
 use crate::LoadError;
 use crate::dynamic;
-use crate::serve::Plugin;
+use crate::serve::Functions;
 
 /// For how long an answer to "has the user asked to stop" holds; every other answer of the program brings a newer one.
 const FRESH: Duration = Duration::from_millis(2);
@@ -60,13 +60,18 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
         requests: AtomicU64::new(0),
         active: AtomicUsize::new(1),
         asked: Mutex::default(),
+        functions: OnceLock::new(),
+        instance: Mutex::default(),
     }));
     thread::spawn(move || {
         while let Ok(Some((message, body))) = read_frame(&mut from) {
             match message {
                 ToChild::Call { call, what } => {
                     link.active.fetch_add(1, Ordering::SeqCst);
-                    if calls.send((call, what)).is_err() {
+                    // a presentation may keep the main thread
+                    if matches!(what, Call::Submit { .. } | Call::Command { .. }) {
+                        link.beside(call, what);
+                    } else if calls.send((call, what)).is_err() {
                         break;
                     }
                 }
@@ -87,23 +92,24 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
         end_now();
     });
 
-    let (plugin, loaded) = match dynamic::open(library, id) {
+    let loaded = match dynamic::open(library, id) {
         Ok(plugin) => {
             let info = plugin.info().clone();
-            (Some(plugin), Loaded::Plugin(info))
+            let _ = link.functions.set(plugin.functions().clone());
+            Loaded::Plugin(info)
         }
-        Err(LoadError::NoEntry { symbol, .. }) => (None, Loaded::NoEntry(symbol)),
-        Err(LoadError::Descriptor { reason, .. }) => (None, Loaded::Descriptor(reason.to_string())),
-        Err(LoadError::OtherId { found, .. }) => (None, Loaded::OtherId(found)),
-        Err(LoadError::Open { reason, .. }) => (None, Loaded::Open(reason)),
-        Err(other) => (None, Loaded::Open(other.to_string())),
+        Err(LoadError::NoEntry { symbol, .. }) => Loaded::NoEntry(symbol),
+        Err(LoadError::Descriptor { reason, .. }) => Loaded::Descriptor(reason.to_string()),
+        Err(LoadError::OtherId { found, .. }) => Loaded::OtherId(found),
+        Err(LoadError::Open { reason, .. }) => Loaded::Open(reason),
+        Err(other) => Loaded::Open(other.to_string()),
     };
     link.send(&FromChild::Loaded(loaded), &[])?;
     link.active.fetch_sub(1, Ordering::SeqCst);
 
-    let mut worker = Worker { plugin, link, host: Box::new(link.services()), instance: Arc::default() };
+    let host: &'static HostServices = Box::leak(Box::new(link.services()));
     for (call, what) in waiting {
-        worker.run(call, what);
+        link.run(host, call, what);
     }
     Ok(())
 }
@@ -150,6 +156,9 @@ struct Link {
     active: AtomicUsize,
     /// Whether the user has asked to stop, and when that was true.
     asked: Mutex<(Option<Instant>, bool)>,
+    /// Functions of the plugin; none where the library gave none, and the program then calls nothing.
+    functions: OnceLock<Arc<dyn Functions>>,
+    instance: Mutex<Instance>,
 }
 
 impl Link {
@@ -214,6 +223,7 @@ impl Link {
             file_commit,
             file_abort,
             simulate,
+            tell: tell_program,
         }
     }
 }
@@ -333,6 +343,11 @@ unsafe extern "C" fn simulate(
         let (kind, value_bits) = ((*view).kind, (*view).value.map(f64::to_bits));
         fetch((*data).context, |call| Request::Simulate { call, kind, value_bits }, plane, error)
     }
+}
+
+unsafe extern "C" fn tell_program(context: *const c_void, event_json: Str) {
+    // SAFETY: see above.
+    unsafe { link_of(context).say(Say::Tell { json: text(event_json) }) };
 }
 
 /// What the contexts of lent data and sinks point to.
@@ -587,16 +602,6 @@ unsafe fn give(
     unsafe { link.status(what(*call, shape), body, error) }
 }
 
-/// Runs the calls of the program.
-struct Worker {
-    /// `None` where the library gave none; the program then calls nothing.
-    plugin: Option<Plugin>,
-    link: &'static Link,
-    /// The plugin keeps a pointer to it, until the process ends.
-    host: Box<HostServices>,
-    instance: Arc<Mutex<Instance>>,
-}
-
 /// The handle of an open output.
 #[derive(Clone, Copy)]
 struct Instance(*mut c_void);
@@ -610,30 +615,37 @@ impl Default for Instance {
     }
 }
 
-impl Worker {
-    /// Runs one call: times of a sequence in threads of their own, all else here, on the main thread.
-    fn run(&mut self, call: u64, what: Call) {
-        let Some(plugin) = &self.plugin else { return };
-        let (link, functions) = (self.link, plugin.functions().clone());
+impl Link {
+    /// Runs a call that may come while another is running, in a thread of its own.
+    fn beside(&'static self, call: u64, what: Call) {
+        let Some(functions) = self.functions.get() else { return };
         let instance = *locked(&self.instance);
-        if let Call::Submit { time, data } = what {
-            let submit = move || {
-                // the whole of it, and not its pointer, goes to the thread
-                let Instance(handle) = { instance };
-                // SAFETY: the handle of `open`, which the program closes after this; the rest is lent for the call.
-                done(link, call, |error| unsafe {
-                    with_data(link, call, &data, |data| functions.submit(handle, &time_of(time), data, error))
-                });
-            };
-            let started = thread::Builder::new().stack_size(STACK).spawn(submit);
-            if let Err(reason) = started {
-                let text = format!("no thread can be started: {reason}");
-                let _ = link.send(&FromChild::Done { call, status: Status::FAILED.0, text }, &[]);
-                link.active.fetch_sub(1, Ordering::SeqCst);
-            }
-            return;
+        let work = move || {
+            // the whole of it, and not its pointer, goes to the thread
+            let Instance(handle) = { instance };
+            // SAFETY: the handle of `open`, which the program closes after this; the rest is lent for the call.
+            done(self, call, |error| unsafe {
+                match &what {
+                    Call::Submit { time, data } => {
+                        with_data(self, call, data, |data| functions.submit(handle, &time_of(*time), data, error))
+                    }
+                    Call::Command { json } => functions.command(handle, Str::new(json), error),
+                    _ => unreachable!("runs on the main thread"),
+                }
+            });
+        };
+        if let Err(reason) = thread::Builder::new().stack_size(STACK).spawn(work) {
+            let text = format!("no thread can be started: {reason}");
+            let _ = self.send(&FromChild::Done { call, status: Status::FAILED.0, text }, &[]);
+            self.active.fetch_sub(1, Ordering::SeqCst);
         }
-        let host: *const HostServices = &raw const *self.host;
+    }
+
+    /// Runs any other call, on the main thread. The plugin keeps a pointer to the host's table.
+    fn run(&'static self, host: &'static HostServices, call: u64, what: Call) {
+        let Some(functions) = self.functions.get() else { return };
+        let (link, instance) = (self, *locked(&self.instance));
+        let host: *const HostServices = host;
         let running = Running { link, call };
         let context = (&raw const running).cast::<c_void>();
         let Instance(handle) = instance;
@@ -682,7 +694,7 @@ impl Worker {
                     functions.close(handle);
                     Status::OK
                 }
-                Call::Submit { .. } => unreachable!("has a thread of its own"),
+                Call::Submit { .. } | Call::Command { .. } => unreachable!("have threads of their own"),
             }
         });
     }

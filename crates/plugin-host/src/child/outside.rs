@@ -207,6 +207,15 @@ unsafe impl Functions for Remote {
         }
     }
 
+    unsafe fn command(&self, instance: *mut c_void, command_json: Str, error: *const ErrorSink) -> Status {
+        // SAFETY: as in `submit`.
+        unsafe {
+            let opened = &*instance.cast::<Opened>();
+            let what = Call::Command { json: text(command_json) };
+            opened.owner.call(opened.host, Lent::nothing(), what, "it took a command", error)
+        }
+    }
+
     unsafe fn finish(&self, instance: *mut c_void, error: *const ErrorSink) -> Status {
         // SAFETY: as in `submit`.
         unsafe {

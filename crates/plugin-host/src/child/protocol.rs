@@ -35,6 +35,7 @@ pub(super) enum Call {
     Open { params: String, display: String },
     Submit { time: Time, data: Data },
     Run,
+    Command { json: String },
     Finish,
     Close,
 }
@@ -192,6 +193,7 @@ pub(super) enum Say {
     ProgressBegin { stage: String, total: u64, unit: String },
     ProgressAdvance { steps: u64, note: String },
     ProgressEnd,
+    Tell { json: String },
 }
 
 /// Writes one frame.

@@ -239,6 +239,7 @@ pub(super) unsafe fn pass_on(host: &HostServices, say: &Say) {
             }
             Say::ProgressAdvance { steps, note } => (host.progress_advance)(context, *steps, Str::new(note)),
             Say::ProgressEnd => (host.progress_end)(context),
+            Say::Tell { json } => (host.tell)(context, Str::new(json)),
         }
     }
 }

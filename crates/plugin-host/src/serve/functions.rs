@@ -74,6 +74,9 @@ pub unsafe trait Functions: Send + Sync {
     /// [`OutputVtable::run`].
     unsafe fn run(&self, instance: *mut c_void, error: *const ErrorSink) -> Status;
 
+    /// [`OutputVtable::command`].
+    unsafe fn command(&self, instance: *mut c_void, command_json: Str, error: *const ErrorSink) -> Status;
+
     /// [`OutputVtable::finish`].
     unsafe fn finish(&self, instance: *mut c_void, error: *const ErrorSink) -> Status;
 
@@ -87,7 +90,8 @@ pub(crate) enum Vtable {
     Importer(&'static ImporterVtable),
     Source(&'static SourceVtable),
     Node(&'static NodeVtable),
-    Output(&'static OutputVtable),
+    /// A copy, with nothing where the table of an older plugin ends.
+    Output(OutputVtable),
 }
 
 impl Vtable {
@@ -202,6 +206,14 @@ unsafe impl Functions for Vtable {
         // SAFETY: as in `import`.
         match self.output(|table| table.run) {
             Some(run) => unsafe { run(instance, error) },
+            None => unsafe { missing(error) },
+        }
+    }
+
+    unsafe fn command(&self, instance: *mut c_void, command_json: Str, error: *const ErrorSink) -> Status {
+        // SAFETY: as in `import`.
+        match self.output(|table| table.command) {
+            Some(command) => unsafe { command(instance, command_json, error) },
             None => unsafe { missing(error) },
         }
     }

@@ -30,7 +30,7 @@ pub struct Output<'a> {
 
 // SAFETY: the boundary lets the functions of an output be called from any thread.
 unsafe impl Send for Output<'_> {}
-// SAFETY: `submit`, the only function that a shared output offers besides `run`, may be called from several threads at once.
+// SAFETY: `submit` and `command`, which a shared output offers besides `run`, may be called from several threads at once.
 unsafe impl Sync for Output<'_> {}
 
 impl<'a> Output<'a> {
@@ -101,6 +101,16 @@ impl<'a> Output<'a> {
     pub fn run(&self) -> Result<(), PluginError> {
         // SAFETY: the handle is the plugin's own.
         call(|error| unsafe { self.functions.run(self.instance, error) })
+    }
+
+    /// For presenters: passes on a command while [`run`](Self::run) runs; from any thread.
+    ///
+    /// # Errors
+    /// If the plugin takes no commands, or not this one.
+    pub fn command(&self, command: &Value) -> Result<(), PluginError> {
+        let json = command.to_string();
+        // SAFETY: the handle is the plugin's own; the text is lent for the call.
+        call(|error| unsafe { self.functions.command(self.instance, Str::new(&json), error) })
     }
 
     /// No more data will come.

@@ -6,6 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use lumistack_plugin::PluginError;
 use lumistack_plugin::abi::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, View, level};
 use lumistack_plugin::wire::{answer, lent_bytes, lent_lossy, lent_text};
+use serde_json::Value;
 
 use crate::serve::lend;
 
@@ -34,26 +35,40 @@ pub trait Services: Sync {
     fn progress_end(&self);
     /// Whether the user asked to stop.
     fn is_cancelled(&self) -> bool;
+    /// Takes an event of a presenter.
+    fn tell(&self, _event: &Value) {}
     /// Starts a file at a path relative to the output's folder; returns its handle.
     ///
     /// # Errors
     /// If the path leaves the folder or the file cannot be made.
-    fn file_open(&self, path: &str) -> Result<u64, PluginError>;
+    fn file_open(&self, _path: &str) -> Result<u64, PluginError> {
+        Err(self.no_files())
+    }
     /// Adds bytes at the end of an open file.
     ///
     /// # Errors
     /// If the handle is not that of an open file or the bytes cannot be written.
-    fn file_append(&self, file: u64, bytes: &[u8]) -> Result<(), PluginError>;
+    fn file_append(&self, _file: u64, _bytes: &[u8]) -> Result<(), PluginError> {
+        Err(self.no_files())
+    }
     /// The file is whole.
     ///
     /// # Errors
     /// If the handle is not that of an open file or the file cannot be finished.
-    fn file_commit(&self, file: u64) -> Result<(), PluginError>;
+    fn file_commit(&self, _file: u64) -> Result<(), PluginError> {
+        Err(self.no_files())
+    }
     /// Drops the file.
     ///
     /// # Errors
     /// If the handle is not that of an open file or the file cannot be removed.
-    fn file_abort(&self, file: u64) -> Result<(), PluginError>;
+    fn file_abort(&self, _file: u64) -> Result<(), PluginError> {
+        Err(self.no_files())
+    }
+    /// The reason of a host without files. A host with files has the four functions above.
+    fn no_files(&self) -> PluginError {
+        PluginError::Refused("no files are taken here".into())
+    }
 }
 
 /// The C table of a host; it borrows the services, whose type the functions remember.
@@ -71,6 +86,7 @@ pub(crate) fn table<S: Services>(services: &S) -> HostServices {
         file_commit: file_commit::<S>,
         file_abort: file_abort::<S>,
         simulate,
+        tell: tell::<S>,
     }
 }
 
@@ -151,6 +167,14 @@ unsafe extern "C" fn file_commit<S: Services>(context: *const c_void, file: u64,
 unsafe extern "C" fn file_abort<S: Services>(context: *const c_void, file: u64, error: *const ErrorSink) -> Status {
     // SAFETY: as in `log`.
     unsafe { answer(error, || services::<S>(context).file_abort(file)) }
+}
+
+unsafe extern "C" fn tell<S: Services>(context: *const c_void, event_json: Str) {
+    // SAFETY: as in `log`.
+    let (text, services) = unsafe { (lent_lossy(event_json), services::<S>(context)) };
+    if let Ok(event) = serde_json::from_str(&text) {
+        contained(|| services.tell(&event));
+    }
 }
 
 unsafe extern "C" fn simulate(

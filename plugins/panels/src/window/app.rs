@@ -14,14 +14,15 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::keyboard::{Key, ModifiersState, NamedKey};
 use winit::window::{Fullscreen, Window, WindowId};
 
+use super::WindowError;
 use super::conductor::{Baton, Conductor};
 use super::gpu::{self, Part};
 use super::outputs::{self, Watch, is_x11, outputs_of};
 use super::producer::{Producer, Work};
 use super::session::session;
-use super::{Command, Content, Event, Mode, Report, Settings, WindowError};
 use crate::assign::{Change, Output, assign, bounds, change};
 use crate::fit::{fitted, misfits};
+use crate::presentation::{Command, Content, Event, Mode, Report, Settings};
 use crate::{Feed, Picture, Shows};
 
 /// How often outputs are looked at, and whether it is time to end.
@@ -48,7 +49,7 @@ pub fn present(
     commands: Receiver<Command>,
     cancelled: &dyn Fn() -> bool,
     tell: Arc<dyn Fn(Event) + Send + Sync>,
-) -> Result<Report, WindowError> {
+) -> Result<(), WindowError> {
     let event_loop = EventLoop::<Command>::with_user_event().build().map_err(session)?;
     let proxy = event_loop.create_proxy();
     std::thread::spawn(move || {
@@ -78,7 +79,7 @@ pub fn present(
     };
     let ran = event_loop.run_app(&mut app).map_err(session);
     // why it ended comes before what the end itself met
-    app.result.unwrap_or_else(|| ran.map(|()| Report::default()))
+    app.result.unwrap_or(ran)
 }
 
 struct App<'a> {
@@ -100,7 +101,7 @@ struct App<'a> {
     selected: usize,
     /// Shifts that no file has.
     unsaved: bool,
-    result: Option<Result<Report, WindowError>>,
+    result: Option<Result<(), WindowError>>,
 }
 
 /// What runs beside the main thread.
@@ -372,10 +373,6 @@ impl App<'_> {
             #[cfg(all(unix, not(target_os = "macos")))]
             feedback,
         };
-        let shown = match mode {
-            Mode::Window => Vec::new(),
-            _ => self.stage_parts.iter().map(|part| (part.shows, part.output.clone())).collect(),
-        };
         let half_fov_deg = display.field.fov_deg.map(|fov| 0.5 * fov);
         let from_deg = if let Content::Rehearsal { from_deg, .. } = content { from_deg } else { [0.0; 2] };
         let pictures = match mode {
@@ -429,7 +426,13 @@ impl App<'_> {
         self.shown_since = Some(Instant::now());
         // who hears that it has begun may press a key
         self.watch.insert(Watch::new(event_loop)).keep_keys(&self.windows[0].0, mode == Mode::Span);
-        (self.tell)(Event::Started(shown));
+        if mode != Mode::Window {
+            for Part { shows: panel, output, .. } in &self.stage_parts {
+                let Output { name, position, size, refresh_hz } = output.clone();
+                (self.tell)(Event::Shows { panel: *panel, output: name, position, size, refresh_hz });
+            }
+        }
+        (self.tell)(Event::Started);
         Ok(())
     }
 
@@ -556,11 +559,11 @@ impl App<'_> {
         if self.unsaved {
             (self.tell)(Event::Warning("the panels' shifts were not saved (key s, or `save`)".into()));
         }
-        if reason.is_err() && report.refreshes > 0 {
-            // an error has no place for it
-            (self.tell)(Event::Report(Box::new(report.clone())));
+        // an error that comes before the first refresh has nothing to count
+        if reason.is_ok() || report.refreshes > 0 {
+            (self.tell)(Event::Report(Box::new(report)));
         }
-        self.result = Some(reason.map(|()| report));
+        self.result = Some(reason);
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
 use super::gpu::{Deck, Gpu, Part, Screen};
-use super::{Event, Report};
+use crate::presentation::{Event, Report};
 use crate::{Feed, Tally};
 
 /// What other threads tell the conductor, and it never waits for.
@@ -52,7 +52,7 @@ impl Conductor {
     pub(super) fn run(mut self, tell: &(dyn Fn(Event) + Sync)) -> Report {
         let mut report = Report {
             interval_s: self.interval_s,
-            interval_from: self.interval_from,
+            interval_from: self.interval_from.into(),
             submitted: Some(Tally::new(self.interval_s)),
             ..Report::default()
         };
@@ -95,6 +95,7 @@ impl Conductor {
             report.refreshes += 1;
             self.baton.beat.store(report.swaps + report.refreshes, Ordering::Relaxed);
             report.seconds = now_s;
+            report.rate_hz = if now_s > 0.0 { (report.refreshes - 1) as f64 / now_s } else { 0.0 };
             place = (place + 1) % showing.pictures.len();
             self.listen(&mut report);
             if self.baton.report.swap(false, Ordering::Relaxed) {
@@ -179,11 +180,14 @@ impl Conductor {
             let parts = self.parts.iter().filter(|part| part.screen == screen);
             parts.map(|part| part.output.name.as_str()).collect::<Vec<_>>().join(" + ")
         };
-        report.shown = feedback.tallies().iter().enumerate().map(|(i, tally)| (name(i), tally.clone())).collect();
-        report.skew = (self.screens.len() > 1).then(|| feedback.skew().clone());
         // what a platform promised and never told is not known
-        if report.shown.iter().all(|(_, tally)| tally.shown == 0) {
-            (report.shown, report.skew) = (Vec::new(), None);
+        if feedback.tallies().iter().all(|tally| tally.shown == 0) {
+            return;
+        }
+        report.presented = feedback.tallies().iter().enumerate().map(|(i, tally)| (name(i), tally.clone())).collect();
+        if self.screens.len() > 1 {
+            report.skew_mean_s = feedback.skew().mean_s();
+            report.skew_largest_s = report.skew_mean_s.map(|_| feedback.skew().largest_s);
         }
     }
 }

@@ -6,9 +6,10 @@ use std::sync::mpsc::Receiver;
 use lumistack_plugin::core::colour::srgb_code;
 use lumistack_plugin::display::{ColourSequence, Display, LayerStack, Simulator};
 
+use super::WindowError;
 use super::conductor::Baton;
 use super::gpu::{Deck, Gpu, Part};
-use super::{Content, Event, WindowError};
+use crate::presentation::{Content, Event};
 use crate::{Picture, Shows, flat_codes};
 
 /// What comes.
@@ -75,7 +76,7 @@ impl Producer {
                 let Some(nudge) = nudge_of(&mut self.display, shows) else { return Ok(false) };
                 // tenths of a pixel, without the dust of adding them up
                 *nudge = [0, 1].map(|axis| ((nudge[axis] + by[axis]) * 1000.0).round() / 1000.0);
-                tell(Event::Selected(shows, *nudge));
+                tell(Event::Nudged { panel: shows, nudge_px: *nudge });
                 for (part, picture) in self.parts.iter().zip(&mut self.pictures).filter(|(part, _)| part.shows == shows)
                 {
                     *picture = Picture::new(&self.display, shows, part.output.size);
@@ -83,7 +84,7 @@ impl Producer {
                 Ok(true)
             }
             Work::Save => {
-                tell(Event::Save(Box::new(self.display.clone())));
+                tell(Event::Save { display: Box::new(self.display.clone()) });
                 Ok(false)
             }
             Work::Look(from) => {

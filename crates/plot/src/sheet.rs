@@ -1,23 +1,10 @@
-//! Plots: one SVG each, and PNGs made of the same SVG. Text is text, in a font that stands in the program for the PNG.
+//! Plots that stand alone: black on white, with headline and legend, in the font of their PNGs.
 
-use std::sync::{Arc, OnceLock};
-
-use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use resvg::{tiny_skia, usvg};
-use thiserror::Error;
 
-/// A plot that cannot be drawn.
-#[derive(Debug, Error)]
-#[error("plot: {0}")]
-pub struct PlotError(String);
-
-impl PlotError {
-    pub(crate) fn new(error: impl std::fmt::Display) -> Self {
-        Self(error.to_string())
-    }
-}
+use crate::PlotError;
+use crate::chart::{Chart, Drawn, FAMILY, described, digits, ends};
 
 /// What curves and areas are drawn in.
 #[derive(Clone, Debug, Default)]
@@ -92,12 +79,6 @@ const SIZE: (u32, u32) = (760, 400);
 const LEGEND: u32 = 214;
 /// Points are whole numbers: curves are drawn so many times larger, or they would have steps.
 const FINE: u32 = 4;
-/// Its family is that of the SVG's text on machines that have it.
-const FONT: &[u8] = include_bytes!("../fonts/DejaVuSans-subset.ttf");
-pub(crate) const FAMILY: &str = "DejaVu Sans, sans-serif";
-
-type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
-type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 /// Draws curves, before bars `[from, to, height as a share of the axis]` and levels (name, y).
 ///
@@ -240,40 +221,6 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
 /// Numbers above this are printed as "more".
 pub const CAP_DB: f64 = 60.0;
 
-/// Rasterizes an SVG at `scale` pixels per unit.
-///
-/// # Errors
-/// If it is no SVG, or too large.
-pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, PlotError> {
-    raster(svg, scale)?.encode_png().map_err(PlotError::new)
-}
-
-/// Codes `[row][col][rgb]` of an SVG of [width, height] units that leaves nothing open, a pixel per unit.
-pub(crate) fn codes(svg: &str, size: [usize; 2]) -> Result<Vec<u8>, PlotError> {
-    let picture = raster(svg, 1.0)?;
-    if [picture.width() as usize, picture.height() as usize] != size {
-        return Err(PlotError::new("a picture of another size"));
-    }
-    Ok(picture.pixels().iter().flat_map(|p| [p.red(), p.green(), p.blue()]).collect())
-}
-
-fn raster(svg: &str, scale: f32) -> Result<tiny_skia::Pixmap, PlotError> {
-    static FONTS: OnceLock<Arc<usvg::fontdb::Database>> = OnceLock::new();
-    let fontdb = FONTS.get_or_init(|| {
-        let mut fonts = usvg::fontdb::Database::new();
-        fonts.load_font_data(FONT.to_vec());
-        fonts.set_sans_serif_family("DejaVu Sans");
-        Arc::new(fonts)
-    });
-    let options = usvg::Options { fontdb: fontdb.clone(), font_family: "DejaVu Sans".into(), ..Default::default() };
-    let tree = usvg::Tree::from_str(svg, &options).map_err(PlotError::new)?;
-    let size = tree.size();
-    let [width, height] = [size.width(), size.height()].map(|side| (side * scale).ceil() as u32);
-    let mut picture = tiny_skia::Pixmap::new(width, height).ok_or_else(|| PlotError::new("too large a picture"))?;
-    resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut picture.as_mut());
-    Ok(picture)
-}
-
 struct Entry<'a> {
     name: &'a str,
     colour: RGBColor,
@@ -361,12 +308,6 @@ fn framed(
     Ok(described(&svg, &format!("{}: {} over {}", axes.title, axes.y_label, axes.x_label)))
 }
 
-/// A description for those who do not see the plot.
-fn described(svg: &str, label: &str) -> String {
-    let label = label.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
-    svg.replacen("xmlns=", &format!("role=\"img\" aria-label=\"{label}\" xmlns="), 1)
-}
-
 fn colour(place: usize) -> RGBColor {
     COLOURS.get(place).map_or(BLACK, |&[r, g, b]| RGBColor(r, g, b))
 }
@@ -432,27 +373,6 @@ fn wrapped(text: &str, most: usize) -> Vec<String> {
     lines
 }
 
-/// A range around all values, never empty, widened by a share of its width on either side; `None` without values.
-fn ends(values: impl Iterator<Item = f64>, widen: f64) -> Option<[f64; 2]> {
-    let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
-    let width = high - low;
-    match width {
-        width if width < 0.0 => None,
-        width if width > 1e-9 => Some([low - widen * width, high + widen * width]),
-        _ => Some([low - 0.5, high + 0.5]),
-    }
-}
-
-/// Decimals that tell tick labels apart.
-fn digits([low, high]: [f64; 2]) -> usize {
-    match high - low {
-        width if width >= 8.0 => 0,
-        width if width >= 0.8 => 1,
-        width if width >= 0.08 => 2,
-        _ => 3,
-    }
-}
-
 /// Twice the area of a polygon.
 fn surface(corners: &[[f64; 2]]) -> f64 {
     let next = corners.iter().cycle().skip(1);
@@ -462,6 +382,7 @@ fn surface(corners: &[[f64; 2]]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::png;
 
     fn axes() -> Axes {
         Axes { title: "Bounds".into(), x_label: "depth, mm".into(), y_label: "cycles/mm".into(), x: None, y: None }

@@ -1,0 +1,242 @@
+//! Output plugin `panels`: every layer on its output, or a rehearsal in a window, until somebody ends it.
+
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use lumistack_plugin::display::Display;
+use lumistack_plugin::serde::Deserialize;
+use lumistack_plugin::serde_json::{self, Value};
+use lumistack_plugin::{Host, Input, OutputPlugin, Param, PluginError, Port, Schema, Time, export_plugin};
+
+use crate::pattern::{PATTERNS, Pattern};
+use crate::presentation::{Command, Content, Event, Mode, Settings};
+use crate::shows::Shows;
+use crate::window;
+
+/// Viewing distance where the display names none: the paper's photographs were taken from here.
+const DISTANCE_MM: f64 = 2000.0;
+
+/// The plugin.
+#[derive(Debug)]
+pub struct Panels {
+    host: Host,
+    params: PanelsParams,
+    display: Display,
+    /// Until the presentation begins.
+    waiting: Mutex<Option<Waiting>>,
+    send: Sender<Command>,
+}
+
+/// A presentation that has not begun.
+#[derive(Debug)]
+struct Waiting {
+    /// A test pattern, a picture, or the newest patterns.
+    content: Option<Content>,
+    commands: Receiver<Command>,
+}
+
+/// Parameters; see [`Panels::schema`](OutputPlugin::schema) for their meaning.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(crate = "lumistack_plugin::serde")]
+pub struct PanelsParams {
+    mode: Mode,
+    fit: bool,
+    hold: i64,
+    duration_s: f64,
+    from_x_deg: f64,
+    from_y_deg: f64,
+    pattern: String,
+    only: String,
+    eye_x_mm: f64,
+    eye_y_mm: f64,
+    eye_z_mm: f64,
+    picture: String,
+    layer: i64,
+    log: bool,
+}
+
+impl OutputPlugin for Panels {
+    const DOC: &'static str = "Shows every layer on its monitor, frame after frame, or in a window what the display would show, until it is closed. \
+        `lumistack show` drives it, in builds with windows.";
+    const PORTS: &'static [Port] = &[Port::LayerStack];
+    const PRESENTS: bool = true;
+    type Params = PanelsParams;
+
+    fn schema() -> Schema {
+        Schema::new([
+            Param::choice(
+                "mode",
+                "outputs",
+                [
+                    ("outputs", "A surface per output."),
+                    ("span", "One surface across all outputs, so that all layers flip together."),
+                    (
+                        "window",
+                        "An ordinary window with the picture that the display would show; the mouse moves the viewer.",
+                    ),
+                ],
+                "Where it is shown.",
+            ),
+            Param::bool(
+                "fit",
+                false,
+                "Whether masks fill the panels, whatever their size; distances then no longer hold.",
+            ),
+            Param::int("hold", -1, -1..=1 << 20, "The frame that stays; -1 for all in turn.").unit("1"),
+            Param::float("duration_s", 0.0, 0.0..=1e9, "How long it is shown; 0 until somebody ends it.").unit("s"),
+            Param::float("from_x_deg", 0.0, -80.0..=80.0, "Angle to the right at which the window begins.")
+                .unit("degrees"),
+            Param::float("from_y_deg", 0.0, -80.0..=80.0, "Angle upwards at which the window begins.").unit("degrees"),
+            Param::text("pattern", "", &format!("Test pattern instead of the layers' patterns: {PATTERNS}.")),
+            Param::text(
+                "only",
+                "",
+                "The panel that alone shows the test pattern: the number of a layer, or backlight.",
+            ),
+            Param::float(
+                "eye_x_mm",
+                0.0,
+                -1e6..=1e6,
+                "Place of the eye for which crosshairs coincide, to the right of the display's middle.",
+            )
+            .unit("mm"),
+            Param::float("eye_y_mm", 0.0, -1e6..=1e6, "The same, upwards.").unit("mm"),
+            Param::float(
+                "eye_z_mm",
+                0.0,
+                0.0..=1e6,
+                "Distance of the eye; 0 for the display's viewing distance, or 2000 where it names none.",
+            )
+            .unit("mm"),
+            Param::text(
+                "picture",
+                "",
+                "Path of a picture (PNG, JPEG, WebP) that one layer shows with all its pixels; the others are clear.",
+            ),
+            Param::int(
+                "layer",
+                -1,
+                -1..=1 << 10,
+                "The layer of the picture, 0 the rearmost; -1 for the one nearest to the display's plane.",
+            )
+            .unit("1"),
+            Param::bool("log", false, "Whether reports have the time of every submission."),
+        ])
+    }
+
+    fn open(host: Host, params: PanelsParams, display: Display) -> Result<Self, PluginError> {
+        let content = fixed(&params, &display)?;
+        let frames = if content.is_some() { 1 } else { display.frames };
+        if usize::try_from(params.hold).is_ok_and(|hold| hold >= frames) {
+            return Err(refused("hold", format!("0 to {}", frames - 1), params.hold));
+        }
+        let (send, commands) = channel();
+        Ok(Self { host, params, display, waiting: Mutex::new(Some(Waiting { content, commands })), send })
+    }
+
+    fn submit(&self, _time: Time, data: &Input<'_>) -> Result<(), PluginError> {
+        self.host.check_cancelled()?;
+        let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
+        let stack = stack.to_layer_stack(&self.display)?;
+        match &mut *self.waiting() {
+            // a test pattern or a picture stays
+            Some(Waiting { content: Some(Content::Pattern { .. } | Content::Flat { .. }), .. }) => {}
+            Some(waiting) => {
+                let from_deg = [self.params.from_x_deg, self.params.from_y_deg];
+                waiting.content = Some(match self.params.mode {
+                    Mode::Window => Content::Rehearsal { stack, from_deg },
+                    Mode::Outputs | Mode::Span => Content::Stack(stack),
+                });
+            }
+            // a presentation that has ended needs none
+            None => drop(self.send.send(Command::Stack(stack))),
+        }
+        Ok(())
+    }
+
+    fn run(&self) -> Result<(), PluginError> {
+        let waiting = self.waiting().take();
+        let Waiting { content, commands } =
+            waiting.ok_or_else(|| PluginError::Refused("it was already shown".into()))?;
+        let settings = Settings {
+            display: self.display.clone(),
+            content: content.ok_or_else(|| PluginError::Refused("there are no patterns to show".into()))?,
+            mode: self.params.mode,
+            fit: self.params.fit,
+            hold: usize::try_from(self.params.hold).ok(),
+            duration: (self.params.duration_s > 0.0).then(|| Duration::from_secs_f64(self.params.duration_s)),
+            log: self.params.log,
+        };
+        let host = self.host.clone();
+        let tell = Arc::new(move |event: Event| match event {
+            Event::Warning(text) => host.warn(&text),
+            event => host.tell(&serde_json::to_value(event).expect("events are plain data")),
+        });
+        window::present(settings, commands, &|| self.host.is_cancelled(), tell)
+            .map_err(|error| PluginError::Failed(error.to_string()))
+    }
+
+    fn command(&self, command: &Value) -> Result<(), PluginError> {
+        let command = Command::deserialize(command)
+            .map_err(|error| PluginError::Refused(format!("command {command}: {error}")))?;
+        // nobody obeys one that comes after the end
+        let _ = self.send.send(command);
+        Ok(())
+    }
+
+    fn finish(self) -> Result<(), PluginError> {
+        Ok(())
+    }
+}
+
+impl Panels {
+    fn waiting(&self) -> MutexGuard<'_, Option<Waiting>> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn refused(name: &str, expected: impl std::fmt::Display, found: impl std::fmt::Display) -> PluginError {
+    PluginError::Refused(format!("`{name}`: expected {expected}, found {found}"))
+}
+
+/// Content that the parameters name, and that submitted patterns do not replace.
+fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, PluginError> {
+    if !params.pattern.is_empty() {
+        let pattern = params.pattern.parse::<Pattern>().map_err(|error| PluginError::Refused(error.to_string()))?;
+        let all = Shows::all(display);
+        let only = Some(&params.only).filter(|text| !text.is_empty()).map(|text| {
+            let shows = text.parse().ok().filter(|shows| all.contains(shows));
+            let names = || all.iter().map(Shows::to_string).collect::<Vec<_>>().join(", ");
+            shows.ok_or_else(|| refused("only", format!("one of {}", names()), text))
+        });
+        let distance = if params.eye_z_mm > 0.0 { Some(params.eye_z_mm) } else { display.field.distance_mm };
+        let eye_mm = [params.eye_x_mm, params.eye_y_mm, distance.unwrap_or(DISTANCE_MM)];
+        let nearest = display.layers.last().map_or(0.0, |layer| layer.d_mm);
+        if eye_mm[2] <= nearest {
+            let expected = format!("a distance in front of all layers, above {nearest}");
+            return Err(refused("eye_z_mm", expected, eye_mm[2]));
+        }
+        return Ok(Some(Content::Pattern { pattern, only: only.transpose()?, eye_mm }));
+    }
+    if !params.picture.is_empty() {
+        let nearest = (0..display.layers.len())
+            .min_by(|a, b| display.layers[*a].d_mm.abs().total_cmp(&display.layers[*b].d_mm.abs()))
+            .unwrap_or(0);
+        let layer = usize::try_from(params.layer).unwrap_or(nearest);
+        if layer >= display.layers.len() {
+            return Err(refused("layer", format!("0 to {}", display.layers.len() - 1), layer));
+        }
+        let cannot =
+            |error: &dyn std::fmt::Display| PluginError::Refused(format!("`picture`: {}: {error}", params.picture));
+        let picture = image::ImageReader::open(&params.picture)
+            .and_then(image::ImageReader::with_guessed_format)
+            .map_err(|error| cannot(&error))?
+            .decode()
+            .map_err(|error| cannot(&format!("expected PNG, JPEG or WebP: {error}")))?;
+        return Ok(Some(Content::Flat { picture: picture.to_rgb8(), layer }));
+    }
+    Ok(None)
+}
+
+export_plugin!("panels", Panels);
