@@ -23,7 +23,7 @@
 /**
  * Version of what was added at the ends of structs.
  */
-#define LUMISTACK_ABI_MINOR 3
+#define LUMISTACK_ABI_MINOR 4
 
 /**
  * IEEE 754 binary32, native byte order.
@@ -402,6 +402,10 @@ typedef struct LumistackHostServices {
                               const struct LumistackView *view,
                               struct LumistackPlane *plane,
                               const struct LumistackErrorSink *error);
+  /**
+   * The port whose data an output will be given, a bit of `port`; 0 where the host does not say. Since version 0.4.
+   */
+  uint32_t port;
 } LumistackHostServices;
 
 /**

@@ -55,4 +55,6 @@ pub struct HostServices {
         plane: *mut Plane,
         error: *const ErrorSink,
     ) -> Status,
+    /// The port whose data an output will be given, a bit of [`port`](crate::port); 0 where the host does not say. Since version 0.4.
+    pub port: u32,
 }

@@ -48,7 +48,7 @@ use core::ffi::c_void;
 pub const ABI_MAJOR: u32 = 0;
 
 /// Version of what was added at the ends of structs.
-pub const ABI_MINOR: u32 = 3;
+pub const ABI_MINOR: u32 = 4;
 
 /// A plugin's entry symbol is this followed by its id; see [`Entry`].
 pub const ENTRY_PREFIX: &str = "lumistack_plugin_entry_";
@@ -169,9 +169,10 @@ mod tests {
             offset_of!(HostServices, file_commit),
             offset_of!(HostServices, file_abort),
             offset_of!(HostServices, simulate),
+            offset_of!(HostServices, port),
             size_of::<HostServices>(),
         ];
-        assert_eq!(host, [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96]);
+        assert_eq!(host, [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96, 104]);
 
         let data = [
             offset_of!(Data, port),

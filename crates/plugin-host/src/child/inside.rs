@@ -214,6 +214,7 @@ impl Link {
             file_commit,
             file_abort,
             simulate,
+            port: 0,
         }
     }
 }
@@ -633,6 +634,9 @@ impl Worker {
             }
             return;
         }
+        if let Call::Open { port, .. } = &what {
+            self.host.port = *port;
+        }
         let host: *const HostServices = &raw const *self.host;
         let running = Running { link, call };
         let context = (&raw const running).cast::<c_void>();
@@ -670,7 +674,7 @@ impl Worker {
                         functions.make_stack(host, params, display, &time_of(*time), data, &stack, error)
                     })
                 }
-                Call::Open { params, display } => {
+                Call::Open { params, display, .. } => {
                     let mut handle = std::ptr::null_mut();
                     let status = functions.open(host, Str::new(params), Str::new(display), &mut handle, error);
                     *locked(&self.instance) = Instance(handle);

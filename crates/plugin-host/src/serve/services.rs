@@ -3,9 +3,9 @@
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use lumistack_plugin::PluginError;
 use lumistack_plugin::abi::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, View, level};
 use lumistack_plugin::wire::{answer, lent_bytes, lent_lossy, lent_text};
+use lumistack_plugin::{PluginError, Port};
 
 use crate::serve::lend;
 
@@ -54,6 +54,10 @@ pub trait Services: Sync {
     /// # Errors
     /// If the handle is not that of an open file or the file cannot be removed.
     fn file_abort(&self, file: u64) -> Result<(), PluginError>;
+    /// The port whose data an output will be given, where that is known when it is opened.
+    fn port(&self) -> Option<Port> {
+        None
+    }
 }
 
 /// The C table of a host; it borrows the services, whose type the functions remember.
@@ -71,6 +75,7 @@ pub(crate) fn table<S: Services>(services: &S) -> HostServices {
         file_commit: file_commit::<S>,
         file_abort: file_abort::<S>,
         simulate,
+        port: services.port().map_or(0, Port::bit),
     }
 }
 
