@@ -164,7 +164,13 @@ fn every_part_of_a_run_shows_progress() {
         "denoise",
         "check the denoiser",
         "expose",
+        "write light field",
+        "render for the score",
         "factorize",
+        "patterns",
+        "simulated views",
+        "preview",
+        "score",
         "report",
     ] {
         assert!(begun.contains(&stage), "{stage} shows no progress: {begun:?}");
