@@ -178,6 +178,11 @@ fn every_part_of_a_run_shows_progress() {
     }
     let ended = events.iter().filter(|event| event["event"] == "end").count();
     assert_eq!(ended, begun.len(), "stages follow one another");
+    // what is kept is read, too
+    let text =
+        succeed(run(&write_triangle(folder.path()), &out).args(["--denoise", "guided", "--samples", "4", "--json"]));
+    let kept = text.lines().filter(|line| line.contains("\"begin\"") && line.contains("\"kept views\"")).count();
+    assert_eq!(kept, 2, "views and pictures of the score: {text}");
 }
 
 /// Nobody reads any more: no panic, no word.

@@ -13,7 +13,7 @@ use super::depth::Depths;
 use super::fields::{FieldJob, Shot, parts};
 use crate::error::{PipelineError, render_error};
 use crate::job::Engine;
-use crate::store::views::{read_view, variance_path, view_path, write_view};
+use crate::store::views::{missing, read_view, variance_path, view_path, write_view};
 use crate::view_options::ViewOptions;
 
 /// The traced views of a shot, in the cache.
@@ -55,7 +55,7 @@ pub(crate) fn run(
     let (window, kind) = (shot.window(), job.render.denoise);
     let engine = blender::engine(job, ingested, options.variance(), task);
     let fields = shot.fields(cache_dir, engine == Engine::Blender);
-    let mut todo = Vec::new();
+    let mut all = Vec::new();
     for (number, field) in fields.iter().enumerate() {
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
         let variance = options.variance() && field.is_target();
@@ -63,13 +63,15 @@ pub(crate) fn run(
             for &half in parts(kind) {
                 let path = view_path(&field.folder, view, half);
                 let variance = variance.then(|| variance_path(&field.folder, view, half));
-                let is_there = |path: &PathBuf| read_view(path, &field.geometry).is_some();
-                if !(is_there(&path) && variance.as_ref().is_none_or(is_there)) {
-                    todo.push(Todo { field: number, view, half, path, variance });
-                }
+                all.push(Todo { field: number, view, half, path, variance });
             }
         }
     }
+    let is_kept = |Todo { field, path, variance, .. }: &Todo| {
+        let is_there = |path: &PathBuf| read_view(path, &fields[*field].geometry).is_some();
+        is_there(path) && variance.as_ref().is_none_or(is_there)
+    };
+    let todo = missing(all, |todo| todo.path.clone(), is_kept, task);
     let kept = Depths::read(&fields[0].folder, &fields[0].traced);
     let cached = todo.is_empty() && kept.is_some();
     let depths = match kept {
