@@ -142,6 +142,17 @@ fn a_preview_of_other_patterns_is_made_anew_whatever_its_time() {
     assert!(image::open(&shown).is_ok());
 }
 
+/// Key of `lumistack info`.
+const WOULD_REFUSE: &str = "outputs that a run would refuse";
+
+/// A quilt of so many views of the light field, all of which it must have.
+fn quilt(columns: usize) -> String {
+    format!(
+        "[[outputs]]\nplugin = \"quilt\"\nfrom = \"light_field\"\n\
+         params = {{ columns = {columns}, rows = 1, missing_views = \"refuse\" }}\n"
+    )
+}
+
 #[test]
 fn outputs_that_refuse_the_display_do_so_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
@@ -153,13 +164,18 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
     assert!(error.contains("transparencies") && error.contains("12"), "{error}");
     assert!(!run.join("layers").exists(), "it was factorized first");
     let info = succeed(lumistack().arg("info").arg(&path));
-    assert!(info.contains("refuse") && info.contains("transparencies") && info.contains("frames = 1"), "{info}");
+    assert!(info.contains(WOULD_REFUSE) && info.contains("transparencies") && info.contains("frames = 1"), "{info}");
     // a scene: nothing is traced
     let scene = root().join("scenes/glass/glass.gltf");
     fs::write(folder.path().join("bad.json"), "{}").unwrap();
     for (outputs, reason) in [
         (transparencies, "12"),
         ("[[outputs]]\nplugin = \"quilt\"\nparams = { calibration = \"bad.json\" }\n", "calibration"),
+        (&quilt(9), "views = [9, 1]"),
+        (
+            "[[outputs]]\nplugin = \"images\"\nfrom = \"light_field\"\nparams = { atlas = true, png8 = false }\n",
+            "a light field has",
+        ),
     ] {
         let path = folder.path().join("scene.toml");
         let text = format!(
@@ -171,7 +187,7 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
         let (told, error) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
         assert_eq!(output.status.code(), Some(1));
         assert!(error.contains(reason) && !told.contains("\"begin\""), "{error}{told}");
-        assert!(succeed(lumistack().arg("info").arg(&path)).contains("refuse"));
+        assert!(succeed(lumistack().arg("info").arg(&path)).contains(WOULD_REFUSE));
     }
     // a node's output is opened against the node's display
     let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\n[nodes.display]\npreset = \"fig7-uniform\"\nframes = 7\n\
@@ -181,24 +197,56 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
 }
 
 #[test]
+fn outputs_of_a_sequence_are_checked_on_the_light_fields_of_its_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let times = folder.path().join("times");
+    fs::create_dir(&times).unwrap();
+    // the job's own display has 3 × 3 views
+    ["t1.npy", "t2.npy"].iter().for_each(|name| write_test_field(&times.join(name), [5, 5, 16, 24], 20.0, 3.0));
+    for (columns, nodes, is_refused) in [
+        (5, "", false),
+        (3, "", true),
+        (5, "[[nodes]]\nid = \"a\"\n", false),
+        (3, "[[nodes]]\nid = \"a\"\n", true),
+        (5, "[[nodes]]\nid = \"a\"\n[[outputs]]\nplugin = \"transparencies\"\nfrom = \"a\"\n", true),
+    ] {
+        let path = folder.path().join("times.toml");
+        let text = format!(
+            "light_field = \"times\"\n{nodes}{}[sequence]\n[geometry]\nfov_deg = [20, 20]\npitch_mm = 3.0\n\
+             [display]\npreset = \"fig7-uniform\"\n",
+            quilt(columns)
+        );
+        fs::write(&path, text).unwrap();
+        let info = succeed(lumistack().arg("info").arg(&path));
+        assert_eq!(info.contains(WOULD_REFUSE), is_refused, "{columns} {nodes}: {info}");
+    }
+}
+
+#[test]
 fn an_output_that_fails_costs_neither_report_nor_other_outputs() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
-    // which views are missing is known when there are some
-    let outputs = "[[outputs]]\nplugin = \"quilt\"\nfrom = \"light_field\"\nparams = { columns = 5, rows = 1, missing_views = \"refuse\" }\n\
-                   [[outputs]]\nplugin = \"images\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"light_field\"\n";
-    let path = job(folder.path(), 2, outputs);
+    // a file where the output's folder should be is found when there is something to write
+    succeed(
+        lumistack().arg("run").arg(job(folder.path(), 2, "[[outputs]]\nplugin = \"images\"\n")).arg("-o").arg(&run),
+    );
+    let blocked = run.join("outputs/light_field/quilt");
+    fs::create_dir_all(blocked.parent().unwrap()).unwrap();
+    fs::write(&blocked, "").unwrap();
+    let outputs = "[[outputs]]\nplugin = \"images\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"light_field\"\n";
+    let path = job(folder.path(), 2, &[&quilt(3), outputs].concat());
     let error = fail(lumistack().arg("run").arg(&path).arg("-o").arg(&run));
-    assert!(error.contains("outputs/light_field/quilt") && error.contains("views = [5, 1]"), "{error}");
+    let reason = "expected a folder";
+    assert!(error.contains("outputs/light_field/quilt") && error.contains(reason), "{error}");
     for finished in ["outputs/tensor-display/images/images.json", "outputs/light_field/images/images.json"] {
         assert!(run.join(finished).is_file(), "{finished} is missing");
     }
     let told = report(&run);
     let failed: Vec<&Value> =
         told["outputs"].as_array().unwrap().iter().filter(|output| !output["failed"].is_null()).collect();
-    assert!(failed.len() == 1 && failed[0]["failed"].as_str().unwrap().contains("views = [5, 1]"), "{failed:?}");
+    assert!(failed.len() == 1 && failed[0]["failed"].as_str().unwrap().contains(reason), "{failed:?}");
     let html = fs::read_to_string(run.join("report.html")).unwrap();
-    assert!(html.contains("quilt was not written") && html.contains("5, 1"));
+    assert!(html.contains("quilt was not written") && html.contains(reason));
     let output = lumistack().args(["--json", "run"]).arg(&path).arg("-o").arg(&run).output().unwrap();
     let done = String::from_utf8_lossy(&output.stdout).lines().last().unwrap().to_owned();
     let done: Value = serde_json::from_str(&done).unwrap();

@@ -8,8 +8,9 @@ use crate::common;
 use crate::common::triangle::write_triangle;
 use crate::common::{fail, lumistack, report, succeed};
 
+/// With frames so many that the display's panels would flicker.
 const SMALL: [&str; 10] =
-    ["--resolution", "24x15", "--samples", "2", "--max-bounces", "2", "--frames", "2", "--iterations", "3"];
+    ["--resolution", "24x15", "--samples", "2", "--max-bounces", "2", "--frames", "3", "--iterations", "3"];
 
 /// What a command that succeeds says on standard error.
 fn said(command: &mut Command) -> String {
@@ -164,13 +165,24 @@ fn every_part_of_a_run_shows_progress() {
         "denoise",
         "check the denoiser",
         "expose",
+        "write light field",
+        "render for the score",
         "factorize",
+        "patterns",
+        "simulated views",
+        "preview",
+        "score",
         "report",
     ] {
         assert!(begun.contains(&stage), "{stage} shows no progress: {begun:?}");
     }
     let ended = events.iter().filter(|event| event["event"] == "end").count();
     assert_eq!(ended, begun.len(), "stages follow one another");
+    // what is kept is read, too
+    let text =
+        succeed(run(&write_triangle(folder.path()), &out).args(["--denoise", "guided", "--samples", "4", "--json"]));
+    let kept = text.lines().filter(|line| line.contains("\"begin\"") && line.contains("\"kept views\"")).count();
+    assert_eq!(kept, 2, "views and pictures of the score: {text}");
 }
 
 /// Nobody reads any more: no panic, no word.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::tools::{self, EVERYTHING, Outcome, command, install, output_of, run};
+use crate::tools::{self, Outcome, command, install, output_of, run};
 
 /// What builds and checks the package, as pip takes it.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "maturin==1.16.*", "pytest==9.*", "mypy==2.*"];
@@ -66,7 +66,7 @@ pub fn build(python: &Path) -> Outcome<PathBuf> {
 /// Packs a wheel of what the tests of the workspace have compiled, which maturin would compile again with other features; its path. Everything but the
 /// module is as maturin has it.
 pub fn pack(python: &Path) -> Outcome<PathBuf> {
-    tools::cargo(&[&["build", "--quiet", "--lib"], &EVERYTHING[..]].concat())?;
+    tools::build_everything()?;
     let (info, folder) = (empty("target/wheels/info")?, empty("target/wheels/dev")?);
     let mut maturin = command(python.with_file_name("maturin"));
     run(maturin

@@ -19,9 +19,11 @@ pub fn cargo(arguments: &[&str]) -> Outcome {
 /// What CI compiles: one selection of packages with one set of features, so that nothing is compiled twice. It has the windows of panels.
 pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
 
-/// Builds all programs and examples, among them the libraries of plugins, into `target/debug`.
+/// Builds all programs, the Python module and all examples, among them the libraries of plugins, into `target/debug`.
+///
+/// Examples may use what tests use. Without them cargo would select fewer features of some dependencies than `cargo test` does, and compile a third of the workspace again.
 pub fn build_everything() -> Outcome {
-    cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--bins", "--examples"]].concat())
+    cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--lib", "--bins", "--examples"]].concat())
 }
 
 /// A program that runs in the workspace's root, and whose tests list what they skip.

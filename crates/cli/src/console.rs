@@ -23,8 +23,8 @@ macro_rules! tell {
 pub(crate) use tell;
 
 pub(crate) fn tell_line(text: std::fmt::Arguments<'_>) {
-    // an error here has nobody left to be told
-    let _ = writeln!(std::io::stderr(), "{text}");
+    // at once: standard error has no buffer, and lines of several programs may meet there. An error here has nobody left to be told
+    let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
 }
 
 pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {

@@ -5,7 +5,7 @@
 //! and that no solver saw. The scene's pictures are noisy, so each is given twice with independent noise: the mean product of the two differences is the squared
 //! error without their noise, since E[(e + n₁)(e + n₂)] = e².
 
-use crate::{Backlight, Display, EyeBox, LEAST_SHARE, Projection, SeenView, ViewGrid};
+use crate::{EyeBox, LEAST_SHARE, Projection, SeenView, ViewGrid};
 
 /// Directions of a score, at least.
 pub const LEAST_DIRECTIONS: usize = 32;
@@ -139,32 +139,6 @@ fn psnr(mse: f64) -> f64 {
     -10.0 * mse.max(LEAST).log10()
 }
 
-/// The native angular step of a display per axis (x, y): the change of slope that moves some layer by one pixel against the light field or against the layer next
-/// to it, p / max |Δd|, or the rays by one bin of the backlight. At multiples of it, of layers with one pitch at multiples of one distance, all shifts are whole
-/// pixels: there one ray per pixel is exact for the pixel's area, and between two such slopes the seen picture mixes products that both share. `None` without
-/// parallax.
-pub fn native_step(display: &Display) -> [Option<f64>; 2] {
-    let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
-    let gaps =
-        display.layers.windows(2).map(|pair| (pair[1].d_mm - pair[0].d_mm, pair[0].pitch_mm.min(pair[1].pitch_mm)));
-    let moving = against_field.chain(gaps).filter(|(distance, _)| *distance > 0.0);
-    let finest = moving.map(|(distance, pitch)| pitch / distance).reduce(f64::min);
-    [0, 1].map(|axis| match (finest, bin_width(display, axis)) {
-        (Some(a), Some(b)) => Some(a.min(b)),
-        (a, b) => a.or(b),
-    })
-}
-
-/// Width of slopes of a bin of a directional backlight along an axis; `None` where it tells no directions apart.
-pub(crate) fn bin_width(display: &Display, axis: usize) -> Option<f64> {
-    match &display.backlight {
-        Backlight::Lenslets(lenslets) if lenslets.views[axis] > 1 => {
-            Some(2.0 * (0.5 * lenslets.fov_deg[axis].to_radians()).tan() / lenslets.views[axis] as f64)
-        }
-        _ => None,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use lumistack_core::Tensor;
@@ -241,19 +215,5 @@ mod tests {
         assert!((score.psnr().unwrap() - psnr(0.128 / 20.0)).abs() < 1e-12);
         assert_eq!(ZoneScore::default().psnr(), None);
         assert!(DirectionScore { mse: -1e-9, ..direction(0.0) }.psnr() > 100.0, "noise below zero is no error");
-    }
-
-    /// The figures of layered displays with three layers 40 mm apart: at 420 columns there are 13 whole shifts over 20°.
-    #[test]
-    fn native_steps_are_whole_shifts() {
-        let display = Display::uniform([420, 262], 1.128, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 6);
-        let step = native_step(&display)[0].unwrap();
-        assert!((step - 1.128 / 40.0).abs() < 1e-12);
-        assert_eq!(2 * (10f64.to_radians().tan() / step).floor() as usize + 1, 13);
-        // two layers around the light field's plane: what one pixel moves is one against the other
-        let pair = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[-10.0, 10.0], 1);
-        assert_eq!(native_step(&pair), [Some(0.05); 2]);
-        let flat = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[0.0], 1);
-        assert_eq!(native_step(&flat), [None, None]);
     }
 }

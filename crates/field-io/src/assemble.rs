@@ -12,7 +12,7 @@ use lumistack_display::{FieldGeometry, LightField};
 use crate::FieldError;
 use crate::disparity::{self, Motion};
 use crate::geometry::{self, GeometryDefaults, GeometryFlags, Pixels, pick};
-use crate::npy::zeros;
+use crate::npy::reserved;
 use crate::prefilter::{self, Footprint, Shares};
 use crate::resample::{Rect, area};
 use crate::source::Source;
@@ -68,11 +68,12 @@ pub(crate) fn assemble(
     let shape = LightField::shape_of(&geometry);
     let count = Tensor::element_count(shape)
         .ok_or_else(|| FieldError::malformed(&path, "size", "an array that fits in memory", format!("{shape:?}")))?;
-    let mut data = zeros(&path, count)?;
+    let mut data = reserved(&path, count)?;
+    let length = count / (shape[0] * shape[1]);
     let mut range = Range::default();
     let mut one = Vec::new();
     task.progress.begin("read views", (shape[0] * shape[1]) as u64, "views");
-    for (index, part) in data.chunks_exact_mut(count / (shape[0] * shape[1])).enumerate() {
+    for index in 0..shape[0] * shape[1] {
         task.cancel.check()?;
         let [of_row, of_col] = [&averaged[0][index / shape[1]], &averaged[1][index % shape[1]]];
         let views: Vec<([usize; 2], f32)> =
@@ -80,11 +81,14 @@ pub(crate) fn assemble(
         for (view, share) in &views {
             let mut values = source.reader.load(*view)?;
             check_values(source, *view, &mut values, &mut range)?;
+            // only now is the memory touched: a header may claim any size
+            data.resize((index + 1) * length, 0.0);
+            let part = &mut data[index * length..];
             if views.len() == 1 {
                 area(&values, source.size, window.rect(*view), window.out_size, part);
                 continue;
             }
-            one.resize(part.len(), 0.0);
+            one.resize(length, 0.0);
             area(&values, source.size, window.rect(*view), window.out_size, &mut one);
             part.iter_mut().zip(&one).for_each(|(sum, value)| *sum += share * value);
         }

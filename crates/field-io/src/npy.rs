@@ -196,14 +196,20 @@ impl Scalar {
     }
 }
 
-/// Memory for `count` values, or an error where an attempt to take it would end the program.
+/// Zeros, or an error where an attempt to take the memory would end the program.
 pub(crate) fn zeros(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
+    let mut data = reserved(path, count)?;
+    data.resize(count, 0.0);
+    Ok(data)
+}
+
+/// Room for `count` values that nobody has touched yet, or an error as of [`zeros`].
+pub(crate) fn reserved(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
     let mut data = Vec::new();
     if data.try_reserve_exact(count).is_err() {
         let found = format!("{:.1} GB", count as f64 * 4e-9);
         return Err(FieldError::malformed(path, "size", "an array that fits in memory", found));
     }
-    data.resize(count, 0.0);
     Ok(data)
 }
 

@@ -127,6 +127,30 @@ fn truncated_pictures_are_errors() {
 }
 
 /// Every third byte of small files is damaged in turn: whatever comes out, it is no panic and no endless work.
+/// Largest memory that this process has ever touched, bytes.
+#[cfg(target_os = "linux")]
+fn peak_bytes() -> usize {
+    let status = fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+    line.trim().trim_end_matches(" kB").parse::<usize>().unwrap() << 10
+}
+
+/// Views of 2.4 GB in all, of which nothing is there but the claim: memory is taken once pixels have come.
+#[test]
+#[cfg(target_os = "linux")]
+fn headers_that_claim_much_cost_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    for view in 0..4 {
+        let header = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 7000 +X 7000\n";
+        fs::write(folder.path().join(format!("input_Cam{view:03}.hdr")), header).unwrap();
+    }
+    let before = peak_bytes();
+    let error = plain_error(folder.path());
+    assert!(error.contains("input_Cam000.hdr"), "{error}");
+    let grown = peak_bytes() - before;
+    assert!(grown < 1 << 30, "{grown} bytes were touched");
+}
+
 #[test]
 fn damaged_bytes_never_panic() {
     let folder = tempfile::tempdir().unwrap();

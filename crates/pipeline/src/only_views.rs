@@ -8,7 +8,7 @@ use lumistack_plugin_host::Registry;
 use lumistack_report::DepthBudget;
 
 use crate::error::{PipelineError, display_error, field_error};
-use crate::job::Job;
+use crate::job::{Denoise, Job};
 use crate::stage::field::{field_info, warn_of_depth};
 use crate::stage::fields::Shot;
 use crate::stage::{denoise, expose, ingest, layers, place, trace};
@@ -31,7 +31,12 @@ pub fn render_only(
     let Some(scene) = &job.scene else {
         return Err(PipelineError::job("scene", "a scene to render", "none"));
     };
-    let job = &plugin_files::resolved(job, registry)?;
+    let mut job = job.clone();
+    if !options.only.is_empty() && job.render.denoise == Denoise::Auto {
+        // a filter works on all views together
+        job.render.denoise = Denoise::Off;
+    }
+    let job = &plugin_files::resolved(&job, registry)?;
     job.check()?;
     let _owned = folder::take(target_dir, Work::Views, job, registry, task)?;
     let display = job.resolve_display()?;

@@ -406,6 +406,10 @@ typedef struct LumistackHostServices {
    * Tells an event to the driver of a presenter, as JSON of the plugin's own form. Since version 0.4.
    */
   void (*tell)(const void *context, struct LumistackStr event_json);
+  /**
+   * The port whose data an output will be given, a bit of `port`; 0 where the host does not say. Since version 0.4.
+   */
+  uint32_t port;
 } LumistackHostServices;
 
 /**

@@ -57,4 +57,6 @@ pub struct HostServices {
     ) -> Status,
     /// Tells an event to the driver of a presenter, as JSON of the plugin's own form. Since version 0.4.
     pub tell: unsafe extern "C" fn(context: *const c_void, event_json: Str),
+    /// The port whose data an output will be given, a bit of [`port`](crate::port); 0 where the host does not say. Since version 0.4.
+    pub port: u32,
 }

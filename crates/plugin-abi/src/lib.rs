@@ -171,9 +171,10 @@ mod tests {
             offset_of!(HostServices, file_abort),
             offset_of!(HostServices, simulate),
             offset_of!(HostServices, tell),
+            offset_of!(HostServices, port),
             size_of::<HostServices>(),
         ];
-        assert_eq!(host, [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96, 104]);
+        assert_eq!(host, [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96, 104, 112]);
 
         let data = [
             offset_of!(Data, port),

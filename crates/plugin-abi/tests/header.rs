@@ -133,7 +133,7 @@ fn c_compilers_see_the_same_layout() {
         OutputVtable { size, open, submit, run, finish, close, command }
         HostServices {
             size, context, log, progress_begin, progress_advance, progress_end, is_cancelled, file_open, file_append,
-            file_commit, file_abort, simulate, tell,
+            file_commit, file_abort, simulate, tell, port,
         }
         Data { size, port, context, description_json, layer_plane, emission_plane, view_plane, weight_plane }
         Plane { size, data, dtype, ndim, shape, strides, owner, release }

@@ -3,12 +3,12 @@
 use crate::serve::{LogLevel, Output, PluginKind, Services};
 use lumistack_core::{Cancel, Task};
 use lumistack_display::Display;
-use lumistack_plugin::PluginError;
+use lumistack_plugin::{PluginError, Port};
 use serde_json::Value;
 
 use crate::{HostError, Registry};
 
-/// Opens the output plugin `id` for a display and closes it again unused. What it would warn of is left to [`run_output`](crate::run_output), which says it
+/// Opens the output plugin `id` for a display and for data of `port`, and closes it again unused. What it would warn of is left to [`run_output`](crate::run_output), which says it
 /// where it counts.
 ///
 /// # Errors
@@ -18,12 +18,13 @@ pub fn check_output(
     id: &str,
     params: &Value,
     display: &Display,
+    port: Port,
     task: Task<'_>,
 ) -> Result<(), HostError> {
     task.cancel.check().map_err(|_| HostError::Cancelled)?;
     let plugin = registry.output(id, false)?;
     let resolved = registry.check_params(id, params)?;
-    let host = Unused { cancel: task.cancel };
+    let host = Unused { cancel: task.cancel, port };
     let opened = Output::open(plugin, &host, &Value::Object(resolved), display);
     opened.map(drop).map_err(|error| HostError::of_plugin(PluginKind::Output, id, error))
 }
@@ -31,6 +32,7 @@ pub fn check_output(
 /// A host on which nothing can be written.
 struct Unused<'a> {
     cancel: &'a Cancel,
+    port: Port,
 }
 
 impl Services for Unused<'_> {
@@ -49,6 +51,10 @@ impl Services for Unused<'_> {
     fn no_files(&self) -> PluginError {
         PluginError::Refused("an output writes files when it has data, not when it opens".into())
     }
+
+    fn port(&self) -> Option<Port> {
+        Some(self.port)
+    }
 }
 
 #[cfg(all(test, feature = "transparencies", feature = "quilt", feature = "images"))]
@@ -66,7 +72,7 @@ mod tests {
         let text = include_str!("../../../scenes/displays/fig7-uniform.toml");
         let display = Display::from_toml(text).unwrap().with_resolution([40, 25]);
         let check = |id: &str, params: Value, display: &Display| {
-            check_output(&registry, id, &params, display, task).map_err(|error| error.to_string())
+            check_output(&registry, id, &params, display, Port::LayerStack, task).map_err(|error| error.to_string())
         };
         let mut still = display.clone();
         (still.frames, still.layers) = (1, vec![Layer::new(-5.0, [40, 25], 1.0), Layer::new(5.0, [40, 25], 1.0)]);
@@ -85,6 +91,11 @@ mod tests {
         assert!(error.contains("`view_row`"), "{error}");
         let error = check("quilt", json!({"columns": 4}), &display).unwrap_err();
         assert!(error.contains("both or neither"), "{error}");
+        // a stack is simulated at every tile's place, a light field has its own views alone
+        let views = json!({"columns": 7, "rows": 1, "missing_views": "refuse"});
+        assert_eq!(check("quilt", views.clone(), &display), Ok(()));
+        let error = check_output(&registry, "quilt", &views, &display, Port::LightField, task).unwrap_err();
+        assert!(error.to_string().contains("views = [7, 1]"), "{error}");
         let error = check("images", json!({"lenslet_panel": true}), &display).unwrap_err();
         assert!(error.contains("lenslets"), "{error}");
         let mut uneven = display.clone();

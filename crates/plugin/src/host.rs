@@ -11,7 +11,7 @@ use lumistack_plugin_abi::{Bytes, Data, HostServices, Plane, Str, View, level};
 use serde_json::Value;
 
 use crate::wire::{call, needs};
-use crate::{PlaneView, PluginError, ViewPoint};
+use crate::{PlaneView, PluginError, Port, ViewPoint};
 
 /// The host's services; clones share them. They end when the output is closed: a clone that outlives it gets errors.
 #[derive(Clone)]
@@ -85,6 +85,12 @@ impl Host {
         // SAFETY: as in `log`.
         self.with(|table| unsafe { (table.progress_begin)(table.context, Str::new(name), total, Str::new(unit)) });
         Stage(self.clone())
+    }
+
+    /// The port whose data an output will be given, where the host says so as it opens one; `None` elsewhere.
+    pub fn port(&self) -> Option<Port> {
+        let bit = self.with(|table| table.port)?;
+        Port::ALL.into_iter().find(|port| port.bit() == bit)
     }
 
     /// Whether the user asked to stop. True once the output is closed.

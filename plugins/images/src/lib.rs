@@ -65,6 +65,9 @@ impl OutputPlugin for Images {
 
     fn open(host: Host, params: ImagesParams, display: Display) -> Result<Self, PluginError> {
         params.check()?;
+        if host.port() == Some(Port::LightField) {
+            params.check_field()?;
+        }
         if params.lenslet_panel {
             panel::lenslet_panel(&display, &params)?;
         }

@@ -236,18 +236,32 @@ impl ImagesParams {
     /// # Errors
     /// If parameters contradict one another.
     pub(crate) fn check(&self) -> Result<(), PluginError> {
-        let pictures = self.png8 || self.png16 || self.exr;
-        let others = self.exr_multi_view || self.npz || self.atlas || self.sheet || self.hci || self.stanford;
-        if !pictures && !others && self.animation == Animation::None {
+        if !self.atlas && !self.writes_views() {
             let text =
                 "parameters `png8`, `png16`, `exr` and all others that write are false: there is nothing to write";
             return Err(PluginError::Refused(text.into()));
         }
-        if self.lenslet_panel && !pictures {
+        if self.lenslet_panel && !self.writes_pictures() {
             let text = "parameter `lenslet_panel`: expected one of `png8`, `png16` and `exr` as well, found none";
             return Err(PluginError::Refused(text.into()));
         }
         Ok(())
+    }
+
+    /// # Errors
+    /// If nothing is wanted that a light field has.
+    pub(crate) fn check_field(&self) -> Result<(), PluginError> {
+        if self.writes_views() {
+            return Ok(());
+        }
+        let text = "parameters: a light field has neither patterns nor a panel, and nothing else is to be written";
+        Err(PluginError::Refused(text.into()))
+    }
+
+    /// Whether anything is wanted that is made of views; an atlas is of patterns alone.
+    fn writes_views(&self) -> bool {
+        let others = self.exr_multi_view || self.npz || self.sheet || self.hci || self.stanford;
+        self.writes_pictures() || others || self.animation != Animation::None
     }
 
     /// Whether single pictures are wanted at all.

@@ -90,6 +90,7 @@ impl Images {
 
     /// Writes all that is wanted of a light field.
     pub(crate) fn write_field(&self, time: Time, field: &FieldInput<'_>) -> Result<Vec<Entry>, PluginError> {
+        self.params.check_field()?;
         let grid = &field.geometry().grid;
         let views = grid.views();
         let mut entries = Vec::new();
@@ -120,10 +121,6 @@ impl Images {
             entries.push(entry(file, Content::Arrays { names }, Format::Npz, true, None, time));
         }
         self.write_from_views(time, &source, &mut entries)?;
-        if entries.is_empty() {
-            let text = "parameters: a light field has neither patterns nor a panel, and nothing else is to be written";
-            return Err(PluginError::Refused(text.into()));
-        }
         Ok(entries)
     }
 

@@ -1,6 +1,7 @@
 //! The lines of OBJ and MTL files, as any program writes them, in the way that the reader of shapes takes them.
 //!
-//! A line goes on after a backslash at its end, `#` begins a note, names and notes may be in any encoding, and `vt` may have one coordinate.
+//! A line goes on after a backslash at its end, `#` begins a note, names and notes may be in any encoding, and `vt` may have one coordinate. Faces may name
+//! vertices that are not there, which the reader refuses only as long as its arithmetic on their numbers does not overflow.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -40,11 +41,21 @@ pub(crate) struct Shapes<'a> {
     current: Vec<u8>,
     at: usize,
     line: Rc<Cell<usize>>,
+    counts: Counts,
 }
+
+/// Positions, texture coordinates and normals so far, from whose ends negative indices count.
+type Counts = [i64; 3];
+
+/// The keys of [`Counts`], in the order in which a face names them.
+const COUNTED: [&str; 3] = ["v", "vt", "vn"];
+
+/// An index beyond all that a file can hold, for which the reader gives its own error.
+const NOWHERE: i64 = u32::MAX as i64;
 
 impl<'a> Shapes<'a> {
     pub(crate) fn of(text: &'a str) -> Self {
-        Self { lines: Box::new(joined(text)), current: Vec::new(), at: 0, line: Rc::default() }
+        Self { lines: Box::new(joined(text)), current: Vec::new(), at: 0, line: Rc::default(), counts: [0; 3] }
     }
 
     /// Number of the line that was taken last.
@@ -68,7 +79,7 @@ impl BufRead for Shapes<'_> {
             self.at = 0;
             if let Some((number, line)) = self.lines.next() {
                 self.line.set(number);
-                write_shape(&line, &mut self.current);
+                write_shape(&line, &mut self.counts, &mut self.current);
                 self.current.push(b'\n');
             }
         }
@@ -80,7 +91,7 @@ impl BufRead for Shapes<'_> {
     }
 }
 
-fn write_shape(line: &str, out: &mut Vec<u8>) {
+fn write_shape(line: &str, counts: &mut Counts, out: &mut Vec<u8>) {
     let line = line.trim();
     let (key, rest) = line.split_once(|c: char| c.is_whitespace()).unwrap_or((line, ""));
     match key {
@@ -89,7 +100,13 @@ fn write_shape(line: &str, out: &mut Vec<u8>) {
             let numbers = rest.split('#').next().unwrap_or_default().trim();
             out.extend(key.bytes());
             out.push(b' ');
-            out.extend(numbers.bytes());
+            match key {
+                "f" => numbers.split_whitespace().for_each(|corner| write_corner(corner, counts, out)),
+                _ => out.extend(numbers.bytes()),
+            }
+            if let Some(place) = COUNTED.iter().position(|counted| *counted == key) {
+                counts[place] += 1;
+            }
             if key == "vt" && numbers.split_whitespace().count() == 1 {
                 out.extend(b" 0");
             }
@@ -100,6 +117,21 @@ fn write_shape(line: &str, out: &mut Vec<u8>) {
             out.extend(rest.trim().bytes());
         }
     }
+}
+
+/// Writes `v/vt/vn` of a face's corner, with [`NOWHERE`] for what lies before the first or beyond what can be counted.
+fn write_corner(corner: &str, counts: &Counts, out: &mut Vec<u8>) {
+    for (place, index) in corner.split('/').enumerate() {
+        if place > 0 {
+            out.push(b'/');
+        }
+        let count = counts.get(place).copied().unwrap_or(0);
+        match index.parse::<i64>() {
+            Ok(number) if number < -count || number > NOWHERE => out.extend(NOWHERE.to_string().bytes()),
+            _ => out.extend(index.bytes()),
+        }
+    }
+    out.push(b' ');
 }
 
 #[cfg(test)]
@@ -114,7 +146,7 @@ mod tests {
         let line = shapes.line();
         let mut found = String::new();
         shapes.read_to_string(&mut found).unwrap();
-        assert_eq!(found, "vt 0.5 0\nvt 0.5 1\nf 1/1 2/2   3/3\nusemtl n\u{e4}me #1\nv 1 2 3\n");
+        assert_eq!(found, "vt 0.5 0\nvt 0.5 1\nf 1/1 2/2 3/3 \nusemtl n\u{e4}me #1\nv 1 2 3\n");
         assert_eq!(line.get(), 6);
     }
 }

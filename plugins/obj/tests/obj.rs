@@ -87,6 +87,12 @@ fn files_that_make_no_sense_are_named() {
         ("", "expected faces, found none"),
         ("v 1 2\nf 1 2 3\n", "a.obj: up to line 1: "),
         ("f 1 2 3\n", "a.obj: up to line 1: "),
+        // indices on which the reader's arithmetic would overflow
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//-2 2//1 3//1\n",
+            "a.obj: up to line 5: face normal index out of bounds",
+        ),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 1\nf 1/9223372036854775807 2/1 3/1\n", "face texcoord index out of bounds"),
     ] {
         let error = document(&Files(BTreeMap::from([("a.obj", text)])), &json!({}), &MemoryHost::new()).unwrap_err();
         assert!(matches!(&error, PluginError::Failed(message) if message.contains(expected)), "{text:?}: {error:?}");

@@ -203,8 +203,11 @@ impl OutputPlugin for Quilt {
         let output = Self { host, params, device, calibration, written: Mutex::default() };
         // what is submitted has the display's own views and pixels
         let geometry = display.geometry().map_err(|error| PluginError::failed("display", error))?;
-        output.layout(&geometry)?;
+        let layout = output.layout(&geometry)?;
         views::row_of(geometry.grid.slope_y.len(), output.params.view_row)?;
+        if output.host.port() == Some(Port::LightField) {
+            views::advice(geometry.grid.slope_x.len(), layout.views(), output.params.missing_views)?;
+        }
         Ok(output)
     }
 
@@ -235,7 +238,9 @@ impl Quilt {
         let size = [geometry.cols, geometry.rows];
         let layout = self.layout(geometry)?;
         let row = source.row(params.view_row)?;
-        if let Some(advice) = source.advice(layout.views(), params.missing_views)? {
+        if matches!(source, Source::Field(_))
+            && let Some(advice) = views::advice(geometry.grid.slope_x.len(), layout.views(), params.missing_views)?
+        {
             self.host.warn(&advice);
         }
         let black = black_share(size, layout.aspect, params.fit);

@@ -132,23 +132,22 @@ impl Source<'_> {
             }
         }
     }
+}
 
-    /// What a user should know about views that a light field does not have, or the refusal.
-    ///
-    /// # Errors
-    /// Under [`Missing::Refuse`] if there are any.
-    pub fn advice(&self, count: usize, missing: Missing) -> Result<Option<String>, PluginError> {
-        let available = self.geometry().grid.slope_x.len();
-        if matches!(self, Self::Stack(_)) || available == count {
-            return Ok(None);
-        }
-        let have = format!("the light field has {available} views across, the quilt {count}");
-        let render = format!("render views = [{count}, 1] for a view of its own in every tile");
-        match missing {
-            Missing::Refuse => Err(PluginError::Refused(format!("{have}: {render}"))),
-            Missing::Nearest => Ok(Some(format!("{have}: the nearest views are taken; {render}"))),
-            Missing::Blend => Ok(Some(format!("{have}: neighbouring views are mixed, which ghosts; {render}"))),
-        }
+/// Advice about the views that a light field of `available` views across lacks for a quilt of `count`, or the refusal.
+///
+/// # Errors
+/// Under [`Missing::Refuse`] if there are any.
+pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option<String>, PluginError> {
+    if available == count {
+        return Ok(None);
+    }
+    let have = format!("the light field has {available} views across, the quilt {count}");
+    let render = format!("render views = [{count}, 1] for a view of its own in every tile");
+    match missing {
+        Missing::Refuse => Err(PluginError::Refused(format!("{have}: {render}"))),
+        Missing::Nearest => Ok(Some(format!("{have}: the nearest views are taken; {render}"))),
+        Missing::Blend => Ok(Some(format!("{have}: neighbouring views are mixed, which ghosts; {render}"))),
     }
 }
 

@@ -19,7 +19,7 @@ use lumistack_report::{
 use serde_json::json;
 
 use super::estimate::{self, Record};
-use super::graph::job_of;
+use super::graph::{job_of, outputs_on};
 use super::steps::{Kind, Plan, Step, What};
 use super::times::{Begun, name};
 use crate::error::{FailedOutput, PipelineError, display_error};
@@ -334,17 +334,8 @@ impl<'a> Executor<'a> {
 
     /// Opens a job's outputs, those of its nodes among them, against their displays on a light field of this geometry.
     fn open_outputs(&self, job: &Job, display: &Display, geometry: &FieldGeometry) -> Result<(), PipelineError> {
-        for output in job.outputs.iter().filter(|output| job.nodes.is_empty() || output.takes_light_field()) {
-            output::open(output, display, self.registry, self.task)?;
-        }
-        for of_node in &job.nodes {
-            let job = job_of(job, of_node);
-            let (display, _) = node::display(of_node, &job.resolve_display()?, display, geometry)?;
-            for output in &job.outputs {
-                output::open(output, &display, self.registry, self.task)?;
-            }
-        }
-        Ok(())
+        let outputs = outputs_on(job, display, geometry)?;
+        outputs.iter().try_for_each(|(output, display)| output::open(output, display, self.registry, self.task))
     }
 
     /// Takes the folder of a part, which somebody may run alone.

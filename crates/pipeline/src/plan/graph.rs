@@ -8,9 +8,13 @@
 //!
 //! `nodes/ID` has the layout of a run folder (display.toml, layers, report), without the light field that all share. A job without nodes is a still.
 
+use lumistack_display::{Display, FieldGeometry};
+
 use super::steps::{Kind, Plan, What};
 use super::still::{add_display, add_field_outputs, add_score};
+use crate::error::PipelineError;
 use crate::job::{Job, NodeJob, OutputJob};
+use crate::stage::node;
 
 /// Adds what follows a part's light field: the still's display, or those of all nodes and their report. `before` gives patterns and light field of the same display at
 /// the time before. Gives the last ids.
@@ -50,4 +54,23 @@ pub(crate) fn job_of(job: &Job, node: &NodeJob) -> Job {
         nodes: Vec::new(),
         ..job.clone()
     }
+}
+
+/// All outputs of a job, those of its nodes among them, each with the display that it is given for a light field of this geometry; `display` is the one that all nodes share.
+///
+/// # Errors
+/// When a node's own display makes no sense or cannot show the light field.
+pub(crate) fn outputs_on(
+    job: &Job,
+    display: &Display,
+    geometry: &FieldGeometry,
+) -> Result<Vec<(OutputJob, Display)>, PipelineError> {
+    let own = job.outputs.iter().filter(|output| job.nodes.is_empty() || output.takes_light_field());
+    let mut all: Vec<(OutputJob, Display)> = own.map(|output| (output.clone(), display.clone())).collect();
+    for of_node in &job.nodes {
+        let job = job_of(job, of_node);
+        let (display, _) = node::display(of_node, &job.resolve_display()?, display, geometry)?;
+        all.extend(job.outputs.into_iter().map(|output| (output, display.clone())));
+    }
+    Ok(all)
 }

@@ -24,7 +24,7 @@ pub(crate) fn check(job: &Job, registry: &Registry) -> Result<(), PipelineError>
     for output in &job.outputs {
         let info = registry.get_kind(&output.plugin, PluginKind::Output).map_err(PipelineError::Output)?.info();
         registry.check_params(&output.plugin, &output.params.clone().into()).map_err(PipelineError::Output)?;
-        let port = if output.takes_light_field() { Port::LightField } else { Port::LayerStack };
+        let port = port_of(output);
         if !info.ports.contains(&port) {
             let expected = format!("a plugin that takes a {port}");
             return Err(PipelineError::job("outputs", expected, format!("`{}`", output.plugin)));
@@ -35,6 +35,10 @@ pub(crate) fn check(job: &Job, registry: &Registry) -> Result<(), PipelineError>
         }
     }
     Ok(())
+}
+
+fn port_of(output: &OutputJob) -> Port {
+    if output.takes_light_field() { Port::LightField } else { Port::LayerStack }
 }
 
 /// Opens an output against a display: what it refuses is known before the work and not after.
@@ -48,7 +52,9 @@ pub(crate) fn open(
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     let params = output.params.clone().into();
-    lumistack_plugin_host::check_output(registry, &output.plugin, &params, display, task).map_err(host_error)
+    let checked =
+        lumistack_plugin_host::check_output(registry, &output.plugin, &params, display, port_of(output), task);
+    checked.map_err(host_error)
 }
 
 /// Those of `outputs` that could not be written, their paths after `prefix`.

@@ -18,7 +18,7 @@ use crate::job::{Background, Engine, Job};
 use crate::stage::expose::expose_over;
 use crate::stage::fields::Shot;
 use crate::stage::look::Look;
-use crate::store::views::{read_view, write_view};
+use crate::store::views::{missing, read_view, write_view};
 
 /// Directions whose pictures have enough samples to be looked at: for SSIM, FLIP and the report's pictures.
 const CLEAN: usize = 8;
@@ -75,8 +75,9 @@ impl References {
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
         let background = job.light.background;
         let references = Self { geometry: geometry.clone(), directions, folder, look, background, cached: false };
-        let all = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]);
-        let todo: Vec<(usize, usize)> = all.filter(|&(i, half)| references.one(i, half).is_none()).collect();
+        let all = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]).collect();
+        let is_kept = |&(i, half): &(usize, usize)| references.one(i, half).is_some();
+        let todo = missing(all, |&(i, half)| references.path(i, half), is_kept, task);
         if todo.is_empty() {
             return Ok(Some(Self { cached: true, ..references }));
         }

@@ -13,7 +13,9 @@ use super::depth::Depths;
 use super::fields::{FieldJob, Shot, parts};
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Engine};
-use crate::store::views::{read_split, read_view, split_path, variance_path, view_path, write_split, write_view};
+use crate::store::views::{
+    missing, read_split, read_view, split_path, variance_path, view_path, write_split, write_view,
+};
 use crate::view_options::ViewOptions;
 
 /// The traced views of a shot, in the cache.
@@ -55,26 +57,33 @@ pub(crate) fn run(
     let (window, kind) = (shot.window(), job.render.denoise);
     let engine = blender::engine(job, ingested, options.variance(), task);
     let fields = shot.fields(cache_dir, engine == Engine::Blender);
-    let mut todo = Vec::new();
+    let mut all = Vec::new();
     for (number, field) in fields.iter().enumerate() {
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
         let variance = options.variance() && field.is_target();
-        // what light is shared from is dropped when that is done
-        let is_shared = kind == Denoise::Shared && denoise::is_finished(field, kind);
         for view in field.wanted(&views) {
             for &half in parts(kind) {
                 let shared = kind == Denoise::Shared;
                 let path = if shared { split_path(&field.folder, view) } else { view_path(&field.folder, view, half) };
                 let variance = variance.then(|| variance_path(&field.folder, view, half));
-                let is_there = |path: &PathBuf| read_view(path, &field.geometry).is_some();
-                let traced =
-                    if shared { is_shared || read_split(&path, &field.geometry).is_some() } else { is_there(&path) };
-                if !(traced && variance.as_ref().is_none_or(is_there)) {
-                    todo.push(Todo { field: number, view, half, path, variance });
-                }
+                all.push(Todo { field: number, view, half, path, variance });
             }
         }
     }
+    // what light is shared from is dropped when that is done
+    let is_shared: Vec<bool> =
+        fields.iter().map(|field| kind == Denoise::Shared && denoise::is_finished(field, kind)).collect();
+    let is_kept = |Todo { field, path, variance, .. }: &Todo| {
+        let geometry = &fields[*field].geometry;
+        let is_there = |path: &PathBuf| read_view(path, geometry).is_some();
+        let traced = if kind == Denoise::Shared {
+            is_shared[*field] || read_split(path, geometry).is_some()
+        } else {
+            is_there(path)
+        };
+        traced && variance.as_ref().is_none_or(is_there)
+    };
+    let todo = missing(all, |todo| todo.path.clone(), is_kept, task);
     let kept = Depths::read(&fields[0].folder, &fields[0].traced);
     let cached = todo.is_empty() && kept.is_some();
     let depths = match kept {

@@ -5,9 +5,10 @@
 
 use std::path::{Path, PathBuf};
 
-use lumistack_core::Tensor;
+use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
 use lumistack_field_io::picture::{self, Picture, Precision};
+use rayon::prelude::*;
 
 use lumistack_pathtracer::SplitView;
 
@@ -68,6 +69,27 @@ const SPLIT_PICTURES: usize = SplitView::VALUES.div_ceil(3);
 /// Reads a view of the geometry's size; `None` where it is not there as it was written.
 pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
     read_picture(path, [geometry.cols, geometry.rows])
+}
+
+/// Those of `all` that are not kept. To read what is kept takes seconds and is a stage; where none of the files is there, there is nothing to read.
+pub(crate) fn missing<T: Send + Sync>(
+    all: Vec<T>,
+    file: impl Fn(&T) -> PathBuf,
+    is_kept: impl Fn(&T) -> bool + Sync,
+    task: Task<'_>,
+) -> Vec<T> {
+    if !all.iter().any(|one| file(one).exists()) {
+        return all;
+    }
+    task.progress.begin("kept views", all.len() as u64, "views");
+    let look = |one: &T| {
+        let kept = is_kept(one);
+        task.progress.advance(1, "");
+        kept
+    };
+    let kept: Vec<bool> = all.par_iter().map(look).collect();
+    task.progress.end();
+    all.into_iter().zip(kept).filter_map(|(one, kept)| (!kept).then_some(one)).collect()
 }
 
 /// Writes a view, linear.

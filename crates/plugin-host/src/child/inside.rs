@@ -224,6 +224,7 @@ impl Link {
             file_abort,
             simulate,
             tell: tell_program,
+            port: 0,
         }
     }
 }
@@ -645,7 +646,11 @@ impl Link {
     fn run(&'static self, host: &'static HostServices, call: u64, what: Call) {
         let Some(functions) = self.functions.get() else { return };
         let (link, instance) = (self, *locked(&self.instance));
-        let host: *const HostServices = host;
+        let host: *const HostServices = match &what {
+            // the plugin keeps the table for as long as this process lives
+            Call::Open { port, .. } => Box::leak(Box::new(HostServices { port: *port, ..*host })),
+            _ => host,
+        };
         let running = Running { link, call };
         let context = (&raw const running).cast::<c_void>();
         let Instance(handle) = instance;
@@ -682,7 +687,7 @@ impl Link {
                         functions.make_stack(host, params, display, &time_of(*time), data, &stack, error)
                     })
                 }
-                Call::Open { params, display } => {
+                Call::Open { params, display, .. } => {
                     let mut handle = std::ptr::null_mut();
                     let status = functions.open(host, Str::new(params), Str::new(display), &mut handle, error);
                     *locked(&self.instance) = Instance(handle);

@@ -173,7 +173,8 @@ unsafe impl Functions for Remote {
                 Ok((owner, _)) => owner,
                 Err(stopped) => return stopped.told(error),
             };
-            let what = Call::Open { params: text(params_json), display: text(display_json) };
+            let (params, display) = (text(params_json), text(display_json));
+            let what = Call::Open { params, display, port: (*host).port };
             let status = owner.call(host, Lent::nothing(), what, "it was opened", error);
             if status == Status::OK {
                 *instance = Box::into_raw(Box::new(Opened { owner, host })).cast();

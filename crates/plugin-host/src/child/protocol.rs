@@ -32,7 +32,7 @@ pub(super) enum Call {
     Import { params: String, file: String },
     MakeField { params: String, display: String, time: Time },
     MakeStack { params: String, display: String, time: Time, data: Data },
-    Open { params: String, display: String },
+    Open { params: String, display: String, port: u32 },
     Submit { time: Time, data: Data },
     Run,
     Command { json: String },

@@ -3,9 +3,9 @@
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use lumistack_plugin::PluginError;
 use lumistack_plugin::abi::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, View, level};
 use lumistack_plugin::wire::{answer, lent_bytes, lent_lossy, lent_text};
+use lumistack_plugin::{PluginError, Port};
 use serde_json::Value;
 
 use crate::serve::lend;
@@ -69,6 +69,10 @@ pub trait Services: Sync {
     fn no_files(&self) -> PluginError {
         PluginError::Refused("no files are taken here".into())
     }
+    /// The port whose data an output will be given, where that is known when it is opened.
+    fn port(&self) -> Option<Port> {
+        None
+    }
 }
 
 /// The C table of a host; it borrows the services, whose type the functions remember.
@@ -87,6 +91,7 @@ pub(crate) fn table<S: Services>(services: &S) -> HostServices {
         file_abort: file_abort::<S>,
         simulate,
         tell: tell::<S>,
+        port: services.port().map_or(0, Port::bit),
     }
 }
 

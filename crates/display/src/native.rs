@@ -1,0 +1,166 @@
+//! The slopes at which a display shows whole pixels, and the views that it therefore wants.
+
+use crate::views::{half_width, steps_within};
+use crate::{Backlight, Display, GridError, Projection, ViewGrid, Views};
+
+/// Views per axis that [`Views::Auto`] takes at most.
+const MOST_AUTO: usize = 101;
+/// Views to a bin of a directional backlight, which shows the mean of its directions: letters on `paper-directional`, zone score for one, one that is the mean over the
+/// bin, and three: 22.5, 22.9 and 24.1 dB.
+const VIEWS_PER_BIN: f64 = 3.0;
+
+/// The native angular step of a display per axis (x, y): the change of slope that moves some layer by one pixel against the light field or against the layer next
+/// to it, p / max |Δd|, or the rays by one bin of the backlight. At multiples of it, of layers with one pitch at multiples of one distance, all shifts are whole
+/// pixels: there one ray per pixel is exact for the pixel's area, and between two such slopes the seen picture mixes products that both share. `None` without
+/// parallax.
+pub fn native_step(display: &Display) -> [Option<f64>; 2] {
+    let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
+    let gaps =
+        display.layers.windows(2).map(|pair| (pair[1].d_mm - pair[0].d_mm, pair[0].pitch_mm.min(pair[1].pitch_mm)));
+    let moving = against_field.chain(gaps).filter(|(distance, _)| *distance > 0.0);
+    let finest = moving.map(|(distance, pitch)| pitch / distance).reduce(f64::min);
+    [0, 1].map(|axis| match (finest, bin_width(display, axis)) {
+        (Some(a), Some(b)) => Some(a.min(b)),
+        (a, b) => a.or(b),
+    })
+}
+
+/// Width of slopes of a bin of a directional backlight along an axis; `None` where it tells no directions apart.
+pub(crate) fn bin_width(display: &Display, axis: usize) -> Option<f64> {
+    match &display.backlight {
+        Backlight::Lenslets(lenslets) if lenslets.views[axis] > 1 => {
+            Some(2.0 * (0.5 * lenslets.fov_deg[axis].to_radians()).tan() / lenslets.views[axis] as f64)
+        }
+        _ => None,
+    }
+}
+
+impl Display {
+    /// The views of the light field that the display is made for.
+    ///
+    /// # Errors
+    /// If an angle is outside of 0..180°, there are no views, or the viewing distance is not above 0.
+    pub fn view_grid(&self, projection: Projection) -> Result<ViewGrid, GridError> {
+        self.field.views.grid(projection, self.field.fov_deg, || self.auto_step(usize::MAX))
+    }
+
+    /// Number of those views, [horizontal, vertical]; none where the display makes no sense.
+    pub fn views(&self) -> [usize; 2] {
+        let [rows, cols] = self.view_grid(Projection::Oblique).map_or([0, 0], |grid| grid.views());
+        [cols, rows]
+    }
+
+    /// The step of slopes (x, y) of [`Views::Auto`]: the [native](native_step) one, and a third of a bin of a directional backlight, thinned to every second, third, ... native slope until there are no more than `most_views`. An axis
+    /// that shows parallax at all has three views at least: a display that was solved for one direction is right in no other.
+    pub fn auto_step(&self, most_views: usize) -> [f64; 2] {
+        let half = self.field.fov_deg.map(half_width);
+        let mut native = native_step(self);
+        for (axis, native) in native.iter_mut().enumerate() {
+            *native = native.map(|native| bin_width(self, axis).map_or(native, |bin| native.min(bin / VIEWS_PER_BIN)));
+        }
+        let step = |every: f64| {
+            [0, 1].map(|axis| match native[axis] {
+                // the outermost of three views then stand inside of the zone
+                Some(native) if half[axis] > 0.0 => (every * native).min(0.8 * half[axis]),
+                _ => 0.0,
+            })
+        };
+        let count = |step: [f64; 2]| [0, 1].map(|axis| 2 * steps_within(half[axis], step[axis]) + 1);
+        let fits = |step: [f64; 2]| {
+            let [x, y] = count(step);
+            x.max(y) <= MOST_AUTO && x.saturating_mul(y) <= most_views
+        };
+        // no coarser than three views
+        let axes = [0, 1].map(|axis| native[axis].map_or(1.0, |native| half[axis] / native / (MOST_AUTO / 2) as f64));
+        let mut every = axes[0].max(axes[1]).floor().max(1.0);
+        while !fits(step(every)) && count(step(every)).iter().any(|count| *count > 3) {
+            every += 1.0;
+        }
+        step(every)
+    }
+
+    /// The same display with its choice of views made: where they are [`Views::Auto`], no more than `most_views`.
+    #[must_use]
+    pub fn with_views_chosen(mut self, most_views: usize) -> Self {
+        if self.field.views == Views::Auto {
+            self.field.views = Views::Step(self.auto_step(most_views));
+        }
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stack(cols: usize) -> Display {
+        let pitch = 475.02 / cols as f64;
+        let plain = Display::uniform([cols, cols * 5 / 8], pitch, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 6);
+        let mut display = Display { missing: crate::Missing::Clear, ..plain };
+        display.field.views = Views::Auto;
+        display
+    }
+
+    /// Whole shifts of layers 40 mm from one another over 20°.
+    #[test]
+    fn a_display_takes_its_native_slopes() {
+        for (cols, views) in [(280, 9), (420, 13), (840, 25)] {
+            let display = stack(cols);
+            assert_eq!(display.views(), [views, views], "{cols}");
+            let grid = display.geometry().unwrap().grid;
+            let step = native_step(&display)[0].unwrap();
+            assert!((grid.slope_x[views - 1] / step - (views / 2) as f64).abs() < 1e-12);
+            assert!(grid.slope_y[0] > grid.slope_y[1] && grid.slope_x[0] < grid.slope_x[1]);
+        }
+    }
+
+    #[test]
+    fn a_bin_of_a_backlight_has_three_views() {
+        let mut display = stack(420);
+        display.layers.retain(|layer| layer.d_mm == 0.0);
+        display.backlight =
+            crate::Backlight::Lenslets(crate::LensletBacklight::new(-8.5, [187, 117], 2.54, [5, 3], [20.0, 20.0]));
+        assert_eq!(display.views(), [15, 9]);
+        let grid = display.geometry().unwrap().grid;
+        assert!((grid.slope_x[14] - 10f64.to_radians().tan() * 14.0 / 15.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn views_are_thinned_to_a_budget() {
+        let display = stack(840);
+        for (most, views) in [(625, 25), (624, 13), (169, 13), (168, 9), (80, 7), (9, 3), (1, 3)] {
+            assert_eq!(display.clone().with_views_chosen(most).views(), [views, views], "{most}");
+        }
+        let fixed = Display::uniform([16, 10], 1.0, [5, 3], [20.0, 20.0], &[-12.0, 12.0], 1);
+        assert_eq!(fixed.clone().with_views_chosen(1), fixed, "views that were asked for stay");
+    }
+
+    /// Coarse pixels, where a native step is wider than the zone, and displays that show one direction.
+    #[test]
+    fn what_shows_parallax_has_three_views_and_the_rest_one() {
+        let mut coarse = stack(20);
+        assert_eq!(coarse.views(), [3, 3]);
+        coarse.field.fov_deg[1] = 0.0;
+        assert_eq!(coarse.views(), [3, 1]);
+        let mut flat = stack(420);
+        flat.layers.retain(|layer| layer.d_mm == 0.0);
+        assert_eq!(flat.views(), [1, 1]);
+        // pixels of a micrometre: no more than is sensible
+        let fine = stack(400_000);
+        assert!(fine.views()[0] <= MOST_AUTO && fine.views()[0] > MOST_AUTO / 2);
+    }
+
+    /// The figures of layered displays with three layers 40 mm apart: at 420 columns there are 13 whole shifts over 20°.
+    #[test]
+    fn native_steps_are_whole_shifts() {
+        let display = Display::uniform([420, 262], 1.128, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 6);
+        let step = native_step(&display)[0].unwrap();
+        assert!((step - 1.128 / 40.0).abs() < 1e-12);
+        assert_eq!(2 * (10f64.to_radians().tan() / step).floor() as usize + 1, 13);
+        // two layers around the light field's plane: what one pixel moves is one against the other
+        let pair = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[-10.0, 10.0], 1);
+        assert_eq!(native_step(&pair), [Some(0.05); 2]);
+        let flat = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[0.0], 1);
+        assert_eq!(native_step(&flat), [None, None]);
+    }
+}
