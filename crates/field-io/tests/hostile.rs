@@ -7,6 +7,7 @@ use std::path::Path;
 
 use common::{defaults, open, random_field, save_png};
 use lumistack_display::{Display, LayerStack, Projection, ProjectionKind};
+use lumistack_field_io::picture::{Picture, Precision, write_exr};
 use lumistack_field_io::{
     GeometryDefaults, GeometryFlags, npy, read_field_folder, read_stack, write_field, write_stack,
 };
@@ -149,6 +150,25 @@ fn headers_that_claim_much_cost_nothing() {
     assert!(error.contains("input_Cam000.hdr"), "{error}");
     let grown = peak_bytes() - before;
     assert!(grown < 1 << 30, "{grown} bytes were touched");
+}
+
+/// A picture of one value is as small as its compression makes it, and a file can not stand for more pixels than that.
+#[test]
+fn pictures_do_not_claim_more_pixels_than_they_can_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.exr");
+    for value in [0.0, 0.5] {
+        write_exr(&path, [2000, 1000], &vec![value; 3 * 2000 * 1000], Precision::Half).unwrap();
+        assert_eq!(Picture::read(&path).unwrap().size(), [2000, 1000]);
+    }
+    write_exr(&path, [4, 3], &[0.5; 36], Precision::Half).unwrap();
+    let mut bytes = fs::read(&path).unwrap();
+    let key = b"dataWindow\0box2i\0";
+    let at = bytes.windows(key.len()).position(|window| window == key).unwrap() + key.len() + 4;
+    bytes[at + 8..at + 12].copy_from_slice(&80_000_000i32.to_le_bytes());
+    fs::write(&path, bytes).unwrap();
+    let error = Picture::read(&path).unwrap_err().to_string();
+    assert!(error.contains("80000001 × 3 pixels in at least "), "{error}");
 }
 
 #[test]

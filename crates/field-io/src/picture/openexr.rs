@@ -27,6 +27,8 @@ pub enum Precision {
 const COMPRESSION: Compression = Compression::PIZ;
 /// Bytes of a chunk's entry in the offset table, plus its own header.
 const LEAST_BYTES_PER_CHUNK: u64 = 16;
+/// Most bytes of pixels that a byte of a file stands for: deflate packs 1032 into one, of the 24 bits that PXR24 keeps of 32.
+const MOST_EXPANSION: u64 = 1032 * 4 / 3;
 
 /// Writes one RGB picture, `[row][col][rgb]` linear, `size` = [columns, rows]. The same values give the same bytes.
 ///
@@ -215,6 +217,11 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     if chunks.saturating_mul(LEAST_BYTES_PER_CHUNK) > length {
         let found = format!("{length}: the file is cut short");
         return Err(FieldError::malformed(path, "content", format!("{chunks} blocks of pixels in more bytes"), found));
+    }
+    let bytes = (size[0] * size[1]) as u64 * header.channels.bytes_per_pixel as u64;
+    if bytes > length.saturating_mul(MOST_EXPANSION) {
+        let expected = format!("{} × {} pixels in at least {} bytes", size[0], size[1], bytes.div_ceil(MOST_EXPANSION));
+        return Err(FieldError::malformed(path, "content", expected, length.to_string()));
     }
     Ok(size)
 }
