@@ -24,9 +24,6 @@ pub(crate) struct DisplayArgs {
     /// Columns and rows of the light field; masks scale along
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
-    /// Views that sample the zone: auto, as many as make the display right between them, or columns and rows
-    #[arg(long, value_name = "auto|CxR")]
-    pub(crate) views: Option<Views>,
     /// Time-multiplexed frames M
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
@@ -39,6 +36,9 @@ pub(crate) struct DisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Rendering")]
 pub(crate) struct RenderArgs {
+    /// Views that sample the zone: auto, as many as make the display right between them, or columns and rows
+    #[arg(long, value_name = "auto|CxR")]
+    pub(crate) views: Option<Views>,
     /// Paths per pixel of all views together, which are spread over them [default: 800]
     #[arg(long, value_name = "N")]
     pub(crate) zone_samples: Option<u32>,
@@ -51,7 +51,7 @@ pub(crate) struct RenderArgs {
     /// Bounces after the first hit
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
-    /// Takes noise out of finished views: off, guided (our own filter over all views) or oidn (Open Image Denoise, where installed)
+    /// Takes noise out of views: shared (light that does not depend on the view, over all views that see the point), off, guided (our own filter over all views) or oidn (Open Image Denoise, where installed)
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
     /// Name or number of the camera whose plane of focus the display takes
@@ -181,9 +181,6 @@ pub(crate) struct FactorizeDisplayArgs {
     /// A preset (see `lumistack displays`) or a display file; takes the light field's resolution and views
     #[arg(long, value_name = "NAME|FILE", default_value = "paper-three-layer")]
     pub(crate) display: OsString,
-    /// Views that sample the zone: auto, as many as make the display right between them, or columns and rows
-    #[arg(long, value_name = "auto|CxR")]
-    pub(crate) views: Option<Views>,
     /// Time-multiplexed frames M
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
@@ -272,7 +269,6 @@ pub(crate) fn change_display(job: &mut Job, args: &DisplayArgs) {
     if let Some(resolution) = args.resolution {
         job.display.resolution = Some(resolution.0);
     }
-    job.display.views = args.views.or(job.display.views);
     job.display.frames = args.frames.or(job.display.frames);
     job.display.brightness = args.brightness.or(job.display.brightness);
 }
@@ -287,6 +283,7 @@ pub(crate) fn tone_of(name: &str) -> Tone {
 }
 
 pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
+    job.display.views = args.views.or(job.display.views);
     if let Some(zone_samples) = args.zone_samples {
         (job.render.samples, job.render.zone_samples) = (None, zone_samples);
     }

@@ -6,7 +6,7 @@ use common::{Builder, WINDOW_MM, glowing, matt, rectangle, window};
 use glam::{Quat, Vec3, Vec4};
 use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
-use lumistack_pathtracer::denoise::{Estimate, NoisyView, Window, denoise, figures, share};
+use lumistack_pathtracer::denoise::{Estimate, NoisyView, SharedLight, Window, denoise, figures};
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings, SplitView};
 use lumistack_scene::Material;
 
@@ -143,7 +143,12 @@ fn shared_light_has_the_samples_of_all_views() {
     let views: Vec<_> = geometry.grid.iter().collect();
     let split = |&view: &[usize; 2]| renderer.render_split(&window(), &geometry, view, &settings, task).unwrap();
     let splits: Vec<SplitView> = views.iter().map(split).collect();
-    let shared = share(&geometry, &splits, task).unwrap();
+    let share = |geometry: &FieldGeometry, splits: &[SplitView]| -> Vec<Tensor<3>> {
+        let mut light = SharedLight::new(geometry);
+        splits.iter().for_each(|split| light.add(split));
+        light.averaged(task).unwrap().iter().zip(splits).map(|(light, split)| light.on(split)).collect()
+    };
+    let shared = share(&geometry, &splits);
     let (mut before, mut after) = (0.0, 0.0);
     for number in [0, 17, 34] {
         let (view, picture) = (views[number], &shared[number]);
@@ -171,7 +176,7 @@ fn shared_light_has_the_samples_of_all_views() {
     assert!(after < 0.35 * before, "{before} {after}");
     // no other view, nothing to share
     let alone = geometry.with_grid(ViewGrid::single(Projection::Oblique, [0.0; 2]));
-    let same = share(&alone, &splits[..1], task).unwrap();
+    let same = share(&alone, &splits[..1]);
     for (a, b) in same[0].data().iter().zip(splits[0].radiance().data()) {
         assert!((a - b).abs() <= 1e-5 * b.max(1.0));
     }

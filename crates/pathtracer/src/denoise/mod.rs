@@ -36,7 +36,7 @@ use rayon::prelude::*;
 
 pub use figures::{Estimate, ViewFigures, figures};
 use frame::Frame;
-pub use shared::{share, share_steps};
+pub use shared::{SharedLight, ViewLight};
 pub use view::{NoisyView, Window};
 
 /// Rows that are filtered at a time: the unit of work, of progress and of cancellation.

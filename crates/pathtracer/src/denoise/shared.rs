@@ -28,70 +28,94 @@ const LEAST_COSINE: f32 = 0.8;
 /// Least reflectance that radiance is divided by: light of darker surfaces is too noisy for others.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
-/// What the filter needs of a pixel.
+/// What the filter needs of a pixel: 20 bytes, since it needs the pixels of all views.
 #[derive(Clone, Copy)]
 struct Point {
     /// E of its own samples.
-    light: Vec3,
+    light: [f32; 3],
     z_mm: f32,
-    normal: Vec3,
+    /// In 127ths.
+    normal: [i8; 3],
     /// Whether it scatters light by Lambert's law.
     is_lit: bool,
 }
 
-/// Steps by which [`share`] advances the progress.
-pub fn share_steps(geometry: &FieldGeometry) -> u64 {
-    2 * geometry.grid.iter().count() as u64
+/// The light of a light field that is to be shared, 32 bytes for every ray while it is.
+pub struct SharedLight<'a> {
+    geometry: &'a FieldGeometry,
+    points: Vec<Vec<Point>>,
 }
 
-/// Averages the light of all views of a light field, given in the order of the grid: radiance `[row][col][rgb]` of each.
-///
-/// # Errors
-/// When cancelled.
-///
-/// # Panics
-/// If there are not as many views as the grid has, or they are not of the geometry's size.
-pub fn share(geometry: &FieldGeometry, views: &[SplitView], task: Task<'_>) -> Result<Vec<Tensor<3>>, Cancelled> {
-    let [view_rows, view_cols] = geometry.grid.views();
-    assert_eq!(views.len(), view_rows * view_cols, "one picture for every view of the grid");
-    let mut points: Vec<Vec<Point>> = Vec::with_capacity(views.len());
-    for view in views {
-        assert_eq!(view.size(), [geometry.rows, geometry.cols], "views of the geometry's size");
-        points.push(
-            (0..geometry.rows * geometry.cols).map(|i| point(view, i / geometry.cols, i % geometry.cols)).collect(),
-        );
+/// E of every pixel of one view.
+pub struct ViewLight(Vec<[f32; 3]>);
+
+impl<'a> SharedLight<'a> {
+    /// Of no views yet.
+    pub fn new(geometry: &'a FieldGeometry) -> Self {
+        Self { geometry, points: Vec::new() }
     }
-    let of_row = |index: usize| (0..view_cols).map(|x| index / view_cols * view_cols + x).collect::<Vec<usize>>();
-    let of_col = |index: usize| (0..view_rows).map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>();
-    let shared = pass(geometry, &points, of_row, task)?;
-    for (points, light) in points.iter_mut().zip(shared) {
-        points.iter_mut().zip(light).for_each(|(point, light)| point.light = light);
+
+    /// Takes the next view of the grid.
+    ///
+    /// # Panics
+    /// If it is not of the geometry's size.
+    pub fn add(&mut self, view: &SplitView) {
+        let [rows, cols] = view.size();
+        assert_eq!([rows, cols], [self.geometry.rows, self.geometry.cols], "views of the geometry's size");
+        self.points.push((0..rows * cols).map(|i| Point::of(view, i / cols, i % cols)).collect());
     }
-    let shared = pass(geometry, &points, of_col, task)?;
-    drop(points);
-    let finish = |(view, light): (&SplitView, Vec<Vec3>)| {
-        let mut radiance = Tensor::zeros(["row", "col", "rgb"], [geometry.rows, geometry.cols, 3]);
-        for (i, (rgb, light)) in radiance.data_mut().chunks_exact_mut(3).zip(light).enumerate() {
-            let pixel = view.at(i / geometry.cols, i % geometry.cols);
-            rgb.copy_from_slice(&(pixel.other + divisor(pixel.reflectance) * light).to_array());
+
+    /// The mean light of every view of the grid. Advances the progress twice for each.
+    ///
+    /// # Errors
+    /// When cancelled.
+    ///
+    /// # Panics
+    /// If not every view of the grid was added.
+    pub fn averaged(mut self, task: Task<'_>) -> Result<Vec<ViewLight>, Cancelled> {
+        let [view_rows, view_cols] = self.geometry.grid.views();
+        assert_eq!(self.points.len(), view_rows * view_cols, "every view of the grid");
+        let of_row = |index: usize| (0..view_cols).map(|x| index / view_cols * view_cols + x).collect::<Vec<usize>>();
+        let of_col = |index: usize| (0..view_rows).map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>();
+        let shared = pass(self.geometry, &self.points, of_row, task)?;
+        for (points, light) in self.points.iter_mut().zip(shared) {
+            points.iter_mut().zip(light.0).for_each(|(point, light)| point.light = light);
+        }
+        pass(self.geometry, &self.points, of_col, task)
+    }
+}
+
+impl ViewLight {
+    /// The view with this light instead of its own, `[row][col][rgb]`.
+    pub fn on(&self, view: &SplitView) -> Tensor<3> {
+        let [rows, cols] = view.size();
+        let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
+        for (i, (rgb, light)) in radiance.data_mut().chunks_exact_mut(3).zip(&self.0).enumerate() {
+            let pixel = view.at(i / cols, i % cols);
+            rgb.copy_from_slice(&(pixel.other + divisor(pixel.reflectance) * Vec3::from_array(*light)).to_array());
         }
         radiance
-    };
-    Ok(views.iter().zip(shared).map(finish).collect())
+    }
+}
+
+impl Point {
+    fn of(view: &SplitView, row: usize, col: usize) -> Self {
+        let pixel = view.at(row, col);
+        Self {
+            light: (pixel.diffuse / divisor(pixel.reflectance)).to_array(),
+            z_mm: pixel.z_mm,
+            normal: pixel.normal.to_array().map(|n| (127.0 * n).round() as i8),
+            is_lit: pixel.reflectance.max_element() > 0.0,
+        }
+    }
+
+    fn normal(&self) -> Vec3 {
+        Vec3::from_array(self.normal.map(f32::from)) / 127.0
+    }
 }
 
 fn divisor(reflectance: Vec3) -> Vec3 {
     reflectance.max(Vec3::splat(LEAST_REFLECTANCE))
-}
-
-fn point(view: &SplitView, row: usize, col: usize) -> Point {
-    let pixel = view.at(row, col);
-    Point {
-        light: pixel.diffuse / divisor(pixel.reflectance),
-        z_mm: pixel.z_mm,
-        normal: pixel.normal,
-        is_lit: pixel.reflectance.max_element() > 0.0,
-    }
 }
 
 /// The mean of every pixel's light over the views of one list.
@@ -100,7 +124,7 @@ fn pass(
     points: &[Vec<Point>],
     partners: impl Fn(usize) -> Vec<usize> + Sync,
     task: Task<'_>,
-) -> Result<Vec<Vec<Vec3>>, Cancelled> {
+) -> Result<Vec<ViewLight>, Cancelled> {
     let one = |index: usize| {
         task.cancel.check()?;
         let light = of_view(geometry, points, index, &partners(index));
@@ -113,7 +137,7 @@ fn pass(
     (0..points.len()).map(one).collect()
 }
 
-fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partners: &[usize]) -> Vec<Vec3> {
+fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partners: &[usize]) -> ViewLight {
     let (rows, cols, pitch) = (geometry.rows, geometry.cols, geometry.pitch_mm);
     let grid = &geometry.grid;
     let view_cols = grid.slope_x.len();
@@ -124,7 +148,7 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
     for row in 0..rows {
         let line = &own[row * cols..][..cols];
         for ((sum, weight), point) in sums.iter_mut().zip(&mut weights).zip(line) {
-            (*sum, *weight) = (point.light, 1.0);
+            (*sum, *weight) = (Vec3::from_array(point.light), 1.0);
         }
         for &other in partners.iter().filter(|other| **other != index) {
             let turn = (slope_of(index) - slope_of(other)) / pitch;
@@ -134,6 +158,7 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
                 if !point.is_lit {
                     continue;
                 }
+                let normal = point.normal();
                 // x + s z is the same for both views; in a perspective one s itself falls by x / D
                 let depth = match grid.projection {
                     Projection::Oblique => point.z_mm,
@@ -145,18 +170,18 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
                     continue;
                 }
                 let there = &seen[y as usize * cols + x as usize];
-                if !there.is_lit || point.normal.dot(there.normal) < LEAST_COSINE {
+                if !there.is_lit || normal.dot(there.normal()) < LEAST_COSINE {
                     continue;
                 }
                 // both points on the ray of p but for a pixel's rounding: what parts them is depth
-                let off = point.normal.z * (there.z_mm - point.z_mm) / pitch as f32;
+                let off = normal.z * (there.z_mm - point.z_mm) / pitch as f32;
                 let nearness = (1.0 - off * off * (0.25 / (PLANE_SCALE * PLANE_SCALE))).max(0.0);
                 let weight = (nearness * nearness) * (nearness * nearness);
-                sums[col] += weight * there.light;
+                sums[col] += weight * Vec3::from_array(there.light);
                 weights[col] += weight;
             }
         }
         light.extend(sums.iter().zip(&weights).map(|(sum, weight)| *sum / *weight));
     }
-    light
+    ViewLight(light)
 }

@@ -15,7 +15,7 @@ pub struct RenderJob {
     pub samples: Option<u32>,
     /// Paths per pixel of all views together: the solver averages over all rays that meet a layer's pixel, so more views need fewer each.
     pub zone_samples: u32,
-    /// Memory that the light field may take while it is solved for, MiB: fewer views are chosen where `views = "auto"` would take more.
+    /// Memory that the light field may take while it is rendered and solved for, MiB: fewer views are chosen where `views = "auto"` would take more.
     pub field_mib: u64,
     /// Bounces after the first hit.
     pub max_bounces: u32,
@@ -144,8 +144,9 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
-    /// Memory that a ray takes while patterns are solved: three channels as f32, and as half floats in the solver's own order.
-    pub(crate) const BYTES_PER_RAY: u64 = 3 * (4 + 2);
+    /// Memory that a ray takes, bytes: light that is shared, and the view that it is put on. Solving takes 18: three channels as f32, and as half floats in
+    /// the solver's own order.
+    pub(crate) const BYTES_PER_RAY: u64 = 32;
 
     /// Paths per pixel of one of so many views.
     pub fn samples_of_view(&self, views: usize) -> u32 {

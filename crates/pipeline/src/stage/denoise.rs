@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
-use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, ViewFigures, Window as Around};
+use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, SharedLight, ViewFigures, Window as Around};
 use lumistack_pathtracer::{Checks, Renderer, Settings, SplitView};
 use lumistack_report::{DenoisedView, Denoising};
 use lumistack_scene::Window;
@@ -72,7 +72,8 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
 pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     let folder = field.finished(kind);
     let is_there = |view| read_view(&view_path(&folder, view, None), &field.traced).is_some();
-    !kind.filters() || (read_figures(&folder).is_some() && field.traced.grid.iter().all(is_there))
+    let shows = kind != Denoise::Shared || split(field, middle(&field.traced)).is_ok();
+    !kind.filters() || (read_figures(&folder).is_some() && shows && field.traced.grid.iter().all(is_there))
 }
 
 /// Filters the views; what was done to them is written last.
@@ -89,7 +90,7 @@ fn filter(
     let geometry = &field.traced;
     let folder = field.finished(kind);
     std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
-    let (unbiased, filtered) = match kind {
+    let filtered = match kind {
         Denoise::Shared => shared(field, task)?,
         _ => by_guides(field, kind, renderer, window, &folder, task)?,
     };
@@ -97,17 +98,18 @@ fn filter(
     let of_checks = Settings { samples: (CHECK_FACTOR * settings.samples).min(MOST_SAMPLES), ..settings };
     let mut told = Vec::new();
     let stage = if field.is_target() { "check the denoiser" } else { "write views" };
-    task.progress.begin(stage, unbiased.len() as u64, "views");
-    let all = geometry.grid.iter().zip(&unbiased).zip(&filtered).enumerate();
-    let checked = all.map(|(number, ((view, before), picture))| {
-        write_view(&view_path(&folder, view, None), picture)?;
-        let is_checked = field.is_target() && number % unbiased.len().div_ceil(CHECKED_VIEWS) == 0;
+    let count = geometry.grid.iter().count();
+    task.progress.begin(stage, count as u64, "views");
+    let checked = geometry.grid.iter().enumerate().map(|(number, view)| {
+        let [before, picture] = filtered(number, view)?;
+        write_view(&view_path(&folder, view, None), &picture)?;
+        let is_checked = field.is_target() && number % count.div_ceil(CHECKED_VIEWS) == 0;
         let checks = if is_checked {
             renderer.render_checks(window, geometry, view, &of_checks, task).map_err(render_error)?
         } else {
             Checks::default()
         };
-        let figures = denoise::figures(picture, before, &checks);
+        let figures = denoise::figures(&picture, &before, &checks);
         told.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
         task.progress.advance(1, "");
         Ok::<_, PipelineError>(())
@@ -132,18 +134,26 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
     geometry.grid.views().map(|count| count / 2)
 }
 
-/// Views before and after the filter.
-type Filtered = (Vec<Tensor<3>>, Vec<Tensor<3>>);
+/// A view before and after the filter, by its number and place: one at a time, since all of them together are large.
+type Filtered<'a> = Box<dyn Fn(usize, [usize; 2]) -> Result<[Tensor<3>; 2], PipelineError> + 'a>;
 
 /// Averages the light that views share.
-fn shared(field: &FieldJob, task: Task<'_>) -> Result<Filtered, PipelineError> {
+fn shared<'a>(field: &'a FieldJob, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
     let geometry = &field.traced;
-    task.progress.begin("share light", denoise::share_steps(geometry), "views");
-    let views: Result<Vec<SplitView>, _> = geometry.grid.iter().map(|view| split(field, view)).collect();
-    let views = views?;
-    let filtered = denoise::share(geometry, &views, task);
+    let mut light = SharedLight::new(geometry);
+    task.progress.begin("share light", 3 * geometry.grid.iter().count() as u64, "views");
+    let averaged = geometry.grid.iter().try_for_each(|view| {
+        light.add(&split(field, view)?);
+        task.progress.advance(1, "");
+        Ok(())
+    });
+    let averaged = averaged.and_then(|()| Ok(light.averaged(task)?));
     task.progress.end();
-    Ok((views.iter().map(SplitView::radiance).collect(), filtered?))
+    let averaged = averaged?;
+    Ok(Box::new(move |number, view| {
+        let split = split(field, view)?;
+        Ok([split.radiance(), averaged[number].on(&split)])
+    }))
 }
 
 /// A view in parts, as it was traced.
@@ -153,14 +163,14 @@ fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError>
 }
 
 /// Filters two halves of every view, guided by what they show.
-fn by_guides(
+fn by_guides<'a>(
     field: &FieldJob,
     kind: Denoise,
     renderer: &Renderer,
     window: &Window,
     folder: &Path,
     task: Task<'_>,
-) -> Result<Filtered, PipelineError> {
+) -> Result<Filtered<'a>, PipelineError> {
     let (geometry, settings) = (&field.traced, field.seeded(&[]));
     let noisy = |view| -> Result<NoisyView, PipelineError> {
         let features = renderer.render_features(window, geometry, view, FEATURE_SAMPLES, settings.angular_filter, task);
@@ -175,7 +185,7 @@ fn by_guides(
     task.progress.end();
     let views = views?;
     let filtered = run_filter(kind, geometry, &views, folder, task)?;
-    Ok((views.iter().map(NoisyView::mean).collect(), filtered))
+    Ok(Box::new(move |number, _| Ok([views[number].mean(), filtered[number].clone()])))
 }
 
 /// A half of a view, as it was traced.
