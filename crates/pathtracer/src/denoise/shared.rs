@@ -181,7 +181,7 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
                 weights[col] += weight;
             }
         }
-        light.extend(sums.iter().zip(&weights).map(|(sum, weight)| *sum / *weight));
+        light.extend(sums.iter().zip(&weights).map(|(sum, weight)| (*sum / *weight).to_array()));
     }
     ViewLight(light)
 }

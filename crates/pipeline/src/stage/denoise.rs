@@ -142,7 +142,7 @@ fn shared<'a>(field: &'a FieldJob, task: Task<'_>) -> Result<Filtered<'a>, Pipel
     let geometry = &field.traced;
     let mut light = SharedLight::new(geometry);
     task.progress.begin("share light", 3 * geometry.grid.iter().count() as u64, "views");
-    let averaged = geometry.grid.iter().try_for_each(|view| {
+    let averaged = geometry.grid.iter().try_for_each(|view| -> Result<(), PipelineError> {
         light.add(&split(field, view)?);
         task.progress.advance(1, "");
         Ok(())
