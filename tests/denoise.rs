@@ -13,7 +13,7 @@ const SMALL: [&str; 10] =
 fn still_life(folder: &Path, denoise: &str) -> Command {
     let mut command = lumistack();
     command.arg("run").arg(root().join("scenes/still-life/still-life.gltf")).arg("-o").arg(folder);
-    command.args(SMALL).args(["--denoise", denoise]);
+    command.args(SMALL).args(["--views", "5x5", "--denoise", denoise]);
     command
 }
 

@@ -96,18 +96,18 @@ fn results_that_were_damaged_at_equal_size_are_made_again() {
 fn views_that_were_damaged_or_exchanged_are_traced_again() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
-    succeed(&mut render(&run));
+    succeed(render(&run).args(["--views", "5x5"]));
     let whole = results(&run);
     let views = fs::read_dir(run.join("cache/views")).unwrap().map(|entry| entry.unwrap().path());
     let target = views.into_iter().find(|path| path.to_string_lossy().contains("target-")).unwrap();
-    succeed(&mut render(&run));
+    succeed(render(&run).args(["--views", "5x5"]));
     assert!(cached(&run, "render"));
     // a view of the same size that is another's
     fs::copy(target.join("view_00_00.exr"), target.join("view_02_02.exr")).unwrap();
-    succeed(&mut render(&run));
+    succeed(render(&run).args(["--views", "5x5"]));
     assert!(!cached(&run, "render") && results(&run) == whole);
     damage(&target.join("view_01_01.exr"));
-    succeed(&mut render(&run));
+    succeed(render(&run).args(["--views", "5x5"]));
     assert!(!cached(&run, "render") && results(&run) == whole);
 }
 
@@ -120,6 +120,30 @@ fn preview(run: &Path) {
     child.kill().unwrap();
     child.wait().unwrap();
     assert!(serves);
+}
+
+/// Light that views share is shared again where one of them was damaged, and what it was shared from is gone by then.
+#[test]
+fn views_that_share_light_are_made_again_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    succeed(&mut render(&run));
+    let whole = results(&run);
+    let views = fs::read_dir(run.join("cache/views")).unwrap().map(|entry| entry.unwrap().path());
+    let target = views.into_iter().find(|path| path.to_string_lossy().contains("target-")).unwrap();
+    let parts = || -> Vec<String> {
+        let names = fs::read_dir(&target).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        names.filter(|name| name.starts_with("split_")).collect()
+    };
+    assert_eq!(parts(), ["split_01_01.exr"], "the middle view in parts is what the report shows");
+    succeed(&mut render(&run));
+    assert!(cached(&run, "render"));
+    for name in ["shared/view_00_02.exr", "split_01_01.exr"] {
+        damage(&target.join(name));
+        succeed(&mut render(&run));
+        assert!(!cached(&run, "render"), "{name} was taken for good");
+        assert!(results(&run) == whole, "{name} changed the result");
+    }
 }
 
 #[test]

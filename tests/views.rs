@@ -14,7 +14,7 @@ const SMALL: [&str; 6] = ["--resolution", "30x18", "--samples", "4", "--max-boun
 
 fn render(scene: &Path, folder: &Path, options: &[&str]) -> Command {
     let mut command = lumistack();
-    command.arg("render").arg(scene).arg("-o").arg(folder).args(SMALL).args(options);
+    command.arg("render").arg(scene).arg("-o").arg(folder).args(SMALL).args(["--views", "5x5"]).args(options);
     command
 }
 

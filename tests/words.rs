@@ -72,7 +72,7 @@ fn the_pair_of_the_readme_works_and_replaces_nothing_unsaid() {
     std::fs::rename(write_triangle(folder.path()), folder.path().join("model.gltf")).unwrap();
     let mut render = line("lumistack render model.glb -o views");
     render[1] = "model.gltf".into();
-    succeed(lumistack().current_dir(&folder).args(render).args(&SMALL[..6]));
+    succeed(lumistack().current_dir(&folder).args(render).args(&SMALL[..6]).args(["--views", "5x5"]));
     let factorize = line("lumistack factorize views -o");
     let text = said(lumistack().current_dir(&folder).args(&factorize).args(&SMALL[6..]));
     assert!(!text.contains("pitch") && !text.contains("angles"), "its own geometry is kept: {text}");
@@ -232,10 +232,10 @@ fn a_plan_is_told_and_nothing_is_done() {
         cached.collect::<Vec<_>>()
     };
     let same = planned(&[]);
-    assert_eq!(cached(&same), ["trace", "expose", "score", "factorize", "output-images", "output-preview"]);
+    assert_eq!(cached(&same), ["trace", "denoise", "expose", "score", "factorize", "output-images", "output-preview"]);
     assert!(same["steps"].as_array().unwrap().iter().all(|step| step["key"].as_str().unwrap().len() == 16), "{same}");
     // other patterns of the same views
-    assert_eq!(cached(&planned(&["--iterations", "4"])), ["trace", "expose", "score"]);
+    assert_eq!(cached(&planned(&["--iterations", "4"])), ["trace", "denoise", "expose", "score"]);
     assert!(cached(&planned(&["--samples", "3"])).is_empty());
     // the scene is another
     let text = std::fs::read_to_string(&scene).unwrap();

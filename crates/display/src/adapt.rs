@@ -88,7 +88,10 @@ impl Display {
         let half = |fov_deg: f64| (0.5 * fov_deg.to_radians()).tan();
         let own_bins = own.views[axis] as f64;
         // views that the display chooses follow its bins, not the other way round
-        let own_views = if self.field.views == Views::Auto { own_bins } else { self.views()[axis] as f64 };
+        let own_views = match self.field.views {
+            Views::Fixed(views) => views[axis] as f64,
+            Views::Auto | Views::Step(_) => own_bins,
+        };
         let (own_reach, bins_reach) = (half(self.field.fov_deg[axis]), half(own.fov_deg[axis]));
         // bins to a view, and the bins' reach relative to the views', as the display has them
         let (fineness, spread) = if own_reach > 0.0 {
