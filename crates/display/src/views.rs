@@ -3,7 +3,7 @@
 use std::fmt;
 
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
-use serde::de::{Error, MapAccess, SeqAccess, Visitor};
+use serde::de::{Error, MapAccess, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::{GridError, Projection, ViewGrid};
@@ -92,7 +92,8 @@ impl<'de> Visitor<'de> for Form {
     }
 
     fn visit_str<E: Error>(self, name: &str) -> Result<Views, E> {
-        name.parse().map_err(E::custom)
+        // not as the command line has it: files have the other forms for that
+        if name == "auto" { Ok(Views::Auto) } else { Err(E::invalid_value(Unexpected::Str(name), &self)) }
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, views: A) -> Result<Views, A::Error> {
@@ -140,7 +141,7 @@ mod tests {
             assert_eq!(toml::from_str::<File>(&toml::to_string(&file).unwrap()).unwrap(), file);
         }
         for (text, message) in [
-            ("views = \"many\"", "expected auto, or columns x rows as in 5x3, found many"),
+            ("views = \"5x3\"", "expected \"auto\", [horizontal, vertical] or { step = [x, y] }"),
             ("views = 3", "expected \"auto\", [horizontal, vertical] or { step = [x, y] }"),
             ("views = [3]", "invalid length 1"),
             ("views = { steps = [1, 1] }", "unknown field `steps`"),
