@@ -385,8 +385,8 @@ pub(crate) fn displays() -> Vec<&'static str> {
 
 /// Every setting of a job that has a default, with that.
 ///
-/// >>> defaults()["factorize"]["iterations"]
-/// 50
+/// >>> defaults()["render"]["zone_samples"]
+/// 800
 #[pyfunction]
 pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &serde_json::to_value(Job::new(Default::default())).expect("jobs serialize"))

@@ -27,7 +27,7 @@ def interruptible() -> None:
 
 HEAD = """
 import sys, time, numpy, lumistack
-display = lumistack.Display("paper-three-layer", resolution=(420, 262))
+display = lumistack.Display("paper-three-layer", resolution=(420, 262), views=(5, 5))
 field = lumistack.LightField(numpy.random.default_rng(1).random(display.light_field_shape, numpy.float32), display=display)
 scene = sys.argv[1]
 started = []
