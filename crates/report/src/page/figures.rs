@@ -13,7 +13,8 @@ use crate::{Found, ReportError, ReportInput, Solution, Stage, format, plot};
 /// The strip under the title.
 pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     let geometry = input.target.geometry();
-    let [view_rows, view_cols] = geometry.grid.views();
+    // those that were solved for, of which some are shown
+    let [view_cols, view_rows] = input.display.views();
     let pixels = format!("across × up, {} × {} pixels each", geometry.cols, geometry.rows);
     let db = |value: f64| format!("{} dB", format::decibels(value));
     let (zone, worst) = zone_figures(input);
