@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::bench_render;
+use crate::bench_zone;
 use crate::fuzz;
 use crate::tools::{self, Outcome, absolute, cargo, command, example, output_of, text};
 use crate::web;
@@ -38,6 +39,13 @@ cargo xtask bench [what]
       --quick        a quarter of the samples
   design        predicted against solved quality of 40 random designs, and 100 small designs in a sweep that is killed again and
                 again, which must end with the same bytes (a minute or two)
+  zone [scene.gltf]     how right displays are all over their zone: those that choose their views beside those for 5×5, whole runs in turn:
+                quality, wall and processor time. Scenes: the ones named, or still-life, glass, letters (directional) and, where
+                LUMISTACK_ASSETS has them, FlightHelmet and 2CylinderEngine (about 4 minutes each)
+      --rounds N     how often each is run; default 1
+      --large        a zone of 50° × 20°, 840×525 pixels, the directional prototype
+      --views        one scene, against the number of views at equal samples
+      --iterations   one scene, against the solver's time
   web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
                 and per frame, through WebGL2 and on the processor
   fuzz          random changes to files of every kind that is read, whole and packed, from our own and the corpora of
@@ -72,6 +80,7 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["render", options @ ..] => bench_render::render(options)?,
         ["big", options @ ..] => bench_render::big(options)?,
         ["design"] => example("lumistack-pipeline", "bench_design", &[]),
+        ["zone", options @ ..] => bench_zone::run(options)?,
         ["web"] => web::bench(),
         ["fuzz", options @ ..] => fuzzing(options)?,
         ["--help" | "-h"] => {

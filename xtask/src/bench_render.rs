@@ -97,7 +97,7 @@ fn default_scenes() -> Vec<String> {
 }
 
 /// A file of the collection of others, or a message.
-fn asset(file: &str) -> Option<String> {
+pub fn asset(file: &str) -> Option<String> {
     let path = std::env::var_os("LUMISTACK_ASSETS").map(|assets| Path::new(&assets).join(file));
     let found = path.filter(|path| path.is_file());
     if found.is_none() {

@@ -2,6 +2,7 @@
 
 mod bench;
 mod bench_render;
+mod bench_zone;
 mod blender;
 mod ci;
 mod circles;
