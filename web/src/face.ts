@@ -6,7 +6,7 @@ import { paintTrack } from "./sliders.js";
 import type { Path } from "./stage.js";
 import type { Mode, Slope, State } from "./state.js";
 import { ICONS } from "./template.js";
-import { inWords, isAtView, isInside } from "./zone.js";
+import { inWords, isInside } from "./zone.js";
 
 /** Milliseconds after which a message that asks for nothing goes away. */
 const PASSING_MS = 8000;
@@ -88,7 +88,7 @@ export class Face {
     const words = inWords(slope);
     const bold = document.createElement("b");
     bold.textContent = words[0]!.toUpperCase() + words.slice(1);
-    place.replaceChildren(bold, whereabouts(info, state.mode, slope, inside));
+    place.replaceChildren(bold, whereabouts(info, state.mode, inside));
     place.classList.toggle("outside", !inside);
     const shown = state.mode === "layers" ? `${layerName(state.layer, info.layers.length)}, frame ${state.frame + 1}` : `${info.title}, seen from ${words}`;
     this.at("picture").setAttribute("aria-label", shown);
@@ -157,11 +157,10 @@ export class Face {
 }
 
 /** What one may expect of the picture from here. */
-function whereabouts(info: Info, mode: Mode, slope: Slope, inside: boolean): string {
+function whereabouts(info: Info, mode: Mode, inside: boolean): string {
   if (info.layers.length === 0) return inside ? "Among the views." : "Beyond the outermost view.";
   if (mode === "compare") return "Compared at the nearest view.";
-  if (!inside) return "Outside the zone that was optimised.";
-  return isAtView(slope, info.views) ? "At a view that was optimised." : "Between views: ghosts and grain.";
+  return inside ? "In the zone." : "Outside the zone that was optimised.";
 }
 
 function facts(info: Info): string {

@@ -9,8 +9,6 @@ const WIDTH = 240;
 const LEAST_HEIGHT = 64;
 const MOST_HEIGHT = 150;
 const SHOWN = REACH * 1.06;
-/** Share of the space between two views within which one stands at a view. */
-const AT_VIEW = 0.2;
 
 export class ZoneMap {
   private readonly svg: SVGSVGElement;
@@ -98,17 +96,6 @@ export class ZoneMap {
 
 export function isInside([x, y]: Slope, zone: Slope): boolean {
   return Math.abs(x) <= zone[0] * 1.0001 && Math.abs(y) <= zone[1] * 1.0001;
-}
-
-/** Whether a slope is one of the target's, to a share of the space between them; in between nothing was optimised. */
-export function isAtView([x, y]: Slope, views: Info["views"]): boolean {
-  const near = (at: number, all: readonly number[]): boolean => {
-    const space = (Math.max(...all) - Math.min(...all)) / Math.max(all.length - 1, 1) || Infinity;
-    return all.some((each) => Math.abs(at - each) <= AT_VIEW * space);
-  };
-  const across = views.slopes.slice(0, views.cols).map(([sx]) => sx);
-  const up = Array.from({ length: views.rows }, (_, row) => views.slopes[row * views.cols]![1]);
-  return near(x, across) && near(y, up);
 }
 
 /** "4.2° right, 1.0° up". */

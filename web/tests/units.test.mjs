@@ -105,13 +105,3 @@ test("who prefers less motion is taken there at once", async () => {
   motion.lookTo([0.1, 0.05]);
   assert.deepEqual(motion.slope, [0.1, 0.05]);
 });
-
-test("one stands at a view or between views", async () => {
-  const { isAtView } = await source("zone.ts");
-  const slopes = [0.1, -0.1].flatMap((y) => [-0.2, 0, 0.2].map((x) => [x, y]));
-  const views = { rows: 2, cols: 3, slopes, projection: "oblique" };
-  for (const at of [[0, 0.1], [0.2, -0.1], [-0.17, 0.07]]) assert.ok(isAtView(at, views), `${at}`);
-  for (const between of [[0.1, 0.1], [0, 0], [-0.15, 0.1]]) assert.ok(!isAtView(between, views), `${between}`);
-  // a single row of views is seen from any height
-  assert.ok(isAtView([0.2, 0.3], { rows: 1, cols: 3, slopes: [-0.2, 0, 0.2].map((x) => [x, 0]), projection: "oblique" }));
-});

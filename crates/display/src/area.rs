@@ -12,27 +12,28 @@ use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
 const SLIVER: f64 = 1e-9;
 
 /// The tables of one view, with a ray for every part of a pixel.
-pub(crate) struct AreaMap {
+#[derive(Clone, Debug)]
+pub struct AreaMap {
     /// One view, whose columns and rows are the parts in the order of `x` and `y`.
-    pub(crate) map: RayMap,
+    pub map: RayMap,
     /// Parts along x. The first part of every pixel stands before the second of any, so that neighbours in the list read neighbouring pixels.
-    pub(crate) x: Vec<Part>,
+    pub x: Vec<Part>,
     /// Parts along y, from the top, pixel by pixel.
-    pub(crate) y: Vec<Part>,
+    pub y: Vec<Part>,
 }
 
 /// A part of a field pixel along one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Part {
+pub struct Part {
     /// Field column or row.
-    pub(crate) pixel: u32,
+    pub pixel: u32,
     /// Share of the pixel's width, above 0; those of a pixel add up to 1.
-    pub(crate) share: f64,
+    pub share: f64,
 }
 
 impl AreaMap {
     /// Cuts the pixels of the view `view` = [view_y, view_x].
-    pub(crate) fn new(display: &Display, geometry: &FieldGeometry, view: [usize; 2]) -> Self {
+    pub fn new(display: &Display, geometry: &FieldGeometry, view: [usize; 2]) -> Self {
         let (rays_x, x) = phase_by_phase(cut_axis(display, geometry, Axis::X, view[1]));
         let (rays_y, y) = cut_axis(display, geometry, Axis::Y, view[0]).into_iter().flatten().unzip();
         let rays_y: Vec<AxisRay> = rays_y;
@@ -63,7 +64,6 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
             let reach = lenslets.views[axis.index()].saturating_mul(count + 1);
             cut_at_whole_numbers(&mut cuts, bins.map(|bin| bin + reach as f64), reach.saturating_mul(2));
         }
-        cuts.sort_unstable_by(f64::total_cmp);
         cuts.push(1.0);
         let mut parts = Vec::with_capacity(cuts.len());
         let mut from = 0.0;
@@ -79,7 +79,7 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
     (0..axis.count(geometry)).map(pixel).collect()
 }
 
-/// Adds where a place that runs linearly from `place[0]` to `place[1]` passes the edges 0 to `count`, as a share of the way.
+/// Adds, in rising order, where a place that runs linearly from `place[0]` to `place[1]` passes the edges 0 to `count`, as a share of the way.
 fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
     let [low, high] = [place[0].min(place[1]), place[0].max(place[1])];
     let first = low.ceil().max(0.0);
@@ -90,7 +90,9 @@ fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
     for edge in first as u64..=last as u64 {
         let t = (edge as f64 - place[0]) / (place[1] - place[0]);
         if t > 0.0 && t < 1.0 {
-            cuts.push(t);
+            // there are few; the library's sort would be much of the browser's module
+            let at = cuts.iter().take_while(|cut| **cut < t).count();
+            cuts.insert(at, t);
         }
     }
 }

@@ -47,10 +47,8 @@ impl TryFrom<String> for ColourOrder {
 
     fn try_from(text: String) -> Result<Self, String> {
         let channels: Vec<usize> = text.chars().filter_map(|c| "rgb".find(c)).collect();
-        let mut sorted = channels.clone();
-        sorted.sort_unstable();
         match <[usize; 3]>::try_from(channels) {
-            Ok(order) if sorted == [0, 1, 2] && text.len() == 3 => Ok(Self(order)),
+            Ok(order) if (0..3).all(|channel| order.contains(&channel)) && text.len() == 3 => Ok(Self(order)),
             _ => Err(format!("expected r, g and b in some order, such as \"rgb\", found \"{text}\"")),
         }
     }

@@ -240,6 +240,14 @@ impl FieldGeometry {
     }
 }
 
+/// Evenly spread places among `count`, `most` ≥ 2 at most: the first and the last among them, and of an odd number the middle where there is one.
+pub fn spread(count: usize, most: usize) -> Vec<usize> {
+    if count <= most {
+        return (0..count).collect();
+    }
+    (0..most).map(|i| (2 * i * (count - 1) + most - 1) / (2 * (most - 1))).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -315,5 +323,16 @@ mod tests {
         assert!(ViewGrid::uniform(Projection::Oblique, [1, 1], [180.0, 20.0]).is_err());
         assert!(ViewGrid::uniform(Projection::Oblique, [1, 1], [f64::NAN, 20.0]).is_err());
         assert!(ViewGrid::uniform(Projection::Perspective { distance_mm: 0.0 }, [1, 1], [20.0; 2]).is_err());
+    }
+
+    #[test]
+    fn the_middle_and_the_outermost_views_stay() {
+        assert_eq!(spread(13, 7), [0, 2, 4, 6, 8, 10, 12]);
+        assert_eq!(spread(7, 7), [0, 1, 2, 3, 4, 5, 6]);
+        assert_eq!(spread(2, 7), [0, 1]);
+        for count in (9..120).step_by(2) {
+            let places = spread(count, 7);
+            assert_eq!((places[0], places[3], places[6]), (0, count / 2, count - 1), "{count}");
+        }
     }
 }

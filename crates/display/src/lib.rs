@@ -46,6 +46,7 @@ mod zone;
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
+pub use area::{AreaMap, Part};
 pub use backlight::{Backlight, LensletBacklight, OutsideBins};
 pub use closed_form::ClosedForm;
 pub use colour_sequence::{ColourOrder, ColourSequence};
@@ -54,7 +55,7 @@ pub use error::DisplayError;
 pub use field::{LightField, SeenDepth};
 pub use formation::Formation;
 pub use forward::{EmittedView, LEAST_SHARE, SeenView, Simulator};
-pub use grid::{FieldGeometry, GridError, Projection, ViewGrid};
+pub use grid::{FieldGeometry, GridError, Projection, ViewGrid, spread};
 pub use homography::Homography;
 pub use layer::{Layer, LayerColour, quantize};
 pub use native::native_step;

@@ -393,8 +393,8 @@ typedef struct LumistackHostServices {
    */
   LumistackStatus (*file_abort)(const void *context, uint64_t file, const struct LumistackErrorSink *error);
   /**
-   * What the display shows of a submitted layer stack from one place: emitted linear radiance
-   * `[row][col][rgb]`, not divided by the stack's brightness. `data` is what `submit` was given; the plane is the plugin's to
+   * The seen picture of a submitted layer stack from one place: emitted linear radiance
+   * `[row][col][rgb]`, the mean over the area of each of the target's pixels, not divided by the stack's brightness. `data` is what `submit` was given; the plane is the plugin's to
    * release.
    */
   LumistackStatus (*simulate)(const void *context,

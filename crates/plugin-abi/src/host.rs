@@ -45,8 +45,8 @@ pub struct HostServices {
     pub file_commit: unsafe extern "C" fn(context: *const c_void, file: u64, error: *const ErrorSink) -> Status,
     /// Drops the file; nothing of it remains. The handle is gone.
     pub file_abort: unsafe extern "C" fn(context: *const c_void, file: u64, error: *const ErrorSink) -> Status,
-    /// What the display shows of a submitted layer stack from one place: emitted linear radiance
-    /// `[row][col][rgb]`, not divided by the stack's brightness. `data` is what `submit` was given; the plane is the plugin's to
+    /// The seen picture of a submitted layer stack from one place: emitted linear radiance
+    /// `[row][col][rgb]`, the mean over the area of each of the target's pixels, not divided by the stack's brightness. `data` is what `submit` was given; the plane is the plugin's to
     /// release.
     pub simulate: unsafe extern "C" fn(
         context: *const c_void,

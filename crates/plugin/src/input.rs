@@ -177,7 +177,7 @@ impl StackInput<'_> {
         self.lent.patterns(display, self.brightness)
     }
 
-    /// What the display shows: emitted linear radiance `[row][col][rgb]` on the target's pixels. Divide by
+    /// The seen picture from a place: emitted linear radiance `[row][col][rgb]`, the mean over the area of each of the target's pixels. Divide by
     /// [`brightness`](Self::brightness) for what an adapted viewer sees.
     ///
     /// # Errors

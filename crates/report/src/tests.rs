@@ -318,7 +318,7 @@ fn the_simulated_view_is_divided_by_the_brightness() {
     target.radiance_mut().data_mut().fill(1.0);
     let stack = LayerStack::filled(&display, 0.2);
     let report = built(&plain(&display, &stack, &target)).unwrap();
-    let emitted = lumistack_display::forward::view_from_slope(&display, &stack, [0.0; 2]);
+    let emitted = lumistack_display::forward::view_from_slope(&display, &stack, [0.0; 2]).into();
     assert!(view_error(&emitted, &[1.0; 3], 0.2, |_| 1.0).psnr() > 60.0);
     assert!(report.psnr_view > 60.0);
     let simulated = report.html.split("alt=\"Simulated: Central view").next().unwrap();

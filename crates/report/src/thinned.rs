@@ -2,7 +2,7 @@
 //! judged all over the zone, at no view in particular.
 
 use lumistack_core::Tensor;
-use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights};
+use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
 
 /// Views per axis, at most.
 const MOST: usize = 7;
@@ -14,7 +14,7 @@ pub(crate) fn thinned(field: &LightField, weights: &Weights) -> Option<(LightFie
     if views.iter().all(|count| *count <= MOST) {
         return None;
     }
-    let [rows, cols] = views.map(places);
+    let [rows, cols] = views.map(|count| spread(count, MOST));
     let pick = |slopes: &[f64], places: &[usize]| places.iter().map(|&place| slopes[place]).collect();
     let grid = ViewGrid {
         projection: geometry.grid.projection,
@@ -46,30 +46,11 @@ pub(crate) fn thinned(field: &LightField, weights: &Weights) -> Option<(LightFie
     Some((thin, weights))
 }
 
-/// Evenly spread places among `count`, the first and the last among them, and the middle where there is one.
-fn places(count: usize) -> Vec<usize> {
-    if count <= MOST {
-        return (0..count).collect();
-    }
-    (0..MOST).map(|i| (2 * i * (count - 1) + MOST - 1) / (2 * (MOST - 1))).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use lumistack_display::Projection;
 
     use super::*;
-
-    #[test]
-    fn the_middle_and_the_outermost_views_stay() {
-        assert_eq!(places(13), [0, 2, 4, 6, 8, 10, 12]);
-        assert_eq!(places(7), [0, 1, 2, 3, 4, 5, 6]);
-        assert_eq!(places(2), [0, 1]);
-        for count in (9..120).step_by(2) {
-            let places = places(count);
-            assert_eq!((places[0], places[3], places[6]), (0, count / 2, count - 1), "{count}");
-        }
-    }
 
     #[test]
     fn values_and_weights_are_those_of_their_views() {

@@ -63,7 +63,7 @@ struct Views {
     distance_mm: Option<f64>,
 }
 
-/// Half angles out to the outer edges of the outermost views' bins.
+/// Half angles.
 #[derive(Serialize)]
 struct Zone {
     x_rad: f64,
@@ -93,11 +93,9 @@ impl<'a> Info<'a> {
             Projection::Perspective { distance_mm } => ("perspective", Some(distance_mm)),
         };
         let slopes = grid.iter().map(|[y, x]| [grid.slope_x[x], grid.slope_y[y]]).collect();
-        let bins = grid.bin_width();
-        let half = |slopes: &[f64], bin: f64| {
-            let most = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
-            (most + 0.5 * bin).atan()
-        };
+        // one view promises nothing beside it
+        let half =
+            |axis: usize, views: usize| if views == 1 { 0.0 } else { 0.5 * display.field.fov_deg[axis].to_radians() };
         let [width_mm, height_mm] = geometry.size_mm();
         Self {
             title: &preview.title,
@@ -113,7 +111,7 @@ impl<'a> Info<'a> {
             brightness: preview.brightness,
             formation: display.formation,
             views: Views { rows, cols, slopes, projection, distance_mm },
-            zone: Zone { x_rad: half(&grid.slope_x, bins[0]), y_rad: half(&grid.slope_y, bins[1]) },
+            zone: Zone { x_rad: half(0, cols), y_rad: half(1, rows) },
             heat: Heat { max: HEAT_TOP, stops: heat_stops().to_vec() },
             rounding_db: preview.rounding_db,
             files: &preview.files,

@@ -2,10 +2,10 @@
 //!
 //! ```text
 //! preview.json + pictures ──▶ Model ──▶ Simulator of lumistack-display ──▶ bytes for a canvas      (CPU: tests, machines without WebGL2)
-//!                               └─────▶ RayMap as textures ──▶ shaders that only look things up   (GPU)
+//!                               └─────▶ AreaMap as textures ──▶ shaders that only look things up  (GPU)
 //! ```
 //!
-//! The shaders hold no geometry: where a ray meets a layer is read from tables that [`lumistack_display::RayMap`] made. Everything but the thin shell
+//! The shaders hold no geometry: where a ray meets a layer is read from tables that [`lumistack_display::AreaMap`] made. Everything but the thin shell
 //! around the browser's objects compiles for any machine and is tested there.
 
 mod colour;

@@ -231,7 +231,7 @@ impl Model {
         Some(values)
     }
 
-    /// What the display emits towards a slope, under the options: the mean over the pupil.
+    /// The seen picture from a slope, under the options; through a pupil the mean over its places, of one ray per pixel each.
     fn emitted(&self, slope: [f64; 2], projection: Projection) -> EmittedView {
         let built = self.built();
         if built.stack.frames() == 0 {
@@ -243,7 +243,11 @@ impl Model {
         let slopes = |centre: f64| pupil.offsets.iter().map(|offset| centre + offset).collect();
         let grid = ViewGrid { projection, slope_x: slopes(slope[0]), slope_y: slopes(slope[1]) };
         let geometry = self.geometry.with_grid(grid);
-        let (simulator, map) = (Simulator::new(&built.display, &built.stack), RayMap::new(&built.display, &geometry));
+        let simulator = Simulator::new(&built.display, &built.stack);
+        if pupil.offsets.len() == 1 {
+            return simulator.seen(&geometry, [0, 0]).into();
+        }
+        let map = RayMap::new(&built.display, &geometry);
         let mut views = pupil.places().map(|place| simulator.view(&map, &geometry, place));
         let mut mean = views.next().expect("the middle of a pupil lies on it");
         let mut count = 1.0;
@@ -308,7 +312,7 @@ impl Model {
         Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: it has not arrived")))?))
     }
 
-    /// The error map |gain · L̃ − L| of the target's view nearest to a slope, seen from that view's own slope; black where no ray counts.
+    /// The error map |gain · L̃ − L| of the target's view nearest to a slope, seen from that view's own slope; black where less than half of a pixel counts.
     ///
     /// # Errors
     /// If the view has not arrived.

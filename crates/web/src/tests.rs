@@ -5,8 +5,8 @@ use lumistack_core::colour::{srgb_code, srgb_decode};
 use lumistack_core::metrics::SquaredError;
 use lumistack_core::seed::Stream;
 use lumistack_display::{
-    Backlight, Display, FieldGeometry, Formation, Layer, LayerStack, LensletBacklight, Missing, Projection, RayMap,
-    Sampling, Simulator, ViewGrid,
+    Backlight, Display, EmittedView, FieldGeometry, Formation, Layer, LayerStack, LensletBacklight, Missing,
+    Projection, Sampling, Simulator, ViewGrid,
 };
 use serde_json::{Value, json};
 
@@ -111,7 +111,7 @@ impl Sample {
     fn emitted(&self, display: &Display, projection: Projection, slope: [f64; 2]) -> Vec<f32> {
         let geometry = self.geometry.with_grid(ViewGrid::single(projection, slope));
         let simulator = Simulator::new(display, &self.stack);
-        simulator.view(&RayMap::new(display, &geometry), &geometry, [0, 0]).radiance.into_data()
+        simulator.seen(&geometry, [0, 0]).radiance.into_data()
     }
 }
 
@@ -249,8 +249,8 @@ fn targets_errors_and_scores_belong_to_the_nearest_view() {
     assert_eq!(model.nearest_view(slope), [0, 2]);
     let target = model.target([0, 2]).unwrap().to_vec();
     let geometry = &sample.geometry;
-    let emitted =
-        Simulator::new(&sample.display, &sample.stack).view(&RayMap::new(&sample.display, geometry), geometry, [0, 2]);
+    let seen = Simulator::new(&sample.display, &sample.stack).seen(geometry, [0, 2]);
+    let emitted = EmittedView::from(seen);
     let linear: Vec<f32> = target.iter().map(|code| srgb_decode(f32::from(*code) / 255.0)).collect();
     let mut error = SquaredError::default();
     for (i, (value, target)) in emitted.radiance.data().iter().zip(&linear).enumerate() {
@@ -394,58 +394,65 @@ fn as_the_shader_does(model: &Model, slope: [f64; 2]) -> Vec<f32> {
     let met: Vec<_> = (0..layers).map(|n| model.met(n, frames)).collect();
     let texel = |table: &[f32], row: usize, width: usize, i: usize| {
         let at = 4 * (row * width + i);
-        [table[at], table[at + 1], table[at + 2]]
+        [table[at], table[at + 1], table[at + 2], table[at + 3]]
     };
     let black = model.options().black_level;
     let mut picture = vec![0.0f32; 3 * rows * cols];
     for (i, value) in picture.iter_mut().enumerate() {
         let (c, col, row) = (i % 3, i / 3 % cols, i / 3 / cols);
-        let (mut sum, mut count, mut counts) = (0.0f64, 0.0f64, true);
+        let (mut sum, mut count) = (0.0f64, 0.0f64);
         for (place, _) in tables.on_disc.iter().enumerate().filter(|(_, on)| **on) {
             let (place_y, place_x) = (place / tables.places, place % tables.places);
             count += 1.0;
-            let mut view = 0.0;
-            for (m, &frame) in frames.iter().enumerate() {
-                let mut value = f64::from(display.formation.neutral());
-                let meet = |value: &mut f64, v: f64| match display.formation {
-                    Formation::Attenuating => *value *= v,
-                    _ => *value += v,
-                };
-                for n in 0..layers {
-                    let x = texel(&tables.x, place_x * tables.rows_per_place + n, cols, col);
-                    let y = texel(&tables.y, place_y * tables.rows_per_place + n, rows, row);
-                    if x[0] < 0.0 || y[0] < 0.0 {
-                        counts &= display.missing == Missing::Clear;
-                        continue;
-                    }
-                    let at = |r: f32, col: f32| f64::from(met[n].get([m, r as usize, col as usize, c]));
-                    let [tx, ty] = [f64::from(x[2]), f64::from(y[2])];
-                    let top = at(y[0], x[0]) * (1.0 - tx) + at(y[0], x[1]) * tx;
-                    let bottom = at(y[1], x[0]) * (1.0 - tx) + at(y[1], x[1]) * tx;
-                    meet(&mut value, black + (1.0 - black) * (top * (1.0 - ty) + bottom * ty));
-                }
-                if display.formation == Formation::Polarization {
-                    value = (std::f64::consts::FRAC_PI_2 * value).sin().powi(2);
-                }
-                if let Backlight::Lenslets(b) = &display.backlight {
-                    let x = texel(&tables.x, place_x * tables.rows_per_place + layers, cols, col);
-                    let y = texel(&tables.y, place_y * tables.rows_per_place + layers, rows, row);
-                    counts &= x[0] > -1.5 && y[0] > -1.5;
-                    let codes = model.codes(Part::Emission { frame }).unwrap();
-                    let emitted = if x[0] < 0.0 || y[0] < 0.0 {
-                        0.0
-                    } else {
-                        let line = y[1] as usize * b.lenslets[1] + y[0] as usize;
-                        let column = x[1] as usize * b.lenslets[0] + x[0] as usize;
-                        f64::from(codes[3 * (line * b.views[0] * b.lenslets[0] + column) + c]) / 255.0
+            let (mut light, mut area) = (0.0, 0.0);
+            for (part_y, part_x) in (0..tables.parts[1]).flat_map(|y| (0..tables.parts[0]).map(move |x| (y, x))) {
+                let row_x = (place_x * tables.parts[0] + part_x) * tables.rows_per_part;
+                let row_y = (place_y * tables.parts[1] + part_y) * tables.rows_per_part;
+                let share = f64::from(texel(&tables.x, row_x, cols, col)[3] * texel(&tables.y, row_y, rows, row)[3]);
+                let (mut view, mut counts) = (0.0, true);
+                for (m, &frame) in frames.iter().enumerate() {
+                    let mut value = f64::from(display.formation.neutral());
+                    let meet = |value: &mut f64, v: f64| match display.formation {
+                        Formation::Attenuating => *value *= v,
+                        _ => *value += v,
                     };
-                    if display.formation == Formation::Additive { value += emitted } else { value *= emitted }
+                    for n in 0..layers {
+                        let (x, y) = (texel(&tables.x, row_x + n, cols, col), texel(&tables.y, row_y + n, rows, row));
+                        if x[0] < 0.0 || y[0] < 0.0 {
+                            counts &= display.missing == Missing::Clear;
+                            continue;
+                        }
+                        let at = |r: f32, col: f32| f64::from(met[n].get([m, r as usize, col as usize, c]));
+                        let [tx, ty] = [f64::from(x[2]), f64::from(y[2])];
+                        let top = at(y[0], x[0]) * (1.0 - tx) + at(y[0], x[1]) * tx;
+                        let bottom = at(y[1], x[0]) * (1.0 - tx) + at(y[1], x[1]) * tx;
+                        meet(&mut value, black + (1.0 - black) * (top * (1.0 - ty) + bottom * ty));
+                    }
+                    if display.formation == Formation::Polarization {
+                        value = (std::f64::consts::FRAC_PI_2 * value).sin().powi(2);
+                    }
+                    if let Backlight::Lenslets(b) = &display.backlight {
+                        let x = texel(&tables.x, row_x + layers, cols, col);
+                        let y = texel(&tables.y, row_y + layers, rows, row);
+                        counts &= x[0] > -1.5 && y[0] > -1.5;
+                        let codes = model.codes(Part::Emission { frame }).unwrap();
+                        let emitted = if x[0] < 0.0 || y[0] < 0.0 {
+                            0.0
+                        } else {
+                            let line = y[1] as usize * b.lenslets[1] + y[0] as usize;
+                            let column = x[1] as usize * b.lenslets[0] + x[0] as usize;
+                            f64::from(codes[3 * (line * b.views[0] * b.lenslets[0] + column) + c]) / 255.0
+                        };
+                        if display.formation == Formation::Additive { value += emitted } else { value *= emitted }
+                    }
+                    view += value / frames.len() as f64;
                 }
-                view += value / frames.len() as f64;
+                if counts {
+                    (light, area) = (light + share * view, area + share);
+                }
             }
-            sum += if counts { view } else { 0.0 };
             // only this place's rays are dropped
-            counts = true;
+            sum += if area > 0.0 { light / area } else { 0.0 };
         }
         *value = (f64::from(model.gain()) * sum / count) as f32;
     }

@@ -104,7 +104,7 @@ fn write_case(folder: &Path, display: &Display) -> Result<(), Box<dyn std::error
     let mut names = Vec::new();
     for (i, slope) in slopes.into_iter().enumerate() {
         let geometry = geometry.with_grid(ViewGrid::single(geometry.grid.projection, slope));
-        let view = simulator.view(&RayMap::new(display, &geometry), &geometry, [0, 0]).radiance;
+        let view = simulator.seen(&geometry, [0, 0]).radiance;
         let bytes = view.data().iter().flat_map(|value| (value / stack.brightness as f32).to_le_bytes());
         names.push(format!("ref{i}.f32"));
         write(&folder.join(&names[i]), &bytes.collect::<Vec<u8>>())?;

@@ -7,14 +7,14 @@
 //! | `stack/preview.json` | display, brightness, target, and the pictures in the order to fetch |
 //! | `stack/layerL_frameM.png` | patterns: value = code / 255, linear |
 //! | `stack/emission_frameM.png` | emission of a directional backlight, bins side by side: value = code / 255, linear |
-//! | `stack/target_YY_XX.png` | views of the light field that the patterns were made for, sRGB-encoded, where the host lends them |
+//! | `stack/target_YY_XX.png` | views of the light field that the patterns were made for, sRGB-encoded, where the host lends them; 7 per axis at most |
 //!
 //! Later times of a sequence are sites of their own in `time_0001/`, ... Memory: one frame of patterns, whatever their number.
 
 mod page;
 mod pictures;
 
-use lumistack_plugin::display::{FieldGeometry, Projection};
+use lumistack_plugin::display::{FieldGeometry, Projection, ViewGrid, spread};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::serde_json::{Value, json};
 use lumistack_plugin::{
@@ -29,6 +29,9 @@ pub use page::PREVIEW_JSON;
 /// Hash of this crate's sources and of those of the page that it writes. It belongs into the keys of all kept results that this code has a part in.
 pub const FINGERPRINT: &str =
     concat!(env!("LUMISTACK_FINGERPRINT"), " ", include_str!("../../../web/dist/sources.blake3"));
+
+/// Views of the target per axis that the page has to compare with, at most: of a display that chooses hundreds they would be most of the site.
+const MOST_TARGETS: usize = 7;
 
 /// The plugin.
 #[derive(Debug)]
@@ -59,7 +62,7 @@ impl OutputPlugin for WebSimulator {
             Param::bool(
                 "target",
                 true,
-                "Also write the views that the patterns were made for, to compare with; they are a good part of the site's size.",
+                "Also write views that the patterns were made for, 7 × 7 at most, to compare with; they are a good part of the site's size.",
             ),
             Param::bool("single_file", true, "Also write the whole site as one file, preview.html."),
         ])
@@ -75,10 +78,12 @@ impl OutputPlugin for WebSimulator {
         let title = if self.params.title.is_empty() { &self.display.name } else { &self.params.title };
         let mut site = Site::new(&self.host, folder, title, self.params.single_file)?;
         let mut files = Vec::new();
-        let targets = self.targets(stack)?;
+        let places = stack.target().grid.views().map(|count| spread(count, MOST_TARGETS));
+        let shown = thinned(stack.target(), &places);
+        let targets = self.targets(stack, &shown)?;
         let per_frame = stack.layer_count() + usize::from(stack.emission_shape().is_some());
         let stage = self.host.stage("preview", (stack.frames() * per_frame + targets.len()) as u64, "pictures");
-        let mut rounding = Rounding::new(&self.display, stack.target());
+        let mut rounding = Rounding::new(&self.display, &shown);
         for frame in 0..stack.frames() {
             let mut layers = Vec::with_capacity(stack.layer_count());
             for layer in 0..stack.layer_count() {
@@ -103,7 +108,7 @@ impl OutputPlugin for WebSimulator {
         }
         for view in targets {
             self.host.check_cancelled()?;
-            let Some(plane) = stack.target_view(view)? else { continue };
+            let Some(plane) = stack.target_view([places[0][view[0]], places[1][view[1]]])? else { continue };
             let picture = target_codes(&plane);
             let path = format!("stack/target_{:02}_{:02}.png", view[0], view[1]);
             let entry = json!({"kind": "target", "view": view});
@@ -118,7 +123,7 @@ impl OutputPlugin for WebSimulator {
             "display": self.display,
             "brightness": stack.brightness(),
             "frames": stack.frames(),
-            "target": geometry_json(stack.target()),
+            "target": geometry_json(&shown),
             "files": files,
             "rounding_db": rounding_db.is_finite().then_some(rounding_db),
         });
@@ -132,17 +137,25 @@ impl OutputPlugin for WebSimulator {
 }
 
 impl WebSimulator {
-    /// The views of the target to write, from the middle outwards, so that the ones that are looked at first come first.
-    fn targets(&self, stack: &StackInput<'_>) -> Result<Vec<[usize; 2]>, PluginError> {
+    /// The views to write of those that are `shown`, from the middle outwards, so that the ones that are looked at first come first.
+    fn targets(&self, stack: &StackInput<'_>, shown: &FieldGeometry) -> Result<Vec<[usize; 2]>, PluginError> {
         if !self.params.target || !stack.has_target_views() {
             return Ok(Vec::new());
         }
-        let [rows, cols] = stack.target().grid.views();
+        let [rows, cols] = shown.grid.views();
         let off = |[y, x]: &[usize; 2]| (2 * y + 1).abs_diff(rows).pow(2) + (2 * x + 1).abs_diff(cols).pow(2);
-        let mut views: Vec<[usize; 2]> = stack.target().grid.iter().collect();
+        let mut views: Vec<[usize; 2]> = shown.grid.iter().collect();
         views.sort_by_key(off);
         Ok(views)
     }
+}
+
+/// A light field with some of its rows and columns of views.
+fn thinned(geometry: &FieldGeometry, [rows, cols]: &[Vec<usize>; 2]) -> FieldGeometry {
+    let pick = |slopes: &[f64], places: &[usize]| places.iter().map(|&place| slopes[place]).collect();
+    let grid = &geometry.grid;
+    let (slope_x, slope_y) = (pick(&grid.slope_x, cols), pick(&grid.slope_y, rows));
+    geometry.with_grid(ViewGrid { projection: grid.projection, slope_x, slope_y })
 }
 
 fn geometry_json(geometry: &FieldGeometry) -> Value {

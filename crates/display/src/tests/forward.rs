@@ -95,13 +95,13 @@ fn layers_that_are_not_there_change_nothing() {
             layer.offset_mm = [1e6, -1e6];
         }
         let view = Simulator::new(&display, &stack).from_slope([0.05, 0.0]);
-        assert!(view.valid.iter().all(|valid| *valid));
+        assert!(view.share.iter().all(|share| (share - 1.0).abs() < 1e-6));
         // attenuating: the bare backlight; otherwise nothing emits or turns the light
         let expected = if formation == Formation::Attenuating { 1.0 } else { 0.0 };
-        assert!(view.radiance.data().iter().all(|value| *value == expected), "{formation:?}");
+        assert!(view.radiance.data().iter().all(|value| (value - expected).abs() < 1e-6), "{formation:?}");
         display.missing = Missing::Drop;
         let view = Simulator::new(&display, &stack).from_slope([0.05, 0.0]);
-        assert!(view.valid.iter().all(|valid| !*valid) && view.radiance.data().iter().all(|value| *value == 0.0));
+        assert!(view.share.iter().all(|share| *share == 0.0) && view.radiance.data().iter().all(|value| *value == 0.0));
     }
 }
 
@@ -118,7 +118,7 @@ fn one_pixel_and_extreme_values_stay_in_range() {
                 // a half turn brings the polarization back
                 Formation::Polarization => 0.0,
             };
-            assert!(view.valid[0]);
+            assert!(view.share[0] > 0.5);
             assert!(view.radiance.data().iter().all(|found| (found - expected).abs() < 1e-6), "{formation:?} {value}");
         }
     }
@@ -208,10 +208,9 @@ fn whole_shifts_are_seen_as_their_centre_rays_are() {
     let simulator = Simulator::new(&display, &stack);
     for shifts in [[0.0, 0.0], [3.0, -2.0], [-1.0, 5.0]] {
         let slope = shifts.map(|shift: f64| shift * step);
-        let (seen, centre) = (
-            simulator.seen_from(&crate::ViewGrid::single(crate::Projection::Oblique, slope)),
-            simulator.from_slope(slope),
-        );
+        let geometry = display.field_pixels().with_grid(crate::ViewGrid::single(crate::Projection::Oblique, slope));
+        let centre = simulator.view(&crate::RayMap::new(&display, &geometry), &geometry, [0, 0]);
+        let seen = simulator.from_slope(slope);
         for (i, (share, valid)) in seen.share.iter().zip(&centre.valid).enumerate() {
             assert!((share - f32::from(*valid)).abs() < 1e-6, "{shifts:?} {i}");
         }

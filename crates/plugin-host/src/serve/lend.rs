@@ -3,9 +3,7 @@
 use std::ffi::c_void;
 use std::sync::OnceLock;
 
-use lumistack_display::{
-    Display, FieldGeometry, LayerStack, LightField, Projection, RayMap, Simulator, ViewGrid, Weights,
-};
+use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Projection, Simulator, ViewGrid, Weights};
 use lumistack_plugin::abi::{Data, ErrorSink, Plane, Status, Str, View, view};
 use lumistack_plugin::wire::{Depth, Description, Geometry, RayWeights, Start, answer, dense};
 use lumistack_plugin::{PluginError, Port, Time};
@@ -281,8 +279,7 @@ pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut 
     let geometry = lent.geometry.with_grid(grid);
     geometry.check().map_err(|error| PluginError::Refused(format!("view: {error}")))?;
     let simulator = lent.simulator.get_or_init(|| Simulator::new(lent.display, stack));
-    let view = simulator.view(&RayMap::new(lent.display, &geometry), &geometry, [0, 0]);
-    let owner = Box::new(view.radiance.into_data());
+    let owner = Box::new(simulator.seen(&geometry, [0, 0]).radiance.into_data());
     // SAFETY: the caller's promise; on success the plane owns the values, which a box does not move.
     unsafe {
         give(plane, &owner, [geometry.rows, geometry.cols, 3])?;

@@ -3,7 +3,7 @@
 //! Limits are simulated for the central view and the corners, so their tests have two by two views: all of them.
 
 use lumistack_core::metrics::{Flip, ssim};
-use lumistack_display::{Display, LayerStack, LightField, Simulator, ViewGrid, Weights, quantize, score};
+use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator, ViewGrid, Weights, quantize, score};
 use serde_json::{Value, json};
 
 use super::{SAME_DB, built, display, json_psnr, noisy_field, noisy_stack, plain};
@@ -41,8 +41,8 @@ fn ssim_and_flip_take_rays_that_do_not_count_from_the_target() {
     let (mut sums, mut counted) = ([0.0; 2], [0.0; 2]);
     let mut dropped = 0;
     for view in target.geometry().grid.iter() {
-        let slope = [target.geometry().grid.slope_x[view[1]], target.geometry().grid.slope_y[view[0]]];
-        let emitted = Simulator::new(&display, &stack).from_slope(slope);
+        let map = RayMap::new(&display, target.geometry());
+        let emitted = Simulator::new(&display, &stack).view(&map, target.geometry(), view);
         let mut shown = target.view(view).to_vec();
         for (i, valid) in emitted.valid.iter().enumerate() {
             for c in 0..3 {

@@ -8,7 +8,10 @@ use web_sys::{HtmlCanvasElement, WebGlProgram, WebGlShader, WebGlTexture, WebGlU
 use crate::{Error, err};
 
 const FULL: &str = include_str!("../shaders/full.vert.glsl");
+/// sRGB encoding (IEC 61966-2-1), and the colours of the error map: the twin of `colour.rs`.
 const COLOUR: &str = include_str!("../shaders/colour.glsl");
+/// Pictures on the canvas: left of `split` one, right of it the other. Pixels stay sharp where they are enlarged; where the canvas is coarser than the
+/// picture, the light of all its pixels under a canvas pixel is averaged.
 const PRESENT: &str = include_str!("../shaders/present.frag.glsl");
 
 /// What is said where there is no WebGL2.

@@ -10,11 +10,22 @@ use super::canvas::{location, message, program, texture, upload_rgba};
 use crate::colour::{HEAT_TOP, heat_table};
 use crate::explode::{Kind, Look, scene};
 use crate::preview::Part;
-use crate::{Error, Model, Tables, err};
+use crate::{Error, Model, err};
 
+/// One triangle that covers everything.
 const FULL: &str = include_str!("../shaders/full.vert.glsl");
+/// The seen picture at every pixel of the field: the mean over the parts of the pixel of what their rays meet, and over the places on the pupil. Where a ray meets a layer is looked up: the
+/// tables are those of `tables.rs`, made by `AreaMap`.
+///
+/// ```text
+/// attenuating    (1/M) Σ_m b ∏_n v        additive    (1/M) Σ_m (b + Σ_n v)        polarization    (1/M) Σ_m b sin²(π/2 Σ_n v)
+/// ```
+///
+/// Defined in front of this text: `DECLARE_LAYERS`, `MEET_LAYERS` (`MEET(n, layer_n)` for every layer), `FORMATION` (0, 1, 2), `DIRECTIONAL`, `LAYERS`. Visitors load the text, so it says little.
 const DISPLAY: &str = include_str!("../shaders/display.frag.glsl");
+/// Corners come in clip space, computed by `explode.rs`.
 const SCENE_VERTEX: &str = include_str!("../shaders/scene.vert.glsl");
+/// One layer of the exploded view, the mean of the frames that are shown, or a plain colour.
 const SCENE: &str = include_str!("../shaders/scene.frag.glsl");
 
 /// Texture units that are not layers': tables, the emission, the reference.
@@ -197,7 +208,7 @@ impl Gpu {
             let unit = first + 1 + i as u32;
             gl.active_texture(Gl::TEXTURE0 + unit);
             gl.bind_texture(Gl::TEXTURE_2D, Some(&self.taps[i]));
-            self.upload_table(&tables, width, values)?;
+            self.upload_table(width, values)?;
             gl.uniform1i(at(name).as_ref(), unit as i32);
         }
         gl.active_texture(Gl::TEXTURE0 + first + 3);
@@ -205,7 +216,8 @@ impl Gpu {
         gl.uniform1i(at("reference").as_ref(), first as i32 + 3);
         let slots = model.slots();
         gl.uniform2i(at("slots").as_ref(), slots.first as i32, slots.count as i32);
-        gl.uniform2i(at("places").as_ref(), tables.places as i32, tables.rows_per_place as i32);
+        let [parts_x, parts_y] = tables.parts.map(|parts| parts as i32);
+        gl.uniform4i(at("places").as_ref(), tables.places as i32, tables.rows_per_part as i32, parts_x, parts_y);
         let on_disc: Vec<f32> = tables.on_disc.iter().map(|on| f32::from(u8::from(*on))).collect();
         gl.uniform1fv_with_f32_array(at("on_disc").as_ref(), &on_disc);
         if let Backlight::Lenslets(backlight) = &model.preview().display.backlight {
@@ -226,8 +238,8 @@ impl Gpu {
     }
 
     /// One table into the texture that is bound.
-    fn upload_table(&self, tables: &Tables, width: usize, values: &[f32]) -> Result<(), Error> {
-        let rows = tables.places * tables.rows_per_place;
+    fn upload_table(&self, width: usize, values: &[f32]) -> Result<(), Error> {
+        let rows = values.len() / (4 * width);
         let upload =
             self.canvas.gl.tex_image_2d_with_i32_and_i32_and_i32_and_format_and_type_and_opt_array_buffer_view(
                 Gl::TEXTURE_2D,

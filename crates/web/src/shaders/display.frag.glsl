@@ -1,19 +1,12 @@
-// What the display shows at every pixel of the field. Where a ray meets a layer is looked up: the tables are those of tables.rs, made by RayMap.
-//
-//   attenuating    (1/M) sum_m b prod_n v        additive    (1/M) sum_m (b + sum_n v)        polarization    (1/M) sum_m b sin^2(pi/2 sum_n v)
-//
-// Defined in front of this text: DECLARE_LAYERS, MEET_LAYERS (MEET(n, layer_n) for every layer), FORMATION (0, 1, 2), DIRECTIONAL, LAYERS.
-
 DECLARE_LAYERS
 uniform sampler2DArray emission;
 uniform sampler2D taps_x;
 uniform sampler2D taps_y;
 uniform sampler2D reference;
 uniform ivec2 slots;      // first frame slice, number of slices
-uniform ivec2 places;     // places on the pupil along an axis, table rows per place
+uniform ivec4 places;     // on the pupil along an axis; table rows per part; parts along x, y
 uniform float on_disc[81];
 uniform ivec2 lenslets;   // columns, rows
-uniform ivec2 field;      // columns, rows
 uniform float gain;
 uniform float black;
 uniform bool dropped;     // rays that leave a layer do not count
@@ -43,15 +36,16 @@ vec3 read(sampler2DArray layer, vec4 x, vec4 y, int slice) {
     if (x[N].x < 0.0 || y[N].x < 0.0) { counts = counts && !dropped; } \
     else { met JOIN black + (1.0 - black) * read(LAYER, x[N], y[N], slice); }
 
-// Of one place on the pupil; fourth: whether the ray counts.
-vec4 seen(ivec2 at, ivec2 place) {
-    ivec2 table = place * places.y;
+// Of a part; fourth: its share, where its ray counts.
+vec4 part_of(ivec2 at, ivec2 table) {
     // the same in every frame
     vec4 x[LAYERS + DIRECTIONAL], y[LAYERS + DIRECTIONAL];
     for (int n = 0; n < LAYERS + DIRECTIONAL; n++) {
         x[n] = texelFetch(taps_x, ivec2(at.x, table.x + n), 0);
         y[n] = texelFetch(taps_y, ivec2(at.y, table.y + n), 0);
     }
+    float share = x[0].w * y[0].w;
+    if (share == 0.0) return vec4(0.0);
     vec3 sum = vec3(0.0);
     bool counts = true;
     for (int m = 0; m < slots.y; m++) {
@@ -78,7 +72,18 @@ vec4 seen(ivec2 at, ivec2 place) {
 #endif
         sum += met;
     }
-    return counts && slots.y > 0 ? vec4(sum / float(slots.y), 1.0) : vec4(0.0);
+    return counts && slots.y > 0 ? share * vec4(sum / float(slots.y), 1.0) : vec4(0.0);
+}
+
+// Of a place: the mean over the parts that count; fourth: their share.
+vec4 seen(ivec2 at, ivec2 place) {
+    vec4 sum = vec4(0.0);
+    for (int j = 0; j < places.w; j++) {
+        for (int i = 0; i < places.z; i++) {
+            sum += part_of(at, (place * places.zw + ivec2(i, j)) * places.y);
+        }
+    }
+    return sum.a > 0.0 ? vec4(sum.rgb / sum.a, sum.a) : vec4(0.0);
 }
 
 void main() {
@@ -93,7 +98,7 @@ void main() {
                 vec4 one = seen(at, ivec2(i, j));
                 sum += one;
                 count += 1.0;
-                all = all && one.a > 0.0;
+                all = all && one.a >= 0.5;
             }
         }
     }

@@ -1,5 +1,3 @@
-// Pictures on the canvas: left of `split` one, right of it the other. Pixels stay sharp where they are enlarged; where the canvas is coarser than the
-// picture, the light of all its pixels under a canvas pixel is averaged.
 uniform sampler2D left;
 uniform sampler2D right;
 uniform vec4 area;        // of the canvas, pixels from the bottom left: x, y, width, height

@@ -1,4 +1,3 @@
-// One layer of the exploded view (the mean of the frames that are shown), or a plain colour.
 uniform sampler2DArray layer;
 uniform ivec2 slots;      // first frame slice, number of slices; none: the plain colour
 uniform vec4 tint;

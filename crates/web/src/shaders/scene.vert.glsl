@@ -1,5 +1,4 @@
 #version 300 es
-// Corners come in clip space, computed by explode.rs.
 layout(location = 0) in vec4 clip;
 layout(location = 1) in vec2 place;
 out vec2 uv;
