@@ -22,3 +22,4 @@ mod store;
 mod usd;
 mod views;
 mod words;
+mod zone;

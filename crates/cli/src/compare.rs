@@ -86,13 +86,18 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
         say!("{}", json!({ "event": "done", "runs": found, "focused": focused }));
         return Ok(());
     }
+    for (name, zone) in [("First", &found.first_zone), ("Second", &found.second_zone)] {
+        let told = zone.as_ref().map_or("not known".into(), |zone| {
+            format!("PSNR {:.2} dB, worst tenth {:.2} dB", zone.psnr_db, zone.worst_tenth_db)
+        });
+        say!("{:30} {told}", format!("{name} all over its zone:"));
+    }
+    say!("{:30} {} ({} directions)", "Second against the first:", told(&found.between), found.directions);
     for (name, likeness) in [("First against its target", &found.first), ("Second against it", &found.second)] {
         if let Some(likeness) = likeness {
-            say!("{:26} {}", format!("{name}:"), told(likeness));
+            say!("{:30} {} ({} views)", format!("{name}:"), told(likeness), found.views);
         }
     }
-    say!("{:26} {}", "Second against the first:", told(&found.between));
-    say!("at {} views", found.views);
     found.pictures.iter().chain(&focused).for_each(|path| say!("{}", path.display()));
     Ok(())
 }
@@ -106,7 +111,9 @@ fn displays(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineEr
     }
     let widest = found.displays.iter().map(|one| one.id.chars().count()).max().unwrap_or(0);
     for one in &found.displays {
-        say!("{:widest$}  {}  ({})", one.id, told(&one.likeness), one.display);
+        let zone =
+            one.zone.map_or(String::new(), |zone| format!("{:.2} dB all over the zone, at views ", zone.psnr_db));
+        say!("{:widest$}  {zone}{}  ({})", one.id, told(&one.likeness), one.display);
     }
     found.pictures.iter().for_each(|path| say!("{}", path.display()));
     Ok(())

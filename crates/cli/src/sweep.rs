@@ -244,9 +244,17 @@ fn told(row: &Row) -> String {
     let d = &row.design;
     let lenses =
         if d.lenslets == [0, 0] { String::new() } else { format!(", {} × {} lenslets", d.lenslets[0], d.lenslets[1]) };
+    let of = if row.psnr_zone_db.is_some() { " over the zone" } else { "" };
     format!(
-        "{:.1} dB: {} with {} layers, {} frames{lenses}, β = {}, {:.1} mm thick, {:.0} Hz, {} panels",
-        row.psnr_view_db, d.display, d.layers, d.frames, d.brightness, d.thickness_mm, d.refresh_hz, d.panels
+        "{:.1} dB{of}: {} with {} layers, {} frames{lenses}, β = {}, {:.1} mm thick, {:.0} Hz, {} panels",
+        row.quality_db(),
+        d.display,
+        d.layers,
+        d.frames,
+        d.brightness,
+        d.thickness_mm,
+        d.refresh_hz,
+        d.panels
     )
 }
 

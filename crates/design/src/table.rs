@@ -67,6 +67,12 @@ impl Design {
 pub struct Row {
     /// The design.
     pub design: Design,
+    /// PSNR of seen pictures / β all over the zone, dB, where a scene was rendered.
+    #[serde(default)]
+    pub psnr_zone_db: Option<f64>,
+    /// The same of the worst tenth of the directions, dB.
+    #[serde(default)]
+    pub psnr_zone_worst_tenth_db: Option<f64>,
     /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
     pub psnr_view_db: f64,
     /// PSNR of L̃ against βL, dB.
@@ -81,11 +87,24 @@ pub struct Row {
     pub nodes: Vec<NodeRow>,
 }
 
+impl Row {
+    /// By which designs are ranked, dB: the score of the zone; of a light field that was given, and of a sequence, the PSNR at the target views.
+    pub fn quality_db(&self) -> f64 {
+        self.psnr_zone_db.unwrap_or(self.psnr_view_db)
+    }
+}
+
 /// What one node reached with a design.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NodeRow {
     /// Its name.
     pub id: String,
+    /// As in [`Row`].
+    #[serde(default)]
+    pub psnr_zone_db: Option<f64>,
+    /// As in [`Row`].
+    #[serde(default)]
+    pub psnr_zone_worst_tenth_db: Option<f64>,
     /// As in [`Row`].
     pub psnr_view_db: f64,
     /// As in [`Row`].
@@ -104,20 +123,21 @@ pub const MOST_DB: f64 = 200.0;
 pub fn csv(rows: &[Row]) -> String {
     let mut text = String::from(
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
-         psnr_view_db,psnr_raw_db,psnr_between_db",
+         psnr_zone_db,psnr_zone_worst_tenth_db,psnr_view_db,psnr_raw_db,psnr_between_db",
     );
     let has_times = rows.iter().any(|row| row.psnr_worst_db.is_some());
     if has_times {
         text.push_str(",psnr_worst_db");
     }
     for node in rows.first().map_or(&[][..], |row| &row.nodes) {
-        text.push_str(&format!(",{}_psnr_view_db", node.id));
+        text.push_str(&format!(",{0}_psnr_zone_db,{0}_psnr_view_db", node.id));
         if has_times {
             text.push_str(&format!(",{}_psnr_worst_db", node.id));
         }
     }
     text.push('\n');
-    for Row { design: d, psnr_view_db, psnr_raw_db, psnr_between_db, psnr_worst_db, nodes } in rows {
+    for row in rows {
+        let d = &row.design;
         let name = if d.display.contains([',', '"', '\n']) {
             format!("\"{}\"", d.display.replace('"', "\"\""))
         } else {
@@ -138,12 +158,12 @@ pub fn csv(rows: &[Row]) -> String {
         ];
         let mut cells: Vec<String> = std::iter::once(name).chain(numbers.map(|n| rounded(n, 6))).collect();
         cells.push(rounded(d.values_per_ray, 4));
-        cells.extend([*psnr_view_db, *psnr_raw_db].map(|psnr| format!("{psnr:.3}")));
         let told = |psnr: Option<f64>| psnr.map_or(String::new(), |psnr| format!("{psnr:.3}"));
-        cells.push(told(*psnr_between_db));
-        cells.extend(has_times.then(|| told(*psnr_worst_db)));
-        for node in nodes {
-            cells.push(told(Some(node.psnr_view_db)));
+        cells.extend([row.psnr_zone_db, row.psnr_zone_worst_tenth_db].map(told));
+        cells.extend([Some(row.psnr_view_db), Some(row.psnr_raw_db), row.psnr_between_db].map(told));
+        cells.extend(has_times.then(|| told(row.psnr_worst_db)));
+        for node in &row.nodes {
+            cells.extend([node.psnr_zone_db, Some(node.psnr_view_db)].map(told));
             cells.extend(has_times.then(|| told(node.psnr_worst_db)));
         }
         text.push_str(&cells.join(","));
@@ -274,7 +294,7 @@ struct Sketch {
     others: Vec<Axis>,
 }
 
-/// Plots of what varies: maps of PSNR over two of N, M and β (Figures 7 and 8), and curves along single axes; and how many more there could be.
+/// Plots of what varies, by [`Row::quality_db`]: maps of it over two of N, M and β (Figures 7 and 8), and curves along single axes; and how many more there could be.
 ///
 /// # Errors
 /// If drawing fails.
@@ -369,6 +389,18 @@ fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
     found.into_iter().map(|(_, part)| part).collect()
 }
 
+/// Whether designs are ranked by the zone.
+fn of_zone(rows: &[Row]) -> bool {
+    rows.iter().any(|row| row.psnr_zone_db.is_some())
+}
+
+fn value_label(rows: &[Row]) -> String {
+    match of_zone(rows) {
+        true => "PSNR all over the zone, dB".into(),
+        false => format!("PSNR at the target views, dB; framed from {GOOD_DB:.0} dB on"),
+    }
+}
+
 fn title(part: &[Row], others: &[Axis]) -> String {
     let told: Vec<String> =
         part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.told(&row.design)).collect());
@@ -379,20 +411,21 @@ fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Resul
     let (columns, rows) = (values(part, x), values(part, y));
     let value = |row: &String, column: &String| {
         let here = part.iter().find(|r| x.name(&r.design) == *column && y.name(&r.design) == *row);
-        here.map_or(f64::NAN, |row| row.psnr_view_db)
+        here.map_or(f64::NAN, |row| row.quality_db())
     };
     let values = rows.iter().map(|row| columns.iter().map(|column| value(row, column)).collect()).collect();
-    let lowest = all.iter().map(|row| row.psnr_view_db).fold(f64::MAX, f64::min);
+    let lowest = all.iter().map(|row| row.quality_db()).fold(f64::MAX, f64::min);
     plot::map(&Map {
         title: title(part, others),
         x_label: x.label().into(),
         y_label: y.label().into(),
-        value_label: format!("PSNR at the target views, dB; framed from {GOOD_DB:.0} dB on"),
+        value_label: value_label(all),
         columns,
         rows,
         values,
-        mark_from: Some(GOOD_DB),
-        range: [lowest.min(20.0), 50.0],
+        // the paper's mark is one of target views
+        mark_from: (!of_zone(all)).then_some(GOOD_DB),
+        range: if of_zone(all) { [lowest.min(15.0), 35.0] } else { [lowest.min(20.0), 50.0] },
     })
 }
 
@@ -402,18 +435,18 @@ fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axi
         let own =
             part.iter().filter(|row| x.concerns(&row.design) && by.is_none_or(|by| by.name(&row.design) == *name));
         let mut points: Vec<[f64; 2]> =
-            own.clone().map(|row| [x.number(&row.design), row.psnr_view_db.min(plot::CAP_DB)]).collect();
+            own.clone().map(|row| [x.number(&row.design), row.quality_db().min(plot::CAP_DB)]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let first = own.clone().next();
         let name = by.zip(first).map_or(String::new(), |(by, row)| by.told(&row.design));
         Curve { name, points, colour: place % COLOURS.len(), dashed: place >= COLOURS.len(), dots: true }
     });
-    let lowest = all.iter().map(|row| row.psnr_view_db).fold(f64::MAX, f64::min);
-    let highest = all.iter().map(|row| row.psnr_view_db.min(plot::CAP_DB)).fold(f64::MIN, f64::max);
+    let lowest = all.iter().map(|row| row.quality_db()).fold(f64::MAX, f64::min);
+    let highest = all.iter().map(|row| row.quality_db().min(plot::CAP_DB)).fold(f64::MIN, f64::max);
     let axes = Axes {
         title: title(part, others),
         x_label: x.label().into(),
-        y_label: "PSNR, dB".into(),
+        y_label: value_label(all),
         x: None,
         y: Some([(lowest - 1.0).floor(), (highest + 1.0).ceil()]),
     };
@@ -435,6 +468,8 @@ mod tests {
             let psnr = 20.0 + 5.0 * (layers * frames) as f64;
             rows.push(Row {
                 design,
+                psnr_zone_db: None,
+                psnr_zone_worst_tenth_db: None,
                 psnr_view_db: psnr,
                 psnr_raw_db: psnr,
                 psnr_between_db: None,
@@ -464,8 +499,8 @@ mod tests {
         let text = csv(&rows());
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines.len(), 6);
-        assert_eq!(lines[0].split(',').count(), 16);
-        assert_eq!(lines[1], "a,1,1,1,0,20,20,0,0,0,1,0,0.1111,25.000,25.000,");
+        assert_eq!(lines[0].split(',').count(), 18);
+        assert_eq!(lines[1], "a,1,1,1,0,20,20,0,0,0,1,0,0.1111,,,25.000,25.000,");
         assert!(lines[5].starts_with("\"b, wide\",1,1,"));
     }
 
@@ -502,6 +537,8 @@ mod tests {
                 let design = Design::of("a", &variation.applied_to(&base).unwrap());
                 rows.push(Row {
                     design,
+                    psnr_zone_db: None,
+                    psnr_zone_worst_tenth_db: None,
                     psnr_view_db: 30.0,
                     psnr_raw_db: 40.0,
                     psnr_between_db: None,

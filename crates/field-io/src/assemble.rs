@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use lumistack_core::{Task, Tensor};
-use lumistack_display::{FieldGeometry, LightField};
+use lumistack_display::{FieldGeometry, LightField, ViewGrid};
 
 use crate::FieldError;
 use crate::disparity::{self, Motion};
@@ -25,6 +25,15 @@ const OVERSHOOT: f32 = -1e-3;
 const SQUARE: f64 = 0.01;
 /// A plane is looked for only if content moves by more than this, in pixels a view.
 const STILL_PX: f64 = 0.5;
+
+/// A view of a light field that is not among those that are kept, but lies between them.
+#[derive(Clone, Debug)]
+pub struct LeftOut {
+    /// From where, as a grid of one view.
+    pub grid: ViewGrid,
+    /// Linear, `[row][col][rgb]`, on the pixels of those that are kept.
+    pub radiance: Vec<f32>,
+}
 
 /// What is read of a source, and as what.
 pub(crate) struct Plan {
@@ -60,8 +69,9 @@ pub(crate) fn assemble(
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,
     footprint: Option<Footprint<'_>>,
+    most_left_out: usize,
     task: Task<'_>,
-) -> Result<LightField, FieldError> {
+) -> Result<(LightField, Vec<LeftOut>), FieldError> {
     let path = source.path.clone();
     let Plan { picks, window, geometry } = plan(source, flags, defaults, task)?;
     let averaged = averaged(source, flags, footprint, &picks, &window, &geometry, task)?;
@@ -72,7 +82,8 @@ pub(crate) fn assemble(
     let length = count / (shape[0] * shape[1]);
     let mut range = Range::default();
     let mut one = Vec::new();
-    task.progress.begin("read views", (shape[0] * shape[1]) as u64, "views");
+    let others = left_out(source, &picks, &geometry, most_left_out);
+    task.progress.begin("read views", (shape[0] * shape[1] + others.len()) as u64, "views");
     for index in 0..shape[0] * shape[1] {
         task.cancel.check()?;
         let [of_row, of_col] = [&averaged[0][index / shape[1]], &averaged[1][index % shape[1]]];
@@ -94,12 +105,63 @@ pub(crate) fn assemble(
         }
         task.progress.advance(1, "");
     }
+    let mut left_out = Vec::with_capacity(others.len());
+    for (view, grid) in others {
+        task.cancel.check()?;
+        let mut values = source.reader.load(view)?;
+        check_values(source, view, &mut values, &mut range)?;
+        let mut radiance = vec![0.0; length];
+        area(&values, source.size, window.rect(view), window.out_size, &mut radiance);
+        left_out.push(LeftOut { grid, radiance });
+        task.progress.advance(1, "");
+    }
     task.progress.end();
     range.warn(&path, task);
     let radiance = Tensor::from_vec(LightField::AXES, shape, data)
         .map_err(|error| FieldError::malformed(&path, "size", shape_text(shape), error.to_string()))?;
-    LightField::new(geometry, radiance).map_err(FieldError::geometry(&path))
+    let field = LightField::new(geometry, radiance).map_err(FieldError::geometry(&path))?;
+    Ok((field, left_out))
 }
+
+/// Views between those that are kept, with their slopes: `most` of them at most, spread over all.
+fn left_out(
+    source: &Source,
+    picks: &[Vec<usize>; 2],
+    geometry: &FieldGeometry,
+    most: usize,
+) -> Vec<([usize; 2], ViewGrid)> {
+    let grid = &geometry.grid;
+    let positions = positions(source);
+    // every view of an axis that lies between two kept ones, or is kept
+    let along = |axis: usize, slopes: &[f64]| -> Vec<(usize, f64)> {
+        let (kept, positions) = (&picks[1 - axis], &positions[axis]);
+        let mut found = vec![(kept[0], slopes[0])];
+        for (kept, slopes) in kept.windows(2).zip(slopes.windows(2)) {
+            let [first, last] = [positions[kept[0]], positions[kept[1]]];
+            found.extend((kept[0] + 1..=kept[1]).map(|view| {
+                let share = (positions[view] - first) / (last - first);
+                (view, slopes[0] + share * (slopes[1] - slopes[0]))
+            }));
+        }
+        found
+    };
+    let [cols, rows] = [along(0, &grid.slope_x), along(1, &grid.slope_y)];
+    let mut all: Vec<([usize; 2], ViewGrid)> = Vec::new();
+    for (row, slope_y) in &rows {
+        for (col, slope_x) in cols.iter().filter(|(col, _)| !(picks[0].contains(row) && picks[1].contains(col))) {
+            all.push(([*row, *col], ViewGrid::single(grid.projection, [*slope_x, *slope_y])));
+        }
+    }
+    // the golden section spreads any number of them
+    let mut order: Vec<(f64, usize)> = (0..all.len()).map(|i| ((i as f64 * GOLDEN).fract(), i)).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0));
+    order.truncate(most);
+    order.sort_by_key(|(_, i)| *i);
+    order.into_iter().map(|(_, i)| all[i].clone()).collect()
+}
+
+/// (√5 − 1)/2.
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// Which views are averaged for each that is kept: [view rows, view columns].
 fn averaged(

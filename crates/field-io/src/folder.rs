@@ -236,7 +236,8 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
     let info = std::mem::take(&mut source.info);
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    Ok((assemble(&mut source, &GeometryFlags::default(), &GeometryDefaults::default(), None, task)?, info))
+    let (field, _) = assemble(&mut source, &GeometryFlags::default(), &GeometryDefaults::default(), None, 0, task)?;
+    Ok((field, info))
 }
 
 /// Opens a light field's folder without reading its pictures.

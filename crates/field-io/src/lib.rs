@@ -32,6 +32,7 @@ mod resample;
 mod source;
 mod stack;
 
+pub use assemble::LeftOut;
 pub use describe::{Description, describe};
 pub use error::FieldError;
 pub use folder::{read_field_folder, round_to_half, view_file_name, write_field, write_index, write_view, write_views};

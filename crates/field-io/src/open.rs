@@ -6,7 +6,7 @@ use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, LightField};
 
 use crate::FieldError;
-use crate::assemble::{assemble, plan};
+use crate::assemble::{LeftOut, assemble, plan};
 use crate::detect::detect;
 use crate::geometry::{GeometryDefaults, GeometryFlags};
 use crate::prefilter::Footprint;
@@ -22,10 +22,11 @@ pub fn open(
     defaults: &GeometryDefaults,
     task: Task<'_>,
 ) -> Result<LightField, FieldError> {
-    open_for(path, flags, defaults, None, task)
+    open_for(path, flags, defaults, None, 0, task).map(|(field, _)| field)
 }
 
-/// As [`open`], for a display: with [`GeometryFlags::prefilter`] every view that is kept is averaged with those around it over the display's footprint.
+/// As [`open`], for a display: with [`GeometryFlags::prefilter`] every view that is kept is averaged with those around it over the display's footprint. Gives
+/// `most_left_out` views at most of those between the kept ones, too.
 ///
 /// # Errors
 /// As [`open`], and when a prefilter is asked for without a footprint.
@@ -34,11 +35,12 @@ pub fn open_for(
     flags: &GeometryFlags,
     defaults: &GeometryDefaults,
     footprint: Option<Footprint<'_>>,
+    most_left_out: usize,
     task: Task<'_>,
-) -> Result<LightField, FieldError> {
+) -> Result<(LightField, Vec<LeftOut>), FieldError> {
     let mut source = detect(path, flags, task)?;
     source.mirror(flags.mirror);
-    assemble(&mut source, flags, defaults, footprint, task)
+    assemble(&mut source, flags, defaults, footprint, most_left_out, task)
 }
 
 /// The geometry that [`open`] would give a light field, without reading all of its pictures.

@@ -169,6 +169,33 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     assert!(error.contains("--prefilter: expected a display"), "{error}");
 }
 
+/// Views that are left out come with the slopes that they have in the whole light field, none twice and none that is kept.
+#[test]
+fn views_between_those_that_are_kept_are_given_when_wanted() {
+    for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 600.0 }] {
+        let field = random_field([7, 5], [8, 6], projection, 2);
+        let folder = tempfile::tempdir().unwrap();
+        write_field(folder.path(), &field, &Map::new()).unwrap();
+        let flags = GeometryFlags { views: Some([3, 2]), ..GeometryFlags::default() };
+        let (warnings, cancel) = (lumistack_core::Collector::default(), lumistack_core::Cancel::default());
+        let open = |most| {
+            let task = lumistack_core::Task::quiet(&warnings, &cancel);
+            lumistack_field_io::open_for(folder.path(), &flags, &defaults(), None, most, task).unwrap()
+        };
+        let (kept, others) = open(100);
+        // columns 0, 3, 6 and rows 0, 4 of 7 × 5 are kept
+        assert_eq!((kept.geometry().grid.views(), others.len()), ([2, 3], 35 - 6));
+        let grid = &field.geometry().grid;
+        for other in &others {
+            let place = |slopes: &[f64], slope: f64| slopes.iter().position(|s| (s - slope).abs() < 1e-9).unwrap();
+            let (col, row) = (place(&grid.slope_x, other.grid.slope_x[0]), place(&grid.slope_y, other.grid.slope_y[0]));
+            assert!(other.radiance == field.view([row, col]), "{row} {col}");
+            assert!(![0, 3, 6].contains(&col) || ![0, 4].contains(&row), "{row} {col} is kept");
+        }
+        assert_eq!((open(5).1.len(), open(0).1.len()), (5, 0));
+    }
+}
+
 #[test]
 fn views_are_subsampled_around_the_middle_and_pixels_are_averaged() {
     let field = random_field([5, 3], [8, 6], Projection::Oblique, 2);

@@ -1,6 +1,7 @@
 //! Two runs side by side, a run beside a photograph of its panels, and what an eye's pupil makes of a display.
 //!
-//! Two runs are simulated at the same rays, those of the first one's target, and compared with each other and with their targets.
+//! The seen pictures of two runs are compared with each other in directions all over the first one's zone, and what both show along the rays of the first one's
+//! target with that. How right each is all over its zone stands in its report.
 //!
 //! Through a pupil around the eye e at distance D, focused on depth z, a display is the mean of what is seen from points q of the pupil, each moved so that the
 //! plane at z stays where it is: by (q − e) z/(D − z) on z = 0.
@@ -12,12 +13,12 @@ mod photo;
 use std::path::{Path, PathBuf};
 
 use lumistack_core::{Task, Tensor};
-use lumistack_display::{Display, LayerStack, RayMap, Simulator};
+use lumistack_display::{Display, FieldGeometry, LEAST_DIRECTIONS, LayerStack, RayMap, Simulator, Zone};
 use serde::Serialize;
 
 pub use self::displays::{DisplayLikeness, DisplaysComparison, compare_displays};
-pub use self::likeness::Likeness;
-use self::likeness::{Sums, difference, save, target_of};
+pub use self::likeness::{Likeness, ZoneLikeness};
+use self::likeness::{Sums, difference, middle_views, save, seen, some_views, target_of, zone_of};
 pub use self::photo::{PhotoComparison, Pose, compare_photo};
 use crate::error::{PipelineError, display_error};
 use crate::simulate::{RunFolder, Viewpoint, picture_from};
@@ -25,20 +26,27 @@ use crate::simulate::{RunFolder, Viewpoint, picture_from};
 /// What two runs have in common and what not.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunComparison {
-    /// Rays' views at which both were simulated.
+    /// The first one's score of its zone, where its report has one.
+    pub first_zone: Option<ZoneLikeness>,
+    /// The second one's.
+    pub second_zone: Option<ZoneLikeness>,
+    /// Directions of the first one's zone from which the seen pictures of both were compared.
+    pub directions: usize,
+    /// The second against the first, over these.
+    pub between: Likeness,
+    /// Views of the first one's target, where it has one, at whose rays both were compared with it.
     pub views: usize,
-    /// The first against its target, where it has one.
+    /// The first against its target.
     pub first: Option<Likeness>,
     /// The second against the same target.
     pub second: Option<Likeness>,
-    /// The second against the first.
-    pub between: Likeness,
     /// Pictures that were written.
     #[serde(serialize_with = "crate::path_text::told_each")]
     pub pictures: Vec<PathBuf>,
 }
 
-/// Compares two run folders whose light fields have the same pixels; writes the left, middle and right view of both with their difference into `out`.
+/// Compares two run folders whose light fields have the same pixels; writes the seen pictures of both from the left, the middle and the right with their difference into
+/// `out`.
 ///
 /// # Errors
 /// When they cannot be read, or have other pixels.
@@ -51,7 +59,7 @@ pub fn compare_runs(
     let [a, b] = [RunFolder::open(first)?, RunFolder::open(second)?];
     let [own, other] = [&a, &b].map(|run| run.display.field_pixels());
     if [own.rows, own.cols] != [other.rows, other.cols] || (own.pitch_mm / other.pitch_mm - 1.0).abs() > 1e-6 {
-        let of = |g: &lumistack_display::FieldGeometry| format!("{} × {} pixels of {} mm", g.cols, g.rows, g.pitch_mm);
+        let of = |g: &FieldGeometry| format!("{} × {} pixels of {} mm", g.cols, g.rows, g.pitch_mm);
         return Err(PipelineError::value(second, "field", of(&own), of(&other)));
     }
     let target = target_of(first)?;
@@ -60,44 +68,58 @@ pub fn compare_runs(
         None => a.display.geometry().map_err(|source| display_error(source, "field"))?,
     };
     let simulators = [&a, &b].map(|run| Simulator::new(&run.display, &run.stack));
-    let maps = [&a, &b].map(|run| RayMap::new(&run.display, &geometry));
     let shape = [geometry.rows, geometry.cols];
-    let [rows, cols] = geometry.grid.views();
-    let shown_as_picture = [[rows / 2, 0], [rows / 2, cols / 2], [rows / 2, cols - 1]];
-    let (mut of_first, mut of_second, mut between) = (Sums::new(), Sums::new(), Sums::new());
-    let mut pictures = Vec::new();
-    task.progress.begin("compare", (rows * cols) as u64, "views");
-    for view in geometry.grid.iter() {
+    let directions = Zone::of_grid(&geometry.grid, Some(a.display.field.fov_deg)).directions(LEAST_DIRECTIONS);
+    let views = if target.is_some() { some_views(&geometry.grid) } else { Vec::new() };
+    let shown = middle_views(&geometry.grid);
+    task.progress.begin("compare", (directions.len() + views.len() + shown.len()) as u64, "pictures");
+    let pair = |geometry: &FieldGeometry, view| {
+        [0, 1].map(|i| seen(&simulators[i], [&a, &b][i].stack.brightness, geometry, view))
+    };
+    let mut between = Sums::new();
+    for direction in &directions {
         task.cancel.check()?;
-        let emitted = [0, 1].map(|i| simulators[i].view(&maps[i], &geometry, view));
-        let seen = [0, 1].map(|i| {
-            let scale = 1.0 / [&a, &b][i].stack.brightness as f32;
-            emitted[i].radiance.data().iter().map(|value| value * scale).collect::<Vec<f32>>()
-        });
-        if let Some(target) = &target {
-            of_first.add(target.view(view), &seen[0], shape, &emitted[0].valid);
-            of_second.add(target.view(view), &seen[1], shape, &emitted[1].valid);
-        }
-        let both: Vec<bool> = emitted[0].valid.iter().zip(&emitted[1].valid).map(|(a, b)| *a && *b).collect();
-        between.add(&seen[0], &seen[1], shape, &both);
-        if let Some(out) = out.filter(|_| shown_as_picture.contains(&view)) {
-            let path = out.join(format!("view_{:02}_{:02}.png", view[0], view[1]));
-            if !pictures.contains(&path) {
-                let target = target.as_ref().map(|target| target.view(view));
-                let panes = target.into_iter().chain([&seen[0][..], &seen[1][..]]).map(<[f32]>::to_vec);
-                save(&path, panes.chain([difference(&seen[0], &seen[1])]).collect(), shape)?;
-                pictures.push(path);
+        let [(first, counts), (second, also)] = pair(&geometry.with_grid(direction.clone()), [0, 0]);
+        let both: Vec<bool> = counts.iter().zip(&also).map(|(a, b)| *a && *b).collect();
+        between.add(&first, &second, shape, &both);
+        task.progress.advance(1, "");
+    }
+    let mut of_target = [Sums::new(), Sums::new()];
+    if let Some(target) = &target {
+        let maps = [&a, &b].map(|run| RayMap::new(&run.display, &geometry));
+        for &view in &views {
+            task.cancel.check()?;
+            for (i, sums) in of_target.iter_mut().enumerate() {
+                let emitted = simulators[i].view(&maps[i], &geometry, view);
+                let scale = 1.0 / [&a, &b][i].stack.brightness as f32;
+                let shows: Vec<f32> = emitted.radiance.data().iter().map(|value| value * scale).collect();
+                sums.add(target.view(view), &shows, shape, &emitted.valid);
             }
+            task.progress.advance(1, "");
+        }
+    }
+    let mut pictures = Vec::new();
+    for view in shown {
+        if let Some(out) = out {
+            let [(first, _), (second, _)] = pair(&geometry, view);
+            let target = target.as_ref().map(|target| target.view(view).to_vec());
+            let panes = target.into_iter().chain([first.clone(), second.clone(), difference(&first, &second)]);
+            let path = out.join(format!("view_{:02}_{:02}.png", view[0], view[1]));
+            save(&path, panes.collect(), shape)?;
+            pictures.push(path);
         }
         task.progress.advance(1, "");
     }
     task.progress.end();
-    let has_target = target.is_some();
+    let [of_first, of_second] = of_target.map(|sums| target.as_ref().map(|_| sums.likeness()));
     Ok(RunComparison {
-        views: rows * cols,
-        first: has_target.then(|| of_first.likeness()),
-        second: has_target.then(|| of_second.likeness()),
+        first_zone: zone_of(first),
+        second_zone: zone_of(second),
+        directions: directions.len(),
         between: between.likeness(),
+        views: views.len(),
+        first: of_first,
+        second: of_second,
         pictures,
     })
 }

@@ -254,10 +254,16 @@ impl Job {
     /// When the preset is unknown, the file does not parse, or a changed value is out of range.
     pub fn resolve_display(&self) -> Result<Display, PipelineError> {
         let display = self.display.resolve()?;
-        let bytes_of_view =
-            RenderJob::BYTES_PER_RAY * (display.field.resolution[0] * display.field.resolution[1]) as u64;
-        let affordable = (self.render.field_mib << 20).div_ceil(bytes_of_view) as usize;
-        Ok(display.with_views_chosen(if self.may_be_blenders() { affordable.min(MOST_OF_BLENDER) } else { affordable }))
+        let most = self.most_views(&display);
+        Ok(display.with_views_chosen(most))
+    }
+
+    /// Views of a display's light field within the memory that the job allows, and that its renderer can give in reasonable time.
+    pub(crate) fn most_views(&self, display: &Display) -> usize {
+        let [cols, rows] = display.field.resolution;
+        let affordable =
+            (self.render.field_mib << 20).div_ceil(RenderJob::BYTES_PER_RAY * (cols * rows) as u64) as usize;
+        if self.may_be_blenders() { affordable.min(MOST_OF_BLENDER) } else { affordable }
     }
 
     /// The job with the choices made that it leaves to the display's views, where it asks for a display.

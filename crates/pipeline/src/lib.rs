@@ -29,8 +29,8 @@ mod store;
 mod view_options;
 
 pub use compare::{
-    DisplayLikeness, DisplaysComparison, Likeness, PhotoComparison, Pose, RunComparison, compare_displays,
-    compare_photo, compare_runs, refocused,
+    DisplayLikeness, DisplaysComparison, Likeness, PhotoComparison, Pose, RunComparison, ZoneLikeness,
+    compare_displays, compare_photo, compare_runs, refocused,
 };
 pub use error::{BadValue, FailedOutput, PipelineError, Place};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
@@ -53,6 +53,7 @@ pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_
 pub use stage::ingest::{Ingested, SceneContents, load_scene, scene_contents, take_scene};
 pub use stage::look::automatic_look;
 pub use stage::place::window::place_window;
+pub use stage::score::References;
 pub use steps::{
     ReportOn, Traced, WeightsFrom, expose_field, factorize_field, open_field, render_field, weights_of, write_output,
     write_report_on,

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::tone::ToneCurve;
 use lumistack_core::{Task, Warning};
-use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};
+use lumistack_display::{Display, FieldGeometry, LEAST_DIRECTIONS, LayerStack, LightField, Weights};
 use lumistack_factorizer::{Factorization, Iteration, Problem};
 use lumistack_field_io::{GeometryDefaults, GeometryFlags};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
@@ -19,6 +19,7 @@ use crate::stage::fields::Shot;
 use crate::stage::ingest::Ingested;
 use crate::stage::look::Look;
 use crate::stage::read::{self, Beyond};
+use crate::stage::score::{self, References};
 use crate::stage::{denoise, expose, place, trace};
 use crate::store::files::{check_folder, write_report};
 use crate::view_options::ViewOptions;
@@ -33,10 +34,12 @@ pub struct Traced {
     pub exposure: f64,
     /// Name of the tone curve.
     pub tone: &'static str,
+    /// The scene's pictures all over the display's zone, where the job wants them.
+    pub references: Option<References>,
 }
 
-/// Renders the views that a display needs of a scene. Of the job `window`, `light`, `render` and `seed` count, save for the views for reports; traced views are
-/// kept in `cache_dir` and taken from there.
+/// Renders the views that a display needs of a scene, and the pictures that its score takes. Of the job `window`, `light`, `render`, `seed` and `report.zone_directions`
+/// count, save for the views for reports; traced views are kept in `cache_dir` and taken from there.
 ///
 /// # Errors
 /// When a value makes no sense, or rendering fails or is cancelled.
@@ -62,10 +65,14 @@ pub fn render_field(
     warn_of_depth(&depth, task);
     let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());
     let seen = traced.depths.seen(&placement);
-    Ok(Traced { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone })
+    let zone = score::zone_of(&job, display, &geometry);
+    let references = References::render(shot, &zone, (rendered.look, traced.engine), cache_dir, task)?;
+    let references = references.map(References::held).transpose()?;
+    Ok(Traced { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone, references })
 }
 
-/// Reads a light field of any kind, as it is: values are not rounded. Where it says no size or angles, those of `display` are taken, if there is one.
+/// Reads a light field of any kind, as it is: values are not rounded. Where it says no size or angles, those of `display` are taken, if there is one. Where not all
+/// views are kept, some of those between come along, by which displays can be judged.
 ///
 /// # Errors
 /// When it cannot be read, or its geometry is incomplete.
@@ -74,14 +81,18 @@ pub fn open_field(
     flags: &GeometryFlags,
     display: Option<&Display>,
     task: Task<'_>,
-) -> Result<LightField, PipelineError> {
+) -> Result<(LightField, Option<References>), PipelineError> {
     let defaults = GeometryDefaults {
         width_mm: display.map(|display| display.field_pixels().size_mm()[0]),
         fov_deg: display.map(|display| display.field.fov_deg),
     };
     let footprint = display.map(|display| move |geometry: &FieldGeometry| read::adapted_footprint(display, geometry));
     let footprint = footprint.as_ref().map(|footprint| footprint as lumistack_field_io::Footprint<'_>);
-    lumistack_field_io::open_for(path, flags, &defaults, footprint, task).map_err(field_error)
+    let most = if flags.views.is_some() { LEAST_DIRECTIONS } else { 0 };
+    let read = lumistack_field_io::open_for(path, flags, &defaults, footprint, most, task);
+    let (field, left_out) = read.map_err(field_error)?;
+    let references = References::left_out(field.geometry(), left_out);
+    Ok((field, references))
 }
 
 /// A light field under another exposure, in stops, and through the tone curve of this name: `linear`, which clips to 0..1, `khronos-neutral` or `agx`.
@@ -164,6 +175,8 @@ pub struct ReportOn<'a> {
     pub stack: &'a LayerStack,
     /// What it should show.
     pub target: &'a LightField,
+    /// The scene all over the zone, where it is known.
+    pub references: Option<&'a References>,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
     /// Where a solver made the patterns: how.
@@ -181,6 +194,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
     // a value that no display shows may decide every figure
     let beyond = Beyond::of(on.target).map(|beyond| beyond.message(read::OFFER_OF_PYTHON));
     let warnings: Vec<_> = beyond.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
+    let zone = on.references.map(|references| references.measure(on.display, on.stack, task)).transpose()?;
     let report = lumistack_report::build(
         &ReportInput {
             title: on.title,
@@ -190,7 +204,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
             weights: on.weights,
             held_out: None,
             outside: None,
-            zone: None,
+            zone: zone.as_ref(),
             pixels_per_degree: ReportJob::default().pixels_per_degree,
             convergence: on.solution.map_or(&[], |(_, steps)| steps),
             solution: on.solution.map(|(solution, _)| solution),

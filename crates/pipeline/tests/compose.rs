@@ -116,12 +116,9 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
         assert!(figure(1, node, "psnr_worst_db") <= found);
     }
     let csv = std::fs::read_to_string(out.join("sweep.csv")).unwrap();
-    assert!(
-        csv.lines()
-            .next()
-            .unwrap()
-            .ends_with(",psnr_worst_db,a_psnr_view_db,a_psnr_worst_db,b_psnr_view_db,b_psnr_worst_db")
-    );
+    assert!(csv.lines().next().unwrap().ends_with(
+        ",psnr_worst_db,a_psnr_zone_db,a_psnr_view_db,a_psnr_worst_db,b_psnr_zone_db,b_psnr_view_db,b_psnr_worst_db"
+    ));
     let again = with_task(|task| sweep(&swept, &out, &registry, task)).unwrap();
     assert_eq!((again.designs, again.kept), (2, 2));
 }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use lumistack_display::{Display as Description, LightField as Field};
+use lumistack_pipeline::References;
 use pyo3::prelude::*;
 use serde_json::{Map, Value};
 
@@ -32,10 +33,12 @@ pub(crate) struct LightField {
     pub(crate) display: Option<Arc<Description>>,
     /// How it was made.
     pub(crate) info: Map<String, Value>,
+    /// The scene all over the zone, where it was rendered with that.
+    pub(crate) references: Option<Arc<References>>,
 }
 
 impl LightField {
     pub(crate) fn plain(field: Field) -> Self {
-        Self { field: Arc::new(field), display: None, info: Map::new() }
+        Self { field: Arc::new(field), display: None, info: Map::new(), references: None }
     }
 }

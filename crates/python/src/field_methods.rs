@@ -81,14 +81,14 @@ impl LightField {
             return Err(exception(py, "DataError", &message));
         }
         let field = Field::new(geometry, radiance).map_err(|error| raised(py, &PipelineError::Grid(error)))?;
-        Ok(Self { field: Arc::new(field), display, info: Map::new() })
+        Ok(Self { field: Arc::new(field), display, info: Map::new(), references: None })
     }
 
     /// Reads a light field of any kind: a light-field folder or a run's folder, HCI and Stanford folders, a quilt, .npy.
     ///
     /// What the files do not say is given, and wins over what they say: grid ("oblique" or "perspective"), fov_deg, pitch_mm, distance_mm, views (to keep),
     /// quilt and tiles (columns, rows), resolution (to reduce to), focus_px (disparity that is put on the display's plane), mirror (x, y). From `display` come size
-    /// and angles where nothing says them. `callback(stage, fraction)` hears of progress.
+    /// and angles where nothing says them. Where fewer `views` are kept than there are, psnr_zone() and report() judge displays by some of those between. `callback(stage, fraction)` hears of progress.
     #[classmethod]
     #[pyo3(signature = (path, *, display=None, callback=None, **geometry))]
     fn open(
@@ -104,8 +104,8 @@ impl LightField {
             None => table(py, "geometry", &[])?,
         };
         let display = display.map(|display| display_of(py, Some(display))).transpose()?;
-        let field = long(py, callback, |task| open_field(&path, &flags, display.as_deref(), task))?;
-        Ok(Self::plain(field))
+        let (field, references) = long(py, callback, |task| open_field(&path, &flags, display.as_deref(), task))?;
+        Ok(Self { references: references.map(Arc::new), ..Self::plain(field) })
     }
 
     /// The same light field under another exposure: values times 2^exposure_ev, through a tone curve.
@@ -115,7 +115,9 @@ impl LightField {
     #[pyo3(signature = (exposure_ev=0.0, *, tone="linear"))]
     fn exposed(&self, py: Python<'_>, exposure_ev: f64, tone: &str) -> PyResult<Self> {
         let field = py.detach(|| expose_field(&self.field, exposure_ev, tone)).map_err(|error| raised(py, &error))?;
-        Ok(Self { field: Arc::new(field), display: self.display.clone(), info: self.info.clone() })
+        let (field, display, info) = (Arc::new(field), self.display.clone(), self.info.clone());
+        // those of the zone have the old exposure
+        Ok(Self { field, display, info, references: None })
     }
 
     /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per view.

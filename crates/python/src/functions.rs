@@ -31,27 +31,29 @@ use crate::work::{command, long};
 /// scene: a Scene, or the path of one; display: a Display, or what makes one ("paper-three-layer" without it). The rest is optional and means what it means
 /// in a job file (docs/JOB.md; defaults() has the defaults):
 ///
-/// * samples: paths per pixel and view, 1 to 65536; max_bounces: bounces after the first hit, 0 to 1024; clamp: largest value of a single path
-/// * denoise: "off", "guided" or "oidn"; angular_filter: "point", "bin" or "display"; lens_deg: angle of a lens, degrees, 0 to 90
+/// * samples: paths per pixel and view, 1 to 65536, or zone_samples: of all views together; max_bounces: bounces after the first hit, 0 to 1024; clamp: largest value of a single path
+/// * denoise: "auto", "off", "shared", "guided" or "oidn"; angular_filter: "point", "bin" or "display"; lens_deg: angle of a lens, degrees, 0 to 90
 /// * camera: name or number of the camera whose plane of focus the display takes; look_from: (azimuth, elevation) from which a scene is framed, degrees;
 ///   fit_depth: "auto", "off", "move" or "compress"; depth_scale: factor on parallax,
 ///   0.001 to 10; window: a mapping with the other keys of [window], such as {"from": "bounds"}
 /// * exposure_ev: stops added to the automatic exposure; tone: "auto", "linear", "khronos-neutral" or "agx"; light: a mapping with other keys of [light]
 /// * seed: of all random streams; the same seed gives the same values on any number of threads
+/// * zone_directions: directions all over the zone, 32 to 4096, from which the scene is rendered, too, so that psnr_zone() and report() can score displays; 0 for none
 /// * cache: a folder that keeps traced views, from which a call that was stopped goes on; without it they are forgotten
 /// * callback: callback(stage, fraction) hears of progress
 ///
 /// Gives a LightField that is ready for factorize(). Ctrl-C stops it.
 #[pyfunction]
 #[pyo3(signature = (
-    scene, display=None, *, samples=None, max_bounces=None, clamp=None, denoise=None, angular_filter=None, lens_deg=None, camera=None, look_from=None, fit_depth=None,
-    depth_scale=None, window=None, exposure_ev=None, tone=None, light=None, seed=None, cache=None, callback=None
+    scene, display=None, *, samples=None, zone_samples=None, max_bounces=None, clamp=None, denoise=None, angular_filter=None, lens_deg=None, camera=None, look_from=None, fit_depth=None,
+    depth_scale=None, window=None, exposure_ev=None, tone=None, light=None, seed=None, zone_directions=0, cache=None, callback=None
 ))]
 pub(crate) fn render(
     py: Python<'_>,
     scene: &Bound<'_, PyAny>,
     display: Option<&Bound<'_, PyAny>>,
     samples: Option<&Bound<'_, PyAny>>,
+    zone_samples: Option<&Bound<'_, PyAny>>,
     max_bounces: Option<&Bound<'_, PyAny>>,
     clamp: Option<&Bound<'_, PyAny>>,
     denoise: Option<&Bound<'_, PyAny>>,
@@ -66,6 +68,7 @@ pub(crate) fn render(
     tone: Option<&Bound<'_, PyAny>>,
     light: Option<&Bound<'_, PyAny>>,
     seed: Option<u64>,
+    zone_directions: usize,
     cache: Option<PathBuf>,
     callback: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<LightField> {
@@ -74,6 +77,7 @@ pub(crate) fn render(
         "render",
         &[
             ("samples", samples),
+            ("zone_samples", zone_samples),
             ("max_bounces", max_bounces),
             ("clamp", clamp),
             ("denoise", denoise),
@@ -113,6 +117,7 @@ pub(crate) fn render(
             return Err(setting(py, message));
         }
     }
+    job.report.zone_directions = zone_directions;
     (job.scene, job.seed) = (Some(scene.path.clone()), seed.unwrap_or(job.seed));
     let traced = long(py, callback, |task| {
         let forgotten = match &cache {
@@ -128,7 +133,8 @@ pub(crate) fn render(
     info.insert("tone".into(), traced.tone.into());
     info.insert("depth".into(), traced.depth.to_json());
     info.insert("depth_sentence".into(), traced.depth.sentence().into());
-    Ok(LightField { field: Arc::new(traced.field), display: Some(display), info })
+    let references = traced.references.map(Arc::new);
+    Ok(LightField { field: Arc::new(traced.field), display: Some(display), info, references })
 }
 
 /// Factorizes a light field into the patterns of a display.
@@ -295,7 +301,7 @@ pub(crate) fn write(
     })
 }
 
-/// Measures patterns against the light field that they should show and writes report.html and report.json into a folder. Gives the content of the latter.
+/// Measures patterns against the light field that they should show, and all over the zone where it was rendered with zone_directions, and writes report.html and report.json into a folder. Gives the content of the latter.
 #[pyfunction]
 #[pyo3(signature = (stack, light_field, folder, *, title=None, weights=None, callback=None))]
 pub(crate) fn report<'py>(
@@ -315,7 +321,12 @@ pub(crate) fn report<'py>(
         let weights = &weights_of(&FactorizeJob::default(), weights, target)?;
         let solution = stack.solved.as_ref().map(|solved| (&solved.solution, solved.steps.as_slice()));
         let (display, stack, settings) = (&*stack.display, &*stack.stack, &settings);
-        write_report_on(&ReportOn { title, display, stack, target, weights, solution, settings }, &folder, task)
+        let references = light_field.references.as_deref();
+        write_report_on(
+            &ReportOn { title, display, stack, target, references, weights, solution, settings },
+            &folder,
+            task,
+        )
     })?;
     to_python(py, &answer)
 }

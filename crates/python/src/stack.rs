@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use lumistack_display::{Display as Description, LayerStack as Stack, LightField as Field, RayMap, Simulator, score};
 use lumistack_factorizer::{Factorization, Iteration};
-use lumistack_pipeline::{FactorizeJob, PipelineError, RunFolder, weights_of};
+use lumistack_pipeline::{FactorizeJob, PipelineError, References, RunFolder, weights_of};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
@@ -195,6 +195,31 @@ impl LayerStack {
             let score = score(&self.display, &self.stack, target, &weights);
             Ok(if raw { score.psnr_raw() } else { score.psnr_view() })
         })
+    }
+
+    /// How right the display is where eyes are: the PSNR in dB of seen pictures, which are means over the area of every pixel, in directions that the solver did not see.
+    ///
+    /// references: a LightField that render() made with zone_directions, whose pictures from all over the zone are compared; of any other light field its own views, so
+    /// let it be one that the patterns were not made for. Gives a dictionary with psnr_zone, psnr_zone_worst_tenth, the same of the worst tenth of the directions, and
+    /// directions, a list of (slope, psnr).
+    #[pyo3(signature = (references, *, callback=None))]
+    fn psnr_zone<'py>(
+        &self,
+        py: Python<'py>,
+        references: &LightField,
+        callback: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let of = references.references.clone();
+        let score = long(py, callback, |task| {
+            let of = of.unwrap_or_else(|| Arc::new(References::views_of(&references.field)));
+            of.score(&self.display, &self.stack, task)
+        })?;
+        let dict = PyDict::new(py);
+        dict.set_item("psnr_zone", score.psnr())?;
+        dict.set_item("psnr_zone_worst_tenth", score.worst_tenth())?;
+        let directions = score.directions.iter().filter(|direction| direction.pixels > 0);
+        dict.set_item("directions", directions.map(|d| (d.slope, d.psnr())).collect::<Vec<_>>())?;
+        Ok(dict)
     }
 
     /// What the display shows along the rays of a light field, as one: L̃/β, or L̃ itself with raw=True. Rays that leave the display are 0.

@@ -82,6 +82,8 @@ pub struct Denoising<'a> {
 pub struct ZoneFigures {
     /// Errors of the seen pictures, direction by direction.
     pub score: ZoneScore,
+    /// Whether they are views of a given light field that the solver left out, rather than renders.
+    pub left_out: bool,
     /// Directions whose references have enough samples for SSIM and FLIP, and to be looked at.
     pub views: Vec<ZoneView>,
 }

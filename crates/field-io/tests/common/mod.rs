@@ -37,8 +37,8 @@ pub fn open(
 pub fn open_for(path: &Path, flags: &GeometryFlags, width: [f64; 2]) -> (Result<LightField, FieldError>, Vec<String>) {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    let result = lumistack_field_io::open_for(path, flags, &defaults(), Some(&|_| width), task);
-    (result, warnings.take().iter().map(ToString::to_string).collect())
+    let result = lumistack_field_io::open_for(path, flags, &defaults(), Some(&|_| width), 0, task);
+    (result.map(|(field, _)| field), warnings.take().iter().map(ToString::to_string).collect())
 }
 
 /// Defaults that a display of 20° × 20° and 400 mm supplies.

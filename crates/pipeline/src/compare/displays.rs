@@ -7,7 +7,7 @@ use lumistack_design::sheet::{Cell, Sheet};
 use lumistack_display::{RayMap, Simulator};
 use serde::Serialize;
 
-use super::likeness::{Likeness, Sums, target_of};
+use super::likeness::{Likeness, Sums, ZoneLikeness, middle_views, seen, some_views, target_of, zone_of};
 use crate::error::PipelineError;
 use crate::job::Job;
 use crate::simulate::RunFolder;
@@ -23,9 +23,11 @@ pub struct DisplayLikeness {
     pub id: String,
     /// Layers, frames and light, in words.
     pub display: String,
-    /// Against the target, over all views.
+    /// How right it is all over its zone, where its report says so.
+    pub zone: Option<ZoneLikeness>,
+    /// Against the target along its rays, over views that are spread over it.
     pub likeness: Likeness,
-    /// PSNR of every view `[view_y][view_x]`, dB; none where it is equal.
+    /// PSNR of each of these views, dB, by row and column; none where it is equal.
     pub views_db: Vec<Vec<Option<f64>>>,
 }
 
@@ -39,7 +41,7 @@ pub struct DisplaysComparison {
     pub pictures: Vec<PathBuf>,
 }
 
-/// Compares all displays of a run whose job has `[[nodes]]` with the target; `displays.jpg` in `out` shows the left, middle and right view of each in columns.
+/// Compares all displays of a run whose job has `[[nodes]]` with the target; `displays.jpg` in `out` shows in columns what is seen of each from the left, the middle and the right.
 ///
 /// # Errors
 /// When the run has no nodes or no target, or files cannot be read or written.
@@ -53,8 +55,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
         .ok_or_else(|| PipelineError::value(run, "target", "a light field that the run kept", "none"))?;
     let geometry = target.geometry();
     let (shape, [views_y, views_x]) = ([geometry.rows, geometry.cols], geometry.grid.views());
-    let mut shown: Vec<[usize; 2]> = [0, views_x / 2, views_x - 1].map(|x| [views_y / 2, x]).into();
-    shown.dedup();
+    let (shown, views) = (middle_views(&geometry.grid), some_views(&geometry.grid));
     let codes = |linear: &mut dyn Iterator<Item = f32>| linear.map(colour::srgb_code).collect::<Vec<u8>>();
     let mut sheet = Sheet {
         size: [geometry.cols, geometry.rows],
@@ -71,26 +72,34 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
             .collect(),
     };
     let mut displays = Vec::new();
-    task.progress.begin("compare", (job.nodes.len() * views_y * views_x) as u64, "views");
+    task.progress.begin("compare", (job.nodes.len() * (views.len() + shown.len())) as u64, "views");
     for node in &job.nodes {
-        let made = RunFolder::open(&run.join("nodes").join(&node.id))?;
+        let folder = run.join("nodes").join(&node.id);
+        let made = RunFolder::open(&folder)?;
         let (simulator, map) = (Simulator::new(&made.display, &made.stack), RayMap::new(&made.display, geometry));
         let scale = 1.0 / made.stack.brightness as f32;
         let mut sums = Sums::new();
-        let mut views_db = vec![Vec::new(); views_y];
-        for view in geometry.grid.iter() {
-            task.cancel.check()?;
-            let emitted = simulator.view(&map, geometry, view);
-            let seen: Vec<f32> = emitted.radiance.data().iter().map(|value| value * scale).collect();
-            let mut own = Sums::new();
-            own.add(target.view(view), &seen, shape, &emitted.valid);
-            let psnr = own.likeness().psnr_db;
-            sums.merge(&own);
-            views_db[view[0]].push(psnr);
-            if let Some(row) = shown.iter().position(|other| *other == view) {
-                let caption = psnr.map_or("exact".into(), |psnr| format!("{psnr:.1} dB"));
-                sheet.rows[row].1.push(Cell { caption, rgb: codes(&mut seen.iter().copied()) });
+        let mut views_db: Vec<Vec<Option<f64>>> = Vec::new();
+        for row in views.chunk_by(|a, b| a[0] == b[0]) {
+            let mut of_row = Vec::new();
+            for &view in row {
+                task.cancel.check()?;
+                let emitted = simulator.view(&map, geometry, view);
+                let shows: Vec<f32> = emitted.radiance.data().iter().map(|value| value * scale).collect();
+                let mut own = Sums::new();
+                own.add(target.view(view), &shows, shape, &emitted.valid);
+                sums.merge(&own);
+                of_row.push(own.likeness().psnr_db);
+                task.progress.advance(1, "");
             }
+            views_db.push(of_row);
+        }
+        for (&view, (_, cells)) in shown.iter().zip(&mut sheet.rows) {
+            let (rgb, counts) = seen(&simulator, made.stack.brightness, geometry, view);
+            let mut own = Sums::new();
+            own.add(target.view(view), &rgb, shape, &counts);
+            let caption = own.likeness().psnr_db.map_or("exact".into(), |psnr| format!("{psnr:.1} dB"));
+            cells.push(Cell { caption, rgb: codes(&mut rgb.iter().copied()) });
             task.progress.advance(1, "");
         }
         let likeness = sums.likeness();
@@ -98,10 +107,16 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
         let lenses = if made.stack.emission.is_some() { ", directional" } else { "" };
         let layers = format!("{}{lenses}", plural(made.display.layers.len(), "layer"));
         let frames = format!("{}, β = {:.2}", plural(made.display.frames, "frame"), made.stack.brightness);
-        let psnr = likeness.psnr_db.map_or("exact".into(), |psnr| format!("{psnr:.1} dB over all views"));
+        let zone = zone_of(&folder);
+        let psnr = match (zone, likeness.psnr_db) {
+            (Some(zone), _) => format!("{:.1} dB all over the zone", zone.psnr_db),
+            (None, Some(psnr)) => format!("{psnr:.1} dB at the target's views"),
+            (None, None) => "exact".into(),
+        };
         displays.push(DisplayLikeness {
             id: node.id.clone(),
             display: format!("{layers}, {frames}"),
+            zone,
             likeness,
             views_db,
         });

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use lumistack_core::Tensor;
 use lumistack_core::metrics::{Flip, Mean, SquaredError, ssim};
-use lumistack_display::LightField;
+use lumistack_display::{EmittedView, FieldGeometry, LightField, Simulator, ViewGrid, spread};
 use serde::Serialize;
 
 use crate::error::{PipelineError, field_error};
@@ -19,6 +19,52 @@ pub struct Likeness {
     pub ssim: f64,
     /// FLIP error, 0 to 1.
     pub flip: f64,
+}
+
+/// How right a run's display is all over its zone, as its report says.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct ZoneLikeness {
+    /// PSNR of seen pictures, dB.
+    pub psnr_db: f64,
+    /// The same of the worst tenth of the directions, dB.
+    pub worst_tenth_db: f64,
+}
+
+/// The zone's score in the report of a run, where it knows one.
+pub(super) fn zone_of(run: &Path) -> Option<ZoneLikeness> {
+    let report = std::fs::read(run.join("report.json")).ok()?;
+    let report: serde_json::Value = serde_json::from_slice(&report).ok()?;
+    let number = |key: &str| report[key].as_f64();
+    Some(ZoneLikeness { psnr_db: number("psnr_zone")?, worst_tenth_db: number("psnr_zone_worst_tenth")? })
+}
+
+/// Views per axis of a target that are compared, at most.
+const MOST_VIEWS: usize = 5;
+
+/// Views of a grid that stand for all: spread over it, with the middle and the outermost ones.
+pub(super) fn some_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
+    let [rows, cols] = grid.views().map(|count| spread(count, MOST_VIEWS));
+    rows.iter().flat_map(|&row| cols.iter().map(move |&col| [row, col])).collect()
+}
+
+/// The left, the middle and the right one of a grid's views, in its middle row.
+pub(super) fn middle_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
+    let [rows, cols] = grid.views();
+    let mut views: Vec<[usize; 2]> = [0, cols / 2, cols - 1].map(|col| [rows / 2, col]).into();
+    views.dedup();
+    views
+}
+
+/// A seen picture / β of the view of a geometry, and which of its pixels count.
+pub(super) fn seen(
+    simulator: &Simulator<'_>,
+    brightness: f64,
+    geometry: &FieldGeometry,
+    view: [usize; 2],
+) -> (Vec<f32>, Vec<bool>) {
+    let seen = EmittedView::from(simulator.seen(geometry, view));
+    let scale = (1.0 / brightness) as f32;
+    (seen.radiance.data().iter().map(|value| value * scale).collect(), seen.valid)
 }
 
 /// Sums of the metrics over views.

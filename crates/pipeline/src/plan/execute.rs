@@ -74,7 +74,7 @@ pub(crate) struct State {
     /// Of the field, once it is dropped.
     look: Option<Look>,
     geometry: Option<FieldGeometry>,
-    references: Option<Arc<References>>,
+    pub(crate) references: Option<Arc<References>>,
     pub(crate) patterns: Option<Arc<Patterns>>,
     brightness: f64,
     outputs: Vec<Output>,
@@ -439,7 +439,7 @@ impl<'a> Executor<'a> {
                 let made = References::render(of.shot(), &zone, (look, traced.engine), &views, task)?;
                 let cached = made.as_ref().is_none_or(|references| references.cached);
                 let state = &mut self.states[part];
-                state.views.extend(made.as_ref().map(|references| references.folder.clone()));
+                state.views.extend(made.as_ref().and_then(|references| references.folder()).map(Path::to_owned));
                 state.references = made.map(Arc::new);
                 Ok(cached)
             }
@@ -447,8 +447,9 @@ impl<'a> Executor<'a> {
                 let job = self.job(part);
                 let path = job.light_field.clone().unwrap_or_default();
                 let display = job.resolve_display()?;
-                let target = read::run(&path, &job, &display, task)?;
+                let (target, left_out) = read::run(&path, &job, &display, task)?;
                 self.check_geometry(part, &path, target.geometry())?;
+                self.states[part].references = References::left_out(target.geometry(), left_out).map(Arc::new);
                 let about = json!({ "light field": path.display().to_string() });
                 let field = Field::of_given(target, &path, about, &display, &self.stamps(part), task)?;
                 self.open_outputs(&job, &field.display, field.target.geometry())?;

@@ -1,4 +1,4 @@
-//! Many designs on one light field: PSNR and brightness over layers, frames, β, distances, fields of view and lenslets.
+//! Many designs on one light field: PSNR all over the zone and brightness over layers, frames, β, distances, fields of view and lenslets.
 //!
 //! ```text
 //! job + [sweep] ─▶ designs ─┬─ by light field ─▶ fields/1/target ─┬─▶ designs/KEY.json ─▶ sweep.csv, sweep.json, plots/
@@ -28,7 +28,7 @@ use serde_json::json;
 use super::execute::Executor;
 use super::sequence::add_times;
 use super::steps::{Kind, Plan, What};
-use super::still::add_field;
+use super::still::{add_field, add_score};
 use super::times::later;
 use crate::error::PipelineError;
 use crate::job::{Job, SearchJob, SweepJob};
@@ -55,7 +55,7 @@ pub struct SweepSummary {
     pub plots: Vec<PathBuf>,
     /// Plots that `plots = "all"` would add.
     pub more_plots: usize,
-    /// The design of the highest PSNR at the target views, of several the first.
+    /// The design of the highest PSNR all over the zone, or at the target views where that is not known; of several the first.
     pub best: Option<Row>,
     /// Of a search, the proposed design and the next best, best first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -96,6 +96,9 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
                 if is_sequence { add_times(plan, part, true)? } else { vec![add_field(plan, part, Vec::new(), None)] };
             let steps = plan.steps.iter().filter(|step| ids.contains(&step.id));
             parts = steps.map(|step| step.part).collect();
+            if !is_sequence {
+                ids.extend(add_score(plan, part, &ids[0]));
+            }
         }
         fields.push(parts);
         inputs.push(ids);
@@ -131,7 +134,8 @@ pub(crate) fn execute(
     let mut fields = Vec::new();
     for parts in &designs.fields {
         let times = parts.iter().filter_map(|part| executor.states[*part].field.take()).collect::<Vec<Arc<_>>>();
-        fields.push(if times.is_empty() { None } else { Some(Shared::new(times, job)?) });
+        let references = parts.first().and_then(|part| executor.states[*part].references.take());
+        fields.push(if times.is_empty() { None } else { Some(Shared::new(times, references, job)?) });
     }
     let solver = Solver { job, fields, folder: dir.join("designs"), later: later(job), registry };
     let sweep = Sweep { solver, used: Mutex::default(), task };
@@ -160,7 +164,7 @@ pub(crate) fn execute(
     let used_fields = designs.fields.iter().enumerate().filter(|(_, parts)| !parts.is_empty());
     let used_rows = sweep.used.into_inner().unwrap_or_else(PoisonError::into_inner);
     used::keep_only_fields(dir, used_fields.map(|(number, _)| number + 1), used_rows)?;
-    let best = rows.iter().rev().max_by(|a, b| a.psnr_view_db.total_cmp(&b.psnr_view_db)).cloned();
+    let best = rows.iter().rev().max_by(|a, b| a.quality_db().total_cmp(&b.quality_db())).cloned();
     let proposed = proposed.into_iter().map(|(_, row)| row).collect();
     Ok(SweepSummary { csv, designs: rows.len(), kept, plots, more_plots, best, proposed, display })
 }
@@ -210,7 +214,7 @@ impl Sweep<'_> {
                 self.used.lock().unwrap_or_else(PoisonError::into_inner).insert(name);
                 finished.fetch_add(1, Ordering::Relaxed);
                 let from_before = if kept { ", from before" } else { "" };
-                progress.advance(1, &format!("{:.1} dB{from_before}", row.psnr_view_db));
+                progress.advance(1, &format!("{:.1} dB{from_before}", row.quality_db()));
                 Ok((row, kept))
             })
             .collect();

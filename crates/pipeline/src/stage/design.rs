@@ -9,13 +9,14 @@ use std::sync::Arc;
 use lumistack_core::metrics::SquaredError;
 use lumistack_core::{Cancel, NoProgress, Task, Warning, Warnings};
 use lumistack_design::table::{Design, MOST_DB, NodeRow, Row};
-use lumistack_display::{Display, LayerStack, LightField, Weights, score};
+use lumistack_display::{Display, LayerStack, LightField, Weights, ZoneScore, score};
 use lumistack_plugin_host::Registry;
 
 use super::factorize::Solve;
 use super::field::{Field, add_weights, eye_weights};
 use super::node;
 use super::node::Given;
+use super::score::References;
 use crate::error::{PipelineError, display_error};
 use crate::job::{FactorizeJob, Job, NodeJob};
 use crate::store::code;
@@ -34,6 +35,8 @@ pub(crate) struct Candidate {
 /// Light fields that several designs share, one per time.
 pub(crate) struct Shared {
     times: Vec<Arc<Field>>,
+    /// The scene's pictures all over the zone, of a still.
+    references: Option<Arc<References>>,
     /// Hash of all of it.
     key: String,
 }
@@ -41,7 +44,11 @@ pub(crate) struct Shared {
 impl Shared {
     /// # Errors
     /// When expected eyes make no sense.
-    pub(crate) fn new(times: Vec<Arc<Field>>, job: &Job) -> Result<Self, PipelineError> {
+    pub(crate) fn new(
+        times: Vec<Arc<Field>>,
+        references: Option<Arc<References>>,
+        job: &Job,
+    ) -> Result<Self, PipelineError> {
         let mut key = KeyBuilder::new("sweep field", code::FIELDS);
         for time in &times {
             for field in [Some(&time.target), time.held_out.as_ref()].into_iter().flatten() {
@@ -50,7 +57,10 @@ impl Shared {
             }
             add_weights(&mut key, &eye_weights(&job.factorize, &time.target)?);
         }
-        Ok(Self { times, key: key.finish() })
+        if let Some(references) = &references {
+            key.add("references", references.key.as_bytes());
+        }
+        Ok(Self { times, references, key: key.finish() })
     }
 }
 
@@ -77,6 +87,7 @@ impl Warnings for Silent {
 /// Errors of a display at one time.
 struct Errors {
     target: SquaredError,
+    zone: Option<ZoneScore>,
     between: Option<SquaredError>,
     brightness: f64,
 }
@@ -149,9 +160,17 @@ impl Solver<'_> {
         }
         let of_nodes = if self.job.nodes.is_empty() { Vec::new() } else { rows.clone() };
         // the figures of all are the first one's
-        let NodeRow { psnr_view_db, psnr_raw_db, psnr_between_db, psnr_worst_db, .. } = rows.swap_remove(0);
-        let design = candidate.design.clone();
-        Ok(Row { design, psnr_view_db, psnr_raw_db, psnr_between_db, psnr_worst_db, nodes: of_nodes })
+        let first = rows.swap_remove(0);
+        Ok(Row {
+            design: candidate.design.clone(),
+            psnr_zone_db: first.psnr_zone_db,
+            psnr_zone_worst_tenth_db: first.psnr_zone_worst_tenth_db,
+            psnr_view_db: first.psnr_view_db,
+            psnr_raw_db: first.psnr_raw_db,
+            psnr_between_db: first.psnr_between_db,
+            psnr_worst_db: first.psnr_worst_db,
+            nodes: of_nodes,
+        })
     }
 
     /// The errors of a display at all times, each from the patterns of the time before.
@@ -203,7 +222,9 @@ impl Solver<'_> {
                 views.fold(SquaredError::default(), |sum, view| sum.merged(view.error))
             };
             let between = field.held_out.as_ref().map(|field| error(field, &Weights::Uniform));
-            all.push(Errors { target: error(target, &weights), between, brightness: stack.brightness });
+            let zone =
+                shared.references.as_ref().map(|references| references.score(&display, &stack, task)).transpose()?;
+            all.push(Errors { target: error(target, &weights), zone, between, brightness: stack.brightness });
             before = Some(stack);
         }
         Ok(all)
@@ -216,8 +237,12 @@ fn node_row(id: &str, times: &[Errors]) -> NodeRow {
     let brightness = times.last().map_or(1.0, |time| time.brightness);
     let between = times.iter().filter_map(|time| time.between).reduce(SquaredError::merged).map(SquaredError::psnr);
     let worst = times.iter().map(|time| time.target.psnr()).fold(f64::INFINITY, f64::min);
+    // of a still alone
+    let zone = times.first().and_then(|time| time.zone.as_ref());
     NodeRow {
         id: id.into(),
+        psnr_zone_db: zone.and_then(ZoneScore::psnr).map(cut),
+        psnr_zone_worst_tenth_db: zone.and_then(ZoneScore::worst_tenth).map(cut),
         psnr_view_db: cut(all),
         psnr_raw_db: cut(all - 20.0 * brightness.log10()),
         psnr_between_db: between.filter(|psnr| !psnr.is_nan()).map(cut),

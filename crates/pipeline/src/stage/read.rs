@@ -4,6 +4,7 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LightField};
+use lumistack_field_io::LeftOut;
 use rayon::prelude::*;
 
 use super::field::field_defaults;
@@ -11,23 +12,30 @@ use super::look::Look;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
-/// Reads the light field at `path` for a display.
+/// Reads the light field at `path` for a display, and so many views as the report wants of those that the display leaves out.
 ///
 /// # Errors
 /// When it cannot be read, or its geometry is incomplete.
-pub(crate) fn run(path: &Path, job: &Job, display: &Display, task: Task<'_>) -> Result<LightField, PipelineError> {
+pub(crate) fn run(
+    path: &Path,
+    job: &Job,
+    display: &Display,
+    task: Task<'_>,
+) -> Result<(LightField, Vec<LeftOut>), PipelineError> {
     let footprint = |geometry: &FieldGeometry| adapted_footprint(display, geometry);
     let defaults = field_defaults(display);
-    let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), task);
+    let most = job.report.zone_directions;
+    let read = lumistack_field_io::open_for(path, &job.geometry, &defaults, Some(&footprint), most, task);
     // not rounded, as `target/` is: figures are about what was given
-    let mut field = read.map_err(field_error)?;
+    let (mut field, mut left_out) = read.map_err(field_error)?;
     if let Some(look) = Look::of_given(&job.light) {
         look.apply(&mut field);
+        left_out.iter_mut().for_each(|view| look.apply_to(&mut view.radiance));
     }
     if let Some(beyond) = Beyond::of(&field) {
         task.warn(path.display().to_string(), beyond.message(OFFER_OF_COMMAND));
     }
-    Ok(field)
+    Ok((field, left_out))
 }
 
 /// What the command offers for values beyond 0 to 1.

@@ -5,10 +5,13 @@
 //! directions, which are spread over the zone like all, get more samples.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use lumistack_core::{Task, seed};
-use lumistack_display::{DirectionScore, Display, FieldGeometry, LayerStack, Simulator, ViewGrid, Zone, ZoneScore};
-use lumistack_field_io::npy;
+use lumistack_display::{
+    DirectionScore, Display, FieldGeometry, LayerStack, LightField, SeenView, Simulator, ViewGrid, Zone, ZoneScore,
+};
+use lumistack_field_io::{LeftOut, npy};
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 use lumistack_report::{ZoneFigures, ZoneView};
 use rayon::prelude::*;
@@ -18,6 +21,8 @@ use crate::job::{Background, Engine, Job};
 use crate::stage::expose::expose_over;
 use crate::stage::fields::Shot;
 use crate::stage::look::Look;
+use crate::store::code;
+use crate::store::key::KeyBuilder;
 use crate::store::views::{missing, read_view, write_view};
 
 /// Directions whose pictures have enough samples to be looked at: for SSIM, FLIP and the report's pictures.
@@ -27,15 +32,23 @@ const SAMPLES: [u32; 2] = [24, 4];
 /// Their random numbers are those of no view.
 const STREAM: u64 = 3;
 
-/// The scene's pictures of a run, in the cache.
-pub(crate) struct References {
+/// The scene's pictures in directions that no solver saw.
+pub struct References {
     geometry: FieldGeometry,
     directions: Vec<ViewGrid>,
-    pub(crate) folder: PathBuf,
-    look: Look,
-    background: Background,
+    pictures: Pictures,
+    /// Hash of all that they show.
+    pub(crate) key: String,
     /// Whether none had to be traced.
     pub(crate) cached: bool,
+}
+
+/// Where they are.
+enum Pictures {
+    /// In a folder of the cache, two per direction.
+    Rendered { folder: PathBuf, look: Look, background: Background },
+    /// In memory, display-referred; both are one where there is no noise of ours.
+    Held { pictures: Vec<[Arc<Vec<f32>>; 2]>, left_out: bool },
 }
 
 /// The zone of a job's display, whose light field is `geometry`: around the expected eyes, where there are any.
@@ -71,13 +84,18 @@ impl References {
             .add_json("hidden", &(job.light.background != Background::Environment))
             .add("directions", format!("{directions:?} {depth_scale}").as_bytes());
         key.add("pixels", format!("{:?}", (geometry.rows, geometry.cols, geometry.pitch_mm)).as_bytes());
-        let folder = cache_dir.join(format!("zone-{}", &key.finish()[..16]));
+        let traced = key.finish();
+        let folder = cache_dir.join(format!("zone-{}", &traced[..16]));
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
         let background = job.light.background;
-        let references = Self { geometry: geometry.clone(), directions, folder, look, background, cached: false };
+        let mut key = KeyBuilder::new("zone", code::VIEWS);
+        key.add("traced", traced.as_bytes()).add("look", format!("{look:?} {background:?}").as_bytes());
+        let key = key.finish();
+        let pictures = Pictures::Rendered { folder: folder.clone(), look, background };
+        let references = Self { geometry: geometry.clone(), directions, pictures, key, cached: false };
         let all = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]).collect();
         let is_kept = |&(i, half): &(usize, usize)| references.one(i, half).is_some();
-        let todo = missing(all, |&(i, half)| references.path(i, half), is_kept, task);
+        let todo = missing(all, |&(i, half)| path(&folder, i, half), is_kept, task);
         if todo.is_empty() {
             return Ok(Some(Self { cached: true, ..references }));
         }
@@ -100,15 +118,67 @@ impl References {
             if background != Background::Environment {
                 let missed = renderer.render_misses(window, &traced, [0, 0], &settings, task).map_err(render_error)?;
                 let shape = [geometry.rows, geometry.cols];
-                npy::write(&references.missed(i, half), &shape, missed.data()).map_err(field_error)?;
+                npy::write(&missed_path(&folder, i, half), &shape, missed.data()).map_err(field_error)?;
             }
-            write_view(&references.path(i, half), &picture)
+            write_view(&path(&folder, i, half), &picture)
         });
         task.progress.end();
         result.map(|()| Some(references))
     }
 
-    /// Compares the seen pictures of a display with the references.
+    /// Views of a given light field that its solver does not see; `None` where there are none.
+    pub(crate) fn left_out(geometry: &FieldGeometry, views: Vec<LeftOut>) -> Option<Self> {
+        let known = !views.is_empty();
+        let views = views.into_iter().map(|view| (view.grid, Arc::new(view.radiance)));
+        known
+            .then(|| Self::of_pictures(geometry, views.map(|(grid, picture)| (grid, [picture.clone(), picture])), true))
+    }
+
+    /// The views of a light field of which the caller knows that no solver saw them.
+    pub fn views_of(field: &LightField) -> Self {
+        let geometry = field.geometry();
+        let views = geometry.grid.iter().map(|view| {
+            let picture = Arc::new(field.view(view).to_vec());
+            let slope = [geometry.grid.slope_x[view[1]], geometry.grid.slope_y[view[0]]];
+            (ViewGrid::single(geometry.grid.projection, slope), [picture.clone(), picture])
+        });
+        Self::of_pictures(geometry, views, true)
+    }
+
+    fn of_pictures(
+        geometry: &FieldGeometry,
+        views: impl Iterator<Item = (ViewGrid, [Arc<Vec<f32>>; 2])>,
+        left_out: bool,
+    ) -> Self {
+        let (directions, pictures): (Vec<ViewGrid>, Vec<_>) = views.unzip();
+        let mut key = KeyBuilder::new("zone", code::FIELDS);
+        key.add("directions", format!("{directions:?}").as_bytes());
+        for picture in pictures.iter().flatten() {
+            key.add_f32("radiance", picture);
+        }
+        let pictures = Pictures::Held { pictures, left_out };
+        Self { geometry: geometry.clone(), directions, pictures, key: key.finish(), cached: true }
+    }
+
+    /// The same in memory, for a folder that will be forgotten.
+    ///
+    /// # Errors
+    /// When a picture is gone.
+    pub(crate) fn held(self) -> Result<Self, PipelineError> {
+        let pictures = (0..self.directions.len()).map(|i| Ok(self.read(i)?.map(Arc::new)));
+        let pictures = Pictures::Held { pictures: pictures.collect::<Result<_, PipelineError>>()?, left_out: false };
+        Ok(Self { pictures, ..self })
+    }
+
+    /// The folder of the cache that holds them, where one does.
+    pub(crate) fn folder(&self) -> Option<&Path> {
+        match &self.pictures {
+            Pictures::Rendered { folder, .. } => Some(folder),
+            Pictures::Held { .. } => None,
+        }
+    }
+
+    /// Compares the seen pictures of a display with the references; keeps those that can be looked at.
     ///
     /// # Errors
     /// When a picture is gone, or the work is cancelled.
@@ -118,61 +188,85 @@ impl References {
         stack: &LayerStack,
         task: Task<'_>,
     ) -> Result<ZoneFigures, PipelineError> {
+        let each = self.each(display, stack, task, |i, score, [a, b], seen| {
+            let target = || a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect();
+            let direction = || self.directions[i].clone();
+            (i < CLEAN).then(|| ZoneView { direction: direction(), score, target: target(), seen: seen.into() })
+        })?;
+        let (directions, views): (Vec<DirectionScore>, Vec<_>) = each.into_iter().unzip();
+        let left_out = matches!(self.pictures, Pictures::Held { left_out: true, .. });
+        Ok(ZoneFigures { score: ZoneScore { directions }, left_out, views: views.into_iter().flatten().collect() })
+    }
+
+    /// The score of a display's seen pictures.
+    ///
+    /// # Errors
+    /// When a picture is gone, or the work is cancelled.
+    pub fn score(&self, display: &Display, stack: &LayerStack, task: Task<'_>) -> Result<ZoneScore, PipelineError> {
+        let each = self.each(display, stack, task, |_, _, _, _| ())?;
+        Ok(ZoneScore { directions: each.into_iter().map(|(score, ())| score).collect() })
+    }
+
+    /// The score of every direction, and what `keep` makes of its number, score, references and seen picture.
+    fn each<T: Send>(
+        &self,
+        display: &Display,
+        stack: &LayerStack,
+        task: Task<'_>,
+        keep: impl Fn(usize, DirectionScore, [Vec<f32>; 2], SeenView) -> T + Sync,
+    ) -> Result<Vec<(DirectionScore, T)>, PipelineError> {
         let simulator = Simulator::new(display, stack);
         task.progress.begin("score", self.directions.len() as u64, "directions");
-        let measured: Result<Vec<(DirectionScore, Option<ZoneView>)>, PipelineError> = self
-            .directions
-            .par_iter()
-            .enumerate()
-            .map(|(i, direction)| {
-                task.cancel.check().map_err(|_| PipelineError::Cancelled)?;
-                let seen = simulator.seen(&self.geometry.with_grid(direction.clone()), [0, 0]);
-                let [a, b] = self.read(i)?;
-                let score = DirectionScore::new(direction, &seen, stack.brightness, [&a, &b]);
-                task.progress.advance(1, "");
-                let view = || ZoneView {
-                    direction: direction.clone(),
-                    score,
-                    target: a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect(),
-                    seen: seen.into(),
-                };
-                Ok((score, (i < CLEAN).then(view)))
-            })
-            .collect();
+        let measured = self.directions.par_iter().enumerate().map(|(i, direction)| {
+            task.cancel.check().map_err(|_| PipelineError::Cancelled)?;
+            let seen = simulator.seen(&self.geometry.with_grid(direction.clone()), [0, 0]);
+            let [a, b] = self.read(i)?;
+            let score = DirectionScore::new(direction, &seen, stack.brightness, [&a, &b]);
+            task.progress.advance(1, "");
+            Ok((score, keep(i, score, [a, b], seen)))
+        });
+        let measured = measured.collect();
         task.progress.end();
-        let (directions, views): (Vec<DirectionScore>, Vec<_>) = measured?.into_iter().unzip();
-        Ok(ZoneFigures { score: ZoneScore { directions }, views: views.into_iter().flatten().collect() })
+        measured
     }
 
     /// The two pictures of a direction, display-referred.
     fn read(&self, i: usize) -> Result<[Vec<f32>; 2], PipelineError> {
         let one = |half| {
-            self.one(i, half)
-                .ok_or_else(|| PipelineError::Replaced { path: self.path(i, half), what: "cached picture" })
+            let gone = || PipelineError::Replaced { path: self.place(i, half), what: "cached picture" };
+            self.one(i, half).ok_or_else(gone)
         };
         Ok([one(0)?, one(1)?])
     }
 
     /// One of them; `None` where it, or what is known of its background, is not there as it was written.
     fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
-        let mut picture = read_view(&self.path(i, half), &self.geometry)?;
-        match self.background {
-            Background::Environment => self.look.apply_to(&mut picture),
+        let (folder, look, background) = match &self.pictures {
+            Pictures::Rendered { folder, look, background } => (folder, *look, *background),
+            Pictures::Held { pictures, .. } => return pictures.get(i).map(|pair| Vec::clone(&pair[half])),
+        };
+        let mut picture = read_view(&path(folder, i, half), &self.geometry)?;
+        match background {
+            Background::Environment => look.apply_to(&mut picture),
             Background::Colour(colour) => {
-                let (shape, missed) = npy::read(&self.missed(i, half)).ok()?;
+                let (shape, missed) = npy::read(&missed_path(folder, i, half)).ok()?;
                 (shape == [self.geometry.rows, self.geometry.cols]).then_some(())?;
-                expose_over(self.look, colour, &missed, &mut picture);
+                expose_over(look, colour, &missed, &mut picture);
             }
         }
         Some(picture)
     }
 
-    /// Share of every pixel where no surface is.
-    fn missed(&self, i: usize, half: usize) -> PathBuf {
-        self.path(i, half).with_extension("missed.npy")
+    fn place(&self, i: usize, half: usize) -> PathBuf {
+        path(self.folder().unwrap_or(Path::new("")), i, half)
     }
+}
 
-    fn path(&self, i: usize, half: usize) -> PathBuf {
-        self.folder.join(format!("direction_{i:02}-{}.exr", ["a", "b"][half]))
-    }
+fn path(folder: &Path, i: usize, half: usize) -> PathBuf {
+    folder.join(format!("direction_{i:02}-{}.exr", ["a", "b"][half]))
+}
+
+/// Share of every pixel where no surface is.
+fn missed_path(folder: &Path, i: usize, half: usize) -> PathBuf {
+    path(folder, i, half).with_extension("missed.npy")
 }

@@ -149,6 +149,7 @@ class LayerStack:
     @property
     def solution(self) -> dict[str, Any] | None: ...
     def psnr(self, light_field: LightField, *, weights: _ArrayLike | None = None, raw: bool = False) -> float: ...
+    def psnr_zone(self, references: LightField, *, callback: _Callback | None = None) -> dict[str, Any]: ...
     def views(self, like: LightField, *, raw: bool = False, callback: _Callback | None = None) -> LightField: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
@@ -188,9 +189,10 @@ def render(
     display: _DisplayLike | None = None,
     *,
     samples: int | None = None,
+    zone_samples: int | None = None,
     max_bounces: int | None = None,
     clamp: float | None = None,
-    denoise: Literal["off", "guided", "oidn"] | None = None,
+    denoise: Literal["auto", "off", "shared", "guided", "oidn"] | None = None,
     angular_filter: Literal["point", "bin", "display"] | None = None,
     lens_deg: float | None = None,
     camera: str | int | None = None,
@@ -202,6 +204,7 @@ def render(
     tone: Literal["auto", "linear", "khronos-neutral", "agx"] | None = None,
     light: Mapping[str, Any] | None = None,
     seed: int | None = None,
+    zone_directions: int = 0,
     cache: _Path | None = None,
     callback: _Callback | None = None,
 ) -> LightField: ...

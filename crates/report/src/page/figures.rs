@@ -72,7 +72,8 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
             section id="zone" {
                 h2 { "All over the zone" }
                 p class="quiet" {
-                    "Not known: this light field was given, so there is no scene to look at from directions between its views. The figures below are those of the views that the solver saw."
+                    "Not known: this light field was given and the solver saw all of its views, so nothing tells what lies between them. The figures below are those of these views. "
+                    "Of a light field with more views than the display needs, fewer may be kept (" code { "--views" } "): the zone is then judged by those that are left out."
                 }
             }
         };
@@ -101,9 +102,10 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
         section id="zone" {
             h2 { "All over the zone" }
             p {
-                "Eyes stand anywhere, so the display is judged from " (directions.len()) " directions spread over its whole zone, none of which the solver saw. Each seen picture, averaged over the area of every pixel, "
-                "is compared with two renders of the scene from there, so that the noise of those does not count: " strong { (mean) } " over all, " strong { (worst) } " over the worst tenth. "
-                "SSIM and FLIP are means over the first eight directions, whose renders have more samples."
+                "Eyes stand anywhere, so the display is judged from " (directions.len()) " directions spread over its whole zone, none of which the solver saw. Each seen picture, averaged over the area of every pixel, is compared with "
+                @if zone.left_out { "a view of the given light field that was left out" } @else { "two renders of the scene from there, so that the noise of those does not count" }
+                ": " strong { (mean) } " over all, " strong { (worst) } " over the worst tenth. SSIM and FLIP are means over the first eight directions"
+                @if !zone.left_out { ", whose renders have more samples" } "."
             }
             svg class="zone" role="img" aria-label="PSNR by direction" viewBox=(format!("0 0 {SIDE} {SIDE}")) {
                 @for direction in &directions { (dot(direction)) }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use lumistack_design::table::Design;
-use lumistack_display::{Display, Variation};
+use lumistack_display::{Display, Variation, Views};
 
 use crate::error::{PipelineError, display_error};
 use crate::job::{DisplayJob, FitDepth, Job, SweepJob};
@@ -54,7 +54,28 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
             candidates.push(Candidate { design: Design::of(name, &display), display, field });
         }
     }
-    Ok((candidates, fields.into_iter().map(|(_, job)| job).collect()))
+    let mut jobs: Vec<Job> = fields.into_iter().map(|(_, job)| job).collect();
+    for (number, job) in jobs.iter_mut().enumerate() {
+        choose_views(job, candidates.iter_mut().filter(|candidate| candidate.field == number));
+    }
+    Ok((candidates, jobs))
+}
+
+/// Displays that choose their views share those of the one that wants most: views between a display's native slopes cost it nothing but time, too few cost it its
+/// zone.
+fn choose_views<'a>(job: &mut Job, candidates: impl Iterator<Item = &'a mut Candidate>) {
+    let mut choosing: Vec<&mut Candidate> =
+        candidates.filter(|candidate| candidate.display.field.views == Views::Auto).collect();
+    let chosen = choosing.iter().map(|candidate| {
+        let most = job.most_views(&candidate.display);
+        candidate.display.clone().with_views_chosen(most)
+    });
+    let Some(finest) = chosen.max_by_key(|display| display.views().iter().product::<usize>()) else { return };
+    job.display.views = Some(finest.field.views);
+    for candidate in &mut choosing {
+        candidate.display.field.views = finest.field.views;
+        candidate.design = Design::of(&candidate.design.display, &candidate.display);
+    }
 }
 
 /// A preset or a file, with what the job changes about its display.

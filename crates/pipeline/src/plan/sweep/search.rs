@@ -70,15 +70,15 @@ pub(super) fn run(
         let goes_on = ((on * candidates.len() as f64).ceil() as usize).max(LEAST);
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         match search.enough_db {
-            None => order.sort_by(|&a, &b| rows[b].psnr_view_db.total_cmp(&rows[a].psnr_view_db)),
+            None => order.sort_by(|&a, &b| rows[b].quality_db().total_cmp(&rows[a].quality_db())),
             // the cheapest of those that may get there; where none may, the best
             Some(enough) => {
-                let hopeless = |i: usize| rows[i].psnr_view_db < enough - HOPE_DB;
+                let hopeless = |i: usize| rows[i].quality_db() < enough - HOPE_DB;
                 order.sort_by(|&a, &b| {
                     let by_cost = || {
                         cost(&rows[a].design).partial_cmp(&cost(&rows[b].design)).unwrap_or(std::cmp::Ordering::Equal)
                     };
-                    let by_psnr = || rows[b].psnr_view_db.total_cmp(&rows[a].psnr_view_db);
+                    let by_psnr = || rows[b].quality_db().total_cmp(&rows[a].quality_db());
                     hopeless(a)
                         .cmp(&hopeless(b))
                         .then_with(|| if hopeless(a) { by_psnr() } else { by_cost().then_with(by_psnr) })
@@ -108,14 +108,14 @@ fn ranked(rows: &[Row], enough_db: Option<f64>) -> Vec<usize> {
     let mut left: Vec<usize> = (0..rows.len()).collect();
     let mut order = Vec::new();
     if let Some(enough) = enough_db {
-        let mut reach: Vec<usize> = left.iter().copied().filter(|&i| rows[i].psnr_view_db >= enough).collect();
+        let mut reach: Vec<usize> = left.iter().copied().filter(|&i| rows[i].quality_db() >= enough).collect();
         reach.sort_by(|&a, &b| by_cost(a, b));
         left.retain(|i| !reach.contains(i));
         order.extend(reach);
     }
     while !left.is_empty() {
-        let best = left.iter().map(|&i| rows[i].psnr_view_db).fold(f64::MIN, f64::max);
-        let near = left.iter().copied().filter(|&i| rows[i].psnr_view_db >= best - AS_GOOD_DB);
+        let best = left.iter().map(|&i| rows[i].quality_db()).fold(f64::MIN, f64::max);
+        let near = left.iter().copied().filter(|&i| rows[i].quality_db() >= best - AS_GOOD_DB);
         let Some(next) = near.min_by(|&a, &b| by_cost(a, b)) else { break };
         left.retain(|&i| i != next);
         order.push(next);
@@ -141,6 +141,8 @@ mod tests {
             design,
             psnr_view_db: psnr,
             psnr_raw_db: psnr,
+            psnr_zone_db: None,
+            psnr_zone_worst_tenth_db: None,
             psnr_between_db: None,
             psnr_worst_db: None,
             nodes: Vec::new(),
