@@ -130,7 +130,8 @@ pub(crate) fn execute(
     write_job(job, dir)?;
     let mut fields = Vec::new();
     for parts in &designs.fields {
-        let times = parts.iter().filter_map(|part| executor.states[*part].field.take()).collect::<Vec<Arc<_>>>();
+        let times =
+            parts.iter().filter_map(|part| executor.context.states[*part].field.take()).collect::<Vec<Arc<_>>>();
         fields.push(if times.is_empty() { None } else { Some(Shared::new(times, job)?) });
     }
     let solver = Solver { job, fields, folder: dir.join("designs"), later: later(job), registry };
