@@ -55,21 +55,33 @@ pub fn check(full: bool) -> Outcome {
 const PROGRAM: [(&str, &str); 2] =
     [("/usr/bin/blender", "blender"), ("/usr/lib/python3/dist-packages/numpy", "python3-numpy")];
 
+/// Fetches bpy, and Blender's program where there is none.
+///
+/// # Errors
+/// When one of them cannot be had.
+pub fn fetch() -> Outcome {
+    let python = environment(BLENDER)?;
+    fetch_tools(&python)?;
+    fetch_program()
+}
+
+fn fetch_program() -> Outcome {
+    let has_blender = || output_of(command("blender").arg("--version")).is_some();
+    if has_blender() {
+        return Ok(());
+    }
+    let missing: Vec<&str> =
+        PROGRAM.iter().filter(|(file, _)| !Path::new(file).exists()).map(|(_, package)| *package).collect();
+    tools::apt(&missing, "test the Blender extension")?;
+    if has_blender() { Ok(()) } else { Err("Blender's program does not start".into()) }
+}
+
 /// The extension's command in a real `blender` program, in a process of its own without a window: the module bpy always has one. Takes the program that `PATH` has, else
 /// Debian's.
 fn program(python: &Path, wheel: &Path) -> Outcome {
-    let has_blender = || output_of(command("blender").arg("--version")).is_some();
-    if !has_blender() {
-        let missing: Vec<&str> =
-            PROGRAM.iter().filter(|(file, _)| !Path::new(file).exists()).map(|(_, package)| *package).collect();
-        println!("\nfetching: the Debian packages {} (used only to test the Blender extension)", missing.join(", "));
-        let fetched = run(command("apt-get").args(["install", "-y", "--no-install-recommends"]).args(missing));
-        if !has_blender() {
-            let reason = fetched.err().unwrap_or_else(|| "it does not start".into());
-            println!("blender: the program is not tested: {reason}");
-            // where everything can be had, nothing is left out in silence
-            return if std::env::var_os("CI").is_some_and(|value| value == "true") { Err(reason) } else { Ok(()) };
-        }
+    if let Err(error) = fetch_program() {
+        tools::skipped("blender's program", &error);
+        return Ok(());
     }
     let folder = folder().join("program");
     let _ = std::fs::remove_dir_all(&folder);
@@ -134,10 +146,12 @@ fn python_of_blender() -> Option<String> {
 
 /// The wheel of this machine, as `make` makes it.
 fn wheel(python: &Path, make: fn(&Path) -> Outcome<PathBuf>) -> Outcome<PathBuf> {
-    if output_of(command(python).args(["-c", "import maturin"])).is_none() {
-        install(python, &TOOLS)?;
-    }
+    fetch_tools(python)?;
     make(python)
+}
+
+fn fetch_tools(python: &Path) -> Outcome {
+    if output_of(command(python).args(["-c", "import maturin"])).is_some() { Ok(()) } else { install(python, &TOOLS) }
 }
 
 /// The zips, each with the wheel of its platform in it; the one of this machine.

@@ -1,6 +1,7 @@
 //! Everything that must hold before a change lands.
 
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use crate::blender;
@@ -16,53 +17,74 @@ use crate::web;
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
 const LINTED_WITH: &str = "1.95";
 
-/// Runs all checks; `full` adds the slow tests. `times` receives the seconds of every step that was begun.
-fn run_steps(full: bool, times: &mut Vec<(&'static str, f64)>) -> Outcome {
-    let mut step = |name: &'static str, work: &mut dyn FnMut() -> Outcome| {
+/// The steps that were begun, each with its seconds.
+#[derive(Default)]
+struct Steps(Mutex<Vec<(&'static str, f64)>>);
+
+impl Steps {
+    fn step(&self, name: &'static str, work: impl FnOnce() -> Outcome) -> Outcome {
         println!("\n=== {name}");
         let start = Instant::now();
         let result = work();
-        times.push((name, start.elapsed().as_secs_f64()));
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push((name, start.elapsed().as_secs_f64()));
         result
-    };
+    }
+}
+
+/// Runs all checks; `full` adds the slow tests. Processors are the bottleneck, so whatever waits for the network or for other programs runs beside what compiles.
+fn run_steps(full: bool, steps: &Steps) -> Outcome {
     let version = output_of(command("rustc").arg("--version")).ok_or("rustc does not start")?;
     let strict = version.contains(&format!("rustc {LINTED_WITH}."));
     if !strict {
         println!("lints: {} is not {LINTED_WITH}, so new lints only warn", version.trim());
     }
-    step("format", &mut || cargo(&["fmt", "--all", "--check"]))?;
-    step("layers", &mut layers::check)?;
-    step("dependencies", &mut deny::in_ci)?;
-    step("clippy", &mut || {
-        let mut arguments = [&["clippy", "--all-targets", "--quiet"], &EVERYTHING[..]].concat();
-        if strict {
-            arguments.extend(["--", "-D", "warnings"]);
-        }
-        cargo(&arguments)
-    })?;
-    step("docs", &mut || {
-        let flags = if strict { "-D warnings" } else { "" };
-        run(command("cargo").args(["doc", "--workspace", "--no-deps", "--quiet"]).env("RUSTDOCFLAGS", flags))
-    })?;
-    step("wasm32", &mut wasm)?;
-    let mut python = PathBuf::new();
-    step("fetch", &mut || {
-        python = tools::python()?;
-        tools::poppler();
-        Ok(())
-    })?;
-    step("tests", &mut || {
+    steps.step("format", || cargo(&["fmt", "--all", "--check"]))?;
+    steps.step("layers", layers::check)?;
+    let python = beside(
+        || {
+            let mut python = PathBuf::new();
+            steps.step("fetch (beside the next four)", || {
+                python = fetch()?;
+                Ok(())
+            })?;
+            Ok(python)
+        },
+        || {
+            steps.step("dependencies", deny::in_ci)?;
+            steps.step("clippy", || {
+                let mut arguments = [&["clippy", "--all-targets", "--quiet"], &EVERYTHING[..]].concat();
+                if strict {
+                    arguments.extend(["--", "-D", "warnings"]);
+                }
+                cargo(&arguments)
+            })?;
+            steps.step("docs", || {
+                let flags = if strict { "-D warnings" } else { "" };
+                let mut docs = command("cargo");
+                run(docs.args(["doc", "--no-deps", "--quiet"]).args(EVERYTHING).env("RUSTDOCFLAGS", flags))
+            })?;
+            steps.step("wasm32", wasm)
+        },
+    )?;
+    steps.step("tests", || {
         let mut tests = command("cargo");
         run(tests.arg("test").args(EVERYTHING).env("LUMISTACK_PYTHON", &python))
     })?;
-    step("USD versions", &mut usd::check)?;
-    step("plugins", &mut || plugins::run(false))?;
-    step("panels", &mut || panels::check(full))?;
-    step("python", &mut python::check)?;
-    step("blender", &mut || blender::check(full))?;
-    step("web", &mut web::check)?;
+    beside(
+        || {
+            steps.step("web (beside the next three)", web::check)?;
+            steps.step("USD versions", usd::check)
+        },
+        || {
+            steps.step("plugins", || plugins::run(false))?;
+            steps.step("python", python::check)?;
+            steps.step("blender", || blender::check(full))
+        },
+    )?;
+    // alone, since it counts refreshes
+    steps.step("panels", || panels::check(full))?;
     if full {
-        step("slow tests", &mut || {
+        steps.step("slow tests", || {
             let mut tests = command("cargo");
             tests.args(["test", "--workspace", "--release", "--", "--ignored", "--nocapture", "--test-threads=1"]);
             run(tests.env("LUMISTACK_PYTHON", &python))
@@ -71,12 +93,36 @@ fn run_steps(full: bool, times: &mut Vec<(&'static str, f64)>) -> Outcome {
     Ok(())
 }
 
+/// Does both at once; the result of the first, or the first error.
+fn beside<T: Send>(waits: impl FnOnce() -> Outcome<T> + Send, works: impl FnOnce() -> Outcome) -> Outcome<T> {
+    std::thread::scope(|scope| {
+        let waits = scope.spawn(waits);
+        let worked = works();
+        let waited = waits.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        worked.and(waited)
+    })
+}
+
+/// Fetches what the checks need; the Python of the tests. What cannot be had is skipped by the step that needs it.
+fn fetch() -> Outcome<PathBuf> {
+    let python = tools::python()?;
+    tools::poppler();
+    for fetched in [python::fetch(&python), usd::fetch(), panels::fetch(), blender::fetch(), web::fetch()] {
+        if let Err(error) = fetched {
+            println!("fetch: {error}");
+        }
+    }
+    Ok(python)
+}
+
 /// [`run_steps`], with a table of how long each step took.
 pub fn run_ci(full: bool) -> Outcome {
-    let (start, mut times) = (Instant::now(), Vec::new());
-    let result = run_steps(full, &mut times);
+    let (start, steps) = (Instant::now(), Steps::default());
+    let result = run_steps(full, &steps);
     println!("\n{:>8}  step", "seconds");
-    times.iter().for_each(|(name, seconds)| println!("{seconds:8.0}  {name}"));
+    for (name, seconds) in steps.0.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        println!("{seconds:8.0}  {name}");
+    }
     println!("{:8.0}  in all", start.elapsed().as_secs_f64());
     result?;
     println!("\nci: every check that was run passed");

@@ -1,7 +1,7 @@
 //! Licences, sources, bans and security advisories of all dependencies, by cargo-deny and `deny.toml`.
 //!
 //! Advisories need the RustSec database, which is fetched where the network allows it. cargo-deny takes two minutes to build, so `ci`
-//! checks with it only where it is installed already.
+//! checks with it only where it is installed already, and skips the step elsewhere.
 
 use std::path::{Path, PathBuf};
 
@@ -21,7 +21,10 @@ pub fn check() -> Outcome {
     if !fetched.status.success() {
         let told = String::from_utf8_lossy(&fetched.stderr);
         let cause = told.trim().lines().last().unwrap_or("no reason was told");
-        println!("advisories: not checked: the database (github.com/RustSec/advisory-db) cannot be fetched: {cause}");
+        tools::skipped(
+            "advisories",
+            &format!("the database (github.com/RustSec/advisory-db) cannot be fetched: {cause}"),
+        );
         return Ok(());
     }
     tools::run(&mut deny(&["--offline", "check", "advisories"]))
@@ -30,7 +33,7 @@ pub fn check() -> Outcome {
 /// [`check`] as a step of `ci`, which has no two minutes to spare for the tool itself.
 pub fn in_ci() -> Outcome {
     if found().is_none() {
-        println!("dependencies: not checked here, there is no cargo-deny; `cargo xtask deny` installs it");
+        tools::skipped("dependencies", "there is no cargo-deny here; `cargo xtask deny` installs it");
         return Ok(());
     }
     check()

@@ -24,7 +24,9 @@ const FULL_TURNS: [&str; 2] = ["50", "5"];
 
 /// Builds and tests; `full` repeats what may fail now and then (some minutes more).
 pub fn check(full: bool) -> Outcome {
-    fetch();
+    if let Err(error) = fetch() {
+        skipped("panels", &format!("not tested on every compositor: {error}"));
+    }
     build_everything()?;
     for (binary, tests, turns) in
         [("end_to_end", &["show::", "calibrate::"][..], FULL_TURNS[0]), ("solver", &[], FULL_TURNS[1])]
@@ -41,8 +43,11 @@ pub fn check(full: bool) -> Outcome {
     Ok(())
 }
 
-/// Fetches what is missing where that is possible; tests say what they skip.
-fn fetch() {
+/// Fetches what is missing; tests skip what they cannot have.
+///
+/// # Errors
+/// When something cannot be had.
+pub fn fetch() -> Outcome {
     let has = |program: &str| {
         std::env::var_os("PATH")
             .is_some_and(|path| std::env::split_paths(&path).any(|folder| folder.join(program).is_file()))
@@ -51,10 +56,5 @@ fn fetch() {
     let libraries =
         LIBRARIES.iter().filter(|(file, _)| !std::path::Path::new(file).exists()).map(|(_, package)| *package);
     let missing: Vec<&str> = programs.chain(libraries).collect();
-    if missing.is_empty() {
-        return;
-    }
-    if let Err(error) = apt(&missing, "test panels") {
-        skipped("panels", &format!("not tested on every compositor: {error}"));
-    }
+    if missing.is_empty() { Ok(()) } else { apt(&missing, "test panels") }
 }

@@ -39,7 +39,7 @@ pub fn run(write: bool) -> Outcome {
     sample(&target, &folder)?;
     let mut tests = command("cargo");
     tests.args(["test", "--quiet"]).args(EVERYTHING);
-    tests.args(["--test", "loaded", "--", "--nocapture"]);
+    tests.args(["--test", "plugin_host", "--", "--nocapture", "loaded::"]);
     run_program(tests.env("LUMISTACK_TEST_PLUGINS", &folder))
 }
 

@@ -14,18 +14,9 @@ const OLDEST: (u32, u32) = (3, 11);
 /// the tools cannot be fetched.
 pub fn check() -> Outcome {
     let python = tools::python()?;
-    if !is_new_enough(&python) {
-        tools::skipped("python", &format!("the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1));
+    if let Err(error) = fetch(&python) {
+        tools::skipped("python", &error);
         return Ok(());
-    }
-    if !can_import(&python, "maturin, pytest, mypy") {
-        println!(
-            "fetching: maturin, pytest and mypy, in target/python (used only to build and check the Python package)"
-        );
-        if let Err(error) = install(&python, &TOOLS) {
-            tools::skipped("python", &format!("the tools of the package cannot be had: {error}"));
-            return Ok(());
-        }
     }
     let wheel = pack(&python)?;
     install(&python, &["--force-reinstall", "--no-deps", &wheel.to_string_lossy()])?;
@@ -33,6 +24,21 @@ pub fn check() -> Outcome {
     run(command(&python).args(["-m", "pytest", "-q", "--durations=5"]))?;
     run(command(&python).arg("examples/python/any_array.py"))?;
     measure(&python, &wheel)
+}
+
+/// Fetches what builds and checks the package.
+///
+/// # Errors
+/// Where this machine's Python is too old or the tools cannot be had.
+pub fn fetch(python: &Path) -> Outcome {
+    if !is_new_enough(python) {
+        return Err(format!("the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1));
+    }
+    if can_import(python, "maturin, pytest, mypy") {
+        return Ok(());
+    }
+    println!("fetching: maturin, pytest and mypy, in target/python (used only to build and check the Python package)");
+    install(python, &TOOLS).map_err(|error| format!("the tools of the package cannot be had: {error}"))
 }
 
 /// The wheel as users get it, in `target/wheels`.

@@ -16,7 +16,7 @@ pub fn cargo(arguments: &[&str]) -> Outcome {
     run(command("cargo").args(arguments))
 }
 
-/// What CI compiles: one selection of packages with one set of features, so that nothing is compiled twice. It has the windows of panels.
+/// What CI compiles, lints and documents: one selection of packages with one set of features, so that nothing is compiled twice. It has the windows of panels.
 pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugin-panels/window,lumistack-cli/panels"];
 
 /// Builds all programs, the Python module and all examples, among them the libraries of plugins, into `target/debug`.
@@ -51,7 +51,8 @@ pub fn skipped(check: &str, why: &str) {
     let line = format!("{check}: {}", why.replace('\n', " "));
     println!("skipped: {line}");
     let list = std::fs::OpenOptions::new().create(true).append(true).open(skip_list());
-    if let Err(error) = list.and_then(|mut list| writeln!(list, "{line}")) {
+    // one write, since steps run side by side
+    if let Err(error) = list.and_then(|mut list| list.write_all(format!("{line}\n").as_bytes())) {
         println!("{}: {error}", skip_list().display());
     }
 }

@@ -53,6 +53,15 @@ pub fn check() -> Outcome {
     browser_tests()
 }
 
+/// Fetches the browser and the npm packages.
+///
+/// # Errors
+/// When they cannot be had.
+pub fn fetch() -> Outcome {
+    npm_packages()?;
+    chromium().map(drop)
+}
+
 /// Builds the module into `web/pkg`.
 pub fn module() -> Outcome {
     if !tools::wasm_target() {

@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn every_row_of_the_table_names_a_test() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/gltf");
         let sources: Vec<(String, String)> = std::fs::read_dir(folder)
             .unwrap()
             .filter_map(|entry| {

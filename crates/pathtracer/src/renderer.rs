@@ -4,29 +4,30 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
-use lumistack_core::{Cancelled, Task, Tensor, seed};
+use lumistack_core::{Cancelled, Task, Tensor};
 use lumistack_display::{FieldGeometry, GridError};
 use lumistack_scene::{Image, Mesh, Pixels, Scene, Window};
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::bvh::{self, BEAM, Bvh, Ray, Stack};
+use crate::bvh::{self, Bvh, Stack};
 use crate::clamp::Clamped;
 use crate::geometry::{self, Geometry, Sharing};
 use crate::light::Lights;
 use crate::primary::PrimaryRays;
-use crate::sampler::SampleBank;
 use crate::settings::{AngularFilter, Settings, SettingsError};
 use crate::shading::Materials;
 use crate::tracer::{Tracer, traits};
 
+mod beams;
 mod checks;
 mod depth;
 mod features;
 mod misses;
 mod split;
 
+use beams::ViewSamples;
 #[cfg(test)]
 pub(crate) use checks::Check;
 pub use checks::Checks;
@@ -271,14 +272,10 @@ impl Renderer {
         task: Task<'_>,
         values: impl Fn(&PixelMean) -> [f32; K] + Sync,
     ) -> Result<Tensor<3>, RenderError> {
-        settings.check()?;
-        let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
-        let bank = SampleBank::new(settings.samples);
-        let view_seed = seed::derive(settings.seed, &[view[0] as u64, view[1] as u64]);
+        let samples = self.samples_of(window, geometry, view, settings)?;
         let (lost, clamped) = (AtomicU64::new(0), Clamped::default());
         let radiance = self.by_tiles(geometry, task, ["row", "col", "rgb"], |row, col, stack| {
-            let pixel_seed = seed::derive(view_seed, &[row as u64, col as u64]);
-            let pixel = self.pixel(&rays, row, col, &bank, pixel_seed, settings, &clamped, stack);
+            let pixel = self.pixel(&samples, [row, col], samples.pixel_seed(row, col), settings, &clamped, stack);
             if pixel.not_finite > 0 {
                 lost.fetch_add(u64::from(pixel.not_finite), Ordering::Relaxed);
             }
@@ -359,6 +356,19 @@ impl Renderer {
         Ok(PrimaryRays::new(window, geometry, view, self.geometry.space, slope_width, round))
     }
 
+    /// Samples of a view, `view` = [view_y, view_x], once the settings are checked.
+    fn samples_of<'a>(
+        &self,
+        window: &Window,
+        geometry: &'a FieldGeometry,
+        view: [usize; 2],
+        settings: &Settings,
+    ) -> Result<ViewSamples<'a>, RenderError> {
+        settings.check()?;
+        let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
+        Ok(ViewSamples::new(rays, view, settings))
+    }
+
     fn tracer(&self) -> Tracer<'_> {
         Tracer {
             geometry: &self.geometry,
@@ -373,26 +383,18 @@ impl Renderer {
     /// Renders a pixel.
     fn pixel(
         &self,
-        rays: &PrimaryRays<'_>,
-        row: usize,
-        col: usize,
-        bank: &SampleBank,
+        samples: &ViewSamples<'_>,
+        at: [usize; 2],
         pixel_seed: u64,
         settings: &Settings,
         clamped: &Clamped,
         stack: &mut Stack,
     ) -> PixelMean {
         let tracer = self.tracer();
-        let rays = rays.pixel(row, col);
         let (mut sum, mut squares) = ([0.0f64; 3], [0.0f64; 3]);
         let mut not_finite = 0;
-        let mut beam = [Ray::ANY; BEAM];
-        for first in (0..settings.samples).step_by(BEAM) {
-            let beam = &mut beam[..(settings.samples - first).min(BEAM as u32) as usize];
-            let draws = bank.draws(pixel_seed, first);
-            let (in_pixel, in_bin) = (draws.pair(0), draws.pair(1));
-            rays.fill(beam, |index| [centred(in_pixel.of(index)), centred(in_bin.of(index))]);
-            let radiance = tracer.radiance(beam, rays.cone, rays.in_bounds, settings, &draws, stack);
+        samples.for_each_beam(at, pixel_seed, |beam, rays, draws| {
+            let radiance = tracer.radiance(beam, rays.cone, rays.in_bounds, settings, draws, stack);
             for &sample in &radiance[..beam.len()] {
                 let sample = settings.clamp.map_or(sample, |limit| clamped.dim(sample, limit));
                 if sample.is_finite() {
@@ -404,7 +406,7 @@ impl Renderer {
                     not_finite += 1;
                 }
             }
-        }
+        });
         let finite = settings.samples - not_finite;
         let count = f64::from(finite.max(1));
         let variance = |c: usize| match finite {
@@ -451,11 +453,6 @@ impl Renderer {
         }
         Ok(image)
     }
-}
-
-/// Numbers in 0..1 as offsets from a centre.
-fn centred(pair: [f32; 2]) -> [f32; 2] {
-    pair.map(|u| u - 0.5)
 }
 
 fn scene_bytes(scene: &Scene) -> usize {

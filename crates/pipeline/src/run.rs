@@ -13,6 +13,7 @@ use crate::error::{FailedOutput, PipelineError};
 use crate::job::Job;
 use crate::plan::estimate;
 use crate::plan::execute::Executor;
+use crate::plan::execute::context::Context;
 use crate::plan::graph::add_displays;
 use crate::plan::sequence::add_times;
 use crate::plan::steps::{Kind, Plan};
@@ -103,7 +104,7 @@ pub fn run(
     let plan = of_run(job, run_dir)?;
     let mut executor = Executor::new(&plan, registry, command, task);
     executor.execute()?;
-    Ok(Summary { seconds: start.elapsed().as_secs_f64(), ..summary(&mut executor, job) })
+    Ok(Summary { seconds: start.elapsed().as_secs_f64(), ..summary(&mut executor.context, job) })
 }
 
 /// Executes one step of a job's plan in its run folder, as another process of the same run may do: results of the steps before are read back from the folder.
@@ -179,8 +180,8 @@ fn of_sweep(job: &Job, dir: &Path) -> Result<(Plan, Designs), PipelineError> {
 }
 
 /// What the parts of an executed plan have ended with.
-fn summary(executor: &mut Executor<'_>, job: &Job) -> Summary {
-    let plan = executor.plan;
+fn summary(context: &mut Context<'_>, job: &Job) -> Summary {
+    let plan = context.plan;
     let mut summary = Summary {
         report: plan.folder.join("report.html"),
         psnr_zone: None,
@@ -190,13 +191,13 @@ fn summary(executor: &mut Executor<'_>, job: &Job) -> Summary {
         psnr_held_out: None,
         psnr_outside: None,
         nodes: Vec::new(),
-        depth: executor.depth.as_ref().map(DepthBudget::to_json),
-        depth_sentence: executor.depth.as_ref().map(DepthBudget::sentence),
+        depth: context.depth.as_ref().map(DepthBudget::to_json),
+        depth_sentence: context.depth.as_ref().map(DepthBudget::sentence),
         sequence: None,
-        failed_outputs: std::mem::take(&mut executor.failed),
+        failed_outputs: std::mem::take(&mut context.failed),
         seconds: 0.0,
     };
-    if let Some(report) = executor.sequence.take() {
+    if let Some(report) = context.sequence.take() {
         let of_nodes = job.nodes.iter().zip(&report.series);
         summary.nodes = of_nodes
             .map(|(node, series)| NodeSummary {
@@ -216,8 +217,7 @@ fn summary(executor: &mut Executor<'_>, job: &Job) -> Summary {
         return summary;
     }
     let displays = if job.nodes.is_empty() { vec![0] } else { plan.within(0).collect() };
-    let reports =
-        displays.into_iter().filter_map(|part| Some((part, &executor.states[part].reported.as_ref()?.report)));
+    let reports = displays.into_iter().filter_map(|part| Some((part, &context.states[part].reported.as_ref()?.report)));
     for (number, (part, report)) in reports.enumerate() {
         if number == 0 {
             (summary.psnr_view, summary.psnr_raw) = (report.psnr_view, report.psnr_raw);

@@ -1,7 +1,7 @@
 //! Whether an output would accept its parameters and the display, asked before any work begins.
 
-use crate::serve::{LogLevel, Output, PluginKind, Services};
-use lumistack_core::{Cancel, Task};
+use crate::serve::{Output, PluginKind, Services};
+use lumistack_core::{NoProgress, Task};
 use lumistack_display::Display;
 use lumistack_plugin::{PluginError, Port};
 use serde_json::Value;
@@ -24,29 +24,23 @@ pub fn check_output(
     task.cancel.check().map_err(|_| HostError::Cancelled)?;
     let plugin = registry.output(id, false)?;
     let resolved = registry.check_params(id, params)?;
-    let host = Unused { cancel: task.cancel, port };
+    let host = Unused { task: Task { progress: &NoProgress, ..task }, port };
     let opened = Output::open(plugin, &host, &Value::Object(resolved), display);
     opened.map(drop).map_err(|error| HostError::of_plugin(PluginKind::Output, id, error))
 }
 
 /// A host on which nothing can be written.
 struct Unused<'a> {
-    cancel: &'a Cancel,
+    task: Task<'a>,
     port: Port,
 }
 
 impl Services for Unused<'_> {
-    fn log(&self, _level: LogLevel, _message: &str) {}
-
-    fn progress_begin(&self, _stage: &str, _total: u64, _unit: &str) {}
-
-    fn progress_advance(&self, _steps: u64, _note: &str) {}
-
-    fn progress_end(&self) {}
-
-    fn is_cancelled(&self) -> bool {
-        self.cancel.is_cancelled()
+    fn task(&self) -> Task<'_> {
+        self.task
     }
+
+    fn warn(&self, _message: &str) {}
 
     fn no_files(&self) -> PluginError {
         PluginError::Refused("an output writes files when it has data, not when it opens".into())
@@ -60,7 +54,7 @@ impl Services for Unused<'_> {
 #[cfg(all(test, feature = "transparencies", feature = "quilt", feature = "images"))]
 mod tests {
     use super::*;
-    use lumistack_core::Collector;
+    use lumistack_core::{Cancel, Collector};
     use lumistack_display::Layer;
     use serde_json::json;
 

@@ -6,7 +6,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use crate::serve::{LogLevel, Services, path_parts};
+use crate::serve::{Services, path_parts};
 use lumistack_core::Task;
 use lumistack_plugin::PluginError;
 
@@ -66,27 +66,12 @@ fn cannot(doing: &str, name: &str) -> impl FnOnce(io::Error) -> PluginError {
 }
 
 impl Services for DiskHost<'_> {
-    fn log(&self, level: LogLevel, message: &str) {
-        // what is merely informative has no place in a task
-        if matches!(level, LogLevel::Error | LogLevel::Warn) {
-            self.task.warn(format!("output `{}`", self.plugin), message);
-        }
+    fn task(&self) -> Task<'_> {
+        self.task
     }
 
-    fn progress_begin(&self, stage: &str, total: u64, unit: &str) {
-        self.task.progress.begin(stage, total, unit);
-    }
-
-    fn progress_advance(&self, steps: u64, note: &str) {
-        self.task.progress.advance(steps, note);
-    }
-
-    fn progress_end(&self) {
-        self.task.progress.end();
-    }
-
-    fn is_cancelled(&self) -> bool {
-        self.task.cancel.is_cancelled()
+    fn warn(&self, message: &str) {
+        self.task.warn(format!("output `{}`", self.plugin), message);
     }
 
     fn file_open(&self, path: &str) -> Result<u64, PluginError> {

@@ -5,7 +5,7 @@ use lumistack_display::{Display, LightField};
 use lumistack_plugin::{PluginError, Time};
 use serde_json::Value;
 
-use crate::serve::{self, LogLevel, Made, NodeData, Plugin, PluginKind, ReadAsset, Services};
+use crate::serve::{self, Made, NodeData, Plugin, PluginKind, ReadAsset, Services};
 use crate::{HostError, Registry};
 
 /// Has the importer `id` turn the file `file` into a glTF document, not yet validated. `read` reads that file and those beside it.
@@ -82,26 +82,12 @@ struct TaskHost<'a> {
 }
 
 impl Services for TaskHost<'_> {
-    fn log(&self, level: LogLevel, message: &str) {
-        if matches!(level, LogLevel::Error | LogLevel::Warn) {
-            self.task.warn(format!("{} `{}`", self.kind.name(), self.id), message);
-        }
+    fn task(&self) -> Task<'_> {
+        self.task
     }
 
-    fn progress_begin(&self, stage: &str, total: u64, unit: &str) {
-        self.task.progress.begin(stage, total, unit);
-    }
-
-    fn progress_advance(&self, steps: u64, note: &str) {
-        self.task.progress.advance(steps, note);
-    }
-
-    fn progress_end(&self) {
-        self.task.progress.end();
-    }
-
-    fn is_cancelled(&self) -> bool {
-        self.task.cancel.is_cancelled()
+    fn warn(&self, message: &str) {
+        self.task.warn(format!("{} `{}`", self.kind.name(), self.id), message);
     }
 
     fn no_files(&self) -> PluginError {

@@ -9,7 +9,7 @@ use lumistack_display::{Display, LayerStack};
 use lumistack_plugin::{PluginError, Time};
 use serde_json::Value;
 
-use crate::serve::{LogLevel, Output, OutputData, PluginKind, Services};
+use crate::serve::{Output, OutputData, PluginKind, Services};
 use crate::{HostError, Registry};
 
 /// Input of a presenter while it runs.
@@ -99,26 +99,12 @@ struct Audience<'a> {
 }
 
 impl Services for Audience<'_> {
-    fn log(&self, level: LogLevel, message: &str) {
-        if matches!(level, LogLevel::Error | LogLevel::Warn) {
-            (self.told)(Told::Warning(message));
-        }
+    fn task(&self) -> Task<'_> {
+        self.task
     }
 
-    fn progress_begin(&self, stage: &str, total: u64, unit: &str) {
-        self.task.progress.begin(stage, total, unit);
-    }
-
-    fn progress_advance(&self, steps: u64, note: &str) {
-        self.task.progress.advance(steps, note);
-    }
-
-    fn progress_end(&self) {
-        self.task.progress.end();
-    }
-
-    fn is_cancelled(&self) -> bool {
-        self.task.cancel.is_cancelled()
+    fn warn(&self, message: &str) {
+        (self.told)(Told::Warning(message));
     }
 
     fn tell(&self, event: &Value) {

@@ -21,7 +21,6 @@ pub struct Registry {
 
 /// A library, loaded when its plugin is first needed.
 #[derive(Debug)]
-#[cfg_attr(not(feature = "dynamic"), expect(dead_code, reason = "nobody adds one"))]
 pub(crate) struct Library {
     id: String,
     origin: Origin,

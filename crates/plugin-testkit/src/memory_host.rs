@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use lumistack_core::Cancel;
-
+use lumistack_core::{Cancel, Progress, Task, Warning, Warnings};
 use lumistack_plugin::PluginError;
 use lumistack_plugin_host::serve::{LogLevel, Services, path_parts};
 
@@ -92,25 +91,37 @@ fn not_open(file: u64) -> PluginError {
     PluginError::Refused(format!("file {file} is not open"))
 }
 
-impl Services for MemoryHost {
-    fn log(&self, level: LogLevel, message: &str) {
-        self.state().messages.push((level, message.into()));
-    }
-
-    fn progress_begin(&self, stage: &str, _total: u64, _unit: &str) {
+impl Progress for MemoryHost {
+    fn begin(&self, stage: &str, _total: u64, _unit: &str) {
         let mut state = self.state();
         state.stages.push(stage.into());
         state.depth += 1;
     }
 
-    fn progress_advance(&self, _steps: u64, _note: &str) {}
+    fn advance(&self, _steps: u64, _note: &str) {}
 
-    fn progress_end(&self) {
+    fn end(&self) {
         self.state().depth -= 1;
     }
+}
 
-    fn is_cancelled(&self) -> bool {
-        self.cancel.is_cancelled()
+impl Warnings for MemoryHost {
+    fn warn(&self, warning: Warning) {
+        Services::warn(self, &warning.message);
+    }
+}
+
+impl Services for MemoryHost {
+    fn task(&self) -> Task<'_> {
+        Task { progress: self, warnings: self, cancel: &self.cancel }
+    }
+
+    fn warn(&self, message: &str) {
+        self.log(LogLevel::Warn, message);
+    }
+
+    fn log(&self, level: LogLevel, message: &str) {
+        self.state().messages.push((level, message.into()));
     }
 
     fn file_open(&self, path: &str) -> Result<u64, PluginError> {

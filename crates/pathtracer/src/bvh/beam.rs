@@ -106,7 +106,7 @@ impl Bvh {
         unsafe {
             let beam = Beam::<V>::new(rays, self.extent);
             let mut sheared = Sheared::<V>::new(rays, &shear);
-            let postponed = stack.0.as_mut_ptr();
+            let (arrays, postponed) = (self.arrays(), stack.0.as_mut_ptr());
             *postponed = u64::from(self.root);
             let mut depth = 1;
             let mut blocks = 0;
@@ -119,7 +119,7 @@ impl Bvh {
                 }
                 let current = next as u32;
                 if current & LEAF == 0 {
-                    let node = self.nodes.get_unchecked(current as usize);
+                    let node = arrays.nodes.get_unchecked(current as usize);
                     let (t_near, mut entered) = beam.enters(&node.bounds, t_max);
                     let t_near: [f32; WIDTH] = t_near.to_array();
                     let base = depth;
@@ -142,7 +142,7 @@ impl Bvh {
                     sheared.write(hits);
                     return self.alone(rays, hits, stack, accept);
                 }
-                let block = self.blocks.get_unchecked((current & !LEAF) as usize);
+                let block = arrays.blocks.get_unchecked((current & !LEAF) as usize);
                 let (_, mut entered) = beam.enters(&bounds::<V>(block), t_max);
                 let mut is_met = false;
                 while entered != 0 {

@@ -12,7 +12,6 @@ use lumistack_scene::Window;
 
 use super::{RenderError, Renderer};
 use crate::clamp::Clamped;
-use crate::sampler::SampleBank;
 use crate::settings::Settings;
 
 /// Pixels from one check to the next.
@@ -48,9 +47,7 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<Checks, RenderError> {
-        settings.check()?;
-        let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
-        let bank = SampleBank::new(settings.samples);
+        let samples = self.samples_of(window, geometry, view, settings)?;
         let of_view = |stream: u64| seed::derive(settings.seed, &[stream, view[0] as u64, view[1] as u64]);
         let (places, radiance) = (of_view(PLACES), of_view(RADIANCE));
         let clamped = Clamped::default();
@@ -61,7 +58,7 @@ impl Renderer {
             }
             let mut render = |half: u64| {
                 let pixel_seed = seed::derive(radiance, &[row as u64, col as u64, half]);
-                self.pixel(&rays, row, col, &bank, pixel_seed, settings, &clamped, stack).mean.to_array()
+                self.pixel(&samples, [row, col], pixel_seed, settings, &clamped, stack).mean.to_array()
             };
             let ([a, b, c], [d, e, f]) = (render(0), render(1));
             [a, b, c, d, e, f]

@@ -8,7 +8,8 @@ use lumistack_core::{NoProgress, Task, Tensor, seed};
 use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
-use super::{RenderError, Renderer, centred};
+use super::beams::centred;
+use super::{RenderError, Renderer};
 use crate::sampler::SampleBank;
 use crate::settings::AngularFilter;
 

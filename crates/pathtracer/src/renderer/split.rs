@@ -8,14 +8,13 @@
 //! same rays and random numbers, that [`render_view`](Renderer::render_view) adds up.
 
 use glam::Vec3;
-use lumistack_core::{Task, Tensor, seed};
+use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
-use super::{RenderError, Renderer, centred};
-use crate::bvh::{BEAM, Ray};
+use super::{RenderError, Renderer};
+use crate::bvh::BEAM;
 use crate::clamp::Clamped;
-use crate::sampler::SampleBank;
 use crate::settings::Settings;
 use crate::tracer::First;
 
@@ -89,27 +88,17 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<SplitView, RenderError> {
-        settings.check()?;
-        let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
-        let bank = SampleBank::new(settings.samples);
-        let view_seed = seed::derive(settings.seed, &[view[0] as u64, view[1] as u64]);
+        let samples = self.samples_of(window, geometry, view, settings)?;
         let (space, clamped, tracer) = (self.geometry.space, Clamped::default(), self.tracer());
         let display_from_scene = window.scene_from_display.rotation.inverse().as_quat();
         let values = self.by_tiles(geometry, task, ["row", "col", "part"], |row, col, stack| {
-            let pixel_seed = seed::derive(view_seed, &[row as u64, col as u64]);
-            let rays = rays.pixel(row, col);
             let [mut diffuse, mut all, mut reflectance, mut normal] = [Vec3::ZERO; 4];
             let (mut z_mm, mut seen, mut finite) = (0.0, 0, 0);
-            let mut beam = [Ray::ANY; BEAM];
-            for start in (0..settings.samples).step_by(BEAM) {
-                let beam = &mut beam[..(settings.samples - start).min(BEAM as u32) as usize];
-                let draws = bank.draws(pixel_seed, start);
-                let (in_pixel, in_bin) = (draws.pair(0), draws.pair(1));
-                rays.fill(beam, |index| [centred(in_pixel.of(index)), centred(in_bin.of(index))]);
+            samples.for_each_beam([row, col], samples.pixel_seed(row, col), |beam, rays, draws| {
                 let mut first = [First::default(); BEAM];
                 let split = &mut first[..beam.len()];
                 let radiance =
-                    tracer.radiance_split::<true>(beam, rays.cone, rays.in_bounds, settings, &draws, stack, split);
+                    tracer.radiance_split::<true>(beam, rays.cone, rays.in_bounds, settings, draws, stack, split);
                 for (&sample, first) in radiance.iter().zip(split) {
                     if !(sample.is_finite() && first.diffuse.is_finite()) {
                         continue;
@@ -127,7 +116,7 @@ impl Renderer {
                         z_mm += window.scene_from_display.inverse_point(position).z as f32;
                     }
                 }
-            }
+            });
             let (share, count) = (1.0 / finite.max(1) as f32, 1.0 / seen.max(1) as f32);
             let (diffuse, all) = (share * diffuse, share * all);
             let [other, reflectance, normal] =

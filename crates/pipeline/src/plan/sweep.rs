@@ -133,8 +133,9 @@ pub(crate) fn execute(
     write_job(job, dir)?;
     let mut fields = Vec::new();
     for parts in &designs.fields {
-        let times = parts.iter().filter_map(|part| executor.states[*part].field.take()).collect::<Vec<Arc<_>>>();
-        let references = parts.first().and_then(|part| executor.states[*part].references.take());
+        let states = &mut executor.context.states;
+        let times = parts.iter().filter_map(|part| states[*part].field.take()).collect::<Vec<Arc<_>>>();
+        let references = parts.first().and_then(|part| states[*part].references.take());
         fields.push(if times.is_empty() { None } else { Some(Shared::new(times, references, job)?) });
     }
     let solver = Solver { job, fields, folder: dir.join("designs"), later: later(job), registry };

@@ -3,6 +3,7 @@
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use lumistack_core::Task;
 use lumistack_plugin::abi::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, View, level};
 use lumistack_plugin::wire::{answer, lent_bytes, lent_lossy, lent_text};
 use lumistack_plugin::{PluginError, Port};
@@ -25,16 +26,16 @@ pub enum LogLevel {
 
 /// What a host does for its plugins. Calls come from any thread.
 pub trait Services: Sync {
-    /// Takes a message.
-    fn log(&self, level: LogLevel, message: &str);
-    /// A stage of `total` steps of kind `unit` starts.
-    fn progress_begin(&self, stage: &str, total: u64, unit: &str);
-    /// Some steps are done.
-    fn progress_advance(&self, steps: u64, note: &str);
-    /// The stage has ended.
-    fn progress_end(&self);
-    /// Whether the user asked to stop.
-    fn is_cancelled(&self) -> bool;
+    /// The task for which the plugin works: its progress is that of the plugin, and its stop flag stops the plugin.
+    fn task(&self) -> Task<'_>;
+    /// Takes a message that the user should read.
+    fn warn(&self, message: &str);
+    /// Takes a message. A task has no place for one that is merely informative.
+    fn log(&self, level: LogLevel, message: &str) {
+        if matches!(level, LogLevel::Error | LogLevel::Warn) {
+            self.warn(message);
+        }
+    }
     /// Takes an event of a presenter.
     fn tell(&self, _event: &Value) {}
     /// Starts a file at a path relative to the output's folder; returns its handle.
@@ -120,22 +121,22 @@ unsafe extern "C" fn log<S: Services>(context: *const c_void, level: u32, messag
 
 unsafe extern "C" fn progress_begin<S: Services>(context: *const c_void, stage: Str, total: u64, unit: Str) {
     // SAFETY: as in `log`.
-    contained(|| unsafe { services::<S>(context).progress_begin(&lent_lossy(stage), total, &lent_lossy(unit)) });
+    contained(|| unsafe { services::<S>(context).task().progress.begin(&lent_lossy(stage), total, &lent_lossy(unit)) });
 }
 
 unsafe extern "C" fn progress_advance<S: Services>(context: *const c_void, steps: u64, note: Str) {
     // SAFETY: as in `log`.
-    contained(|| unsafe { services::<S>(context).progress_advance(steps, &lent_lossy(note)) });
+    contained(|| unsafe { services::<S>(context).task().progress.advance(steps, &lent_lossy(note)) });
 }
 
 unsafe extern "C" fn progress_end<S: Services>(context: *const c_void) {
     // SAFETY: as in `log`.
-    contained(|| unsafe { services::<S>(context).progress_end() });
+    contained(|| unsafe { services::<S>(context).task().progress.end() });
 }
 
 unsafe extern "C" fn is_cancelled<S: Services>(context: *const c_void) -> u8 {
     // SAFETY: as in `log`.
-    contained(|| unsafe { services::<S>(context).is_cancelled() }).map_or(1, u8::from)
+    contained(|| unsafe { services::<S>(context).task().cancel.is_cancelled() }).map_or(1, u8::from)
 }
 
 unsafe extern "C" fn file_open<S: Services>(

@@ -1,0 +1,53 @@
+//! Rays of a view's samples. Everything that is computed of those samples takes the same rays and the same random numbers.
+
+use lumistack_core::seed;
+
+use crate::bvh::{BEAM, Ray};
+use crate::primary::{PixelRays, PrimaryRays};
+use crate::sampler::{Draws, SampleBank};
+use crate::settings::Settings;
+
+/// Samples of a view.
+pub(super) struct ViewSamples<'a> {
+    rays: PrimaryRays<'a>,
+    bank: SampleBank,
+    count: u32,
+    seed: u64,
+}
+
+impl<'a> ViewSamples<'a> {
+    /// As many samples per pixel as the settings have; `view` = [view_y, view_x].
+    pub(super) fn new(rays: PrimaryRays<'a>, view: [usize; 2], settings: &Settings) -> Self {
+        let seed = seed::derive(settings.seed, &[view[0] as u64, view[1] as u64]);
+        Self { rays, bank: SampleBank::new(settings.samples), count: settings.samples, seed }
+    }
+
+    /// Seed of a pixel's random numbers.
+    pub(super) fn pixel_seed(&self, row: usize, col: usize) -> u64 {
+        seed::derive(self.seed, &[row as u64, col as u64])
+    }
+
+    /// Calls `take` with the rays of a pixel, at most [`BEAM`] at once, and with their random numbers, which follow from `pixel_seed`.
+    #[inline]
+    pub(super) fn for_each_beam(
+        &self,
+        [row, col]: [usize; 2],
+        pixel_seed: u64,
+        mut take: impl FnMut(&mut [Ray], &PixelRays, &Draws<'_>),
+    ) {
+        let pixel = self.rays.pixel(row, col);
+        let mut beam = [Ray::ANY; BEAM];
+        for first in (0..self.count).step_by(BEAM) {
+            let beam = &mut beam[..(self.count - first).min(BEAM as u32) as usize];
+            let draws = self.bank.draws(pixel_seed, first);
+            let (in_pixel, in_bin) = (draws.pair(0), draws.pair(1));
+            pixel.fill(beam, |index| [centred(in_pixel.of(index)), centred(in_bin.of(index))]);
+            take(beam, &pixel, &draws);
+        }
+    }
+}
+
+/// Numbers in 0..1 as offsets from a centre.
+pub(super) fn centred(pair: [f32; 2]) -> [f32; 2] {
+    pair.map(|u| u - 0.5)
+}

@@ -1,0 +1,181 @@
+//! The denoiser on rendered views, against long renders: what it tells of itself is true, means stay, edges stay.
+
+use crate::common::{Builder, WINDOW_MM, glowing, matt, rectangle, window};
+use glam::{Quat, Vec3, Vec4};
+use lumistack_core::{Cancel, Collector, Task, Tensor};
+use lumistack_display::{FieldGeometry, Projection, ViewGrid};
+use lumistack_pathtracer::denoise::{Estimate, NoisyView, SharedLight, Window, denoise, figures};
+use lumistack_pathtracer::{AngularFilter, Renderer, Settings, SplitView};
+use lumistack_scene::Material;
+
+const SIZE: usize = 64;
+/// Column of the edge of the pole, whose depth, and of the back wall, whose colour changes.
+const POLE: usize = 16;
+const COLOUR: usize = 44;
+
+/// A corner of a room: a back wall of two colours, a floor, and a pole before the wall, lit by a lamp and a dim sky.
+fn room() -> Renderer {
+    let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);
+    let mut builder = Builder::default();
+    let wall = |left: f32, right: f32| {
+        rectangle(Vec3::new(0.5 * (left + right), 0.0, -0.4), 0.5 * (right - left) * Vec3::X, 2.0 * Vec3::Y)
+    };
+    builder.add(wall(-2.0, x(COLOUR)), matt(0.2));
+    builder.add(wall(x(COLOUR), 2.0), matt(0.8));
+    builder.add(rectangle(Vec3::new(0.0, -0.7, 0.0), 2.0 * Vec3::X, 0.6 * Vec3::NEG_Z), matt(0.5));
+    let pole = rectangle(Vec3::new(x(POLE) - 0.1, 0.2, 0.0), 0.1 * Vec3::X, 0.5 * Vec3::Y);
+    builder.add(pole, matt(0.7));
+    // faces down and forwards, above the picture
+    let turn = Quat::from_rotation_x(0.6);
+    builder.add(
+        rectangle(Vec3::new(0.3, 1.6, 0.8), turn * (0.3 * Vec3::X), turn * (0.3 * Vec3::Z)),
+        glowing(Vec3::splat(20.0)),
+    );
+    builder.sky(&[0.2]);
+    builder.renderer()
+}
+
+fn geometry() -> FieldGeometry {
+    let grid = ViewGrid::uniform(Projection::Oblique, [3, 1], [12.0, 1.0]).unwrap();
+    FieldGeometry { rows: SIZE, cols: SIZE, pitch_mm: WINDOW_MM / SIZE as f64, grid }
+}
+
+fn render(renderer: &Renderer, view: [usize; 2], samples: u32, seed: u64) -> Tensor<3> {
+    let (collector, cancel) = (Collector::default(), Cancel::default());
+    let settings = Settings { samples, seed, ..Settings::default() };
+    renderer.render_view(&window(), &geometry(), view, &settings, Task::quiet(&collector, &cancel)).unwrap()
+}
+
+fn mean(picture: &Tensor<3>) -> f64 {
+    picture.data().iter().map(|value| f64::from(*value)).sum::<f64>() / picture.data().len() as f64
+}
+
+/// Mean of a column between the floor and the top of the pole.
+fn column(picture: &Tensor<3>, col: usize) -> f64 {
+    (20..40).map(|row| f64::from(picture.get([row, col, 0]))).sum::<f64>() / 20.0
+}
+
+#[test]
+fn the_report_is_true_and_means_and_edges_stay() {
+    let (collector, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&collector, &cancel);
+    let (renderer, geometry) = (room(), geometry());
+    let samples = 4;
+    let places: Vec<[usize; 2]> = geometry.grid.iter().collect();
+    let views: Vec<NoisyView> = places
+        .iter()
+        .map(|&view| NoisyView {
+            halves: [1, 2].map(|seed| render(&renderer, view, samples / 2, seed)),
+            features: renderer.render_features(&window(), &geometry, view, 16, AngularFilter::Point, task).unwrap(),
+        })
+        .collect();
+    let filtered = denoise(&geometry, &views, Window::default(), task).unwrap();
+    let (mut told, mut before, mut after) = (Vec::new(), 0.0, 0.0);
+    for ((&view, noisy), picture) in places.iter().zip(&views).zip(&filtered) {
+        let settings = Settings { samples: 16, ..Settings::default() };
+        let checks = renderer.render_checks(&window(), &geometry, view, &settings, task).unwrap();
+        told.push(figures(picture, &noisy.mean(), &checks));
+        // two long renders: the product of differences is free of their noise
+        let [a, b] = [11, 12].map(|seed| render(&renderer, view, 256, seed));
+        let error = |picture: &Tensor<3>| {
+            let pixels = picture.data().iter().zip(a.data()).zip(b.data());
+            let sum: f64 = pixels.map(|((f, a), b)| f64::from(f - a) * f64::from(f - b)).sum();
+            sum / (a.data().len() * places.len()) as f64
+        };
+        before += error(&noisy.mean());
+        after += error(picture);
+        let truth = 0.5 * (mean(&a) + mean(&b));
+        assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
+        // either side of both edges of the middle view, where they stand between two columns, and the columns beside
+        for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
+            let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
+            assert!((found / truth - 1.0).abs() < 0.08, "view {view:?}, column {col}: {found} instead of {truth}");
+        }
+    }
+    let [told_before, told_after] =
+        [Estimate::joined(told.iter().map(|f| f.mse_before)), Estimate::joined(told.iter().map(|f| f.mse_after))];
+    println!("{before} {told_before:?} {}, {after} {told_after:?} {}", told_before.error(), told_after.error());
+    // four standard errors: a false alarm in one of 16,000, were it not for fixed seeds
+    assert!((told_before.value() - before).abs() < 4.0 * told_before.error(), "{before} {told_before:?}");
+    assert!((told_after.value() - after).abs() < 4.0 * told_after.error(), "{after} {told_after:?}");
+    assert!(after < 0.35 * before, "{after} of {before}");
+    assert!(told_after.error() < 0.2 * before, "{told_after:?}");
+}
+
+/// Both parts of a view add up to the view itself; matt surfaces have one part, mirrors the other.
+#[test]
+fn parts_add_up_to_the_view() {
+    let (collector, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&collector, &cancel);
+    let geometry = geometry();
+    let metal = Material { metallic: 1.0, roughness: 0.4, ..Material::default() };
+    let plastic =
+        Material { base_color: Vec4::new(0.8, 0.3, 0.1, 1.0), metallic: 0.0, roughness: 0.3, ..Material::default() };
+    for (material, least, most) in [(matt(0.6), 1.0, 1.0), (metal, 0.0, 0.0), (plastic, 0.5, 0.98)] {
+        let mut builder = Builder::default();
+        builder.add(rectangle(Vec3::new(0.0, 0.0, -0.3), 4.0 * Vec3::X, 4.0 * Vec3::Y), material);
+        builder.add(rectangle(Vec3::new(0.4, 2.5, 1.2), 0.5 * Vec3::X, 0.5 * Vec3::Z), glowing(Vec3::splat(9.0)));
+        builder.sky(&[0.4]);
+        let renderer = builder.renderer();
+        let settings = Settings { samples: 5, seed: 3, ..Settings::default() };
+        let whole = renderer.render_view(&window(), &geometry, [0, 1], &settings, task).unwrap();
+        let split = renderer.render_split(&window(), &geometry, [0, 1], &settings, task).unwrap();
+        for (a, b) in split.radiance().data().iter().zip(whole.data()) {
+            assert!((a - b).abs() <= 1e-5 * b.max(1.0), "{a} {b}");
+        }
+        let diffuse: f32 = split.values().data().chunks(SplitView::VALUES).map(|v| v[0] + v[1] + v[2]).sum();
+        let share = diffuse / whole.data().iter().sum::<f32>();
+        assert!(share >= least - 1e-5 && share <= most + 1e-5, "{share} of {least} to {most}");
+    }
+}
+
+/// What the views of a room share lowers the error of every one; means and edges stay.
+#[test]
+fn shared_light_has_the_samples_of_all_views() {
+    let (collector, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&collector, &cancel);
+    let renderer = room();
+    let grid = ViewGrid::uniform(Projection::Oblique, [7, 5], [12.0, 8.0]).unwrap();
+    let geometry = geometry().with_grid(grid);
+    let settings = Settings { samples: 4, seed: 5, ..Settings::default() };
+    let views: Vec<_> = geometry.grid.iter().collect();
+    let split = |&view: &[usize; 2]| renderer.render_split(&window(), &geometry, view, &settings, task).unwrap();
+    let splits: Vec<SplitView> = views.iter().map(split).collect();
+    let share = |geometry: &FieldGeometry, splits: &[SplitView]| -> Vec<Tensor<3>> {
+        let mut light = SharedLight::new(geometry);
+        splits.iter().for_each(|split| light.add(split));
+        light.averaged(task).unwrap().iter().zip(splits).map(|(light, split)| light.on(split)).collect()
+    };
+    let shared = share(&geometry, &splits);
+    let (mut before, mut after) = (0.0, 0.0);
+    for number in [0, 17, 34] {
+        let (view, picture) = (views[number], &shared[number]);
+        let [a, b] = [11, 12].map(|seed| {
+            let settings = Settings { samples: 256, seed, ..Settings::default() };
+            renderer.render_view(&window(), &geometry, view, &settings, task).unwrap()
+        });
+        let error = |picture: &Tensor<3>| {
+            let pixels = picture.data().iter().zip(a.data()).zip(b.data());
+            pixels.map(|((f, a), b)| f64::from(f - a) * f64::from(f - b)).sum::<f64>() / a.data().len() as f64
+        };
+        before += error(&splits[number].radiance());
+        after += error(picture);
+        let truth = 0.5 * (mean(&a) + mean(&b));
+        assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
+        if view == [2, 3] {
+            for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
+                let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
+                assert!((found / truth - 1.0).abs() < 0.08, "column {col}: {found} instead of {truth}");
+            }
+        }
+    }
+    println!("{before} {after}");
+    // of 35 views; what stays is the noise of edges inside of pixels, and of what few views see
+    assert!(after < 0.35 * before, "{before} {after}");
+    // no other view, nothing to share
+    let alone = geometry.with_grid(ViewGrid::single(Projection::Oblique, [0.0; 2]));
+    let same = share(&alone, &splits[..1]);
+    for (a, b) in same[0].data().iter().zip(splits[0].radiance().data()) {
+        assert!((a - b).abs() <= 1e-5 * b.max(1.0));
+    }
+}

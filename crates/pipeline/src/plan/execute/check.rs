@@ -1,0 +1,51 @@
+//! Checks of a plan before any work: an error is found before an hour of rendering, not after.
+
+use lumistack_plugin_host::PluginKind;
+
+use super::context::Context;
+use crate::error::{PipelineError, display_error};
+use crate::plan::steps::Kind;
+use crate::stage::{factorize, node, output};
+use crate::store::files::check_folder;
+
+impl Context<'_> {
+    /// Checks jobs, displays, settings and outputs of all parts.
+    ///
+    /// # Errors
+    /// The first of them that makes no sense.
+    pub(super) fn check(&mut self) -> Result<(), PipelineError> {
+        let plan = self.plan;
+        for (number, part) in plan.parts.iter().enumerate() {
+            let job = &part.job;
+            match (&part.kind, part.parent) {
+                (Kind::Time(_), _) => continue,
+                (Kind::Node(_), Some(parent)) if matches!(plan.parts[parent].kind, Kind::Time(time) if time > 0) => {
+                    continue;
+                }
+                (Kind::Sweep, _) => continue,
+                (Kind::Node(_), _) => {}
+                _ => job.check()?,
+            }
+            let display = job.resolve_display()?;
+            factorize::check(&job.factorize)?;
+            if let Some(source) = &job.source {
+                self.registry.get_kind(&source.plugin, PluginKind::Source).map_err(PipelineError::Output)?;
+                let params = source.params.clone().into();
+                self.registry.check_params(&source.plugin, &params).map_err(PipelineError::Output)?;
+            }
+            output::check(job, self.registry)?;
+            check_folder(&self.dir(number))?;
+            for node in &job.nodes {
+                node::check(node, self.registry)?;
+            }
+            if job.scene.is_some() && !matches!(part.kind, Kind::Node(_)) {
+                self.open_outputs(
+                    job,
+                    &display,
+                    &display.geometry().map_err(|source| display_error(source, "field"))?,
+                )?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,179 @@
+//! The memory of an execution: what the steps of each part have left for those after them.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use lumistack_core::{Task, Warning};
+use lumistack_display::{Display, FieldGeometry, Weights};
+use lumistack_plugin_host::Registry;
+use lumistack_report::{DepthBudget, Output, Report, SequenceReport, SequenceTime, Stage, Thumbnail};
+
+use crate::error::{FailedOutput, PipelineError};
+use crate::job::Job;
+use crate::plan::graph::job_of;
+use crate::plan::steps::{Kind, Plan};
+use crate::plan::times::{Begun, name};
+use crate::stage::factorize::Solved;
+use crate::stage::field::Field;
+use crate::stage::flicker::TimeError;
+use crate::stage::ingest::Ingested;
+use crate::stage::look::Look;
+use crate::stage::place::Placement;
+use crate::stage::score::References;
+use crate::stage::trace::Traced;
+use crate::store::lock::Owned;
+use crate::store::stamps::Stamps;
+
+/// Patterns of a display, and what they were made for.
+pub(crate) struct Patterns {
+    pub(super) display: Display,
+    pub(super) weights: Weights,
+    pub(super) solved: Solved,
+    pub(super) cached: bool,
+}
+
+/// Figures of a display, and pictures for the report of all.
+pub(crate) struct Reported {
+    pub(crate) report: Report,
+    pub(super) shown: Option<[Thumbnail; 2]>,
+}
+
+/// Results of the steps of a part.
+#[derive(Default)]
+pub(crate) struct State {
+    pub(super) job: Option<Arc<Job>>,
+    pub(super) owned: Option<Owned>,
+    pub(super) ingested: Option<Arc<Ingested>>,
+    pub(super) placement: Option<Placement>,
+    pub(super) traced: Option<Arc<Traced>>,
+    pub(crate) field: Option<Arc<Field>>,
+    /// Of the field, once it is dropped.
+    pub(super) look: Option<Look>,
+    pub(super) geometry: Option<FieldGeometry>,
+    pub(crate) references: Option<Arc<References>>,
+    pub(super) patterns: Option<Arc<Patterns>>,
+    pub(super) brightness: f64,
+    pub(super) outputs: Vec<Output>,
+    pub(super) measured: Option<(TimeError, String)>,
+    pub(crate) reported: Option<Reported>,
+    pub(super) entry: Option<SequenceTime>,
+    pub(super) stages: Vec<Stage>,
+    /// Folders of cached views.
+    pub(super) views: Vec<PathBuf>,
+}
+
+/// An execution: its plan, and the results of every part in memory.
+pub(crate) struct Context<'a> {
+    pub(crate) plan: &'a Plan,
+    pub(super) registry: &'a Registry,
+    pub(super) command: Option<&'a str>,
+    pub(super) task: Task<'a>,
+    pub(crate) states: Vec<State>,
+    pub(super) warned: Vec<(usize, Warning)>,
+    pub(crate) failed: Vec<FailedOutput>,
+    pub(crate) sequence: Option<SequenceReport>,
+    /// How the scene's depth fits the job's own display.
+    pub(crate) depth: Option<DepthBudget>,
+}
+
+impl<'a> Context<'a> {
+    pub(super) fn new(plan: &'a Plan, registry: &'a Registry, command: Option<&'a str>, task: Task<'a>) -> Self {
+        Self {
+            plan,
+            registry,
+            command,
+            task,
+            states: plan.parts.iter().map(|_| State::default()).collect(),
+            warned: Vec::new(),
+            failed: Vec::new(),
+            sequence: None,
+            depth: None,
+        }
+    }
+
+    /// Folder of a part.
+    pub(super) fn dir(&self, part: usize) -> PathBuf {
+        self.plan.folder.join(&self.plan.parts[part].folder)
+    }
+
+    pub(super) fn stamps(&self, part: usize) -> Stamps {
+        Stamps::new(&self.dir(part))
+    }
+
+    /// Where a part keeps what it placed and handed over: a sequence in the folder of its first time.
+    pub(super) fn cache(&self, part: usize) -> PathBuf {
+        match self.plan.parts[part].kind {
+            Kind::Sequence(_) => self.dir(part).join(name(0)).join("cache"),
+            _ => self.dir(part).join("cache"),
+        }
+    }
+
+    /// The job of a part, with what has become known of it.
+    pub(super) fn job(&mut self, part: usize) -> Arc<Job> {
+        if let Some(job) = &self.states[part].job {
+            return job.clone();
+        }
+        let plan = self.plan;
+        let of_part = &plan.parts[part];
+        let job = match (&of_part.kind, of_part.parent) {
+            (Kind::Time(time), Some(sequence)) => match &plan.parts[sequence].kind {
+                Kind::Sequence(times) => {
+                    let before = time.checked_sub(1).map(|before| self.dir(sequence).join(name(before)));
+                    let state = &self.states[sequence];
+                    let look = plan.at_time(part, 0).and_then(|first| self.states[first].look);
+                    let begun = state.placement.zip(state.ingested.as_ref());
+                    let begun = begun.map(|(placement, ingested)| Begun { placement, studio: ingested.studio, look });
+                    times.job(&plan.parts[sequence].job, *time, before.as_deref(), begun)
+                }
+                _ => of_part.job.clone(),
+            },
+            (Kind::Node(_), Some(parent)) => {
+                let around = self.job(parent);
+                plan.node(part)
+                    .and_then(|node| around.nodes.iter().find(|other| other.id == node.id))
+                    .map_or_else(|| of_part.job.clone(), |node| job_of(&around, node))
+            }
+            _ => of_part.job.clone(),
+        };
+        let job = Arc::new(job);
+        self.states[part].job = Some(job.clone());
+        job
+    }
+
+    /// A result of a part, which a step before has left.
+    pub(super) fn of<T>(
+        &self,
+        part: usize,
+        what: &str,
+        take: impl Fn(&State) -> Option<T>,
+    ) -> Result<T, PipelineError> {
+        let place = &self.plan.parts[part].folder;
+        take(&self.states[part])
+            .ok_or_else(|| PipelineError::value(place, "plan", format!("{what} from a step before"), "none"))
+    }
+
+    /// The scene of a part: its own, or that which all times share.
+    pub(super) fn ingested(&self, part: usize) -> Result<Arc<Ingested>, PipelineError> {
+        let shared = |state: &State| state.ingested.clone();
+        let above = self.plan.time(part).map(|(_, sequence)| sequence);
+        let own = shared(&self.states[part]).or_else(|| above.and_then(|above| shared(&self.states[above])));
+        own.ok_or_else(|| PipelineError::job("scene", "a scene", "none"))
+    }
+
+    pub(super) fn field(&self, part: usize) -> Result<Arc<Field>, PipelineError> {
+        self.of(self.plan.field_part(part), "a light field", |state| state.field.clone())
+    }
+
+    pub(super) fn source_of(&self, part: usize, time: usize) -> String {
+        let Some((_, sequence)) = self.plan.time(part) else { return String::new() };
+        match &self.plan.parts[sequence].kind {
+            Kind::Sequence(times) => times.source(&self.plan.parts[sequence].job, time),
+            _ => String::new(),
+        }
+    }
+
+    /// Warnings of a part and of those whose results it takes, in the order in which they came.
+    pub(super) fn warnings(&self, concerns: impl Fn(usize) -> bool) -> Vec<Warning> {
+        self.warned.iter().filter(|(part, _)| concerns(*part)).map(|(_, warning)| warning.clone()).collect()
+    }
+}

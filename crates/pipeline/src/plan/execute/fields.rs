@@ -1,0 +1,169 @@
+//! Steps from a scene, a file or a source to the light field.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use lumistack_core::Task;
+use lumistack_display::{Display, FieldGeometry};
+use serde_json::json;
+
+use super::context::Context;
+use crate::error::{PipelineError, display_error};
+use crate::job::Job;
+use crate::plan::steps::Kind;
+use crate::stage::field::{Field, check_geometry};
+use crate::stage::fields::Shot;
+use crate::stage::ingest::Ingested;
+use crate::stage::place::Placement;
+use crate::stage::score::References;
+use crate::stage::{denoise, expose, ingest, place, read, score, source, trace};
+use crate::store::settings::{write_display, write_job};
+use crate::view_options::ViewOptions;
+
+impl Context<'_> {
+    /// Loads the scene.
+    pub(super) fn ingest(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
+        let job = self.job(part);
+        let pose = match &self.plan.parts[part].kind {
+            Kind::Sequence(times) => times.first_pose(&job),
+            _ => job.pose.clone(),
+        };
+        let scene = job.scene.as_ref().ok_or_else(|| PipelineError::job("scene", "a scene", "none"))?;
+        let cache = self.cache(part);
+        let loaded = ingest::load_scene(scene, &pose, &job.importer, self.registry, &job.light, Some(&cache), task)?;
+        self.states[part].ingested = Some(Arc::new(loaded));
+        Ok(false)
+    }
+
+    /// Places the window in the scene.
+    pub(super) fn place(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
+        let job = self.job(part);
+        let ingested = self.ingested(part)?;
+        let display = job.resolve_display()?;
+        let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+        let cache = self.cache(part);
+        let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
+        self.states[part].placement = Some(placement);
+        Ok(false)
+    }
+
+    /// Renders the views.
+    pub(super) fn trace(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
+        let of = self.shot(part)?;
+        let views = self.dir(part).join("cache/views");
+        let (traced, cached) = trace::run(of.shot(), &ViewOptions::default(), &views, task)?;
+        self.states[part].traced = Some(Arc::new(traced));
+        Ok(cached)
+    }
+
+    /// Filters the views.
+    pub(super) fn denoise(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
+        let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
+        denoise::run(of.shot(), &traced.fields, task)
+    }
+
+    /// Exposes the views: the light field.
+    pub(super) fn expose(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
+        let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
+        let exposed = expose::run(of.shot(), &traced, false, task)?;
+        let path = of.job.scene.clone().unwrap_or_default();
+        let stamps = self.stamps(part);
+        let field = Field::of_scene(&path, of.shot(), &traced, exposed, &of.display, &stamps, task)?;
+        self.take_field(part, field)?;
+        Ok(true)
+    }
+
+    /// Renders the scene's pictures for the zone score.
+    pub(super) fn score(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
+        let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
+        let look = self.of(part, "an exposure", |state| state.look)?;
+        let zone = score::zone_of(&of.job, &of.display, &of.geometry);
+        let views = self.dir(part).join("cache/views");
+        let made = References::render(of.shot(), &zone, (look, traced.engine), &views, task)?;
+        let cached = made.as_ref().is_none_or(|references| references.cached);
+        let state = &mut self.states[part];
+        state.views.extend(made.as_ref().and_then(|references| references.folder()).map(Path::to_owned));
+        state.references = made.map(Arc::new);
+        Ok(cached)
+    }
+
+    /// Reads a light field from a file.
+    pub(super) fn read(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
+        let job = self.job(part);
+        let path = job.light_field.clone().unwrap_or_default();
+        let display = job.resolve_display()?;
+        let (target, left_out) = read::run(&path, &job, &display, task)?;
+        self.check_geometry(part, &path, target.geometry())?;
+        self.states[part].references = References::left_out(target.geometry(), left_out).map(Arc::new);
+        let about = json!({ "light field": path.display().to_string() });
+        let field = Field::of_given(target, &path, about, &display, &self.stamps(part), task)?;
+        self.open_outputs(&job, &field.display, field.target.geometry())?;
+        self.take_field(part, field)?;
+        Ok(false)
+    }
+
+    /// Takes a light field from a source plugin.
+    pub(super) fn source(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
+        let job = self.job(part);
+        let source = job.source.clone();
+        let source = source.ok_or_else(|| PipelineError::job("scene", Job::INPUTS, "none"))?;
+        let (display, stamps, path) = (job.resolve_display()?, self.stamps(part), PathBuf::from(&source.plugin));
+        let (target, kept, cached) = source::run(&source, &display, &stamps, self.registry, task)?;
+        self.check_geometry(part, &path, target.geometry())?;
+        let about = json!({ "source": source.plugin, "time (s)": source.time_s });
+        let field = Field::of_given(target, &path, about, &display, &stamps, task)?;
+        kept.write(&stamps)?;
+        self.open_outputs(&job, &field.display, field.target.geometry())?;
+        self.take_field(part, field)?;
+        Ok(cached)
+    }
+
+    fn shot(&mut self, part: usize) -> Result<OwnShot, PipelineError> {
+        let (job, ingested) = (self.job(part), self.ingested(part)?);
+        let placement = self.of(part, "a window", |state| state.placement)?;
+        let display = job.resolve_display()?;
+        let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+        Ok(OwnShot { job, ingested, placement, display, geometry })
+    }
+
+    fn check_geometry(&self, part: usize, path: &Path, found: &FieldGeometry) -> Result<(), PipelineError> {
+        let Some((time, _)) = self.plan.time(part).filter(|(time, _)| *time > 0) else { return Ok(()) };
+        // all have the first one's, so the time before has it, too
+        let first = self.plan.at_time(part, 0).and_then(|first| self.states[first].geometry.as_ref());
+        first.map_or(Ok(()), |expected| check_geometry(path, found, expected, &self.source_of(part, time - 1)))
+    }
+
+    /// Keeps a light field; one that several nodes share writes its settings and takes the older report away.
+    fn take_field(&mut self, part: usize, field: Field) -> Result<(), PipelineError> {
+        let job = self.job(part);
+        if !job.nodes.is_empty() && !matches!(self.plan.parts[0].kind, Kind::Sweep) {
+            let dir = self.dir(part);
+            write_job(&job, &dir)?;
+            write_display(&dir.join("display.toml"), &field.display)?;
+        }
+        if self.plan.parts[part].parent.is_none() {
+            self.depth.clone_from(&field.depth);
+        }
+        let state = &mut self.states[part];
+        (state.look, state.geometry) = (field.look, Some(field.target.geometry().clone()));
+        state.views.clone_from(&field.views);
+        state.field = Some(Arc::new(field));
+        Ok(())
+    }
+}
+
+/// A shot with all that it is made of.
+struct OwnShot {
+    job: Arc<Job>,
+    ingested: Arc<Ingested>,
+    placement: Placement,
+    display: Display,
+    geometry: FieldGeometry,
+}
+
+impl OwnShot {
+    fn shot(&self) -> Shot<'_> {
+        let Self { job, ingested, placement, display, geometry } = self;
+        Shot { job, ingested, placement, geometry, footprint: display.angular_footprint() }
+    }
+}

@@ -1,0 +1,99 @@
+//! The step from a light field to the patterns of a display, by the factorizer or a node plugin.
+
+use std::sync::Arc;
+
+use lumistack_core::Task;
+
+use super::context::{Context, Patterns};
+use crate::error::PipelineError;
+use crate::job::{FactorizeJob, Job};
+use crate::plan::steps::Kind;
+use crate::stage::factorize::Solve;
+use crate::stage::node::Given;
+use crate::stage::{factorize, field, node};
+use crate::store::files::remove_reports;
+use crate::store::settings::{write_display, write_job};
+
+impl Context<'_> {
+    pub(super) fn patterns(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
+        let (plan, mut job, field, stamps) = (self.plan, self.job(part), self.field(part)?, self.stamps(part));
+        let of_node = plan.node(part);
+        let display = match of_node {
+            None => field.display.clone(),
+            Some(of_node) => {
+                let own = job.resolve_display()?;
+                let (display, change) = node::display(of_node, &own, &field.display, field.target.geometry())?;
+                if let Some(change) = change {
+                    task.warn(format!("node {}", of_node.id), change);
+                }
+                display
+            }
+        };
+        // a preset is a design, of which report and `info` tell the rate; who has a display of his own has panels
+        if let Some(message) = display.flicker_warning().filter(|_| job.display.file.is_some()) {
+            task.warn("display", message);
+        }
+        let weights = field::weights(&job.factorize, &field.target)?;
+        let target = &field.target;
+        let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
+            Some(node) => {
+                let given = Given { node, seed: job.seed, display: &display, target, weights: &weights };
+                node::run(given, &stamps, self.registry, task)?
+            }
+            None => {
+                let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
+                let afresh = match self.fresh(part) {
+                    Some(fresh) if factorize::prefers_fresh(solve, &fresh, &stamps, task)? => Some(fresh),
+                    _ => None,
+                };
+                if let Some(fresh) = afresh {
+                    job = self.begins_afresh(part, fresh)?;
+                }
+                let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
+                factorize::run(solve, &stamps, task)?
+            }
+        };
+        // only now: a run that was stopped before has left the older settings, patterns and report together
+        let dir = self.dir(part);
+        if of_node.is_none() {
+            write_job(&job, &dir)?;
+        }
+        write_display(&dir.join("display.toml"), &display)?;
+        let mut above = (!cached).then_some(part);
+        while let Some(part) = above {
+            // of older patterns
+            remove_reports(&self.dir(part))?;
+            above = plan.parts[part].parent;
+        }
+        self.states[part].brightness = solved.stack.brightness;
+        self.states[part].patterns = Some(Arc::new(Patterns { display, weights, solved, cached }));
+        Ok(cached)
+    }
+
+    /// How a time is factorized for which the patterns of the time before are no start.
+    fn fresh(&self, part: usize) -> Option<FactorizeJob> {
+        let (time, sequence) = self.plan.time(part)?;
+        match &self.plan.parts[sequence].kind {
+            Kind::Sequence(times) if time > 0 => {
+                let job = &self.plan.parts[sequence].job;
+                let node = self.plan.node(part).and_then(|node| job.nodes.iter().find(|other| other.id == node.id));
+                Some(times.fresh(job, node))
+            }
+            _ => None,
+        }
+    }
+
+    /// Notes in the jobs of a part, and of the graph around it, that it takes no warm start.
+    fn begins_afresh(&mut self, part: usize, fresh: FactorizeJob) -> Result<Arc<Job>, PipelineError> {
+        let of_field = self.plan.field_part(part);
+        if let Some(id) = self.plan.node(part).map(|node| node.id.clone()) {
+            let mut around = Job::clone(&*self.job(of_field));
+            around.nodes.iter_mut().filter(|node| node.id == id).for_each(|node| node.factorize = Some(fresh.clone()));
+            write_job(&around, &self.dir(of_field))?;
+            self.states[of_field].job = Some(Arc::new(around));
+        }
+        let job = Arc::new(Job { factorize: fresh, ..Job::clone(&*self.job(part)) });
+        self.states[part].job = Some(job.clone());
+        Ok(job)
+    }
+}

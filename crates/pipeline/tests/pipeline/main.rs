@@ -1,0 +1,4 @@
+//! Plans and scenes through the whole pipeline. One program for all files, which share the processors; `cargo test -p lumistack-pipeline --test pipeline compose::` runs the tests of one.
+
+mod compose;
+mod usd;

@@ -1,0 +1,34 @@
+//! Where the tests find libraries, and the program that loads them.
+
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX, EXE_SUFFIX};
+use std::path::PathBuf;
+
+use lumistack_plugin_host::{Launcher, PluginPaths};
+
+/// What a plugin's library is called.
+pub fn file_name(id: &str) -> String {
+    format!("{DLL_PREFIX}lumistack_plugin_{id}{DLL_SUFFIX}")
+}
+
+/// A plugin of the folder `examples`, which cargo builds with the tests.
+pub fn example(id: &str) -> PathBuf {
+    built(&file_name(id))
+}
+
+/// The program that runs plugins for these tests.
+pub fn child() -> Launcher {
+    Launcher { program: built(&format!("plugin_child{EXE_SUFFIX}")), args: Vec::new() }
+}
+
+/// Places of plugins that are loaded by that program.
+pub fn paths(named: Vec<PathBuf>) -> PluginPaths {
+    PluginPaths { named, launcher: Some(child()), ..PluginPaths::default() }
+}
+
+fn built(name: &str) -> PathBuf {
+    let test = std::env::current_exe().unwrap();
+    let folder = test.parent().and_then(|deps| deps.parent()).unwrap().join("examples");
+    let file = folder.join(name);
+    assert!(file.exists(), "{}: cargo builds it unless a single test target is asked for", file.display());
+    file
+}

@@ -1,0 +1,364 @@
+//! Plugins that end their process, or never end: the host names plugin and cause and goes on.
+
+#![cfg(unix)]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use lumistack_core::{Cancel, Collector, NoProgress, Task};
+use lumistack_display::{Display, LayerStack};
+use lumistack_plugin_host::serve::OutputData;
+use lumistack_plugin_host::{
+    HostError, Limits, NodeData, OutputContext, PluginPaths, Registry, Time, import_scene, make_field, make_stack,
+    run_output,
+};
+use lumistack_plugin_testkit::{Sample, random_field, samples};
+use serde_json::json;
+
+use crate::common;
+
+/// Time for a library to load in these tests; a busy machine takes a while to start a process.
+const LOAD: Duration = Duration::from_secs(5);
+/// Longest silence in these tests.
+const SILENCE: Duration = Duration::from_secs(2);
+
+/// Builds `hostile.c`; `kind` is the end of a constant's name.
+fn hostile(folder: &Path, id: &str, kind: &str, in_entry: &str) -> PathBuf {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let library = folder.join(common::file_name(id));
+    let mut cc = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
+    cc.args(["-std=c11", "-Wall", "-Wno-infinite-recursion", "-O0", "-shared", "-fPIC", "-I"]);
+    cc.arg(here.join("../plugin-abi/include"));
+    cc.arg(format!("-DNAME={id}")).arg(format!("-DKIND=LUMISTACK_KIND_{kind}"));
+    cc.arg(format!("-DIN_ENTRY=\"{in_entry}\""));
+    let done = cc.arg("-o").arg(&library).arg(here.join("tests/hostile.c")).status().expect("a C compiler");
+    assert!(done.success());
+    library
+}
+
+/// A registry with these libraries beside what is compiled in; no code of theirs has run.
+fn registry(named: &[&Path], load: Duration, silence: Duration) -> Registry {
+    let mut registry = Registry::built_in().unwrap();
+    let limits = Limits { load: Some(load), silence: Some(silence), grace: Duration::from_millis(500) };
+    let named = named.iter().map(|path| path.to_path_buf()).collect();
+    registry.load(&PluginPaths { named, user: None, launcher: Some(common::child()), limits: Some(limits) });
+    assert!(registry.failed().is_empty(), "{:?}", registry.failed());
+    registry
+}
+
+struct Bench {
+    folder: tempfile::TempDir,
+    registry: Registry,
+    sample: Sample,
+    warnings: Collector,
+    cancel: Cancel,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let library = hostile(folder.path(), "hostile", "OUTPUT", "");
+        let registry = registry(&[&library], LOAD, SILENCE);
+        let sample = samples().swap_remove(0);
+        Self { folder, registry, sample, warnings: Collector::default(), cancel: Cancel::default() }
+    }
+
+    fn task(&self) -> Task<'_> {
+        Task { progress: &NoProgress, warnings: &self.warnings, cancel: &self.cancel }
+    }
+
+    fn out(&self) -> PathBuf {
+        self.folder.path().join("outputs/hostile")
+    }
+
+    fn write(&self, fault: &str) -> Result<Vec<PathBuf>, HostError> {
+        let (display, data) = (&self.sample.display, self.sample.data());
+        let context = OutputContext { display, data, time: Time::default(), out_dir: &self.out(), task: self.task() };
+        run_output(&self.registry, "hostile", &json!({ "fault": fault }), context)
+    }
+
+    /// Another output of the same registry still works.
+    fn others_work(&self, after: &str) {
+        let (display, data) = (&self.sample.display, self.sample.data());
+        let out_dir = &self.folder.path().join("outputs/images");
+        let context = OutputContext { display, data, time: Time::default(), out_dir, task: self.task() };
+        let files = run_output(&self.registry, "images", &json!({}), context).unwrap();
+        assert!(!files.is_empty() && files.iter().all(|file| out_dir.join(file).is_file()), "{after}");
+        fs::remove_dir_all(out_dir).unwrap();
+    }
+}
+
+/// The message of a failure while a file was written, or `doing`.
+fn message(cause: &str, doing: &str) -> String {
+    format!("output `hostile` failed: its process ({}) {cause} while {doing}", common::file_name("hostile"))
+}
+
+#[test]
+fn what_ends_the_process_is_named_and_the_other_outputs_are_written() {
+    let bench = Bench::new();
+    for (fault, cause, doing) in [
+        ("submit:abort", "ended by signal 6 (abort)", "it wrote `a.txt`"),
+        ("submit:segfault", "ended by signal 11 (segmentation fault)", "it wrote `a.txt`"),
+        ("submit:kill", "ended by signal 9 (kill, as of a system without memory)", "it wrote `a.txt`"),
+        ("submit:exit", "ended itself with exit code 0", "it wrote `a.txt`"),
+        ("before:abort", "ended by signal 6 (abort)", "it took time 0"),
+        ("open:segfault", "ended by signal 11 (segmentation fault)", "it was opened"),
+        ("open:exit", "ended itself with exit code 0", "it was opened"),
+        ("finish:abort", "ended by signal 6 (abort)", "it finished"),
+        ("submit:say and abort", "ended by signal 6 (abort)", "it wrote `a.txt`; the last it said: out of ink"),
+        ("submit:scribble", "broke off its connection to the program", "it wrote `a.txt`"),
+        ("submit:close all", "broke off its connection to the program", "it wrote `a.txt`"),
+        ("submit:fork and abort", "ended by signal 6 (abort)", "it wrote `a.txt`"),
+    ] {
+        let error = bench.write(fault).unwrap_err().to_string();
+        assert_eq!(error, message(cause, doing), "{fault}");
+        assert!(!bench.out().exists(), "{fault}");
+        bench.others_work(fault);
+    }
+}
+
+#[test]
+fn an_overflow_of_the_stack_is_told() {
+    let bench = Bench::new();
+    for fault in ["submit:overflow", "finish:overflow"] {
+        let error = bench.write(fault).unwrap_err().to_string();
+        // by the guard of Rust's threads, or the system's own
+        assert!(error.contains("ended by signal 6 (abort)") || error.contains("ended by signal 11"), "{error}");
+        assert!(error.starts_with("output `hostile` failed: its process ("), "{error}");
+        bench.others_work(fault);
+    }
+}
+
+#[test]
+fn a_plugin_that_hangs_is_ended() {
+    let bench = Bench::new();
+    for (fault, doing) in [
+        ("submit:hang", "it wrote `a.txt`"),
+        ("submit:spin", "it wrote `a.txt`"),
+        ("open:hang", "it was opened"),
+        ("finish:hang", "it finished"),
+    ] {
+        let start = Instant::now();
+        let error = bench.write(fault).unwrap_err().to_string();
+        assert_eq!(error, message("gave no sign of life for 2 s", &format!("{doing}, and was ended")), "{fault}");
+        assert!((SILENCE..SILENCE + Duration::from_secs(10)).contains(&start.elapsed()), "{:?}", start.elapsed());
+        bench.others_work(fault);
+    }
+}
+
+#[test]
+fn long_work_with_signs_of_life_is_not_disturbed() {
+    let bench = Bench::new();
+    let start = Instant::now();
+    bench.write("slow").unwrap();
+    assert!(start.elapsed() > SILENCE + Duration::from_millis(500), "it lasts longer than a silence may");
+    assert_eq!(fs::read_to_string(bench.out().join("a.txt")).unwrap(), "written");
+}
+
+#[test]
+fn what_a_plugin_prints_disturbs_nobody() {
+    let bench = Bench::new();
+    for fault in ["open:print", "submit:print", "finish:print", "close:print"] {
+        bench.write(fault).unwrap();
+        assert_eq!(fs::read_to_string(bench.out().join("a.txt")).unwrap(), "written", "{fault}");
+    }
+}
+
+#[test]
+fn a_crash_after_the_last_file_is_a_warning() {
+    let bench = Bench::new();
+    bench.write("close:abort").unwrap();
+    assert!(bench.out().join("a.txt").is_file());
+    let warnings: Vec<String> = bench.warnings.take().iter().map(ToString::to_string).collect();
+    let library = common::file_name("hostile");
+    let expected = format!("output `hostile`: its process ({library}) ended by signal 6 (abort) while it was closed");
+    assert_eq!(warnings, [expected]);
+}
+
+#[test]
+fn the_user_can_stop_a_plugin_that_does_not_listen() {
+    let bench = Bench::new();
+    for fault in ["submit:hang", "submit:spin", "open:spin"] {
+        let bench = Bench { cancel: Cancel::default(), ..Bench::new() };
+        let start = Instant::now();
+        let result = std::thread::scope(|scope| {
+            let writer = scope.spawn(|| bench.write(fault));
+            std::thread::sleep(Duration::from_millis(700));
+            bench.cancel.cancel();
+            writer.join().unwrap()
+        });
+        assert!(matches!(result, Err(HostError::Cancelled)), "{fault}: {result:?}");
+        assert!(start.elapsed() < SILENCE, "{fault}: {:?}", start.elapsed());
+        assert!(!bench.out().exists());
+    }
+    bench.others_work("interruptions");
+}
+
+#[test]
+fn libraries_that_misbehave_while_they_are_loaded_are_listed_with_the_cause() {
+    let folder = tempfile::tempdir().unwrap();
+    let causes = BTreeMap::from([
+        ("aborts", ("abort", "ended by signal 6 (abort) while it was loaded")),
+        ("crashes", ("segfault", "ended by signal 11 (segmentation fault) while it was loaded")),
+        ("exits", ("exit", "ended itself with exit code 0 while it was loaded")),
+        ("hangs", ("hang", "gave no sign of life for 5 s while it was loaded, and was ended")),
+        ("scribbles", ("scribble", "broke off its connection to the program while it was loaded")),
+    ]);
+    for (id, (fault, _)) in &causes {
+        hostile(folder.path(), id, "OUTPUT", fault);
+    }
+    hostile(folder.path(), "sound", "OUTPUT", "print");
+    let registry = registry(&[folder.path()], LOAD, SILENCE);
+    // one that is asked for is named with its cause, and the others need not be loaded for that
+    let error = registry.get("aborts").unwrap_err().to_string();
+    let library = |id: &str| folder.path().join(common::file_name(id)).display().to_string();
+    let told = |id: &str| format!("{}: its process ({}) {}", library(id), common::file_name(id), causes[id].1);
+    assert_eq!(error, format!("plugin `aborts` cannot be used: {}", told("aborts")));
+    assert_eq!(registry.failed().len(), 1);
+    let found: Vec<&str> = registry.infos().map(|info| info.id.as_str()).collect();
+    assert!(found.contains(&"sound") && found.contains(&"images"), "{found:?}");
+    let failed: Vec<String> = registry.failed().iter().map(ToString::to_string).collect();
+    assert_eq!(failed, causes.keys().map(|id| told(id)).collect::<Vec<_>>());
+}
+
+#[test]
+fn plugins_of_the_other_kinds_are_named_as_well() {
+    let folder = tempfile::tempdir().unwrap();
+    for (id, kind) in [("h_importer", "IMPORTER"), ("h_source", "SOURCE"), ("h_node", "NODE")] {
+        hostile(folder.path(), id, kind, "");
+    }
+    let registry = registry(&[folder.path()], LOAD, SILENCE);
+    assert_eq!(registry.importer_of("hostile").unwrap().id, "h_importer");
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    let display = &samples()[0].display;
+    let field = random_field(display).unwrap();
+    for (fault, cause) in [
+        ("make:abort", "ended by signal 6 (abort) while"),
+        ("make:segfault", "ended by signal 11 (segmentation fault) while"),
+        ("make:exit", "ended itself with exit code 0 while"),
+        ("make:hang", "gave no sign of life for 2 s while"),
+    ] {
+        let params = json!({ "fault": fault });
+        let read = |_: &str| Ok(Vec::new());
+        let importer = import_scene(&registry, "h_importer", &params, "a.hostile", &read, task).map(drop);
+        let source = make_field(&registry, "h_source", &params, display, Time::default(), task).map(drop);
+        let node = make_stack(&registry, "h_node", &params, &NodeData::new(display, &field), task).map(drop);
+        for (result, kind, doing) in [
+            (importer, "importer", "it read `a.hostile`"),
+            (source, "source", "it made a light field"),
+            (node, "node", "it made a layer stack"),
+        ] {
+            let error = result.unwrap_err().to_string();
+            let library = common::file_name(&format!("h_{kind}"));
+            let expected = format!("{kind} `h_{kind}` failed: its process ({library}) {cause} {doing}");
+            assert!(error.starts_with(&expected), "{error}");
+        }
+    }
+    let made = import_scene(&registry, "h_importer", &json!({}), "a.hostile", &|_| Ok(Vec::new()), task).unwrap();
+    assert_eq!(made, b"{}");
+}
+
+/// The plugin makes a file when its library is loaded; here a process of its own whose environment says where.
+#[test]
+fn a_library_that_nobody_asks_for_is_not_loaded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (named, other) = (hostile(folder.path(), "named", "OUTPUT", ""), hostile(folder.path(), "other", "OUTPUT", ""));
+    let run = Command::new(std::env::current_exe().unwrap())
+        .args(["--ignored", "--exact", "hostile::uses_the_plugin_named", "--nocapture"])
+        .env("LUMISTACK_TEST_MARKS", folder.path())
+        .env("LUMISTACK_TEST_LIBRARIES", std::env::join_paths([&named, &other]).unwrap())
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    assert!(folder.path().join("named-loaded").exists());
+    assert!(!folder.path().join("other-loaded").exists());
+}
+
+#[test]
+#[ignore = "run by the test above, in a process of its own"]
+fn uses_the_plugin_named() {
+    let Some(libraries) = std::env::var_os("LUMISTACK_TEST_LIBRARIES") else { return };
+    let libraries: Vec<PathBuf> = std::env::split_paths(&libraries).collect();
+    let libraries: Vec<&Path> = libraries.iter().map(PathBuf::as_path).collect();
+    let registry = registry(&libraries, LOAD, SILENCE);
+    registry.get("named").unwrap();
+    assert!(registry.origin("other").is_some());
+    assert!(registry.get("others").unwrap_err().to_string().contains("did you mean `other`?"));
+}
+
+/// Planes cross one by one and are gone when the plugin gives them back.
+#[test]
+fn a_plugin_needs_memory_for_one_plane() {
+    let folder = tempfile::tempdir().unwrap();
+    let registry = registry(&[&hostile(folder.path(), "hostile", "OUTPUT", "")], LOAD, Duration::from_secs(60));
+    let display = Display::uniform([1200, 800], 0.2, [3, 3], [20.0, 20.0], &[-10.0, 0.0, 10.0], 6);
+    let stack = LayerStack::filled(&display, 0.5);
+    let (warnings, cancel, out_dir) = (Collector::default(), Cancel::default(), folder.path().join("out"));
+    let context = OutputContext {
+        display: &display,
+        data: OutputData::LayerStack(&stack, None),
+        time: Time::default(),
+        out_dir: &out_dir,
+        task: Task::quiet(&warnings, &cancel),
+    };
+    let start = Instant::now();
+    run_output(&registry, "hostile", &json!({"fault": "fetch"}), context).unwrap();
+    let seconds = start.elapsed().as_secs_f64();
+    let line = fs::read_to_string(out_dir.join("a.txt")).unwrap();
+    let numbers: Vec<f64> = line.split(' ').map(|number| number.parse().unwrap()).collect();
+    let plane = 1200.0 * 800.0 * 12.0;
+    assert_eq!(numbers[0], plane * 18.0 * 4.0);
+    println!("{:.0} MB in {seconds:.2} s; most memory of the process {:.0} MB", numbers[0] / 1e6, numbers[1] / 1e3);
+    if cfg!(target_os = "linux") {
+        // one plane, and the parts of it that are on their way; all of them would be 207 MB
+        assert!(numbers[1] * 1024.0 < 6.0 * plane, "{} kB", numbers[1]);
+    }
+}
+
+/// A program that is killed leaves no process behind, though the plugin hangs.
+#[test]
+fn the_process_ends_with_the_program() {
+    let folder = tempfile::tempdir().unwrap();
+    let library = hostile(folder.path(), "hostile", "OUTPUT", "spin");
+    let mut child = Command::new(common::child().program)
+        .arg(&library)
+        .arg("hostile")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    assert!(child.try_wait().unwrap().is_none(), "it hangs");
+    drop(child.stdin.take());
+    let start = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if start.elapsed() > Duration::from_secs(10) {
+            child.kill().unwrap();
+            panic!("it is still there");
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn a_program_that_cannot_be_started_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let library = hostile(folder.path(), "hostile", "OUTPUT", "");
+    let load = |launcher: Option<lumistack_plugin_host::Launcher>| {
+        let mut registry = Registry::default();
+        registry.load(&PluginPaths { named: vec![library.clone()], user: None, launcher, limits: None });
+        registry.get("hostile").unwrap_err().to_string()
+    };
+    let nothing = lumistack_plugin_host::Launcher { program: "/no/such/program".into(), args: Vec::new() };
+    let error = load(Some(nothing));
+    assert!(error.contains("the process for it cannot be started: /no/such/program: "), "{error}");
+    assert!(load(None).contains("no program is known that loads plugins for this one"));
+    // one that is no such program
+    let other = lumistack_plugin_host::Launcher { program: "echo".into(), args: Vec::new() };
+    let error = load(Some(other));
+    assert!(error.contains("ended itself with exit code 0 while it was loaded"), "{error}");
+}

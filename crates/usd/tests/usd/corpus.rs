@@ -1,0 +1,176 @@
+//! Other people's files, from the folder that `LUMISTACK_ASSETS` names, through the Python that `LUMISTACK_PYTHON` names; skipped without either.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use lumistack_core::{Cancel, Collector, Task};
+use lumistack_usd::{EXTENSIONS, LoadOptions, Package, UsdError, load, scene_from_package};
+use serde::Deserialize;
+use tempfile::TempDir;
+
+use crate::common;
+
+/// What `walk_all.py` says of a file.
+#[derive(Debug, Deserialize)]
+struct Counted {
+    opens: bool,
+    #[serde(default)]
+    prims: usize,
+    #[serde(default)]
+    meshes: usize,
+    #[serde(default)]
+    points: usize,
+    /// Visible meshes of render geometry with faces.
+    #[serde(default)]
+    shown: usize,
+    /// Why the walker gives no package.
+    refused: Option<String>,
+}
+
+/// Walked files.
+struct Walked {
+    paths: Vec<PathBuf>,
+    counted: Vec<Counted>,
+    packages: TempDir,
+}
+
+fn assets() -> Option<PathBuf> {
+    lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")
+}
+
+/// All USD files below a folder of the assets; `None` where something is missing.
+fn walk(folder: &str) -> Option<Walked> {
+    let (assets, python) = (assets()?, common::python()?);
+    let mut paths = Vec::new();
+    let mut folders = vec![assets.join(folder)];
+    while let Some(folder) = folders.pop() {
+        let Ok(entries) = std::fs::read_dir(&folder) else {
+            lumistack_testkit::skip::skipped(&format!("no folder {}", folder.display()));
+            return None;
+        };
+        for path in entries.map(|entry| entry.unwrap().path()) {
+            let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+            if path.is_dir() {
+                folders.push(path);
+            } else if EXTENSIONS.contains(&extension) {
+                paths.push(path);
+            }
+        }
+    }
+    paths.sort();
+    let packages = tempfile::tempdir().unwrap();
+    let mut child = Command::new(python)
+        .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/walk_all.py"))
+        .arg(packages.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the Python that LUMISTACK_PYTHON names starts");
+    let names: Vec<&str> = paths.iter().map(|path| path.to_str().unwrap()).collect();
+    child.stdin.take().unwrap().write_all(names.join("\n").as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let counted: Vec<Counted> =
+        String::from_utf8(output.stdout).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(counted.len(), paths.len(), "the walker stopped: {}", &said[said.len().saturating_sub(2000)..]);
+    Some(Walked { paths, counted, packages })
+}
+
+impl Walked {
+    /// Runs `check` over all files, on two threads, and fails with everything that it says.
+    fn check(&self, check: impl Fn(&str, &[u8], &Counted) -> Result<(), String> + Sync) {
+        let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+        std::thread::scope(|scope| {
+            for _ in 0..2 {
+                scope.spawn(|| {
+                    loop {
+                        let number = next.fetch_add(1, Ordering::Relaxed);
+                        let Some(path) = self.paths.get(number) else { break };
+                        let bytes = std::fs::read(self.packages.path().join(number.to_string())).unwrap_or_default();
+                        let name = path.display().to_string();
+                        if let Err(fault) = check(&name, &bytes, &self.counted[number]) {
+                            faults.lock().unwrap().push(format!("{name}: {fault}"));
+                        }
+                    }
+                });
+            }
+        });
+        let faults = faults.into_inner().unwrap();
+        assert!(faults.is_empty(), "{} of {} files:\n{}", faults.len(), self.paths.len(), faults.join("\n"));
+    }
+}
+
+/// A scene, or a reason that fits what OpenUSD says of the file.
+fn opens_or_fails_by_design(name: &str, bytes: &[u8], counted: &Counted) -> Result<(), String> {
+    if let Some(reason) = &counted.refused {
+        return if counted.opens { Err(format!("refused: {reason}")) } else { Ok(()) };
+    }
+    let package = Package::parse(bytes)?;
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    match scene_from_package(name, &package, Task::quiet(&warnings, &cancel)) {
+        Ok(_) if package.header.files.is_empty() => Err("a scene of no files".into()),
+        Ok(_) => Ok(()),
+        Err(UsdError::Malformed { expected, .. })
+            if counted.shown == 0 && expected.starts_with("at least one triangle") =>
+        {
+            Ok(())
+        }
+        Err(error) => Err(format!("{error} ({} meshes to show)", counted.shown)),
+    }
+}
+
+#[test]
+fn every_file_opens_or_fails_by_design() {
+    let Some(walked) = walk("usd") else { return };
+    assert!(walked.paths.len() > 100, "{} files", walked.paths.len());
+    walked.check(opens_or_fails_by_design);
+}
+
+/// Hostile files make errors or warnings, and no crash of ours. Some hold nothing but meshes that contradict themselves.
+#[test]
+fn hostile_files_do_no_harm() {
+    let Some(walked) = walk("hostile/usd") else { return };
+    walked.check(|name, bytes, counted| match opens_or_fails_by_design(name, bytes, counted) {
+        Err(text) if text.contains("at least one triangle") => Ok(()),
+        other => other,
+    });
+}
+
+#[test]
+fn composed_counts_are_those_of_openusd() {
+    let Some(walked) = walk("usd/foundation") else { return };
+    walked.check(|_, bytes, counted| {
+        let found = Package::parse(bytes)?.header.contents;
+        let [ours, theirs] =
+            [[found.prims, found.meshes, found.points], [counted.prims, counted.meshes, counted.points]];
+        if ours == theirs { Ok(()) } else { Err(format!("{ours:?}, not {theirs:?} prims, meshes and points")) }
+    });
+}
+
+/// An arm that bends, and the same arm as OpenUSD wrote its points for every time.
+#[test]
+fn posed_points_are_those_that_openusd_baked() {
+    let (Some(assets), Some(_)) = (assets(), common::python()) else { return };
+    let folder = Path::new(&assets).join("usd/OpenUSD-UsdSkel");
+    let mut heights = Vec::new();
+    // at the time codes 1, 4 and 10: in between the points that were written go straight
+    for time_s in [0.0, 0.125, 0.375] {
+        let [posed, baked] = ["arm.usda", "arm_baked.usda"].map(|file| {
+            let (warnings, cancel) = (Collector::default(), Cancel::default());
+            let options = LoadOptions { time_s: Some(time_s), ..LoadOptions::default() };
+            let scene = load(&folder.join(file), &options, Task::quiet(&warnings, &cancel)).unwrap().scene;
+            let map = scene.instances[0].scene_from_mesh;
+            scene.meshes[0].positions.iter().map(|&p| map.transform_point3(p)).collect::<Vec<_>>()
+        });
+        assert_eq!(posed.len(), baked.len());
+        for (a, b) in posed.iter().zip(&baked) {
+            assert!((*a - *b).length() < 1e-4, "{time_s}: {a} {b}");
+        }
+        heights.push(posed.iter().map(|p| p.y).fold(f32::NEG_INFINITY, f32::max));
+    }
+    assert!(heights[0] != heights[2], "the arm moves: {heights:?}");
+}
