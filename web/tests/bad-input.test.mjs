@@ -123,7 +123,7 @@ test("a context that never comes back: a new canvas takes over", async () => {
   const { page } = await shown(good);
   const before = await pixels(page, [0.125, 0]);
   await page.evaluate(() => document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas.gl").getContext("webgl2").getExtension("WEBGL_lose_context").loseContext());
-  await page.waitForFunction(() => document.querySelector("lumistack-viewer").path === "webgl2", undefined, { timeout: 8000 });
+  await page.waitForFunction(() => document.querySelector("lumistack-viewer").path === "webgl2");
   assert.deepEqual((await pixels(page)).data, before.data);
   await page.context().close();
 });

@@ -38,6 +38,8 @@ export async function site(preview) {
 export async function open(browser, url, options = {}) {
   const { init, ...rest } = options;
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, reducedMotion: "reduce", ...rest });
+  // machines that test compile beside, and draw in software
+  context.setDefaultTimeout(120_000);
   const page = await context.newPage();
   page.trouble = [];
   page.on("console", (message) => {
