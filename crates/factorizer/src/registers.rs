@@ -2,12 +2,12 @@
 
 use lumistack_simd::{Kernel, Lanes};
 
-use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, Sight, Tiles, wanted};
+use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, GROUP, Group, Sight, Tiles, wanted};
 use crate::rays::{LineRays, RowsOfView};
 use crate::vector::{load, store};
 
-/// n and d of all frames; `MASKED` where the rays of some view do not count in full.
-pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool>;
+/// n and d of all frames, or r and the diagonal of G; `MASKED` where the rays of some view do not count in full.
+pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool>;
 
 /// r of all frames and G: tiles along its diagonal at once, the rest from buffered a_m. `MASKED` as in [`Pairs`].
 pub(crate) struct Gram<const M: usize, const K: usize, const MASKED: bool>;
@@ -27,7 +27,9 @@ const fn tile_of(frames: usize) -> usize {
     if frames <= 4 { frames } else { 3 }
 }
 
-impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Pairs<M, K, MASKED> {
+impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> Kernel
+    for Pairs<M, K, MASKED, DIAGONAL>
+{
     type Args<'a> = BlockOfLine<'a>;
     type Output = ();
 
@@ -39,7 +41,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Pairs<M, K, 
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, half, sight, buffers, .. } = at;
             let lit = Lit::<K>::new(rays, x, sight, &buffers.scaled);
             let mut squares = V::splat(0.0);
             let (mut above, mut below) = ([V::splat(0.0); M], [V::splat(0.0); M]);
@@ -48,13 +50,13 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Pairs<M, K, 
                 let error = wanted.sub(emitted);
                 squares = error.mul_add(error, squares);
                 for m in 0..M {
-                    above[m] = products[m].mul_add(wanted, above[m]);
-                    below[m] = products[m].mul_add(emitted, below[m]);
+                    above[m] = products[m].mul_add(if DIAGONAL { error } else { wanted }, above[m]);
+                    below[m] = products[m].mul_add(if DIAGONAL { products[m] } else { emitted }, below[m]);
                 }
             }
             for m in 0..M {
-                store(above[m], &mut buffers.block.residual, m * V::COUNT);
-                store(below[m], &mut buffers.block.emitted, m * V::COUNT);
+                store(above[m], &mut buffers.block.residual, (2 * m + half) * V::COUNT);
+                store(below[m], &mut buffers.block.emitted, (2 * m + half) * V::COUNT);
             }
             store(squares, &mut buffers.squares, 0);
         }
@@ -73,14 +75,21 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, half, sight, buffers, .. } = at;
             let Buffers { block, products: buffered, errors, emitted, scaled, squares: all } = buffers;
             let tile = tile_of(M);
             let lit = Lit::<K>::new(rays, x, sight, scaled);
             let mut squares = V::splat(0.0);
             let (mut residual, mut gram) = ([V::splat(0.0); M], [[V::splat(0.0); M]; M]);
-            let mut active = 0;
+            let mut group = Group { half, frames: M, views: 0, add: false };
             for rows in rays.by_view::<K>() {
+                if tile < M && group.views == GROUP {
+                    V::call::<BetweenTiles<false>>((
+                        Tiles { group, shares: &[], products: buffered, errors, emitted },
+                        block,
+                    ));
+                    (group.views, group.add) = (0, true);
+                }
                 let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
                 let error = wanted.sub(emitted);
                 squares = error.mul_add(error, squares);
@@ -92,22 +101,24 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                         }
                     }
                     if tile < M {
-                        store(products[m], buffered, (active * M + m) * V::COUNT);
+                        store(products[m], buffered, (group.views * M + m) * V::COUNT);
                     }
                 }
-                active += 1;
+                group.views += 1;
             }
             for m in 0..M {
-                store(residual[m], &mut block.residual, m * V::COUNT);
+                store(residual[m], &mut block.residual, (2 * m + half) * V::COUNT);
                 for k in m..M {
                     if m / tile == k / tile {
-                        store(gram[m][k], &mut block.gram, (m * M + k) * V::COUNT);
+                        store(gram[m][k], &mut block.gram, (2 * (m * M + k) + half) * V::COUNT);
                     }
                 }
             }
             if tile < M {
-                let tiles = Tiles { frames: M, views: active, products: buffered, errors, emitted };
-                V::call::<BetweenTiles>((tiles, block));
+                V::call::<BetweenTiles<false>>((
+                    Tiles { group, shares: &[], products: buffered, errors, emitted },
+                    block,
+                ));
             }
             store(squares, all, 0);
         }
