@@ -31,6 +31,8 @@ pub(crate) struct FactorMap {
     pub(crate) short_sums: bool,
     /// Whether every ray reads exactly one pixel, at a column that is the field column plus a constant of the view.
     pub(crate) shifted: bool,
+    /// Whether each view column's rays read it at a constant shift, whatever the rows.
+    pub(crate) columns_shifted: bool,
     /// Whether every ray reads one pixel alone.
     pub(crate) nearest: bool,
     /// Whether every ray that counts meets the factor.
@@ -167,9 +169,10 @@ impl FactorMap {
                     .iter()
                     .zip(valid_rows)
                     .all(|(taps, valid)| taps.iter().zip(valid).all(|(tap, valid)| tap.is_some() || !valid));
+        let columns_shifted = x.iter().zip(runs).all(|(x, runs)| runs.is_empty() || x.shift.is_some());
         let mut taps = raw.x.iter().chain(&raw.y).flatten().flatten();
         let nearest = taps.all(|tap| tap.t == 0.0);
-        Self { layout, x, y, rays, after, short_sums, shifted, nearest, complete }
+        Self { layout, x, y, rays, after, short_sums, shifted, columns_shifted, nearest, complete }
     }
 }
 

@@ -8,7 +8,6 @@ use lumistack_simd::{Lanes, prefetch};
 use crate::expand::Rays;
 use crate::factor::{Factor, PAD};
 use crate::line::LineOf;
-use crate::map::FactorMap;
 use crate::plan::Plan;
 use crate::rows::Reading;
 use crate::target::Row;
@@ -132,7 +131,7 @@ impl LineRays<'_> {
 
     /// Every view's rows, K other factors.
     #[inline(always)]
-    pub(crate) fn by_view<const K: usize>(&self) -> impl Iterator<Item = RowsOfView<'_, K>> {
+    pub(crate) fn by_view<const K: usize>(&self) -> impl ExactSizeIterator<Item = RowsOfView<'_, K>> {
         let others = self.others.as_chunks::<K>().0.iter();
         let ahead = self.ahead.as_chunks::<ASKED>().0.iter();
         let views = self.views.iter().zip(&self.targets).zip(others).zip(ahead);
@@ -238,24 +237,17 @@ impl<'a> Left<'a> {
         (Self { mixed, expanded, held: held.iter_mut() }, rows)
     }
 
-    /// The line of every factor, all frames, that the next row of rays reads; nothing of a factor that is under update in its place.
-    fn lines(
-        &mut self,
-        plan: &Plan,
-        factors: &'a [Factor],
-        channel: usize,
-        RowOfRays { view_y, row }: RowOfRays,
-    ) -> Vec<&'a [f32]> {
-        let line = |(map, factor): (&FactorMap, &'a Factor)| {
-            let tap = map.y[view_y][row];
-            if tap.t == 0.0 {
-                return if factor.values.is_empty() { &[][..] } else { factor.line(channel, tap.first as usize) };
-            }
-            let (line, rest) = self.mixed.split_at(map.layout.line_len());
-            self.mixed = rest;
-            line
-        };
-        plan.maps.iter().zip(factors).map(line).collect()
+    /// The line of the next factor, all frames, that a row of rays reads; to be asked for every factor in turn. Nothing of a factor that is under update
+    /// in its place.
+    fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
+        let (map, factor) = (&plan.maps[k], &factors[k]);
+        let tap = map.y[rays.view_y][rays.row];
+        if tap.t == 0.0 {
+            return if factor.values.is_empty() { &[] } else { factor.line(channel, tap.first as usize) };
+        }
+        let (line, rest) = self.mixed.split_at(map.layout.line_len());
+        self.mixed = rest;
+        line
     }
 
     /// Where the rays of a view read a line of a factor, from `offset` on: in its place, or expanded along the rays.
@@ -324,15 +316,15 @@ pub(crate) fn rays_of_column<'a>(
             Row::Half(row) => TargetRow::Half(Place::new(row, 0)),
             Row::Float(row) => TargetRow::Float(Place::new(row, 0)),
         });
-        let lines = left.lines(plan, factors, at.channel, row_of);
         for k in 0..factors.len() {
+            let line = left.line(plan, factors, k, at.channel, row_of);
             let list = if k == at.factor { &mut rays.own } else { &mut rays.others };
             let before =
                 (index > 0).then(|| list[list.len() - if k == at.factor { 1 } else { rays.others_per_view }].clone());
             let tap = |row: RowOfRays| plan.maps[k].y[row.view_y][row.row];
             let place = match before {
                 Some(place) if tap(rows[index - 1]) == tap(row_of) => place,
-                _ => left.place(plan, lines[k], k, &part, is_there(k), 0),
+                _ => left.place(plan, line, k, &part, is_there(k), 0),
             };
             list.push(place);
         }
@@ -353,10 +345,7 @@ pub(crate) fn rays_through<'a>(
     rays.others_per_view = factors.len() - 1;
     let others = || (0..factors.len()).filter(|&k| k != at.factor);
     // one stride for all views of a factor
-    let is_there = |k: usize| {
-        let views = plan.maps[k].x.iter().zip(&plan.runs);
-        views.clone().all(|(x, runs)| x.shift.is_some() || runs.is_empty())
-    };
+    let is_there = |k: usize| plan.maps[k].columns_shifted;
     let layout = |k: usize| &plan.maps[k].layout;
     rays.strides.extend(others().map(|k| if is_there(k) { layout(k).stride } else { expanded_stride(plan) }));
     let elsewhere = others().filter(|&k| !is_there(k)).count();
@@ -368,10 +357,12 @@ pub(crate) fn rays_through<'a>(
     }
     spare.mix_lines(plan, factors, at.channel);
     let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere);
+    let mut lines = Vec::new();
     for &row_of in rows {
         let RowOfRays { view_y, row } = row_of;
         let before = rays.others.len();
-        let lines = left.lines(plan, factors, at.channel, row_of);
+        lines.clear();
+        lines.extend((0..factors.len()).map(|k| left.line(plan, factors, k, at.channel, row_of)));
         for view_x in 0..plan.views[1] {
             let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
             let view = plan.view(view_y, view_x);

@@ -82,29 +82,34 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
             let mut squares = V::splat(0.0);
             let (mut residual, mut gram) = ([V::splat(0.0); M], [[V::splat(0.0); M]; M]);
             let mut group = Group { half, frames: M, views: 0, add: false };
-            for rows in rays.by_view::<K>() {
-                if tile < M && group.views == GROUP {
-                    V::call::<BetweenTiles<false>>((
-                        Tiles { group, shares: &[], products: buffered, errors, emitted },
-                        block,
-                    ));
-                    (group.views, group.add) = (0, true);
-                }
-                let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
-                let error = wanted.sub(emitted);
-                squares = error.mul_add(error, squares);
-                for m in 0..M {
-                    residual[m] = products[m].mul_add(error, residual[m]);
-                    for k in m..M {
-                        if m / tile == k / tile {
-                            gram[m][k] = products[m].mul_add(products[k], gram[m][k]);
+            let mut rest = rays.by_view::<K>();
+            loop {
+                // a call in this loop would cost it its registers
+                for rows in rest.by_ref().take(GROUP) {
+                    let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                    let error = wanted.sub(emitted);
+                    squares = error.mul_add(error, squares);
+                    for m in 0..M {
+                        residual[m] = products[m].mul_add(error, residual[m]);
+                        for k in m..M {
+                            if m / tile == k / tile {
+                                gram[m][k] = products[m].mul_add(products[k], gram[m][k]);
+                            }
+                        }
+                        if tile < M {
+                            store(products[m], buffered, (group.views * M + m) * V::COUNT);
                         }
                     }
-                    if tile < M {
-                        store(products[m], buffered, (group.views * M + m) * V::COUNT);
-                    }
+                    group.views += 1;
                 }
-                group.views += 1;
+                if tile < M {
+                    let tiles = Tiles { group, shares: &[], products: buffered, errors, emitted };
+                    V::call::<BetweenTiles<false>>((tiles, block));
+                    (group.views, group.add) = (0, true);
+                }
+                if rest.len() == 0 {
+                    break;
+                }
             }
             for m in 0..M {
                 store(residual[m], &mut block.residual, (2 * m + half) * V::COUNT);
@@ -113,12 +118,6 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                         store(gram[m][k], &mut block.gram, (2 * (m * M + k) + half) * V::COUNT);
                     }
                 }
-            }
-            if tile < M {
-                V::call::<BetweenTiles<false>>((
-                    Tiles { group, shares: &[], products: buffered, errors, emitted },
-                    block,
-                ));
             }
             store(squares, all, 0);
         }

@@ -164,13 +164,13 @@ impl Block {
             let (mut values, mut residual) = (start, before);
             // a loop over m is not unrolled for two vectors, so that values stay in memory; a closure is not inlined
             macro_rules! coordinates {
-                ($($m:literal),*) => { $(if (0..M).contains(&$m) {
+                ($($m:literal),*) => { $(if $m < M {
                     let best = residual[$m].mul_add(get::<V>(&self.emitted, $m * n), values[$m]);
                     let moved = best.max(low).min(high);
                     let delta = moved.sub(values[$m]);
                     values[$m] = moved;
                     for k in 0..M {
-                        let at = if k < $m { k * M + $m } else { $m * M + k };
+                        let at = usize::min($m, k) * M + usize::max($m, k);
                         residual[k] = get::<V>(&self.gram, at * n).neg_mul_add(delta, residual[k]);
                     }
                 })* };
