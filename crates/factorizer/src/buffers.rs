@@ -273,12 +273,12 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
                 match frames - m {
                     1 => tiles.pair::<V, 1>(m, diagonal, block),
                     2 => tiles.pair::<V, 2>(m, diagonal, block),
-                    3 | 4 | 5 => tiles.pair::<V, 3>(m, diagonal, block),
+                    3..=5 => tiles.pair::<V, 3>(m, diagonal, block),
                     _ => tiles.pair::<V, 6>(m, diagonal, block),
                 }
                 m += match frames - m {
                     rest @ 1..=2 => rest,
-                    3 | 4 | 5 => 3,
+                    3..=5 => 3,
                     _ => 6,
                 };
             }
