@@ -19,6 +19,8 @@ use lumistack_display::{Formation, LayerStack};
 
 use crate::engine::Engine;
 use crate::line::Outcome;
+use crate::prepared::Prepared;
+use crate::solver::{Iterated, Method};
 use crate::step::Rule;
 use crate::{FactorizeError, Objective, Problem, Run, Solver};
 
@@ -40,7 +42,13 @@ impl Solver for BlockExact {
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
-        Ok(Box::new(BlockExactRun::new(problem, start, None)?))
+        Ok(self.begin(Prepared::new(problem, start)?)?)
+    }
+}
+
+impl Method for BlockExact {
+    fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError> {
+        Ok(Box::new(BlockExactRun::new(prepared, None)))
     }
 }
 
@@ -58,13 +66,19 @@ impl Solver for Extrapolated {
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
-        Ok(Box::new(BlockExactRun::new(problem, start, Some(Extrapolation::default()))?))
+        Ok(self.begin(Prepared::new(problem, start)?)?)
+    }
+}
+
+impl Method for Extrapolated {
+    fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError> {
+        Ok(Box::new(BlockExactRun::new(prepared, Some(Extrapolation::default()))))
     }
 }
 
 /// How far to extrapolate: Ang and Gillis' β_k, its bound, and how both change.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Extrapolation {
+struct Extrapolation {
     factor: f32,
     bound: f32,
     grow: f32,
@@ -98,47 +112,42 @@ impl Extrapolation {
 }
 
 /// State of a run.
-pub(crate) struct BlockExactRun {
-    pub(crate) engine: Engine,
-    rule: Rule,
+struct BlockExactRun {
+    engine: Engine,
     extrapolation: Option<Extrapolation>,
+    seen: Option<Objective>,
 }
 
 impl BlockExactRun {
-    pub(crate) fn new(
-        problem: &Problem,
-        start: LayerStack,
-        extrapolation: Option<Extrapolation>,
-    ) -> Result<Self, FactorizeError> {
-        let mut engine = Engine::new(problem, start, 0.0)?;
+    fn new(prepared: Prepared, extrapolation: Option<Extrapolation>) -> Self {
         // sin² bends too much for extrapolation, and enough for the local curvature to be worth its check
-        engine.bold = problem.display.formation == Formation::Polarization;
-        let extrapolation = extrapolation.filter(|_| !engine.bold);
-        Ok(Self { engine, rule: Rule::Block { sweeps: SWEEPS }, extrapolation })
-    }
-
-    /// Updates factor `n` from the present state of all.
-    pub(crate) fn update_factor(&mut self, n: usize) -> Outcome {
-        let beyond = self.extrapolation.map(|extrapolation| extrapolation.factor);
-        self.engine.update(n, self.rule, beyond)
+        let bold = prepared.display.formation == Formation::Polarization;
+        let mut engine = prepared.engine(0.0);
+        engine.bold = bold;
+        Self { engine, extrapolation: extrapolation.filter(|_| !bold), seen: None }
     }
 }
 
 impl Run for BlockExactRun {
     fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
+        self.engine.cancel = cancel.clone();
+        let beyond = self.extrapolation.map(|extrapolation| extrapolation.factor);
+        let mut outcome = Outcome::default();
         let last = self.engine.factor_count() - 1;
         for n in 0..=last {
+            outcome = self.engine.update(n, Rule::Block { sweeps: SWEEPS }, beyond);
             cancel.check()?;
-            let outcome = self.update_factor(n);
-            if let (true, Some(extrapolation)) = (n == last, &mut self.extrapolation) {
-                let error = if self.engine.sees_all_rays(n) {
-                    outcome.error - outcome.gain
-                } else {
-                    self.engine.objective().value
-                };
-                if extrapolation.observe(error) {
-                    self.engine.return_to_latest();
-                }
+        }
+        self.seen = self.engine.seen(last, outcome);
+        if let Some(extrapolation) = &mut self.extrapolation {
+            let error = if self.engine.sees_all_rays(last) {
+                outcome.error - outcome.gain
+            } else {
+                self.engine.objective().value
+            };
+            if extrapolation.observe(error) {
+                self.engine.return_to_latest();
+                self.seen = None;
             }
         }
         Ok(())
@@ -162,5 +171,16 @@ impl Run for BlockExactRun {
 
     fn download(&mut self) -> LayerStack {
         self.engine.at_latest(|engine| engine.download())
+    }
+}
+
+impl Iterated for BlockExactRun {
+    fn seen(&self) -> Option<Objective> {
+        self.seen
+    }
+
+    fn finish(mut self: Box<Self>) -> Engine {
+        self.engine.swap_latest();
+        self.engine
     }
 }

@@ -4,7 +4,7 @@ use lumistack_simd::{Kernel, Lanes, MAX_LANES, prefetch_far};
 
 use crate::aligned::Aligned;
 use crate::rays::{LineRays, Place, TargetRow};
-use crate::step::Block;
+use crate::step::{Block, Sums};
 use crate::vector::{Vector, load, store};
 
 /// How many vectors ahead the factors' rows are asked for. One is a tenth slower, four no faster.
@@ -12,12 +12,15 @@ pub(crate) const AHEAD: usize = 2;
 /// How many values ahead the target's rows are asked for, into the second-level cache: they are read once, and the first is full of the factors'.
 const TARGET_AHEAD: usize = 64;
 
-/// Buffers of one block.
+/// How many views are buffered before their sums are added up. The buffers of 169 views at once would fill the first-level cache twice.
+pub(crate) const GROUP: usize = 32;
+
+/// Buffers of one block, and of the pair that it belongs to.
 pub(crate) struct Buffers {
     pub(crate) block: Block,
-    /// a_m of every view of a block, `[view][frame][lane]`.
+    /// a_m of a group of views of a block, `[view][frame][lane]`.
     pub(crate) products: Aligned,
-    /// e (or βL), and L̃, of every view of a block, `[view][lane]`.
+    /// e (or βL), and L̃, of a group of views of a block, `[view][lane]`.
     pub(crate) errors: Aligned,
     pub(crate) emitted: Aligned,
     /// f/M.
@@ -27,14 +30,14 @@ pub(crate) struct Buffers {
 }
 
 impl Buffers {
-    /// For so many frames and rows of views.
-    pub(crate) fn new(frames: usize, views: usize) -> Self {
+    /// For so many frames.
+    pub(crate) fn new(frames: usize) -> Self {
         let vectors = |count: usize| Aligned::filled(0.0, count * MAX_LANES);
         Self {
             block: Block::new(frames),
-            products: vectors(views * frames),
-            errors: vectors(views),
-            emitted: vectors(views),
+            products: vectors(GROUP * frames),
+            errors: vectors(GROUP),
+            emitted: vectors(GROUP),
             scaled: vectors(frames),
             squares: Vector::default(),
         }
@@ -45,14 +48,16 @@ impl Buffers {
 #[derive(Clone, Copy)]
 pub(crate) struct Sight {
     pub(crate) brightness: f32,
-    /// Whether e is summed, or βL.
-    pub(crate) residual: bool,
+    /// What is summed.
+    pub(crate) sums: Sums,
 }
 
 /// One block of a line: x to x + lanes lies within padded rows where it overlaps a view's valid range. Its sums and values go to the buffers.
 pub(crate) struct BlockOfLine<'a> {
     pub(crate) rays: &'a LineRays<'a>,
     pub(crate) x: usize,
+    /// 0 or 1: which of the pair.
+    pub(crate) half: usize,
     pub(crate) sight: Sight,
     /// The line's own rows, `stride` apart.
     pub(crate) values: &'a [f32],
@@ -71,7 +76,7 @@ impl BlockOfLine<'_> {
         unsafe {
             for m in 0..frames {
                 let f = load::<V>(self.values, m * self.stride + self.x);
-                store(f, &mut self.buffers.block.values, m * V::COUNT);
+                store(f, &mut self.buffers.block.values, (2 * m + self.half) * V::COUNT);
                 store(f.mul(V::splat(1.0 / frames as f32)), &mut self.buffers.scaled, m * V::COUNT);
             }
         }
@@ -92,24 +97,32 @@ impl Kernel for ByBuffers {
         // SAFETY: passed on from the caller
         unsafe {
             at.begin::<V>(frames, false);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
-            let (mut squares, mut active) = (V::splat(0.0), 0);
+            let BlockOfLine { rays, x, half, sight, buffers, .. } = at;
+            let (mut squares, mut active, mut add) = (V::splat(0.0), 0, false);
             for (index, view) in rays.views.iter().enumerate() {
                 if let Some(weight) = view.weight::<V>(x) {
-                    let error = buffered::<V>(rays, index, x, weight, sight, (active, &mut *buffers));
+                    if active == GROUP {
+                        sum_views::<V, false>(sight.sums, buffers, &[], Group { half, frames, views: active, add });
+                        (active, add) = (0, true);
+                    }
+                    let error = buffered::<V, false>(rays, index, x, weight, sight, (active, &mut *buffers));
                     squares = error.mul_add(error, squares);
                     active += 1;
                 }
             }
             store(squares, &mut buffers.squares, 0);
-            sum_views::<V>(sight.residual, frames, active, buffers);
+            sum_views::<V, false>(sight.sums, buffers, &[], Group { half, frames, views: active, add });
         }
     }
 }
 
-/// a_m, e (or βL) and L̃ of one view and block, times √w, written to place `to` of the buffers; returns e times √w.
+/// a_m, e (or βL) and L̃ of one view and block, times √w, written to place `to` of the buffers; returns e times √w. `OWN` where each view reads other values
+/// of the factor under update.
+///
+/// # Safety
+/// The machine has V, and x lies within the rows of the view.
 #[inline(always)]
-unsafe fn buffered<V: Lanes>(
+pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     rays: &LineRays,
     view: usize,
     x: usize,
@@ -121,10 +134,19 @@ unsafe fn buffered<V: Lanes>(
     // SAFETY: see the caller
     unsafe {
         let products = &mut buffers.products[to * frames * V::COUNT..(to + 1) * frames * V::COUNT];
+        let scaled = if OWN {
+            Scaled::<V, OWN> {
+                first: rays.own[view].at::<V>(x),
+                stride: rays.own_stride,
+                mean: V::splat(1.0 / frames as f32),
+            }
+        } else {
+            Scaled { first: buffers.scaled.as_ptr(), stride: V::COUNT, mean: V::splat(1.0) }
+        };
         let emitted = match others {
-            [a] => products_of::<V, 1>(rays, [a], x, frames, weight, products, &buffers.scaled),
-            [a, b] => products_of::<V, 2>(rays, [a, b], x, frames, weight, products, &buffers.scaled),
-            [a, b, c] => products_of::<V, 3>(rays, [a, b, c], x, frames, weight, products, &buffers.scaled),
+            [a] => products_of::<V, OWN, 1>(rays, [a], x, frames, weight, products, scaled),
+            [a, b] => products_of::<V, OWN, 2>(rays, [a, b], x, frames, weight, products, scaled),
+            [a, b, c] => products_of::<V, OWN, 3>(rays, [a, b, c], x, frames, weight, products, scaled),
             _ => {
                 let mut emitted = V::splat(0.0);
                 for m in 0..frames {
@@ -133,29 +155,48 @@ unsafe fn buffered<V: Lanes>(
                         product = product.mul(V::load(other.at::<V>(x).wrapping_add(m * stride)));
                     }
                     store(product, products, m * V::COUNT);
-                    emitted = product.mul_add(load::<V>(&buffers.scaled, m * V::COUNT), emitted);
+                    emitted = product.mul_add(scaled.of(m), emitted);
                 }
                 emitted
             }
         };
         let wanted = wanted::<V>(&rays.targets[view], x, sight).mul(weight);
         let error = wanted.sub(emitted);
-        store(if sight.residual { error } else { wanted }, &mut buffers.errors, to * V::COUNT);
+        store(if sight.sums == Sums::Ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);
         store(emitted, &mut buffers.emitted, to * V::COUNT);
         error
     }
 }
 
+/// f/M of the factor under update, frame by frame: of the block, or where each view reads other values, along the rays.
+#[derive(Clone, Copy)]
+struct Scaled<V, const OWN: bool> {
+    first: *const f32,
+    stride: usize,
+    mean: V,
+}
+
+impl<V: Lanes, const OWN: bool> Scaled<V, OWN> {
+    #[inline(always)]
+    unsafe fn of(&self, frame: usize) -> V {
+        // SAFETY: see the caller
+        unsafe {
+            let value = V::load(self.first.wrapping_add(frame * self.stride));
+            if OWN { value.mul(self.mean) } else { value }
+        }
+    }
+}
+
 /// Products of K factors for all frames, times the weight; returns Σ_m a_m f_m/M.
 #[inline(always)]
-unsafe fn products_of<V: Lanes, const K: usize>(
+unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
     rays: &LineRays,
     others: [&Place<f32>; K],
     x: usize,
     frames: usize,
     weight: V,
     products: &mut [f32],
-    scaled: &[f32],
+    scaled: Scaled<V, OWN>,
 ) -> V {
     let others: [_; K] = std::array::from_fn(|k| (others[k].at::<V>(x), rays.strides[k]));
     // SAFETY: see the caller
@@ -169,7 +210,7 @@ unsafe fn products_of<V: Lanes, const K: usize>(
             }
             let product = product.mul(weight);
             store(product, products, m * V::COUNT);
-            emitted = product.mul_add(load::<V>(scaled, m * V::COUNT), emitted);
+            emitted = product.mul_add(scaled.of(m), emitted);
         }
         emitted
     }
@@ -199,27 +240,45 @@ pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, sight: Sight) -
     }
 }
 
-/// The sums over all views of a block.
+/// The views that are buffered, and where their sums go.
+#[derive(Clone, Copy)]
+pub(crate) struct Group {
+    /// Which block of the pair.
+    pub(crate) half: usize,
+    pub(crate) frames: usize,
+    pub(crate) views: usize,
+    /// Whether they are added to what is there.
+    pub(crate) add: bool,
+}
+
+/// The sums over a group of views of a block; `SHARED` where each counts by its share.
+///
+/// # Safety
+/// The machine has V, and as many views are buffered.
 #[inline(always)]
-unsafe fn sum_views<V: Lanes>(gram: bool, frames: usize, views: usize, buffers: &mut Buffers) {
-    let tiles =
-        Tiles { frames, views, products: &buffers.products, errors: &buffers.errors, emitted: &buffers.emitted };
-    let block = &mut buffers.block;
+pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
+    sums: Sums,
+    buffers: &mut Buffers,
+    shares: &[f32],
+    group: Group,
+) {
+    let Buffers { block, products, errors, emitted, .. } = buffers;
+    let (frames, tiles) = (group.frames, Tiles::<SHARED> { group, shares, products, errors, emitted });
     // SAFETY: see the caller
     unsafe {
-        if !gram {
+        if sums != Sums::Gram {
             let mut m = 0;
             while m < frames {
+                let diagonal = sums == Sums::Diagonal;
                 match frames - m {
-                    1 => tiles.pair::<V, 1>(m, block),
-                    2 => tiles.pair::<V, 2>(m, block),
-                    3 => tiles.pair::<V, 3>(m, block),
-                    4 | 5 => tiles.pair::<V, 4>(m, block),
-                    _ => tiles.pair::<V, 6>(m, block),
+                    1 => tiles.pair::<V, 1>(m, diagonal, block),
+                    2 => tiles.pair::<V, 2>(m, diagonal, block),
+                    3..=5 => tiles.pair::<V, 3>(m, diagonal, block),
+                    _ => tiles.pair::<V, 6>(m, diagonal, block),
                 }
                 m += match frames - m {
-                    rest @ 1..=3 => rest,
-                    4 | 5 => 4,
+                    rest @ 1..=2 => rest,
+                    3..=5 => 3,
                     _ => 6,
                 };
             }
@@ -232,44 +291,69 @@ unsafe fn sum_views<V: Lanes>(gram: bool, frames: usize, views: usize, buffers: 
                 _ => tiles.diagonal::<V, 3>(m, block),
             }
         }
-        V::call::<BetweenTiles>((tiles, block));
+        V::call::<BetweenTiles<SHARED>>((tiles, block));
     }
 }
 
-/// The buffers of one block's views, to be summed over.
-pub(crate) struct Tiles<'a> {
-    pub(crate) frames: usize,
-    pub(crate) views: usize,
+/// The buffers of a block's views, to be summed over.
+pub(crate) struct Tiles<'a, const SHARED: bool> {
+    pub(crate) group: Group,
+    /// What each view counts, where that differs.
+    pub(crate) shares: &'a [f32],
     pub(crate) products: &'a [f32],
     pub(crate) errors: &'a [f32],
     pub(crate) emitted: &'a [f32],
 }
 
-impl Tiles<'_> {
+impl<const SHARED: bool> Tiles<'_, SHARED> {
+    /// Times the view's share.
+    #[inline(always)]
+    unsafe fn shared<V: Lanes>(&self, view: usize, value: V) -> V {
+        // SAFETY: see the caller
+        unsafe { if SHARED { value.mul(V::splat(self.shares[view])) } else { value } }
+    }
+
     #[inline(always)]
     unsafe fn product<V: Lanes>(&self, view: usize, frame: usize) -> V {
         // SAFETY: see the caller
-        unsafe { load::<V>(self.products, (view * self.frames + frame) * V::COUNT) }
+        unsafe { load::<V>(self.products, (view * self.group.frames + frame) * V::COUNT) }
     }
 
-    /// n and d of frames m..m + R.
+    /// A sum as it stands.
     #[inline(always)]
-    unsafe fn pair<V: Lanes, const R: usize>(&self, m: usize, block: &mut Block) {
+    unsafe fn begun<V: Lanes>(&self, sums: &[f32], quantity: usize) -> V {
         // SAFETY: see the caller
         unsafe {
-            let (mut residual, mut below) = ([V::splat(0.0); R], [V::splat(0.0); R]);
-            for view in 0..self.views {
+            if self.group.add { load::<V>(sums, (2 * quantity + self.group.half) * V::COUNT) } else { V::splat(0.0) }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn put<V: Lanes>(&self, sum: V, sums: &mut [f32], quantity: usize) {
+        // SAFETY: see the caller
+        unsafe { store(sum, sums, (2 * quantity + self.group.half) * V::COUNT) }
+    }
+
+    /// n and d, or r and the diagonal of G, of frames m..m + R.
+    #[inline(always)]
+    unsafe fn pair<V: Lanes, const R: usize>(&self, m: usize, diagonal: bool, block: &mut Block) {
+        // SAFETY: see the caller
+        unsafe {
+            let mut residual: [V; R] = std::array::from_fn(|i| self.begun(&block.residual, m + i));
+            let mut below: [V; R] = std::array::from_fn(|i| self.begun(&block.emitted, m + i));
+            for view in 0..self.group.views {
                 let error = load::<V>(self.errors, view * V::COUNT);
                 let emitted = load::<V>(self.emitted, view * V::COUNT);
                 for i in 0..R {
                     let a = self.product::<V>(view, m + i);
-                    residual[i] = a.mul_add(error, residual[i]);
-                    below[i] = a.mul_add(emitted, below[i]);
+                    let shared = self.shared(view, a);
+                    residual[i] = shared.mul_add(error, residual[i]);
+                    below[i] = shared.mul_add(if diagonal { a } else { emitted }, below[i]);
                 }
             }
             for i in 0..R {
-                store(residual[i], &mut block.residual, (m + i) * V::COUNT);
-                store(below[i], &mut block.emitted, (m + i) * V::COUNT);
+                self.put(residual[i], &mut block.residual, m + i);
+                self.put(below[i], &mut block.emitted, m + i);
             }
         }
     }
@@ -277,23 +361,27 @@ impl Tiles<'_> {
     /// r of frames m..m + R and the upper triangle of their part of G.
     #[inline(always)]
     unsafe fn diagonal<V: Lanes, const R: usize>(&self, m: usize, block: &mut Block) {
+        let at = |i: usize, k: usize| (m + i) * self.group.frames + m + k;
         // SAFETY: see the caller
         unsafe {
-            let (mut residual, mut gram) = ([V::splat(0.0); R], [[V::splat(0.0); R]; R]);
-            for view in 0..self.views {
+            let mut residual: [V; R] = std::array::from_fn(|i| self.begun(&block.residual, m + i));
+            let mut gram: [[V; R]; R] =
+                std::array::from_fn(|i| std::array::from_fn(|k| self.begun(&block.gram, at(i, k.max(i)))));
+            for view in 0..self.group.views {
                 let error = load::<V>(self.errors, view * V::COUNT);
                 let a: [V; R] = std::array::from_fn(|i| self.product::<V>(view, m + i));
                 for i in 0..R {
-                    residual[i] = a[i].mul_add(error, residual[i]);
+                    let shared = self.shared(view, a[i]);
+                    residual[i] = shared.mul_add(error, residual[i]);
                     for k in i..R {
-                        gram[i][k] = a[i].mul_add(a[k], gram[i][k]);
+                        gram[i][k] = shared.mul_add(a[k], gram[i][k]);
                     }
                 }
             }
             for i in 0..R {
-                store(residual[i], &mut block.residual, (m + i) * V::COUNT);
+                self.put(residual[i], &mut block.residual, m + i);
                 for k in i..R {
-                    store(gram[i][k], &mut block.gram, ((m + i) * self.frames + m + k) * V::COUNT);
+                    self.put(gram[i][k], &mut block.gram, at(i, k));
                 }
             }
         }
@@ -302,11 +390,13 @@ impl Tiles<'_> {
     /// G between frames m..m + 3 and k..k + C.
     #[inline(always)]
     unsafe fn rectangle<V: Lanes, const C: usize>(&self, m: usize, k: usize, block: &mut Block) {
+        let at = |i: usize, c: usize| (m + i) * self.group.frames + k + c;
         // SAFETY: see the caller
         unsafe {
-            let mut gram = [[V::splat(0.0); C]; 3];
-            for view in 0..self.views {
-                let a: [V; 3] = std::array::from_fn(|i| self.product::<V>(view, m + i));
+            let mut gram: [[V; C]; 3] =
+                std::array::from_fn(|i| std::array::from_fn(|c| self.begun(&block.gram, at(i, c))));
+            for view in 0..self.group.views {
+                let a: [V; 3] = std::array::from_fn(|i| self.shared(view, self.product::<V>(view, m + i)));
                 for c in 0..C {
                     let b = self.product::<V>(view, k + c);
                     for i in 0..3 {
@@ -316,7 +406,7 @@ impl Tiles<'_> {
             }
             for i in 0..3 {
                 for c in 0..C {
-                    store(gram[i][c], &mut block.gram, ((m + i) * self.frames + k + c) * V::COUNT);
+                    self.put(gram[i][c], &mut block.gram, at(i, c));
                 }
             }
         }
@@ -324,19 +414,20 @@ impl Tiles<'_> {
 }
 
 /// G off the tiles of 3×3 frames along its diagonal.
-pub(crate) struct BetweenTiles;
+pub(crate) struct BetweenTiles<const SHARED: bool>;
 
-impl Kernel for BetweenTiles {
-    type Args<'a> = (Tiles<'a>, &'a mut Block);
+impl<const SHARED: bool> Kernel for BetweenTiles<SHARED> {
+    type Args<'a> = (Tiles<'a, SHARED>, &'a mut Block);
     type Output = ();
 
     #[inline(always)]
     unsafe fn run<V: Lanes>((tiles, block): Self::Args<'_>) {
+        let frames = tiles.group.frames;
         // SAFETY: passed on from the caller
         unsafe {
-            for m in (0..tiles.frames).step_by(3) {
-                for k in (m + 3..tiles.frames).step_by(3) {
-                    match tiles.frames - k {
+            for m in (0..frames).step_by(3) {
+                for k in (m + 3..frames).step_by(3) {
+                    match frames - k {
                         1 => tiles.rectangle::<V, 1>(m, k, block),
                         2 => tiles.rectangle::<V, 2>(m, k, block),
                         _ => tiles.rectangle::<V, 3>(m, k, block),

@@ -1,30 +1,33 @@
 //! The same problem at half the resolution, and its solution as a start for the whole one.
 //!
-//! Low frequencies settle at a quarter of the cost. Field and layers lose every second pixel; lenslets, angular bins, views and frames stay. Coarse
-//! pixels are means over the fine ones that they cover, by area; a coarse solution is interpolated linearly where the fine pixels' centres
-//! are.
+//! Low frequencies settle at a quarter of the cost. Field and layers lose every second pixel, and many views every second one, since what a step between
+//! views moves against each other halves too; lenslets, angular bins and frames stay. Coarse pixels are means over the fine ones that they cover, by
+//! area; a coarse solution is interpolated linearly where the fine pixels' centres are. All of it in the layout of the kernels.
 
-use lumistack_core::Tensor;
-use lumistack_display::{Backlight, Display, FieldGeometry, LayerStack, LightField, Weights};
+use std::sync::Arc;
 
-use crate::{Problem, bands};
+use lumistack_display::{Backlight, Display, FieldGeometry};
+
+use crate::bands;
+use crate::factor::{Factor, Layout};
+use crate::plan::Plan;
 
 /// Fewest pixels per axis of a field that is worth a level of its own.
 const SMALLEST_FIELD: usize = 48;
+/// Fewest views per axis of which every second one will do.
+const MANY_VIEWS: usize = 9;
 
 /// A problem that owns its parts.
-#[derive(Clone, Debug)]
 pub(crate) struct Coarse {
-    display: Display,
-    target: LightField,
-    weights: Weights,
+    pub(crate) display: Display,
+    pub(crate) geometry: FieldGeometry,
+    pub(crate) plan: Arc<Plan>,
 }
 
 impl Coarse {
     /// The problem at half the resolution; `None` where that would be meaningless: hardly any pixels, fewer than two pixels to a lenslet, or
     /// colour filters that stand on single columns.
-    pub(crate) fn of(problem: &Problem) -> Option<Self> {
-        let (display, geometry) = (problem.display, problem.target.geometry());
+    pub(crate) fn of(display: &Display, geometry: &FieldGeometry, fine: &Plan) -> Option<Self> {
         let layers = display.layers.iter();
         let smallest =
             layers.flat_map(|layer| layer.resolution).chain([geometry.rows, geometry.cols]).min().unwrap_or(0);
@@ -44,71 +47,97 @@ impl Coarse {
             layer.pitch_mm *= 2.0;
             layer.blur_px /= 2.0;
         }
-        let coarse = FieldGeometry {
+        // angular bins need all of their views, and an even number has no half that is symmetrical
+        let thins = |count: usize| display.backlight == Backlight::Uniform && count >= MANY_VIEWS && count % 2 == 1;
+        let views = geometry.grid.views().map(|count| (0..count).step_by(if thins(count) { 2 } else { 1 }));
+        let mut coarse = FieldGeometry {
             rows: geometry.rows.div_ceil(2),
             cols: geometry.cols.div_ceil(2),
             pitch_mm: 2.0 * geometry.pitch_mm,
             grid: geometry.grid.clone(),
         };
-        let rows = cover(geometry.rows, coarse.rows);
-        let cols = cover(geometry.cols, coarse.cols);
-        let mut target = LightField::black(coarse).ok()?;
-        average::<3>(problem.target.radiance().data(), geometry.cols, &rows, &cols, target.radiance_mut().data_mut());
-        let weights = match problem.weights {
-            Weights::PerRay(fine) => {
-                let [view_rows, view_cols, ..] = fine.shape();
-                let mut coarse =
-                    Tensor::zeros(["view_y", "view_x", "row", "col"], [view_rows, view_cols, rows.len(), cols.len()]);
-                average::<1>(fine.data(), geometry.cols, &rows, &cols, coarse.data_mut());
-                Weights::PerRay(coarse)
+        coarse.grid.slope_y = views[0].clone().map(|view| geometry.grid.slope_y[view]).collect();
+        coarse.grid.slope_x = views[1].clone().map(|view| geometry.grid.slope_x[view]).collect();
+        let views: Vec<usize> =
+            views[0].clone().flat_map(|view_y| views[1].clone().map(move |view_x| fine.view(view_y, view_x))).collect();
+        let pixels = [cover(geometry.rows, coarse.rows), cover(geometry.cols, coarse.cols)];
+        let plan = Plan::with_target(&display, &coarse, fine.target.averaged(&fine.row, &views, &pixels));
+        Some(Self { display, geometry: coarse, plan: Arc::new(plan) })
+    }
+}
+
+/// A coarse solution as values of a finer factor, within its box. A backlight has the same lenslets on both.
+pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) -> Factor {
+    let channels = coarse.channels();
+    let mut fine = Factor::blank(layout, channels);
+    let ([rows, cols], [_, fine_cols]) = (coarse.layout.size, layout.size);
+    let same = coarse.layout.size == layout.size;
+    let steps_x = Between::of(fine_cols, cols);
+    let steps_y = Between::of(layout.size[0], rows);
+    bands::for_each_chunk(
+        &mut fine.values,
+        layout.line_len(),
+        || vec![0.0f32; 1 + cols + 1],
+        |mixed, index, values| {
+            let (channel, line) = (index / layout.stored_lines(), index % layout.stored_lines());
+            if line == layout.lines() {
+                return;
             }
-            weights => weights.clone(),
-        };
-        Some(Self { display, target, weights })
+            for frame in 0..layout.frames {
+                let to = &mut values[frame * layout.stride + layout.pad..][..layout.cols()];
+                let row = |line: usize| &coarse.row(channel, line, frame)[coarse.layout.pad..][..coarse.layout.cols()];
+                if same {
+                    to.copy_from_slice(row(line));
+                } else {
+                    let ([before, after], t) = steps_y.around(line);
+                    // the outermost pixels go on beyond the border
+                    let (upper, lower) = (row(before.saturating_sub(1)), row((after - 1).min(rows - 1)));
+                    let inner = mixed[1..=cols].iter_mut().zip(upper).zip(lower);
+                    inner.for_each(|((mixed, &a), &b)| *mixed = a + t * (b - a));
+                    (mixed[0], mixed[cols + 1]) = (mixed[1], mixed[cols]);
+                    steps_x.interpolate(mixed, to);
+                }
+                to.iter_mut().for_each(|value| *value = value.max(low).min(high));
+            }
+        },
+    );
+    fine
+}
+
+/// Where fine pixels lie between coarse ones of twice the pitch on the same centre, whose border pixels are repeated once: every pair of fine pixels
+/// 2k, 2k + 1 between the pixels k, k + 1, k + 2 of these.
+struct Between {
+    /// How far pixel 2k lies on the way from k to k + 1, and pixel 2k + 1 on that from k + 1 to k + 2.
+    t: [f32; 2],
+}
+
+impl Between {
+    fn of(fine: usize, coarse: usize) -> Self {
+        Self { t: if fine == 2 * coarse { [0.75, 0.25] } else { [1.0, 0.5] } }
     }
 
-    pub(crate) fn problem(&self) -> Problem<'_> {
-        Problem { display: &self.display, target: &self.target, weights: &self.weights }
+    /// The two coarse pixels around a fine one, and how far it lies on the way to the second.
+    fn around(&self, fine: usize) -> ([usize; 2], f32) {
+        let first = fine / 2 + fine % 2;
+        ([first, first + 1], self.t[fine % 2])
     }
 
-    /// A coarse solution as patterns of the fine display.
-    pub(crate) fn refine(&self, coarse: &LayerStack, fine: &Display) -> LayerStack {
-        let mut stack = LayerStack::filled(fine, 0.0);
-        for (to, from) in stack.layers.iter_mut().zip(&coarse.layers) {
-            let [_, fine_rows, fine_cols, _] = to.shape();
-            let [_, rows, cols, _] = from.shape();
-            let (ys, xs) = (between(fine_rows, rows), between(fine_cols, cols));
-            let from = from.data();
-            bands::for_each_chunk(
-                to.data_mut(),
-                fine_cols * 3,
-                || vec![0.0f32; (cols + 1) * 3],
-                |mixed, index, line| {
-                    let (frame, row) = (index / fine_rows, index % fine_rows);
-                    let (first, ty) = ys[row];
-                    let upper = &from[(frame * rows + first) * cols * 3..][..cols * 3];
-                    let lower = &from[(frame * rows + (first + 1).min(rows - 1)) * cols * 3..][..cols * 3];
-                    for ((to, &a), &b) in mixed.iter_mut().zip(upper).zip(lower) {
-                        *to = a + ty * (b - a);
-                    }
-                    // nothing follows the last column: it is mixed with itself
-                    mixed.copy_within((cols - 1) * 3..cols * 3, cols * 3);
-                    for (pixel, &(first, tx)) in line.chunks_exact_mut(3).zip(&xs) {
-                        let (left, right) = mixed[3 * first..3 * first + 6].split_at(3);
-                        for ((value, &a), &b) in pixel.iter_mut().zip(left).zip(right) {
-                            *value = (a + tx * (b - a)).clamp(0.0, 1.0);
-                        }
-                    }
-                },
-            );
+    fn interpolate(&self, coarse: &[f32], fine: &mut [f32]) {
+        let [even, odd] = self.t;
+        let (pairs, last) = fine.as_chunks_mut::<2>();
+        for (pair, around) in pairs.iter_mut().zip(coarse.windows(3)) {
+            pair[0] = around[0] + even * (around[1] - around[0]);
+            pair[1] = around[1] + odd * (around[2] - around[1]);
         }
-        stack.emission.clone_from(&coarse.emission);
-        stack
+        if let [last] = last {
+            let k = pairs.len();
+            *last = coarse[k] + even * (coarse[k + 1] - coarse[k]);
+        }
     }
 }
 
 /// Per coarse pixel of twice the pitch on the same centre: the first fine pixel that it covers and the shares of it and the next two.
-fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
+pub(crate) fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
     (0..coarse)
         .map(|i| {
             // in fine pixels: the coarse pixel's left edge, where the first fine pixel's left edge is 0
@@ -121,49 +150,6 @@ fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
             let shares = [share(0), share(1), share(2)];
             let total: f64 = shares.iter().sum();
             (first, shares.map(|share| (share / total) as f32))
-        })
-        .collect()
-}
-
-/// Means of pictures `[...][row][col][channel]` of C channels.
-fn average<const C: usize>(
-    fine: &[f32],
-    fine_cols: usize,
-    rows: &[(usize, [f32; 3])],
-    cols: &[(usize, [f32; 3])],
-    coarse: &mut [f32],
-) {
-    let pictures = coarse.len() / (rows.len() * cols.len() * C);
-    let fine_rows = fine.len() / (pictures * fine_cols * C);
-    bands::for_each_chunk(
-        coarse,
-        cols.len() * C,
-        || vec![0.0f32; fine_cols * C],
-        |sum, index, line| {
-            let (picture, (first, shares)) = (index / rows.len(), rows[index % rows.len()]);
-            sum.fill(0.0);
-            for (k, &share) in shares.iter().enumerate().filter(|(_, share)| **share > 0.0) {
-                let row = &fine[(picture * fine_rows + first + k) * fine_cols * C..][..fine_cols * C];
-                sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += share * value);
-            }
-            for (pixel, &(first, shares)) in line.chunks_exact_mut(C).zip(cols) {
-                pixel.fill(0.0);
-                for (k, &share) in shares.iter().enumerate().filter(|(_, share)| **share > 0.0) {
-                    let from = &sum[(first + k) * C..][..C];
-                    pixel.iter_mut().zip(from).for_each(|(value, from)| *value += share * from);
-                }
-            }
-        },
-    );
-}
-
-/// Per fine pixel: the coarse pixel before it, and how far it lies on the way to the next.
-fn between(fine: usize, coarse: usize) -> Vec<(usize, f32)> {
-    (0..fine)
-        .map(|i| {
-            let at = (i as f64 - (fine as f64 - 1.0) / 2.0) / 2.0 + (coarse as f64 - 1.0) / 2.0;
-            let at = at.clamp(0.0, coarse as f64 - 1.0);
-            (at.floor() as usize, (at - at.floor()) as f32)
         })
         .collect()
 }
@@ -192,13 +178,19 @@ mod tests {
         for fine in [8usize, 9, 31] {
             let coarse = fine.div_ceil(2);
             let ramp: Vec<f32> = (0..fine).map(|i| i as f32 - (fine as f32 - 1.0) / 2.0).collect();
-            let mut means = vec![0.0; coarse];
-            average::<1>(&ramp, fine, &[(0, [1.0, 0.0, 0.0])], &cover(fine, coarse), &mut means);
-            let (ups, inner) = (between(fine, coarse), 2..fine - 2);
-            for i in inner {
-                let (first, t) = ups[i];
-                let value = means[first] + t * (means[(first + 1).min(coarse - 1)] - means[first]);
-                assert!((value - ramp[i]).abs() < 1e-5, "{fine}, {i}: {value} {}", ramp[i]);
+            let mean = |(first, shares): (usize, [f32; 3])| -> f32 {
+                shares.iter().enumerate().filter(|(_, s)| **s > 0.0).map(|(k, s)| s * ramp[first + k]).sum()
+            };
+            let means: Vec<f32> = cover(fine, coarse).into_iter().map(mean).collect();
+            let repeated = [&means[..1], &means, &means[coarse - 1..]].concat();
+            let (between, mut up) = (Between::of(fine, coarse), vec![0.0; fine]);
+            between.interpolate(&repeated, &mut up);
+            for i in 2..fine - 2 {
+                assert!((up[i] - ramp[i]).abs() < 1e-5, "{fine}, {i}: {} {}", up[i], ramp[i]);
+            }
+            for (i, value) in up.iter().enumerate() {
+                let ([before, after], t) = between.around(i);
+                assert!((value - (repeated[before] + t * (repeated[after] - repeated[before]))).abs() < 1e-6);
             }
         }
     }

@@ -1,22 +1,32 @@
 //! State of a run on this machine's processor, and the update of one factor.
 
-use lumistack_display::{Backlight, LayerStack, Response};
+use std::sync::Arc;
+
+use lumistack_core::pages::prefer_large_pages;
+use lumistack_core::{Cancel, Tensor};
+use lumistack_display::{Backlight, Display, LayerStack, Response};
 
 use crate::aligned::Aligned;
 use crate::errors::{ErrorFunctions, ErrorSum, RowErrors};
 use crate::factor::{Factor, Layout};
 use crate::gather::{self, GatherFunctions, GatherLine};
-use crate::line::{LineOf, LineStep, Outcome, StepFunctions, quantities_of};
+use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
 use crate::plan::Plan;
+use crate::prepared::Patterns;
 use crate::respond::{self, Pulled, StepLine};
 use crate::scratch::Scratch;
+use crate::spread::{self, SpreadBand, SpreadFunctions};
 use crate::step::{Block, Levels, Rule};
 use crate::sums::SumLine;
-use crate::{FactorizeError, Objective, Problem, bands, unlit};
+use crate::{Objective, bands, coarse, unlit};
+
+/// Which part of the objective an update must leave for the rest to be known from its gain, whose terms are f32.
+const LEAST_LEFT: f64 = 0.01;
 
 /// Patterns under way.
 pub(crate) struct Engine {
-    plan: Plan,
+    plan: Arc<Plan>,
+    display: Display,
     /// What rays read: layers rear to front, then the backlight.
     factors: Vec<Factor>,
     /// Per factor, what is stored where that is not what rays read.
@@ -29,9 +39,9 @@ pub(crate) struct Engine {
     spare: Aligned,
     /// The boxes of the factors' values.
     ranges: Vec<[f32; 2]>,
-    /// What was handed in; gives the downloaded stack its shapes. Empty where patterns are fetched row by row.
-    shapes: LayerStack,
     fast: bool,
+    /// Asked before every line; where it is set, what is left stays as it is.
+    pub(crate) cancel: Cancel,
     /// Where L̃ is not linear in a factor: whether updates try the curvature at the present point before the bound that holds everywhere.
     pub(crate) bold: bool,
     rays: u64,
@@ -39,20 +49,29 @@ pub(crate) struct Engine {
 
 impl Engine {
     /// Values of the start, and of all patterns later, stay within the hardware's box and at `floor` or above.
-    pub(crate) fn new(problem: &Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
-        problem.check()?;
-        start.check(problem.display)?;
-        let plan = Plan::new(problem);
-        let display = problem.display;
-        let mut ranges: Vec<[f32; 2]> = display.layers.iter().map(|layer| layer.range()).collect();
-        if let Backlight::Lenslets(lenslets) = &display.backlight {
-            ranges.push(lenslets.range());
-        }
+    #[cfg(test)]
+    pub(crate) fn new(problem: &crate::Problem, start: LayerStack, floor: f32) -> Result<Self, crate::FactorizeError> {
+        Ok(crate::prepared::Prepared::new(problem, start)?.engine(floor))
+    }
+
+    /// [`new`](Self::new) on what is prepared.
+    pub(crate) fn begin(plan: Arc<Plan>, display: &Display, floor: f32, patterns: &Patterns) -> Self {
+        let mut ranges = ranges_of(display);
         ranges.iter_mut().for_each(|[low, high]| *low = low.max(floor).min(*high));
-        let tensors = start.layers.iter().map(|layer| layer.data()).chain(start.emission.iter().map(|e| e.data()));
-        let factors = plan.maps.iter().zip(tensors).zip(&ranges);
-        let mut factors: Vec<_> =
-            factors.map(|((map, tensor), range)| Factor::upload(&map.layout, tensor, *range)).collect();
+        let layouts = plan.maps.iter().map(|map| &map.layout).zip(&ranges);
+        let factors: Vec<_> = match patterns {
+            Patterns::Stack(stack) => {
+                let tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
+                layouts.zip(tensors).map(|((layout, range), values)| Factor::upload(layout, values, *range)).collect()
+            }
+            Patterns::Coarse(engine) => {
+                layouts.zip(engine.own()).map(|((layout, range), own)| coarse::refine(own, layout, *range)).collect()
+            }
+        };
+        Self::with_factors(plan, display, ranges, factors)
+    }
+
+    fn with_factors(plan: Arc<Plan>, display: &Display, ranges: Vec<[f32; 2]>, mut factors: Vec<Factor>) -> Self {
         let responses = display.layers.iter().map(|layer| layer.response()).chain(std::iter::repeat(None));
         let stored = factors.iter_mut().zip(responses).map(|(met, response)| {
             let response = response?;
@@ -63,23 +82,30 @@ impl Engine {
             respond::respond(&response, &stored, &mut met.values);
             Some((response, stored))
         });
-        let stored = stored.collect();
-        let levels = vec![None; factors.len()];
-        let shapes = LayerStack { brightness: display.brightness, ..start };
-        let rays = plan.rays();
-        let (latest, spare) = (Vec::new(), Aligned::default());
-        Ok(Self { plan, factors, stored, levels, latest, spare, ranges, shapes, fast: true, bold: false, rays })
+        Self {
+            stored: stored.collect(),
+            levels: vec![None; plan.maps.len()],
+            display: display.clone(),
+            latest: Vec::new(),
+            spare: Aligned::default(),
+            ranges,
+            fast: true,
+            cancel: Cancel::default(),
+            bold: false,
+            rays: plan.rays(),
+            plan,
+            factors,
+        }
     }
 
-    /// For patterns that never leave as a whole: begins at `start(factor, channel, line, values)`, which fills a line's rows frame by frame.
+    /// For one channel: begins at `start(plan, range, line, values)`, which fills a line's rows frame by frame.
     pub(crate) fn by_lines(
         plan: Plan,
-        ranges: Vec<[f32; 2]>,
-        brightness: f64,
-        start: impl Fn(&Plan, LineOf, &mut [f32]) + Sync,
+        display: &Display,
+        start: impl Fn(&Plan, [f32; 2], LineOf, &mut [f32]) + Sync,
     ) -> Self {
-        let mut factors = Vec::new();
-        for n in 0..plan.maps.len() {
+        let ranges = ranges_of(display);
+        let begun = |(n, range): (usize, &[f32; 2])| {
             let layout = &plan.maps[n].layout;
             let mut factor = Factor::blank(layout, plan.target.channels);
             bands::for_each_chunk(
@@ -93,16 +119,19 @@ impl Engine {
                         line: index % layout.stored_lines(),
                     };
                     if at.line < layout.lines() {
-                        start(&plan, at, values);
+                        start(&plan, *range, at, values);
                     }
                 },
             );
-            factors.push(factor);
-        }
-        let shapes = LayerStack { layers: Vec::new(), emission: None, brightness };
-        let (stored, levels) = (factors.iter().map(|_| None).collect(), vec![None; factors.len()]);
-        let (latest, spare, rays) = (Vec::new(), Aligned::default(), plan.rays());
-        Self { plan, factors, stored, levels, latest, spare, ranges, shapes, fast: true, bold: false, rays }
+            factor
+        };
+        let factors = ranges.iter().enumerate().map(begun).collect();
+        Self::with_factors(Arc::new(plan), display, ranges, factors)
+    }
+
+    /// What is stored of every factor.
+    fn own(&self) -> impl Iterator<Item = &Factor> {
+        self.factors.iter().zip(&self.stored).map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored))
     }
 
     /// One row of a pattern.
@@ -114,7 +143,7 @@ impl Engine {
     /// Chooses the instruction set and whether the fast kernel may be used.
     #[cfg(test)]
     pub(crate) fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
-        self.plan.use_backend(backend);
+        Arc::make_mut(&mut self.plan).use_backend(backend);
         self.fast = fast;
     }
 
@@ -169,9 +198,7 @@ impl Engine {
 
     fn update_by(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) -> Outcome {
         if beyond.is_some() && self.latest.is_empty() {
-            let own = self.factors.iter().zip(&self.stored);
-            let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
-            self.latest = own.map(|factor| factor.values.clone()).collect();
+            self.latest = self.own().map(|factor| factor.values.clone()).collect();
         }
         if self.stored[n].is_some() {
             return self.update_stored(n, rule, beyond, local);
@@ -198,12 +225,12 @@ impl Engine {
     /// Updates a factor that stores other values than rays read.
     fn update_stored(&mut self, n: usize, rule: Rule, beyond: Option<f32>, local: bool) -> Outcome {
         let layout = self.plan.maps[n].layout.clone();
-        let line_sums = quantities_of(rule, layout.frames) * layout.stride;
+        let line_sums = rule.sums().count(layout.frames) * layout.stride;
         let mut sums = vec![0.0; self.plan.target.channels * layout.stored_lines() * line_sums];
         let mut met = self.factors[n].values.clone();
         let seen = self.update_lines(n, rule, None, local, &mut met, Some(&mut sums));
         let Some((response, stored)) = &mut self.stored[n] else { return seen };
-        let pulled = Pulled::back(response, &layout, rule, &sums);
+        let pulled = Pulled::back(response, &layout, rule.sums(), &sums);
         let limits = (rule == Rule::Settle).then(|| unlit::limits(&self.plan, n));
         let steps = Steps::new(&layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let latest = beyond.map(|_| &mut self.latest[n]);
@@ -252,20 +279,38 @@ impl Engine {
         let limits =
             (rule == Rule::Settle && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
         let steps = Steps::new(layout, rule, self.ranges[n], self.levels[n].as_ref(), limits);
-        let is_line = |at: &LineOf| at.line < layout.lines();
+        let cancel = &self.cancel;
+        let is_line = |at: &LineOf| at.line < layout.lines() && !cancel.is_cancelled();
         let functions = steps.functions(plan, layout.frames);
         if fast {
             let functions = GatherFunctions::new(plan.backend, rule, layout.frames, factors.len() - 1, functions);
             bands::for_each_chunk(
                 &mut lines,
                 1,
-                || gather::Scratch::new(plan, n),
+                || gather::Scratch::new(plan),
                 |scratch, index, line| {
                     let at = line_of(index);
                     if is_line(&at) {
                         let step = steps.of(at.line, &mut line[0]);
                         let gathered = GatherLine { plan, factors, at, functions: &functions, step, scratch };
                         line[0].outcome = gathered.update();
+                    }
+                },
+            );
+        } else if plan.is_product() {
+            let functions = SpreadFunctions::new(plan.backend, functions);
+            bands::for_each_chunk(
+                &mut lines,
+                spread::BAND,
+                || spread::Scratch::new(plan, n, rule),
+                |scratch, index, lines| {
+                    let mut band = SpreadBand { plan, factors, functions: &functions, scratch, before: None };
+                    for (i, line) in lines.iter_mut().enumerate() {
+                        let at = line_of(index * spread::BAND + i);
+                        if is_line(&at) {
+                            let step = steps.of(at.line, line);
+                            line.outcome = band.update(at, step);
+                        }
                     }
                 },
             );
@@ -288,7 +333,7 @@ impl Engine {
     }
 
     /// Exchanges the patterns for where the last steps ended, or back.
-    fn swap_latest(&mut self) {
+    pub(crate) fn swap_latest(&mut self) {
         let own = self.factors.iter_mut().zip(&mut self.stored);
         for ((met, stored), latest) in own.zip(&mut self.latest) {
             match stored {
@@ -315,6 +360,17 @@ impl Engine {
         let own = self.factors.iter().zip(&self.stored);
         let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
         self.latest.iter_mut().zip(own).for_each(|(latest, factor)| latest.copy_from_slice(&factor.values));
+    }
+
+    /// The objective after an update of factor `n` with this outcome, where that is known: every ray that counts reads one pixel of the factor, whose
+    /// steps are exact, and all count alike.
+    pub(crate) fn seen(&self, n: usize, outcome: Outcome) -> Option<Objective> {
+        let (plan, map) = (&self.plan, &self.plan.maps[n]);
+        let exact = plan.is_product() && map.nearest && map.complete && self.stored[n].is_none();
+        // where next to nothing is left, that is rounding
+        let left = outcome.error - outcome.gain;
+        let known = exact && plan.target.is_uniform() && left > LEAST_LEFT * outcome.error;
+        known.then(|| self.objective_of(left, None))
     }
 
     /// Root mean square, over all values, of the change of the emission that an exact coordinate step within the box would still make: 0 at a
@@ -346,31 +402,88 @@ impl Engine {
             plan.target.channels * plan.rows,
             || Scratch::new(plan, 0),
             |scratch, index| {
+                if self.cancel.is_cancelled() {
+                    return ErrorSum::default();
+                }
                 let (channel, row) = (index / plan.rows, index % plan.rows);
                 RowErrors { plan, factors, channel, row, functions: &functions, scratch }.sum()
             },
         );
         let total = sums.iter().fold(ErrorSum::default(), |total, sum| total.merged(*sum));
-        let mean = total.plain / (plan.target.channels as u64 * self.rays) as f64;
+        self.objective_of(total.weighted, Some(total.plain))
+    }
+
+    /// From Σ w e², weights relative to the largest, and Σ e² where that is another sum.
+    fn objective_of(&self, weighted: f64, plain: Option<f64>) -> Objective {
+        let target = &self.plan.target;
+        let mean = plain.unwrap_or(weighted) / (target.channels as u64 * self.rays) as f64;
         Objective {
-            value: plan.target.weight_scale * total.weighted,
-            psnr_view: -10.0 * mean.log10() + 20.0 * self.shapes.brightness.log10(),
+            value: target.weight_scale * weighted,
+            psnr_view: -10.0 * mean.log10() + 20.0 * self.display.brightness.log10(),
         }
     }
 
-    /// The patterns that rays read.
-    pub(crate) fn download(&self) -> LayerStack {
-        let mut stack = self.shapes.clone();
-        let tensors = stack
-            .layers
-            .iter_mut()
-            .map(|layer| layer.data_mut())
-            .chain(stack.emission.iter_mut().map(|e| e.data_mut()));
-        let own = self.factors.iter().zip(&self.stored);
-        let own = own.map(|(met, stored)| stored.as_ref().map_or(met, |(_, stored)| stored));
-        own.zip(tensors).for_each(|(factor, tensor)| factor.download(tensor));
+    /// [`download`](Self::download) into the memory of what [`swap_latest`](Self::swap_latest) exchanged, where there is any: new memory costs more than
+    /// what is written there.
+    pub(crate) fn into_stack(mut self) -> LayerStack {
+        if self.latest.is_empty() {
+            return self.download();
+        }
+        let mut stack = LayerStack::filled(&self.display, 0.0);
+        let mut latest = std::mem::take(&mut self.latest).into_iter();
+        let mut own = self.own();
+        for layer in &mut stack.layers {
+            if let (Some(own), Some(latest)) = (own.next(), latest.next()) {
+                *layer = lent(layer, own, latest);
+            }
+        }
+        if let (Some(emission), Some(own), Some(latest)) = (&mut stack.emission, own.next(), latest.next()) {
+            *emission = lent(emission, own, latest);
+        }
+        drop(own);
         stack
     }
+
+    /// The patterns that are stored.
+    pub(crate) fn download(&self) -> LayerStack {
+        // zeros that nobody has touched are no memory yet
+        let mut stack = LayerStack::filled(&self.display, 0.0);
+        let layers = stack.layers.iter_mut().map(|layer| layer.data_mut());
+        for (factor, tensor) in self.own().zip(layers.chain(stack.emission.iter_mut().map(|e| e.data_mut()))) {
+            prefer_large_pages(tensor);
+            factor.download(tensor);
+        }
+        stack
+    }
+}
+
+/// Values of a tensor in the memory of a factor that is needed no more.
+struct Reused {
+    values: Aligned,
+    len: usize,
+}
+
+impl AsRef<[f32]> for Reused {
+    fn as_ref(&self) -> &[f32] {
+        &self.values[..self.len]
+    }
+}
+
+/// A tensor's shape with other values.
+fn lent<const N: usize>(tensor: &Tensor<N>, own: &Factor, mut values: Aligned) -> Tensor<N> {
+    let len = tensor.shape().iter().product();
+    own.download(&mut values[..len]);
+    let lent = Tensor::lent(tensor.axes(), tensor.shape(), Arc::new(Reused { values, len }));
+    lent.unwrap_or_else(|_| tensor.clone())
+}
+
+/// The boxes of a display's values: layers, then the backlight.
+fn ranges_of(display: &Display) -> Vec<[f32; 2]> {
+    let mut ranges: Vec<[f32; 2]> = display.layers.iter().map(|layer| layer.range()).collect();
+    if let Backlight::Lenslets(lenslets) = &display.backlight {
+        ranges.push(lenslets.range());
+    }
+    ranges
 }
 
 /// One line of the factor under update.

@@ -126,6 +126,11 @@ impl Factor {
         );
     }
 
+    /// Number of colour channels.
+    pub(crate) fn channels(&self) -> usize {
+        self.values.len() / (self.layout.stored_lines() * self.layout.line_len())
+    }
+
     /// One padded row.
     #[inline(always)]
     pub(crate) fn row(&self, channel: usize, line: usize, frame: usize) -> &[f32] {

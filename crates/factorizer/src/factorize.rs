@@ -1,14 +1,19 @@
 //! Start, iterate, report: what the pipeline calls.
 
+use std::sync::Arc;
+
 use lumistack_core::Task;
-use lumistack_display::LayerStack;
+use lumistack_display::{Display, FieldGeometry, LayerStack};
 
 use crate::coarse::Coarse;
 use crate::engine::Engine;
-use crate::quantize::{has_levels, reoptimize_on_levels, round_to_levels};
-use crate::solver::AUTO;
-use crate::solvers::solver;
-use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, start_patterns, unlit};
+use crate::plan::Plan;
+use crate::prepared::{Patterns, Prepared};
+use crate::quantize::{has_levels, reoptimize, round_to_levels};
+use crate::solver::{AUTO, Iterated, Method};
+use crate::solvers::method;
+use crate::start::start_patterns;
+use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, unlit};
 
 /// How to factorize.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,7 +31,8 @@ pub struct Settings {
     pub coarse_levels: Option<u32>,
     /// Iterations at each coarser level.
     pub coarse_iterations: u32,
-    /// The objective is evaluated after every so many iterations and after the last; it costs about a third of an iteration. At least 1.
+    /// The objective is evaluated after every so many iterations and after the last. Block-exact solvers find it on their way where all rays count alike
+    /// and read one pixel per layer; else it costs about a third of an iteration. At least 1.
     pub report_every: u32,
     /// Whether patterns for layers of few bits are re-optimized on the panels' levels; otherwise they stay continuous.
     pub levels: bool,
@@ -67,7 +73,8 @@ impl Settings {
     }
 }
 
-/// Where the run stands after some iterations.
+/// Where the run stands after some iterations. Before the last, a solver that extrapolates may report the point that its last step met, not the one it
+/// would hand back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iteration {
     /// Iterations done.
@@ -117,20 +124,22 @@ pub fn factorize(
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, FactorizeError> {
     let settings = &settings.resolved();
-    let solver = solver(&settings.solver)?;
-    problem.check()?;
+    let method = method(&settings.solver)?;
+    let (plan, display) = (Arc::new(Plan::new(problem)?), problem.display);
     if let Some(warm) = warm {
-        warm.check(problem.display)?;
-        if problem.display.frames > 1 && frames_are_equal(warm) {
+        warm.check(display)?;
+        if display.frames > 1 && frames_are_equal(warm) {
             task.warn("warm start", "all frames are equal and will stay equal: more frames than one have no effect");
         }
     }
-    let start = match warm {
-        Some(warm) if settings.iterations > 0 => unlit::lifted(warm),
-        Some(warm) => warm.clone(),
-        None => start_from_coarse(problem, settings, settings.coarse_levels.unwrap_or(0), task)?,
+    let prepared = |patterns| Prepared { plan: plan.clone(), display, patterns };
+    let mut run = match warm {
+        Some(warm) => {
+            let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
+            method.begin(prepared(Patterns::Stack(start)))?
+        }
+        None => begin(method, &plan, (display, problem.target.geometry()), settings, task)?,
     };
-    let mut run = solver.start(problem, start)?;
     if run.rays() == 0 {
         return Err(FactorizeError::NoRays);
     }
@@ -144,10 +153,12 @@ pub fn factorize(
             // before the last evaluation, which is that of what is handed back
             if iteration == settings.iterations {
                 unsettled = if iteration > 0 { run.settle() } else { run.unsettled() };
+                task.cancel.check()?;
             }
             let mut note = String::new();
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
-                let objective = run.objective();
+                let seen = run.seen().filter(|_| iteration < settings.iterations);
+                let objective = seen.unwrap_or_else(|| run.objective());
                 let entry = Iteration { iteration, objective: objective.value, psnr_view: objective.psnr_view };
                 note = format!("{:.2} dB", entry.psnr_view);
                 on_iteration(&entry);
@@ -162,16 +173,13 @@ pub fn factorize(
     let result = iterate();
     task.progress.end();
     result?;
-    let (mut stack, mut levels) = (run.download(), None);
-    drop(run);
+    let (mut stack, mut levels) = (run.finish().into_stack(), None);
     if settings.levels && has_levels(problem) {
-        let psnr_view = |stack: &LayerStack| -> Result<f64, FactorizeError> {
-            Ok(Engine::new(problem, stack.clone(), 0.0)?.objective().psnr_view)
-        };
-        let continuous = psnr_view(&stack)?;
-        let rounded = psnr_view(&round_to_levels(problem, &stack))?;
-        stack = reoptimize_on_levels(problem, stack, task)?;
-        levels = Some(LevelsLoss { continuous, rounded, reoptimized: psnr_view(&stack)? });
+        let psnr_view = |stack: &LayerStack| prepared(Patterns::Stack(stack.clone())).engine(0.0).objective().psnr_view;
+        let continuous = psnr_view(&stack);
+        let rounded = psnr_view(&round_to_levels(problem, &stack));
+        stack = reoptimize(prepared(Patterns::Stack(stack)), task)?;
+        levels = Some(LevelsLoss { continuous, rounded, reoptimized: psnr_view(&stack) });
     }
     Ok(Factorization { stack, history, settings: settings.clone(), unsettled, levels })
 }
@@ -194,13 +202,12 @@ pub fn warm_start_pays(
     task: Task,
 ) -> Result<bool, FactorizeError> {
     let fresh = &fresh.resolved();
-    problem.check()?;
-    warm.check(problem.display)?;
-    let start = start_from_coarse(problem, fresh, fresh.coarse_levels.unwrap_or(0), task)?;
+    let (plan, display) = (Arc::new(Plan::new(problem)?), problem.display);
+    warm.check(display)?;
     // the same rule for both: the first steps of different rules do not compare
-    let rule = Settings { solver: warm_solver.into(), ..Settings::default() }.resolved().solver;
-    let mut from_warm = solver(&rule)?.start(problem, unlit::lifted(warm))?;
-    let mut from_fresh = solver(&rule)?.start(problem, start)?;
+    let rule = method(&Settings { solver: warm_solver.into(), ..Settings::default() }.resolved().solver)?;
+    let mut from_fresh = begin(rule, &plan, (display, problem.target.geometry()), fresh, task)?;
+    let mut from_warm = rule.begin(Prepared { plan, display, patterns: Patterns::Stack(unlit::lifted(warm)) })?;
     if from_warm.objective().value <= from_fresh.objective().value {
         return Ok(true);
     }
@@ -212,22 +219,37 @@ pub fn warm_start_pays(
 /// By how much a warm start must be ahead of a fresh one after an iteration, dB.
 const AHEAD_DB: f64 = 1.0;
 
-/// The start of a problem: that of its kind, or what a few iterations make of it at half the resolution, and so on for every level.
-fn start_from_coarse(
-    problem: &Problem,
+/// Begins a run without a warm start.
+fn begin(
+    method: &dyn Method,
+    plan: &Arc<Plan>,
+    (display, geometry): (&Display, &FieldGeometry),
+    settings: &Settings,
+    task: Task,
+) -> Result<Box<dyn Iterated>, FactorizeError> {
+    let coarse = solve_coarse(plan, (display, geometry), settings, settings.coarse_levels.unwrap_or(0), task)?;
+    let patterns = match &coarse {
+        Some(engine) => Patterns::Coarse(engine),
+        None => Patterns::Stack(start_patterns(plan, display, settings.start.unwrap_or_default(), settings.seed)),
+    };
+    method.begin(Prepared { plan: plan.clone(), display, patterns })
+}
+
+/// What a few iterations reach at half the resolution, begun at a quarter, and so on for every level; `None` where there is no level left.
+fn solve_coarse(
+    plan: &Plan,
+    (display, geometry): (&Display, &FieldGeometry),
     settings: &Settings,
     levels: u32,
     task: Task,
-) -> Result<LayerStack, FactorizeError> {
-    let Some(coarse) = (levels > 0).then(|| Coarse::of(problem)).flatten() else {
-        return Ok(start_patterns(problem, settings.start.unwrap_or_default(), settings.seed));
-    };
-    let start = start_from_coarse(&coarse.problem(), settings, levels - 1, task)?;
-    let mut run = solver(&settings.solver)?.start(&coarse.problem(), start)?;
+) -> Result<Option<Engine>, FactorizeError> {
+    let Some(coarse) = (levels > 0).then(|| Coarse::of(display, geometry, plan)).flatten() else { return Ok(None) };
+    let settings = &Settings { coarse_levels: Some(levels - 1), ..settings.clone() };
+    let mut run = begin(method(&settings.solver)?, &coarse.plan, (&coarse.display, &coarse.geometry), settings, task)?;
     for _ in 0..settings.coarse_iterations {
         run.step(task.cancel)?;
     }
-    Ok(coarse.refine(&run.download(), problem.display))
+    Ok(Some(run.finish()))
 }
 
 /// Whether every layer and the backlight show the same in all frames.

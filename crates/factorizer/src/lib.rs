@@ -7,7 +7,8 @@
 //! ```text
 //! Problem ──start: warm, or content at half the resolution──▶ Solver::start ──▶ Run::step × iterations ──▶ levels of few bits ──▶ LayerStack
 //!
-//! Run::step, factor by factor:  gather (constant shifts) or sums (any table) ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
+//! Run::step, factor by factor:  gather (constant shifts), spread (any table) or sums (other formations)
+//!                                ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
 //! ```
 //!
 //! [`factorize`] drives a solver; [`solvers`] lists them; [`ChannelRun`] takes one channel whose target stays on disk. Results are the same bytes on
@@ -28,6 +29,7 @@ mod line;
 mod map;
 mod multiplicative;
 mod plan;
+mod prepared;
 mod problem;
 mod quantize;
 mod rays;
@@ -37,6 +39,7 @@ mod rows;
 mod scratch;
 mod solver;
 mod solvers;
+mod spread;
 mod start;
 mod step;
 mod stream;
@@ -55,7 +58,7 @@ pub use problem::{FactorizeError, Problem};
 pub use quantize::{has_levels, reoptimize_on_levels, round_to_levels};
 pub use solver::{AUTO, Objective, Run, Solver};
 pub use solvers::{solver, solver_names, solvers};
-pub use start::{FLOOR, StartKind, random_start, start_patterns};
+pub use start::{FLOOR, StartKind, random_start};
 pub use stream::{ChannelRun, Estimate};
 pub use target::LentTarget;
 

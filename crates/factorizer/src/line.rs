@@ -2,8 +2,8 @@
 
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 
-use crate::step::{Block, Levels, Rule, Step, StepFunction, step_function};
-use crate::vector::{self, Vector};
+use crate::step::{Block, Levels, Rule, Step, StepFunction, Sums, step_function};
+use crate::vector::{self, Vector, load};
 
 /// Which line is updated.
 #[derive(Clone, Copy, Debug)]
@@ -43,13 +43,8 @@ pub(crate) struct LineStep<'a> {
     pub(crate) values: &'a mut [f32],
     /// How far to go beyond the step, and the line where the last steps ended.
     pub(crate) beyond: Option<(f32, &'a mut [f32])>,
-    /// Where the sums go instead, `[r and the upper triangle of G, or n and d][x]`, when the step needs those of other lines too.
+    /// Where the sums go instead, `[quantity][x]` in the order of [`Sums`], when the step needs those of other lines too.
     pub(crate) sums: Option<&'a mut [f32]>,
-}
-
-/// How many sums a rule needs per pixel: r and the upper triangle of G, or n and d.
-pub(crate) fn quantities_of(rule: Rule, frames: usize) -> usize {
-    if rule.needs_gram() { frames + frames * (frames + 1) / 2 } else { 2 * frames }
 }
 
 /// The functions of an update after the sums, for one instruction set, rule and number of frames.
@@ -74,35 +69,37 @@ impl StepFunctions {
 }
 
 impl LineStep<'_> {
-    /// Steps all pixels from their sums, `[r and the upper triangle of G, or n and d][x]`; returns the gain.
+    /// Steps all pixels from their sums, `[quantity][x]` in the order of [`Sums`]; returns the gain.
     pub(crate) fn by_sums(&mut self, functions: &StepFunctions, sums: &[f32], block: &mut Block) -> f64 {
         let mut gain = 0.0;
-        for x in self.columns.clone().step_by(functions.lanes) {
+        let width = 2 * functions.lanes;
+        for x in self.columns.clone().step_by(width) {
             // SAFETY: the kernel makes no demands
             unsafe { (functions.fetch)((self, sums, block, x)) };
-            self.finish_block(functions, block, x);
-            gain += vector::sum_of(&block.gain[..functions.lanes]);
+            self.finish_block(functions, block, x, width);
+            gain += vector::sum_of(&block.gain[..width]);
         }
         gain
     }
 
-    /// Steps one vector of pixels, whose sums and values are in `block`, and leaves there what is gained; `x` + lanes lies within the padded rows.
-    pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
-        let lanes = functions.lanes;
+    /// Steps two vectors of pixels from x on, whose sums and values are in `block`, and leaves there what is gained. Only the first `summed` pixels have
+    /// sums, and what lies beyond the columns is left alone.
+    pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize, summed: usize) {
+        let width = 2 * functions.lanes;
+        // rays that miss the layer add to its padding
+        let room = (self.columns.end - x).min(summed);
         if let Some(sums) = &mut self.sums {
             block.gain = Vector::default();
             // SAFETY: the kernel makes no demands
-            unsafe { (functions.hand_over)((block, &mut sums[x..], self.stride, self.rule.needs_gram())) };
+            unsafe { (functions.hand_over)((block, &mut sums[x..], self.stride, self.rule.sums(), room)) };
             return;
         }
         let step = Step { block: &mut *block, sweeps: self.rule.sweeps(), range: self.range, levels: self.levels };
         // SAFETY: the function is for the block's number of frames
         unsafe { (functions.step)(step) };
         if let Some(limits) = self.limits {
-            block.darken(&limits[x..x + lanes], self.range[0]);
+            block.darken(width, &limits[x..x + room], self.range[0]);
         }
-        // rays that miss the layer add to its padding
-        let room = (self.columns.end - x).min(lanes);
         block.gain[room..].fill(0.0);
         if self.rule != Rule::Probe {
             let beyond = self.beyond.as_mut().map(|(far, latest)| (*far, &mut latest[x..]));
@@ -113,7 +110,7 @@ impl LineStep<'_> {
     }
 }
 
-/// Fills a block with the values at x, and with sums.
+/// Fills a block with the values from x on, and with sums.
 struct Fetch;
 
 impl Kernel for Fetch {
@@ -123,56 +120,55 @@ impl Kernel for Fetch {
     #[inline(always)]
     unsafe fn run<V: Lanes>((line, sums, block, x): Self::Args<'_>) {
         let frames = block.frames;
-        let copy = |from: &[f32], to: &mut [f32], at: usize| {
-            let (from, to) = (&from[..V::COUNT], &mut to[at * V::COUNT..][..V::COUNT]);
-            // SAFETY: the machine has V; both parts have COUNT values
-            unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
-        };
-        for m in 0..frames {
-            copy(&line.values[m * line.stride + x..], &mut block.values, m);
-        }
-        let mut rows = sums[x..].chunks(line.stride);
-        let mut next = || rows.next().unwrap_or_default();
-        for m in 0..frames {
-            copy(next(), &mut block.residual, m);
-        }
-        if line.rule.needs_gram() {
+        for lane in (0..(line.columns.end - x).min(2 * V::COUNT)).step_by(V::COUNT) {
+            let copy = |from: &[f32], to: &mut [f32], at: usize| {
+                let (from, to) = (&from[..V::COUNT], &mut to[2 * at * V::COUNT + lane..][..V::COUNT]);
+                // SAFETY: the machine has V; both parts have COUNT values
+                unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
+            };
             for m in 0..frames {
-                for k in m..frames {
-                    copy(next(), &mut block.gram, m * frames + k);
-                }
+                copy(&line.values[m * line.stride + x + lane..], &mut block.values, m);
             }
-        } else {
+            let mut rows = sums[x + lane..].chunks(line.stride);
+            let mut next = || rows.next().unwrap_or_default();
             for m in 0..frames {
-                copy(next(), &mut block.emitted, m);
+                copy(next(), &mut block.residual, m);
+            }
+            for m in 0..frames {
+                match line.rule.sums() {
+                    Sums::Gram => (m..frames).for_each(|k| copy(next(), &mut block.gram, m * frames + k)),
+                    Sums::Ratio | Sums::Diagonal => copy(next(), &mut block.emitted, m),
+                }
             }
         }
     }
 }
 
-/// Hands the sums of a block over to another step: to rows that begin at the block, and whether they are r and G.
-struct HandOver;
+/// Hands the sums of a block over: to rows that begin at the block, for so many lanes.
+pub(crate) struct HandOver;
 
 impl Kernel for HandOver {
-    type Args<'a> = (&'a Block, &'a mut [f32], usize, bool);
+    type Args<'a> = (&'a Block, &'a mut [f32], usize, Sums, usize);
     type Output = ();
 
     #[inline(always)]
-    unsafe fn run<V: Lanes>((block, sums, stride, gram): Self::Args<'_>) {
+    unsafe fn run<V: Lanes>((block, to, stride, sums, room): Self::Args<'_>) {
         let frames = block.frames;
-        let mut rows = sums.chunks_mut(stride);
-        let mut hand_over = |from: &[f32], at: usize| {
-            let (from, to) = (&from[at * V::COUNT..][..V::COUNT], &mut rows.next().unwrap_or_default()[..V::COUNT]);
-            // SAFETY: the machine has V; both parts have COUNT values
-            unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
-        };
-        (0..frames).for_each(|m| hand_over(&block.residual, m));
-        if gram {
+        for lane in (0..room).step_by(V::COUNT) {
+            let mut rows = to[lane..].chunks_mut(stride);
+            let mut hand_over = |from: &[f32], at: usize| {
+                let (from, to) = (&from[2 * at * V::COUNT + lane..], rows.next().unwrap_or_default());
+                let (from, to) = (&from[..V::COUNT], &mut to[..V::COUNT]);
+                // SAFETY: the machine has V; both parts have COUNT values
+                unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
+            };
+            (0..frames).for_each(|m| hand_over(&block.residual, m));
             for m in 0..frames {
-                (m..frames).for_each(|k| hand_over(&block.gram, m * frames + k));
+                match sums {
+                    Sums::Gram => (m..frames).for_each(|k| hand_over(&block.gram, m * frames + k)),
+                    Sums::Ratio | Sums::Diagonal => hand_over(&block.emitted, m),
+                }
             }
-        } else {
-            (0..frames).for_each(|m| hand_over(&block.emitted, m));
         }
     }
 }
@@ -195,20 +191,23 @@ impl Kernel for Put {
     #[inline(always)]
     unsafe fn run<V: Lanes>((block, to, room): Self::Args<'_>) {
         let Stepped { values, mut beyond, stride, range } = to;
-        // SAFETY: the machine has V; slices check lengths
-        unsafe {
+        for lane in (0..room).step_by(V::COUNT) {
+            let room = (room - lane).min(V::COUNT);
             for m in 0..block.frames {
-                let moved = V::load(block.values[m * V::COUNT..][..V::COUNT].as_ptr());
-                let at = m * stride;
-                let Some((far, latest)) = &mut beyond else {
-                    put(moved, &mut values[at..], room);
-                    continue;
-                };
-                let before = V::load(latest[at..at + V::COUNT].as_ptr());
-                let further = moved.sub(before).mul_add(V::splat(*far), moved);
-                let further = further.max(V::splat(range[0])).min(V::splat(range[1]));
-                put(moved, &mut latest[at..], room);
-                put(further, &mut values[at..], room);
+                let at = m * stride + lane;
+                // SAFETY: the machine has V; slices check lengths
+                unsafe {
+                    let moved = load::<V>(&block.values, 2 * m * V::COUNT + lane);
+                    let Some((far, latest)) = &mut beyond else {
+                        put(moved, &mut values[at..], room);
+                        continue;
+                    };
+                    let before = V::load(latest[at..at + V::COUNT].as_ptr());
+                    let further = moved.sub(before).mul_add(V::splat(*far), moved);
+                    let further = further.max(V::splat(range[0])).min(V::splat(range[1]));
+                    put(moved, &mut latest[at..], room);
+                    put(further, &mut values[at..], room);
+                }
             }
         }
     }

@@ -25,14 +25,18 @@ pub(crate) struct FactorMap {
     pub(crate) y: Vec<Vec<LineTap>>,
     /// Per view row.
     rays: Vec<RaysOfLine>,
+    /// Per view row, the field rows by the first of the two lines that they read, with the weight of the second.
+    after: Vec<RaysOfLine>,
     /// Whether few enough rays meet every pixel for their sum to be exact enough in f32.
     pub(crate) short_sums: bool,
     /// Whether every ray reads exactly one pixel, at a column that is the field column plus a constant of the view.
     pub(crate) shifted: bool,
+    /// Whether each view column's rays read it at a constant shift, whatever the rows.
+    pub(crate) columns_shifted: bool,
+    /// Whether every ray reads one pixel alone.
+    pub(crate) nearest: bool,
     /// Whether every ray that counts meets the factor.
     pub(crate) complete: bool,
-    /// The most field rows that meet one line, over all view rows.
-    pub(crate) most_rows: usize,
 }
 
 /// Columns of one view column's rays, as indices into a padded line.
@@ -91,6 +95,12 @@ impl FactorMap {
         self.rays[view_y].of_line(line)
     }
 
+    /// Field rows whose rays count and read `line` or lie between it and the next, with the next line's weight.
+    #[inline(always)]
+    pub(crate) fn rays_after_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
+        self.after[view_y].of_line(line)
+    }
+
     pub(crate) fn new(raw: RawMap, frames: usize, runs: &[Vec<Range<usize>>], valid_rows: &[Vec<bool>]) -> Self {
         let (lines, cols) = (raw.bins[0] * raw.size[0], raw.bins[1] * raw.size[1]);
         let shifts: Vec<_> = raw.x.iter().zip(runs).map(|(taps, runs)| constant_shift(taps, runs, cols)).collect();
@@ -121,9 +131,25 @@ impl FactorMap {
                 taps.iter().map(line).collect()
             })
             .collect();
-        let rays: Vec<_> = y.iter().zip(valid_rows).map(|(taps, valid)| RaysOfLine::new(taps, valid, lines)).collect();
-        let rays_of_line = |line: usize| rays.iter().map(|rays| rays.of_line(line).len()).sum();
-        let most_rows: usize = (0..lines).map(rays_of_line).max().unwrap_or(0);
+        // field rows that count and meet a line
+        let met = |(taps, valid): (&Vec<LineTap>, &Vec<bool>)| -> Vec<(u32, LineTap)> {
+            let rows = taps.iter().zip(valid).enumerate();
+            rows.filter(|(_, (tap, valid))| **valid && tap.first as usize != lines)
+                .map(|(row, (tap, _))| (row as u32, *tap))
+                .collect()
+        };
+        let met: Vec<_> = y.iter().zip(valid_rows).map(met).collect();
+        let rays: Vec<_> = met
+            .iter()
+            .map(|rows| {
+                let both = |&(row, tap): &(u32, LineTap)| [(tap.first, (row, 1.0 - tap.t)), (tap.second, (row, tap.t))];
+                RaysOfLine::new(lines, rows.iter().flat_map(both).filter(|(_, (_, share))| *share > 0.0))
+            })
+            .collect();
+        let after: Vec<_> = met
+            .iter()
+            .map(|rows| RaysOfLine::new(lines, rows.iter().map(|&(row, tap)| (tap.first, (row, tap.t)))))
+            .collect();
         let shares_of_line =
             |line: usize| rays.iter().flat_map(|rays| rays.of_line(line)).map(|(_, share)| share).sum();
         let mut shares_of_col = vec![0.0f32; cols];
@@ -143,7 +169,10 @@ impl FactorMap {
                     .iter()
                     .zip(valid_rows)
                     .all(|(taps, valid)| taps.iter().zip(valid).all(|(tap, valid)| tap.is_some() || !valid));
-        Self { layout, x, y, rays, short_sums, shifted, complete, most_rows }
+        let columns_shifted = x.iter().zip(runs).all(|(x, runs)| runs.is_empty() || x.shift.is_some());
+        let mut taps = raw.x.iter().chain(&raw.y).flatten().flatten();
+        let nearest = taps.all(|tap| tap.t == 0.0);
+        Self { layout, x, y, rays, after, short_sums, shifted, columns_shifted, nearest, complete }
     }
 }
 
@@ -221,21 +250,12 @@ impl RaysOfLine {
         &self.entries[self.starts[line] as usize..self.starts[line + 1] as usize]
     }
 
-    fn new(taps: &[LineTap], valid: &[bool], lines: usize) -> Self {
+    /// From a line and an entry of it each.
+    fn new(lines: usize, all: impl Iterator<Item = (u32, (u32, f32))>) -> Self {
         let mut of_line: Vec<Vec<(u32, f32)>> = vec![Vec::new(); lines];
-        for (row, tap) in taps.iter().enumerate() {
-            if !valid[row] || tap.first as usize == lines {
-                continue;
-            }
-            if tap.t < 1.0 {
-                of_line[tap.first as usize].push((row as u32, 1.0 - tap.t));
-            }
-            if tap.t > 0.0 {
-                of_line[tap.second as usize].push((row as u32, tap.t));
-            }
-        }
+        all.for_each(|(line, entry)| of_line[line as usize].push(entry));
         let mut starts = vec![0];
-        let mut entries = Vec::with_capacity(taps.len());
+        let mut entries = Vec::new();
         for rows in of_line {
             entries.extend(rows);
             starts.push(entries.len() as u32);

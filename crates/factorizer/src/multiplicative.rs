@@ -14,6 +14,8 @@ use lumistack_core::{Cancel, Cancelled};
 use lumistack_display::{Formation, LayerStack};
 
 use crate::engine::Engine;
+use crate::prepared::Prepared;
+use crate::solver::{Iterated, Method};
 use crate::step::Rule;
 use crate::{FLOOR, FactorizeError, Objective, Problem, Run, Solver};
 
@@ -31,37 +33,33 @@ impl Solver for Multiplicative {
     }
 
     fn start<'a>(&self, problem: &Problem<'a>, start: LayerStack) -> Result<Box<dyn Run + 'a>, FactorizeError> {
-        Ok(Box::new(MultiplicativeRun::new(problem, start)?))
+        Ok(self.begin(Prepared::new(problem, start)?)?)
     }
 }
 
-/// State of a run.
-pub(crate) struct MultiplicativeRun {
-    pub(crate) engine: Engine,
-}
-
-impl MultiplicativeRun {
-    pub(crate) fn new(problem: &Problem, start: LayerStack) -> Result<Self, FactorizeError> {
-        if problem.display.formation == Formation::Polarization {
+impl Method for Multiplicative {
+    fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError> {
+        if prepared.display.formation == Formation::Polarization {
             return Err(FactorizeError::Unsuitable {
                 solver: "multiplicative",
                 why: "layers that rotate polarization make no nonnegative product",
             });
         }
-        Ok(Self { engine: Engine::new(problem, start, FLOOR)? })
+        Ok(Box::new(MultiplicativeRun { engine: prepared.engine(FLOOR) }))
     }
+}
 
-    /// Updates factor `n` from the present state of all.
-    pub(crate) fn update_factor(&mut self, n: usize) {
-        self.engine.update(n, Rule::Multiplicative, None);
-    }
+/// State of a run.
+struct MultiplicativeRun {
+    engine: Engine,
 }
 
 impl Run for MultiplicativeRun {
     fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
+        self.engine.cancel = cancel.clone();
         for n in 0..self.engine.factor_count() {
+            self.engine.update(n, Rule::Multiplicative, None);
             cancel.check()?;
-            self.update_factor(n);
         }
         Ok(())
     }
@@ -84,5 +82,16 @@ impl Run for MultiplicativeRun {
 
     fn download(&mut self) -> LayerStack {
         self.engine.download()
+    }
+}
+
+impl Iterated for MultiplicativeRun {
+    fn seen(&self) -> Option<Objective> {
+        // the rule does not know by how much a step lowers the objective
+        None
+    }
+
+    fn finish(self: Box<Self>) -> Engine {
+        self.engine
     }
 }

@@ -10,7 +10,7 @@ use lumistack_display::{
 use lumistack_simd::Backend;
 
 use crate::map::{FactorMap, RawMap};
-use crate::problem::Problem;
+use crate::problem::{FactorizeError, Problem};
 use crate::rows::RowFunctions;
 use crate::target::Target;
 
@@ -46,8 +46,14 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    pub(crate) fn new(problem: &Problem) -> Self {
-        Self::with_target(problem.display, problem.target.geometry(), Target::new(problem))
+    /// Checks the problem on the way.
+    pub(crate) fn new(problem: &Problem) -> Result<Self, FactorizeError> {
+        problem.check_all_but_target()?;
+        let target = Target::new(problem);
+        if target.may_be_infinite() {
+            problem.check_target()?;
+        }
+        Ok(Self::with_target(problem.display, problem.target.geometry(), target))
     }
 
     /// For rays of `geometry`, whose radiance is `target`.

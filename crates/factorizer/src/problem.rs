@@ -26,13 +26,19 @@ impl Problem<'_> {
     /// # Errors
     /// If the display or the weights are wrong, the target holds a value that is not finite, or the patterns do not fit into memory addresses.
     pub fn check(&self) -> Result<(), FactorizeError> {
+        self.check_all_but_target()?;
+        self.check_target()
+    }
+
+    /// [`check`](Self::check) without a look at every value of the target.
+    pub(crate) fn check_all_but_target(&self) -> Result<(), FactorizeError> {
         self.display.check()?;
         self.weights.check(self.target.geometry())?;
-        self.check_target()?;
         self.check_size()
     }
 
-    fn check_target(&self) -> Result<(), FactorizeError> {
+    /// The target's part of [`check`](Self::check).
+    pub(crate) fn check_target(&self) -> Result<(), FactorizeError> {
         let radiance = self.target.radiance();
         if bands::all(radiance.data(), |part| part.iter().all(|value| value.is_finite())) {
             return Ok(());

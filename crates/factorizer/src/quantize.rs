@@ -6,9 +6,10 @@
 //! level to level, so that a last few rounds still gain. From the first fully confined state on, the objective never rises.
 
 use lumistack_core::Task;
-use lumistack_display::LayerStack;
+use lumistack_display::{Display, LayerStack};
 
 use crate::engine::Engine;
+use crate::prepared::Prepared;
 use crate::step::{Freedom, Levels, Rule};
 use crate::{FactorizeError, Problem};
 
@@ -24,8 +25,12 @@ pub fn has_levels(problem: &Problem) -> bool {
 
 /// Every value rounded to the nearest level of its layer.
 pub fn round_to_levels(problem: &Problem, stack: &LayerStack) -> LayerStack {
+    round(problem.display, stack)
+}
+
+fn round(display: &Display, stack: &LayerStack) -> LayerStack {
     let mut rounded = stack.clone();
-    for (layer, tensor) in problem.display.layers.iter().zip(&mut rounded.layers) {
+    for (layer, tensor) in display.layers.iter().zip(&mut rounded.layers) {
         if let Some(levels) = layer.levels() {
             tensor.data_mut().iter_mut().for_each(|value| *value = lumistack_display::quantize(*value, &levels));
         }
@@ -38,20 +43,26 @@ pub fn round_to_levels(problem: &Problem, stack: &LayerStack) -> LayerStack {
 /// # Errors
 /// If the problem or the stack are unusable, or when cancelled.
 pub fn reoptimize_on_levels(problem: &Problem, stack: LayerStack, task: Task) -> Result<LayerStack, FactorizeError> {
-    let frames = problem.display.frames;
-    let mut engine = Engine::new(problem, stack, 0.0)?;
-    let few: Vec<usize> =
-        (0..problem.display.layers.len()).filter(|&n| problem.display.layers[n].bits.is_some()).collect();
+    reoptimize(Prepared::new(problem, stack)?, task)
+}
+
+/// [`reoptimize_on_levels`] on what is prepared.
+pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, FactorizeError> {
+    let display = prepared.display;
+    let (frames, layers) = (display.frames, &display.layers);
+    let mut engine = prepared.engine(0.0);
+    engine.cancel = task.cancel.clone();
+    let few: Vec<usize> = (0..layers.len()).filter(|&n| layers[n].bits.is_some()).collect();
     for &n in &few {
-        let values = problem.display.layers[n].levels();
+        let values = layers[n].levels();
         engine.levels[n] = values.map(|values| Levels { values, frames: vec![Freedom::Free; frames] });
     }
     let rule = Rule::Block { sweeps: SWEEPS };
     let steps = few.len() * frames + LAST_ROUNDS as usize * engine.factor_count();
     task.progress.begin("quantize", steps as u64, "masks");
     let update = |engine: &mut Engine, n: usize| -> Result<(), FactorizeError> {
-        task.cancel.check()?;
         engine.update(n, rule, None);
+        task.cancel.check()?;
         task.progress.advance(1, "");
         Ok(())
     };
@@ -72,5 +83,5 @@ pub fn reoptimize_on_levels(problem: &Problem, stack: LayerStack, task: Task) ->
     let done = confine();
     task.progress.end();
     // a value that no ray depends on moved to no level: round what is left
-    done.map(|()| round_to_levels(problem, &engine.download()))
+    done.map(|()| round(display, &engine.download()))
 }

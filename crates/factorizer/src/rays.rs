@@ -5,10 +5,11 @@ use std::ops::Range;
 
 use lumistack_simd::{Lanes, prefetch};
 
-use crate::expand::{Rays, expand_factor};
+use crate::expand::Rays;
 use crate::factor::{Factor, PAD};
 use crate::line::LineOf;
 use crate::plan::Plan;
+use crate::rows::Reading;
 use crate::target::Row;
 use crate::vector::mask;
 
@@ -105,6 +106,9 @@ pub(crate) struct LineRays<'a> {
     pub(crate) others_per_view: usize,
     /// Per other factor: from one frame to the next.
     pub(crate) strides: Vec<usize>,
+    /// The line's own factor per view, all frames, where views read it at different places; else empty.
+    pub(crate) own: Vec<Place<'a, f32>>,
+    pub(crate) own_stride: usize,
     /// Rows to be asked for ahead of their use, at x = 0: those of other factors where the foremost view reads them, and the line's own.
     ahead: Vec<*const f32>,
 }
@@ -127,7 +131,7 @@ impl LineRays<'_> {
 
     /// Every view's rows, K other factors.
     #[inline(always)]
-    pub(crate) fn by_view<const K: usize>(&self) -> impl Iterator<Item = RowsOfView<'_, K>> {
+    pub(crate) fn by_view<const K: usize>(&self) -> impl ExactSizeIterator<Item = RowsOfView<'_, K>> {
         let others = self.others.as_chunks::<K>().0.iter();
         let ahead = self.ahead.as_chunks::<ASKED>().0.iter();
         let views = self.views.iter().zip(&self.targets).zip(others).zip(ahead);
@@ -154,6 +158,7 @@ impl LineRays<'_> {
             targets: emptied(self.targets),
             others: emptied(self.others),
             strides: emptied(self.strides),
+            own: emptied(self.own),
             ahead: emptied(self.ahead),
             ..LineRays::default()
         }
@@ -172,6 +177,161 @@ pub(crate) fn expanded_stride(plan: &Plan) -> usize {
     (PAD + plan.cols + PAD).next_multiple_of(PAD)
 }
 
+/// Storage of what rays read where that does not stand in a factor, for one thread.
+#[derive(Default)]
+pub(crate) struct Spare {
+    /// Lines between two of a factor, all frames, one after another.
+    mixed: Vec<f32>,
+    /// Rows along the rays, all frames, one after another.
+    expanded: Vec<f32>,
+    /// What each of these holds: factor, channel, view column, first column, line.
+    held: Vec<Option<[usize; 5]>>,
+    /// The rows of rays that are listed.
+    pub(crate) rows: Vec<RowOfRays>,
+}
+
+/// The rays of one view row through one field row.
+#[derive(Clone, Copy)]
+pub(crate) struct RowOfRays {
+    pub(crate) view_y: usize,
+    pub(crate) row: usize,
+}
+
+impl Spare {
+    /// Mixes the lines between which the listed rows of rays read the factors.
+    pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize) {
+        let mut end = 0;
+        for &RowOfRays { view_y, row } in &self.rows {
+            for (map, factor) in plan.maps.iter().zip(factors) {
+                let tap = map.y[view_y][row];
+                if tap.t != 0.0 {
+                    let start = end;
+                    end += map.layout.line_len();
+                    if self.mixed.len() < end {
+                        self.mixed.resize(end, 0.0);
+                    }
+                    let lines = [tap.first, tap.second].map(|line| factor.line(channel, line as usize));
+                    plan.row.mix(lines, tap.t, &mut self.mixed[start..end]);
+                }
+            }
+        }
+    }
+}
+
+/// What is left of storage, and of the mixed lines, in the order in which they were made.
+struct Left<'a> {
+    mixed: &'a [f32],
+    expanded: &'a mut [f32],
+    held: std::slice::IterMut<'a, Option<[usize; 5]>>,
+}
+
+impl<'a> Left<'a> {
+    /// Storage for the rows that are listed, each expanded so many times.
+    fn of(spare: &'a mut Spare, plan: &Plan, times: usize) -> (Self, &'a [RowOfRays]) {
+        let Spare { mixed, expanded, held, rows } = spare;
+        let count = rows.len() * times;
+        if held.len() < count {
+            expanded.resize(count * plan.frames * expanded_stride(plan), 0.0);
+            held.resize(count, None);
+        }
+        (Self { mixed, expanded, held: held.iter_mut() }, rows)
+    }
+
+    /// The line of the next factor, all frames, that a row of rays reads; to be asked for every factor in turn. Nothing of a factor that is under update
+    /// in its place.
+    fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
+        let (map, factor) = (&plan.maps[k], &factors[k]);
+        let tap = map.y[rays.view_y][rays.row];
+        if tap.t == 0.0 {
+            return if factor.values.is_empty() { &[] } else { factor.line(channel, tap.first as usize) };
+        }
+        let (line, rest) = self.mixed.split_at(map.layout.line_len());
+        self.mixed = rest;
+        line
+    }
+
+    /// Where the rays of a view read a line of a factor, from `offset` on: in its place, or expanded along the rays.
+    fn place(
+        &mut self,
+        plan: &Plan,
+        line: &'a [f32],
+        k: usize,
+        rays: &Rays,
+        is_there: bool,
+        offset: isize,
+    ) -> Place<'a, f32> {
+        let map = &plan.maps[k];
+        let x = &map.x[rays.view[1]];
+        if let (true, Some(shift)) = (is_there, x.shift) {
+            return Place::new(line, shift - PAD as isize + offset);
+        }
+        let stride = expanded_stride(plan);
+        let (values, rest) = std::mem::take(&mut self.expanded).split_at_mut(plan.frames * stride);
+        self.expanded = rest;
+        // a lenslet's line is read by several field rows, one after another
+        let tap = map.y[rays.view[0]][rays.row];
+        let holds = (tap.t == 0.0).then_some([k, rays.channel, rays.view[1], rays.run.start, tap.first as usize]);
+        if let Some(held) = self.held.next()
+            && (holds.is_none() || *held != holds)
+        {
+            for (frame, values) in values.chunks_exact_mut(stride).enumerate() {
+                let upper = &line[frame * map.layout.stride..][..map.layout.stride];
+                let to = &mut values[PAD + rays.run.start..PAD + rays.run.end];
+                plan.row.read(Reading { x, run: rays.run, upper, lower: None }, to);
+            }
+            *held = holds;
+        }
+        Place::new(values, offset)
+    }
+}
+
+/// From one frame to the next where rays of a view column read a factor.
+fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
+    if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
+}
+
+/// Lists the rays of one view column through rows of rays, by field columns: column c at x = [`PAD`] + c. The lines that they read are mixed already.
+pub(crate) fn rays_of_column<'a>(
+    mut rays: LineRays<'a>,
+    plan: &'a Plan,
+    factors: &'a [Factor],
+    at: LineOf,
+    (view_x, run): (usize, &'a Range<usize>),
+    spare: &'a mut Spare,
+) -> LineRays<'a> {
+    rays.others_per_view = factors.len() - 1;
+    rays.strides.extend((0..factors.len()).filter(|&k| k != at.factor).map(|k| stride_of(plan, k, view_x)));
+    rays.own_stride = stride_of(plan, at.factor, view_x);
+    let is_there = |k: usize| plan.maps[k].x[view_x].shift.is_some();
+    let (mut left, rows) = Left::of(spare, plan, (0..factors.len()).filter(|&k| !is_there(k)).count());
+    for (index, &row_of) in rows.iter().enumerate() {
+        let RowOfRays { view_y, row } = row_of;
+        let view = plan.view(view_y, view_x);
+        let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
+        rays.views.push(View {
+            valid: PAD + run.start..PAD + run.end,
+            weights: plan.target.weights(view, row).map(|weights| Place::new(weights, 0)),
+        });
+        rays.targets.push(match plan.target.row(at.channel, view, row) {
+            Row::Half(row) => TargetRow::Half(Place::new(row, 0)),
+            Row::Float(row) => TargetRow::Float(Place::new(row, 0)),
+        });
+        for k in 0..factors.len() {
+            let line = left.line(plan, factors, k, at.channel, row_of);
+            let list = if k == at.factor { &mut rays.own } else { &mut rays.others };
+            let before =
+                (index > 0).then(|| list[list.len() - if k == at.factor { 1 } else { rays.others_per_view }].clone());
+            let tap = |row: RowOfRays| plan.maps[k].y[row.view_y][row.row];
+            let place = match before {
+                Some(place) if tap(rows[index - 1]) == tap(row_of) => place,
+                _ => left.place(plan, line, k, &part, is_there(k), 0),
+            };
+            list.push(place);
+        }
+    }
+    rays
+}
+
 /// Lists the rays of a line in the storage of `rays`, and expands what is not at a constant shift. `own` are the line's rows, to be asked for ahead.
 pub(crate) fn rays_through<'a>(
     mut rays: LineRays<'a>,
@@ -179,53 +339,52 @@ pub(crate) fn rays_through<'a>(
     factors: &'a [Factor],
     at: LineOf,
     own: impl Iterator<Item = *const f32>,
-    expanded: &'a mut [f32],
+    spare: &'a mut Spare,
 ) -> LineRays<'a> {
     let map = &plan.maps[at.factor];
     rays.others_per_view = factors.len() - 1;
-    let mut rest = expanded;
-    let stride = expanded_stride(plan);
     let others = || (0..factors.len()).filter(|&k| k != at.factor);
-    rays.strides.extend(others().map(|k| if plan.maps[k].shifted { plan.maps[k].layout.stride } else { stride }));
+    // one stride for all views of a factor
+    let is_there = |k: usize| plan.maps[k].columns_shifted;
+    let layout = |k: usize| &plan.maps[k].layout;
+    rays.strides.extend(others().map(|k| if is_there(k) { layout(k).stride } else { expanded_stride(plan) }));
+    let elsewhere = others().filter(|&k| !is_there(k)).count();
     rays.ahead.extend(own);
+    spare.rows.clear();
     for view_y in 0..plan.views[0] {
-        for &(row, _) in map.rays_of_line(view_y, at.line) {
-            let row = row as usize;
-            let before = rays.others.len();
-            for view_x in 0..plan.views[1] {
-                let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
-                let view = plan.view(view_y, view_x);
-                let offset = PAD as isize - own;
-                rays.views.push(View {
-                    valid: (run.start as isize + own) as usize..(run.end as isize + own) as usize,
-                    weights: plan.target.weights(view, row).map(|weights| Place::new(weights, offset)),
-                });
-                rays.targets.push(match plan.target.row(at.channel, view, row) {
-                    Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
-                    Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
-                });
-                for k in others() {
-                    let other = &plan.maps[k];
-                    if let (true, Some(shift)) = (other.shifted, other.x[view_x].shift) {
-                        let line = other.y[view_y][row].first as usize;
-                        rays.others.push(Place::new(factors[k].line(at.channel, line), shift - own));
-                    } else {
-                        let (values, tail) = std::mem::take(&mut rest).split_at_mut(plan.frames * stride);
-                        rest = tail;
-                        let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
-                        for (frame, values) in values.chunks_exact_mut(stride).enumerate() {
-                            expand_factor(plan, factors, k, frame, &part, &mut values[PAD + run.start..PAD + run.end]);
-                        }
-                        rays.others.push(Place::new(values, offset));
-                    }
-                }
+        let of_line = map.rays_of_line(view_y, at.line).iter();
+        spare.rows.extend(of_line.map(|&(row, _)| RowOfRays { view_y, row: row as usize }));
+    }
+    spare.mix_lines(plan, factors, at.channel);
+    let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere);
+    let mut lines = Vec::new();
+    for &row_of in rows {
+        let RowOfRays { view_y, row } = row_of;
+        let before = rays.others.len();
+        lines.clear();
+        lines.extend((0..factors.len()).map(|k| left.line(plan, factors, k, at.channel, row_of)));
+        for view_x in 0..plan.views[1] {
+            let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
+            let view = plan.view(view_y, view_x);
+            let offset = PAD as isize - own;
+            rays.views.push(View {
+                valid: (run.start as isize + own) as usize..(run.end as isize + own) as usize,
+                weights: plan.target.weights(view, row).map(|weights| Place::new(weights, offset)),
+            });
+            rays.targets.push(match plan.target.row(at.channel, view, row) {
+                Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
+                Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
+            });
+            let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
+            for k in others() {
+                rays.others.push(left.place(plan, lines[k], k, &part, is_there(k), offset));
             }
-            // all views of a view row read the same lines, side by side
-            for (k, &stride) in rays.strides.iter().enumerate() {
-                let of_factor = rays.others[before..].iter().skip(k).step_by(rays.others_per_view);
-                if let Some(lead) = of_factor.map(|other| other.zero).max() {
-                    rays.ahead.extend((0..plan.frames).map(|frame| lead.wrapping_add(frame * stride)));
-                }
+        }
+        // all views of a view row read the same lines, side by side
+        for (k, &stride) in rays.strides.iter().enumerate() {
+            let of_factor = rays.others[before..].iter().skip(k).step_by(rays.others_per_view);
+            if let Some(lead) = of_factor.map(|other| other.zero).max() {
+                rays.ahead.extend((0..plan.frames).map(|frame| lead.wrapping_add(frame * stride)));
             }
         }
     }

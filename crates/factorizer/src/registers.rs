@@ -2,12 +2,12 @@
 
 use lumistack_simd::{Kernel, Lanes};
 
-use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, Sight, Tiles, wanted};
+use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, GROUP, Group, Sight, Tiles, wanted};
 use crate::rays::{LineRays, RowsOfView};
 use crate::vector::{load, store};
 
-/// n and d of all frames; `MASKED` where the rays of some view do not count in full.
-pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool>;
+/// n and d of all frames, or r and the diagonal of G; `MASKED` where the rays of some view do not count in full.
+pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool>;
 
 /// r of all frames and G: tiles along its diagonal at once, the rest from buffered a_m. `MASKED` as in [`Pairs`].
 pub(crate) struct Gram<const M: usize, const K: usize, const MASKED: bool>;
@@ -27,7 +27,9 @@ const fn tile_of(frames: usize) -> usize {
     if frames <= 4 { frames } else { 3 }
 }
 
-impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Pairs<M, K, MASKED> {
+impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> Kernel
+    for Pairs<M, K, MASKED, DIAGONAL>
+{
     type Args<'a> = BlockOfLine<'a>;
     type Output = ();
 
@@ -39,7 +41,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Pairs<M, K, 
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, half, sight, buffers, .. } = at;
             let lit = Lit::<K>::new(rays, x, sight, &buffers.scaled);
             let mut squares = V::splat(0.0);
             let (mut above, mut below) = ([V::splat(0.0); M], [V::splat(0.0); M]);
@@ -48,13 +50,13 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Pairs<M, K, 
                 let error = wanted.sub(emitted);
                 squares = error.mul_add(error, squares);
                 for m in 0..M {
-                    above[m] = products[m].mul_add(wanted, above[m]);
-                    below[m] = products[m].mul_add(emitted, below[m]);
+                    above[m] = products[m].mul_add(if DIAGONAL { error } else { wanted }, above[m]);
+                    below[m] = products[m].mul_add(if DIAGONAL { products[m] } else { emitted }, below[m]);
                 }
             }
             for m in 0..M {
-                store(above[m], &mut buffers.block.residual, m * V::COUNT);
-                store(below[m], &mut buffers.block.emitted, m * V::COUNT);
+                store(above[m], &mut buffers.block.residual, (2 * m + half) * V::COUNT);
+                store(below[m], &mut buffers.block.emitted, (2 * m + half) * V::COUNT);
             }
             store(squares, &mut buffers.squares, 0);
         }
@@ -73,41 +75,49 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, half, sight, buffers, .. } = at;
             let Buffers { block, products: buffered, errors, emitted, scaled, squares: all } = buffers;
             let tile = tile_of(M);
             let lit = Lit::<K>::new(rays, x, sight, scaled);
             let mut squares = V::splat(0.0);
             let (mut residual, mut gram) = ([V::splat(0.0); M], [[V::splat(0.0); M]; M]);
-            let mut active = 0;
-            for rows in rays.by_view::<K>() {
-                let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
-                let error = wanted.sub(emitted);
-                squares = error.mul_add(error, squares);
-                for m in 0..M {
-                    residual[m] = products[m].mul_add(error, residual[m]);
-                    for k in m..M {
-                        if m / tile == k / tile {
-                            gram[m][k] = products[m].mul_add(products[k], gram[m][k]);
+            let mut group = Group { half, frames: M, views: 0, add: false };
+            let mut rest = rays.by_view::<K>();
+            loop {
+                // a call in this loop would cost it its registers
+                for rows in rest.by_ref().take(GROUP) {
+                    let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
+                    let error = wanted.sub(emitted);
+                    squares = error.mul_add(error, squares);
+                    for m in 0..M {
+                        residual[m] = products[m].mul_add(error, residual[m]);
+                        for k in m..M {
+                            if m / tile == k / tile {
+                                gram[m][k] = products[m].mul_add(products[k], gram[m][k]);
+                            }
+                        }
+                        if tile < M {
+                            store(products[m], buffered, (group.views * M + m) * V::COUNT);
                         }
                     }
-                    if tile < M {
-                        store(products[m], buffered, (active * M + m) * V::COUNT);
-                    }
+                    group.views += 1;
                 }
-                active += 1;
+                if tile < M {
+                    let tiles = Tiles { group, shares: &[], products: buffered, errors, emitted };
+                    V::call::<BetweenTiles<false>>((tiles, block));
+                    (group.views, group.add) = (0, true);
+                }
+                if rest.len() == 0 {
+                    break;
+                }
             }
             for m in 0..M {
-                store(residual[m], &mut block.residual, m * V::COUNT);
+                store(residual[m], &mut block.residual, (2 * m + half) * V::COUNT);
                 for k in m..M {
                     if m / tile == k / tile {
-                        store(gram[m][k], &mut block.gram, (m * M + k) * V::COUNT);
+                        store(gram[m][k], &mut block.gram, (2 * (m * M + k) + half) * V::COUNT);
                     }
                 }
-            }
-            if tile < M {
-                let tiles = Tiles { frames: M, views: active, products: buffered, errors, emitted };
-                V::call::<BetweenTiles>((tiles, block));
             }
             store(squares, all, 0);
         }

@@ -16,8 +16,8 @@ use lumistack_display::Response;
 use crate::aligned::Aligned;
 use crate::bands;
 use crate::factor::{Factor, Layout};
-use crate::line::{LineStep, Outcome, StepFunctions, quantities_of};
-use crate::step::{Block, Rule};
+use crate::line::{LineStep, Outcome, StepFunctions};
+use crate::step::{Block, Sums};
 
 /// Sums of all lines of a factor as planes of stored pixels: `[quantity][channel][line · cols + col]`.
 pub(crate) struct Pulled {
@@ -26,9 +26,9 @@ pub(crate) struct Pulled {
 
 impl Pulled {
     /// From what rays meet to what is stored. `sums` is `[channel and stored line][quantity][x]`.
-    pub(crate) fn back(response: &Response, layout: &Layout, rule: Rule, sums: &[f32]) -> Self {
+    pub(crate) fn back(response: &Response, layout: &Layout, needed: Sums, sums: &[f32]) -> Self {
         let (rows, cols) = (layout.lines(), layout.cols());
-        let quantities = quantities_of(rule, layout.frames);
+        let quantities = needed.count(layout.frames);
         let line_len = quantities * layout.stride;
         let filters: Vec<[f32; 3]> = (0..cols).map(|col| response.filter(col)).collect();
         let mix = response.mix();
@@ -41,7 +41,7 @@ impl Pulled {
             blurred
         });
         let plane_of = |quantity: usize| -> [Vec<f32>; 3] {
-            let bounded = rule.needs_gram() && quantity >= layout.frames;
+            let bounded = needed != Sums::Ratio && quantity >= layout.frames;
             let (mut mixed, mut plane, mut scratch) = (vec![0.0; rows * cols], vec![0.0; rows * cols], Vec::new());
             let mut stored = [0, 1, 2].map(|to: usize| {
                 mixed.fill(0.0);

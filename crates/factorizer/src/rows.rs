@@ -4,10 +4,10 @@
 use std::marker::PhantomData;
 use std::ops::{AddAssign, Mul, Range};
 
-use lumistack_simd::{Backend, Function, Kernel, Lanes, float_from_half};
+use lumistack_simd::{Backend, Function, Kernel, Lanes, float_from_half, nearest_half};
 
 use crate::map::{Access, ColumnTaps};
-use crate::target::Row;
+use crate::target::{Cover, Row};
 
 /// The functions of one instruction set. None makes demands on its arguments that are not checked.
 #[derive(Clone, Copy, Debug)]
@@ -18,6 +18,8 @@ pub(crate) struct RowFunctions {
     scatter_long: Function<Scatter<f64>>,
     weigh: Function<Weigh>,
     radiance: Function<Radiance>,
+    average: Function<Average>,
+    mix: Function<Mix>,
     add: Function<Add>,
     add_products: Function<AddProducts>,
 }
@@ -33,6 +35,8 @@ impl RowFunctions {
             scatter_long: backend.function::<Scatter<f64>>(),
             weigh: backend.function::<Weigh>(),
             radiance: backend.function::<Radiance>(),
+            average: backend.function::<Average>(),
+            mix: backend.function::<Mix>(),
             add: backend.function::<Add>(),
             add_products: backend.function::<AddProducts>(),
         }
@@ -66,6 +70,16 @@ impl RowFunctions {
     /// βL of the first columns of a row of the target.
     pub(crate) fn radiance(&self, row: Row, brightness: f32, to: &mut [f32]) {
         unsafe { (self.radiance)((row, brightness, to)) }
+    }
+
+    /// A row of coarser pixels: means of rows by their shares, then of the pixels that each covers. `mixed` has two values more than the rows.
+    pub(crate) fn average(&self, rows: &[(Row, f32)], cols: &[Cover], mixed: &mut [f32], to: RowMut) {
+        unsafe { (self.average)((rows, cols, mixed, to)) }
+    }
+
+    /// (1 − t)·first + t·second.
+    pub(crate) fn mix(&self, rows: [&[f32]; 2], t: f32, to: &mut [f32]) {
+        unsafe { (self.mix)((rows, t, to)) }
     }
 
     /// sum + value.
@@ -215,6 +229,52 @@ impl Kernel for Radiance {
             Row::Half(row) => to.iter_mut().zip(row).for_each(|(to, &half)| *to = brightness * float_from_half(half)),
             Row::Float(row) => to.iter_mut().zip(row).for_each(|(to, &value)| *to = brightness * value),
         }
+    }
+}
+
+/// A row that is written.
+pub(crate) enum RowMut<'a> {
+    Half(&'a mut [u16]),
+    Float(&'a mut [f32]),
+}
+
+struct Average;
+
+impl Kernel for Average {
+    type Args<'a> = (&'a [(Row<'a>, f32)], &'a [Cover], &'a mut [f32], RowMut<'a>);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((rows, cols, mixed, to): Self::Args<'_>) {
+        mixed.fill(0.0);
+        for &(row, share) in rows {
+            match row {
+                Row::Half(row) => {
+                    mixed.iter_mut().zip(row).for_each(|(to, &half)| *to += share * float_from_half(half))
+                }
+                Row::Float(row) => mixed.iter_mut().zip(row).for_each(|(to, &value)| *to += share * value),
+            }
+        }
+        let means = cols.iter().map(|&(first, [a, b, c])| {
+            let pixels = &mixed[first..first + 3];
+            a * pixels[0] + b * pixels[1] + c * pixels[2]
+        });
+        match to {
+            RowMut::Half(to) => to.iter_mut().zip(means).for_each(|(to, mean)| *to = nearest_half(mean)),
+            RowMut::Float(to) => to.iter_mut().zip(means).for_each(|(to, mean)| *to = mean),
+        }
+    }
+}
+
+struct Mix;
+
+impl Kernel for Mix {
+    type Args<'a> = ([&'a [f32]; 2], f32, &'a mut [f32]);
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>(([first, second], t, to): Self::Args<'_>) {
+        to.iter_mut().zip(first.iter().zip(second)).for_each(|(to, (&a, &b))| *to = mix(a, b, t));
     }
 }
 

@@ -1,9 +1,8 @@
-//! Buffers of the general way, for one thread.
+//! Buffers of loops along rows, for one thread.
 
 use crate::factor::PAD;
-use crate::line::quantities_of;
 use crate::plan::Plan;
-use crate::step::{Block, Rule};
+use crate::step::{Block, Sums};
 
 /// Buffers of one thread, reused from line to line.
 pub(crate) struct Scratch {
@@ -33,7 +32,7 @@ impl Scratch {
     pub(crate) fn new(plan: &Plan, n: usize) -> Self {
         let frames = plan.frames;
         let row = || vec![0.0; plan.cols + PAD];
-        let sums = quantities_of(Rule::Probe, frames).max(2 * frames) * plan.maps[n].layout.stride;
+        let sums = Sums::Gram.count(frames).max(2 * frames) * plan.maps[n].layout.stride;
         Self {
             product: vec![0.0; frames * plan.cols],
             phase: if plan.is_product() { Vec::new() } else { vec![0.0; frames * plan.cols] },

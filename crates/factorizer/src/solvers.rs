@@ -3,7 +3,10 @@
 use crate::block_exact::{BlockExact, Extrapolated};
 use crate::multiplicative::Multiplicative;
 use crate::problem::FactorizeError;
-use crate::solver::{AUTO, Solver};
+use crate::solver::{AUTO, Method, Solver};
+
+/// All of them.
+static METHODS: [&dyn Method; 3] = [&Multiplicative, &BlockExact, &Extrapolated];
 
 /// All solvers.
 pub fn solvers() -> &'static [&'static dyn Solver] {
@@ -20,8 +23,13 @@ pub fn solver_names() -> impl Iterator<Item = &'static str> {
 /// # Errors
 /// If there is none; the error lists all names.
 pub fn solver(name: &str) -> Result<&'static dyn Solver, FactorizeError> {
+    method(name).map(|method| method as &dyn Solver)
+}
+
+/// [`solver`], as this crate sees it.
+pub(crate) fn method(name: &str) -> Result<&'static dyn Method, FactorizeError> {
     let name = if name == AUTO { Extrapolated.name() } else { name };
-    solvers().iter().copied().find(|solver| solver.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {
+    METHODS.into_iter().find(|method| method.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {
         expected: solver_names().collect::<Vec<_>>().join(", "),
         found: name.into(),
     })

@@ -3,10 +3,10 @@
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{Display, Formation, Layer, LayerStack};
 
+use crate::bands;
 use crate::expand::{Rays, wanted};
 use crate::line::LineOf;
 use crate::plan::Plan;
-use crate::{Problem, bands};
 
 /// Smallest value of a pattern: solvers whose rule multiplies never go below it.
 pub const FLOOR: f32 = 1e-4;
@@ -67,12 +67,12 @@ const NOISE_BLUR_PX: f64 = 1.5;
 pub(crate) const CONTENT_NOISE: [f32; 2] = [0.8, 1.2];
 
 /// Patterns to start from; the same for the same problem, kind and seed.
-pub fn start_patterns(problem: &Problem, kind: StartKind, seed: u64) -> LayerStack {
-    let mut stack = random_start(problem.display, seed);
+pub(crate) fn start_patterns(plan: &Plan, display: &Display, kind: StartKind, seed: u64) -> LayerStack {
+    let mut stack = random_start(display, seed);
     if kind == StartKind::Random {
         return stack;
     }
-    let spread = Layer { blur_px: NOISE_BLUR_PX, ..problem.display.layers[0].clone() }.response();
+    let spread = Layer { blur_px: NOISE_BLUR_PX, ..display.layers[0].clone() }.response();
     for_each_plane(&mut stack, |plane, rows, cols, [blurred, scratch]| {
         blurred.resize(plane.len(), 0.0);
         if let Some(spread) = &spread {
@@ -84,12 +84,10 @@ pub fn start_patterns(problem: &Problem, kind: StartKind, seed: u64) -> LayerSta
         plane.iter_mut().for_each(|value| *value = FLOOR + (*value - range.0) * scale);
     });
     if kind == StartKind::Content {
-        let plan = Plan::new(problem);
         let factors = plan.maps.len() as f32;
         for (n, values) in parts(&mut stack).enumerate() {
-            let means = mean_target(&plan, n);
-            let formation = problem.display.formation;
-            let levels: Vec<f32> = means.iter().map(|mean| level(formation, mean.max(0.0), factors)).collect();
+            let means = mean_target(plan, n);
+            let levels: Vec<f32> = means.iter().map(|mean| level(display.formation, mean.max(0.0), factors)).collect();
             let [low, high] = CONTENT_NOISE;
             for frame in values.chunks_exact_mut(levels.len()) {
                 for (value, &level) in frame.iter_mut().zip(&levels) {

@@ -11,12 +11,15 @@
 //! In u = f/M the pixel's part of the objective is the quadratic −2 rᵀδ + δᵀGδ + constant, δ the change of u.
 //!
 //! Sums are kept in units of u, so that no inner loop multiplies by 1/M.
+//!
+//! Two vectors of pixels step together: every coordinate step waits for the one before, and of two chains one runs while the other waits (a fifth of a
+//! block-exact update with 25 views was waiting).
 
 use lumistack_display::quantize;
-use lumistack_simd::{Backend, Kernel, Lanes, MAX_LANES};
+use lumistack_simd::{Backend, Kernel, Lanes, Pair};
 
 use crate::aligned::Aligned;
-use crate::vector::{Vector, load as get, store as put};
+use crate::vector::{Vector, WIDEST, load as get, store as put};
 
 /// How a pixel's M values follow from its sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,14 +39,36 @@ pub(crate) enum Rule {
 }
 
 impl Rule {
-    /// Whether the rule needs the Gram matrix; otherwise it needs the wanted and the emitted sums.
-    pub(crate) fn needs_gram(self) -> bool {
-        !matches!(self, Self::Multiplicative)
+    /// The sums that the rule needs.
+    pub(crate) fn sums(self) -> Sums {
+        match self {
+            Self::Multiplicative => Sums::Ratio,
+            Self::Block { .. } => Sums::Gram,
+            Self::Probe | Self::Settle => Sums::Diagonal,
+        }
     }
 
     /// Rounds of coordinate steps.
     pub(crate) fn sweeps(self) -> u32 {
         if let Self::Block { sweeps } = self { sweeps } else { 0 }
+    }
+}
+
+/// The sums of a pixel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sums {
+    /// n and d.
+    Ratio,
+    /// r and G_mm.
+    Diagonal,
+    /// r and G.
+    Gram,
+}
+
+impl Sums {
+    /// How many there are per pixel: the first M, then the others, of G its upper triangle.
+    pub(crate) fn count(self, frames: usize) -> usize {
+        if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }
 }
 
@@ -69,12 +94,12 @@ pub(crate) enum Freedom {
 /// [`Rule::Settle`] makes it dark.
 const LEAST_CURVATURE: f32 = 1e-30;
 
-/// Sums and values of one vector of pixels, `[frame][lane]`.
+/// Sums and values of two vectors of pixels next to each other, `[frame][lane]` with the lanes of both.
 pub(crate) struct Block {
     pub(crate) frames: usize,
     /// r, or n.
     pub(crate) residual: Aligned,
-    /// d, or 1/G_mm while solving.
+    /// d, or G_mm, or 1/G_mm while solving.
     pub(crate) emitted: Aligned,
     /// G, `[frame][frame][lane]`; the upper triangle is given.
     pub(crate) gram: Aligned,
@@ -90,7 +115,7 @@ pub(crate) struct Block {
 
 impl Block {
     pub(crate) fn new(frames: usize) -> Self {
-        let vectors = |count: usize| Aligned::filled(0.0, count * MAX_LANES);
+        let vectors = |count: usize| Aligned::filled(0.0, count * WIDEST);
         Self {
             frames,
             residual: vectors(frames),
@@ -125,31 +150,33 @@ impl Block {
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / M as f32));
-            // G/M in the upper triangle, M/G_mm on the diagonal
+            // G/M in the upper triangle, and M/G_mm apart
             for m in 0..M {
-                for k in m + 1..M {
+                let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
+                put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
+                for k in m..M {
                     let g = get::<V>(&self.gram, (m * M + k) * n).mul(mean);
                     put(g, &mut self.gram, (m * M + k) * n);
                 }
-                let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
-                put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
             }
             let start: [V; M] = std::array::from_fn(|m| get::<V>(&self.values, m * n));
             let before: [V; M] = std::array::from_fn(|m| get::<V>(&self.residual, m * n));
             let (mut values, mut residual) = (start, before);
-            for _ in 0..sweeps {
-                for m in 0..M {
-                    let best = residual[m].mul_add(get::<V>(&self.emitted, m * n), values[m]);
+            // a loop over m is not unrolled for two vectors, so that values stay in memory; a closure is not inlined
+            macro_rules! coordinates {
+                ($($m:literal),*) => { $(if $m < M {
+                    let best = residual[$m].mul_add(get::<V>(&self.emitted, $m * n), values[$m]);
                     let moved = best.max(low).min(high);
-                    let delta = moved.sub(values[m]);
-                    values[m] = moved;
+                    let delta = moved.sub(values[$m]);
+                    values[$m] = moved;
                     for k in 0..M {
-                        let at = if k < m { k * M + m } else { m * M + k };
-                        let g = get::<V>(&self.gram, at * n);
-                        let g = if k == m { g.mul(mean) } else { g };
-                        residual[k] = g.neg_mul_add(delta, residual[k]);
+                        let at = usize::min($m, k) * M + usize::max($m, k);
+                        residual[k] = get::<V>(&self.gram, at * n).neg_mul_add(delta, residual[k]);
                     }
-                }
+                })* };
+            }
+            for _ in 0..sweeps {
+                coordinates!(0, 1, 2, 3, 4, 5, 6, 7);
             }
             // −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
             let mut gain = V::splat(0.0);
@@ -240,11 +267,10 @@ impl Block {
     /// Once per solve, so no vectors: inlined into the kernels, it cost every update a fifth.
     #[cold]
     #[inline(never)]
-    pub(crate) fn darken(&mut self, limits: &[f32], low: f32) {
-        let (n, frames) = (limits.len(), self.frames);
-        for m in 0..frames {
-            let light = &self.gram[(m * frames + m) * n..][..n];
-            let values = &mut self.values[m * n..][..n];
+    pub(crate) fn darken(&mut self, lanes: usize, limits: &[f32], low: f32) {
+        for m in 0..self.frames {
+            let light = &self.emitted[m * lanes..][..lanes];
+            let values = &mut self.values[m * lanes..][..lanes];
             for ((value, light), limit) in values.iter_mut().zip(light).zip(limits) {
                 if light <= limit {
                     *value = low;
@@ -261,7 +287,7 @@ impl Block {
             let mut sum = V::splat(0.0);
             for m in 0..frames {
                 let f = get::<V>(&self.values, m * n);
-                let curvature = get::<V>(&self.gram, (m * frames + m) * n).max(V::splat(LEAST_CURVATURE));
+                let curvature = get::<V>(&self.emitted, m * n).max(V::splat(LEAST_CURVATURE));
                 let best = get::<V>(&self.residual, m * n).mul(V::splat(frames as f32)).div(curvature).add(f);
                 let move_by = best.max(V::splat(low)).min(V::splat(high)).sub(f).mul(V::splat(1.0 / frames as f32));
                 sum = move_by.mul(move_by).mul_add(curvature, sum);
@@ -312,9 +338,9 @@ macro_rules! kernel {
 
             #[inline(always)]
             unsafe fn run<V: Lanes>($step: Step<'_>) {
-                // SAFETY: passed on from the caller; every buffer holds `frames` (or frames²) vectors of at most MAX_LANES values
+                // SAFETY: passed on from the caller; every buffer holds `frames` (or frames²) pairs of vectors of at most MAX_LANES values
                 unsafe {
-                    let gain = $step.block.$method::<V $(, $arg)?>($($value),*);
+                    let gain = $step.block.$method::<Pair<V> $(, $arg)?>($($value),*);
                     put(gain, &mut $step.block.gain, 0);
                 }
             }
@@ -338,7 +364,7 @@ impl Kernel for DescendLevels {
         let Some(levels) = step.levels else { return };
         // SAFETY: as in `kernel`
         unsafe {
-            let gain = step.block.descend_levels::<V>(step.sweeps, step.range, levels);
+            let gain = step.block.descend_levels::<Pair<V>>(step.sweeps, step.range, levels);
             put(gain, &mut step.block.gain, 0);
         }
     }

@@ -10,7 +10,7 @@ use lumistack_display::{Backlight, Display, FieldGeometry, Formation};
 
 use crate::engine::Engine;
 use crate::factor::PAD;
-use crate::line::{LineOf, Outcome};
+use crate::line::LineOf;
 use crate::plan::Plan;
 use crate::start::{CONTENT_NOISE, level, line_means};
 use crate::step::Rule;
@@ -54,7 +54,6 @@ impl Estimate {
 /// A factorization of one channel under way.
 pub struct ChannelRun {
     engine: Engine,
-    last: Outcome,
 }
 
 impl ChannelRun {
@@ -84,26 +83,22 @@ impl ChannelRun {
             return unsuitable("the target has values that are not finite");
         }
         let plan = Plan::with_target(display, geometry, Target::lent(geometry, display.brightness, target));
-        let mut ranges: Vec<[f32; 2]> = display.layers.iter().map(|layer| layer.range()).collect();
-        if let Backlight::Lenslets(lenslets) = &display.backlight {
-            ranges.push(lenslets.range());
-        }
         let (factors, formation) = (plan.maps.len() as f32, display.formation);
-        let begin = ranges.clone();
-        let start = move |plan: &Plan, at: LineOf, values: &mut [f32]| {
-            fill_line(plan, at, formation, factors, begin[at.factor], seed, values);
+        let start = |plan: &Plan, range: [f32; 2], at: LineOf, values: &mut [f32]| {
+            fill_line(plan, at, formation, factors, range, seed, values);
         };
-        Ok(Self { engine: Engine::by_lines(plan, ranges, display.brightness, start), last: Outcome::default() })
+        Ok(Self { engine: Engine::by_lines(plan, display, start) })
     }
 
     /// One iteration: every layer, and the backlight, once.
     ///
     /// # Errors
-    /// When cancelled between two factors.
+    /// When cancelled, which is asked for every line.
     pub fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
+        self.engine.cancel = cancel.clone();
         for n in 0..self.engine.factor_count() {
+            self.engine.update(n, Rule::Block { sweeps: SWEEPS }, None);
             cancel.check()?;
-            self.last = self.engine.update(n, Rule::Block { sweeps: SWEEPS }, None);
         }
         Ok(())
     }

@@ -1,10 +1,8 @@
-//! One line of one factor, the general way: any tables, any image formation, any number of frames and factors.
+//! One line of one factor where layers do not attenuate: any tables, any number of frames and factors.
 //!
 //! For every field row whose rays meet the line and every view column: expand the other factors along the row into a_m (M rows) and the residual
-//! e = βL − L̃, and add w e a_m and w a_m a_k to the line's accumulators, by the share of the ray that a pixel has. All loops run along columns.
-//!
-//! Under bilinear sampling a ray's value is a mean Σ_t s_t f_t of pixels, so (e − a·Σ s_t δ_t)² ≤ Σ_t s_t (e − a·δ_t)²: sums by shares describe a
-//! quadratic that bounds the objective from above and touches it, separable over pixels. Its minimum is a step that never worsens.
+//! e = βL − L̃, and add w e a_m and w a_m a_k to the line's accumulators, by the share of the ray that a pixel has
+//! ([why shares](crate::spread)). All loops run along columns.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -13,6 +11,7 @@ use crate::factor::{Factor, PAD};
 use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
 use crate::plan::Plan;
 use crate::scratch::Scratch;
+use crate::step::Sums;
 
 /// One line and what becomes of it.
 pub(crate) struct SumLine<'a, 'b> {
@@ -33,7 +32,7 @@ impl SumLine<'_, '_> {
         let Self { plan, factors, at, local, functions, mut step, scratch } = self;
         scratch.sums.fill(0.0);
         scratch.long_sums.fill(0.0);
-        let error = add_line(plan, factors, at, step.rule.needs_gram(), local, scratch);
+        let error = add_line(plan, factors, at, step.rule.sums(), local, scratch);
         let Scratch { sums, long_sums, block, .. } = scratch;
         if !plan.maps[at.factor].short_sums {
             sums.iter_mut().zip(long_sums).for_each(|(to, sum)| *to = *sum as f32);
@@ -43,7 +42,7 @@ impl SumLine<'_, '_> {
 }
 
 /// Adds all rays of a line to its accumulators; returns Σ w e² by shares.
-fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, gram: bool, local: bool, scratch: &mut Scratch) -> f64 {
+fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bool, scratch: &mut Scratch) -> f64 {
     let map = &plan.maps[at.factor];
     let (frames, stride) = (plan.frames, map.layout.stride);
     let mut error = 0.0;
@@ -72,7 +71,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, gram: bool, local: bool
                         }
                     };
                     let row_of = |m: usize| &product[m * plan.cols..][..len];
-                    if !gram {
+                    if needed == Sums::Ratio {
                         wanted(plan, &rays, e);
                         weigh(e, weighted);
                         (0..frames).for_each(|m| add(m, row_of(m), weighted));
@@ -86,7 +85,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, gram: bool, local: bool
                     if bounded || local {
                         for m in 0..frames {
                             weigh(row_of(m), weighted);
-                            for k in m..frames {
+                            for k in m..if needed == Sums::Gram { frames } else { m + 1 } {
                                 add(quantity, row_of(k), weighted);
                                 quantity += 1;
                             }
@@ -103,7 +102,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, gram: bool, local: bool
                         let mut quantity = frames;
                         for m in 0..frames {
                             add(quantity, ones, weighted);
-                            quantity += frames - m;
+                            quantity += if needed == Sums::Gram { frames - m } else { 1 };
                         }
                     }
                 }

@@ -6,10 +6,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use lumistack_core::pages::prefer_large_pages;
 use lumistack_display::{FieldGeometry, Weights};
+use lumistack_simd::{Backend, Kernel, Lanes};
 
 use crate::bands;
 use crate::factor::PAD;
 use crate::problem::Problem;
+use crate::rows::{RowFunctions, RowMut};
 
 /// Target L, brightness β and weights w.
 #[derive(Clone, Debug)]
@@ -61,6 +63,21 @@ pub(crate) enum Row<'a> {
     Float(&'a [f32]),
 }
 
+impl<'a> Row<'a> {
+    /// Some columns.
+    #[inline(always)]
+    pub(crate) fn part(self, cols: Range<usize>) -> Self {
+        let part = PAD + cols.start..PAD + cols.end;
+        match self {
+            Self::Half(row) => Self::Half(&row[part]),
+            Self::Float(row) => Self::Float(&row[part]),
+        }
+    }
+}
+
+/// The first of three pixels next to each other, and the share of each in a mean.
+pub(crate) type Cover = (usize, [f32; 3]);
+
 #[derive(Clone, Debug)]
 enum RayWeights {
     Uniform,
@@ -78,16 +95,12 @@ impl Target {
         let views = view_rows * view_cols;
         let stride = PAD + cols + PAD;
         let radiance = problem.target.radiance().data();
-        let halves = rows_of(radiance, cols, stride, halves_from_floats);
+        let halve = Backend::best().function::<Halve>();
+        // SAFETY: the kernel makes no demands
+        let halves = rows_of(radiance, cols, stride, |from, to| unsafe { halve((from, to)) });
         let values = match halves {
             Some(halves) => Radiance::Half(halves),
-            None => {
-                let copied = |from: &[f32], to: &mut [f32]| {
-                    to.copy_from_slice(from);
-                    true
-                };
-                Radiance::Float(rows_of(radiance, cols, stride, copied).unwrap_or_default())
-            }
+            None => Radiance::Float(rows_of(radiance, cols, stride, apart).unwrap_or_default()),
         };
         let (weights, weight_scale) = ray_weights(problem.weights, [views, rows, cols], stride);
         let brightness = problem.display.brightness as f32;
@@ -115,6 +128,72 @@ impl Target {
             weights: RayWeights::Uniform,
             weight_scale: 1.0,
         }
+    }
+
+    /// The target of coarser pixels, means over the fine ones, for some of the views. Half floats become half floats again, rounded: no more than a start
+    /// depends on them.
+    pub(crate) fn averaged(&self, functions: &RowFunctions, views: &[usize], pixels: &[Vec<Cover>; 2]) -> Self {
+        let [rows, cols] = [&pixels[0], &pixels[1]];
+        let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);
+        let mix = |mixed: &mut Vec<f32>, index: usize, to: RowMut| {
+            let (picture, (first, shares)) = (index / rows.len(), rows[index % rows.len()]);
+            let (channel, view) = (picture / views.len(), views[picture % views.len()]);
+            let fine = shares.iter().enumerate().filter(|(_, share)| **share > 0.0);
+            let fine = fine.map(|(k, &share)| (self.row(channel, view, first + k).part(0..fine_cols), share));
+            functions.average(&fine.collect::<Vec<_>>(), cols, mixed, to);
+        };
+        let scratch = || vec![0.0f32; fine_cols + 2];
+        let len = self.channels * views.len() * rows.len() * stride;
+        let inner = PAD..PAD + cols.len();
+        let values = if let Radiance::Float(_) = self.values {
+            let mut values = vec![0.0f32; len];
+            prefer_large_pages(&values);
+            bands::for_each_chunk(&mut values, stride, scratch, |mixed, index, row| {
+                mix(mixed, index, RowMut::Float(&mut row[inner.clone()]));
+            });
+            Radiance::Float(values)
+        } else {
+            let mut values = vec![0u16; len];
+            prefer_large_pages(&values);
+            bands::for_each_chunk(&mut values, stride, scratch, |mixed, index, row| {
+                mix(mixed, index, RowMut::Half(&mut row[inner.clone()]));
+            });
+            Radiance::Half(values)
+        };
+        let weights = match &self.weights {
+            RayWeights::Uniform => RayWeights::Uniform,
+            RayWeights::PerView(fine) => {
+                let roots = views.iter().map(|view| fine[view * self.stride + PAD]);
+                RayWeights::PerView(roots.flat_map(|root| std::iter::repeat_n(root, stride)).collect())
+            }
+            RayWeights::PerRay(_) => {
+                let mut roots = vec![0.0f32; views.len() * rows.len() * stride];
+                bands::for_each_chunk(&mut roots, stride, scratch, |mixed, index, row| {
+                    let (view, (first, shares)) = (views[index / rows.len()], rows[index % rows.len()]);
+                    mixed.fill(0.0);
+                    for (k, &share) in shares.iter().enumerate().filter(|(_, share)| **share > 0.0) {
+                        let fine = self.weights(view, first + k).unwrap_or_default();
+                        mixed.iter_mut().zip(&fine[PAD..]).for_each(|(sum, root)| *sum += share * root * root);
+                    }
+                    for (root, &(first, shares)) in row[inner.clone()].iter_mut().zip(cols) {
+                        let mean: f32 = shares.iter().zip(&mixed[first..]).map(|(share, w)| share * w).sum();
+                        *root = mean.sqrt();
+                    }
+                });
+                RayWeights::PerRay(roots)
+            }
+        };
+        Self { stride, rows: rows.len(), views: views.len(), values, weights, ..*self }
+    }
+
+    /// Whether all rays count alike.
+    pub(crate) fn is_uniform(&self) -> bool {
+        matches!(self.weights, RayWeights::Uniform)
+    }
+
+    /// Whether any value may be no number: what half floats hold is finite.
+    pub(crate) fn may_be_infinite(&self) -> bool {
+        matches!(self.values, Radiance::Float(_))
     }
 
     /// One padded row of L; column c stands at [`PAD`] + c.
@@ -161,7 +240,7 @@ fn rows_of<T: Copy + Default + Send>(
     radiance: &[f32],
     cols: usize,
     stride: usize,
-    convert: impl Fn(&[f32], &mut [T]) -> bool + Sync + Send,
+    convert: impl Fn(&[f32], [&mut [T]; 3]) -> bool + Sync + Send,
 ) -> Option<Vec<T>> {
     let lines = radiance.len() / (3 * cols);
     let mut values = vec![T::default(); 3 * lines * stride];
@@ -174,42 +253,67 @@ fn rows_of<T: Copy + Default + Send>(
     bands::for_each_chunk(
         &mut rows,
         1,
-        || vec![T::default(); 3 * cols],
-        |converted, line, rows| {
+        || (),
+        |(), line, rows| {
             if !complete.load(Ordering::Relaxed) {
                 return;
             }
-            if !convert(&radiance[line * cols * 3..][..cols * 3], converted) {
+            let rows = rows[0].each_mut().map(|row| &mut row[PAD..PAD + cols]);
+            if !convert(&radiance[line * cols * 3..][..cols * 3], rows) {
                 complete.store(false, Ordering::Relaxed);
-            }
-            let [red, green, blue] = &mut rows[0];
-            let rows = red[PAD..].iter_mut().zip(&mut green[PAD..]).zip(&mut blue[PAD..]);
-            for (((red, green), blue), pixel) in rows.zip(converted.chunks_exact(3)) {
-                (*red, *green, *blue) = (pixel[0], pixel[1], pixel[2]);
             }
         },
     );
     complete.into_inner().then_some(values)
 }
 
-/// The half floats that are exactly `values`; whether all have one.
-fn halves_from_floats(values: &[f32], halves: &mut [u16]) -> bool {
-    // zeros and what is normal in both formats, without branches
-    let mut simple = true;
-    for (half, value) in halves.iter_mut().zip(values) {
-        let (sign, bits) = ((value.to_bits() >> 16 & 0x8000) as u16, value.to_bits() & 0x7fff_ffff);
-        let normal = (113 << 23..143 << 23).contains(&bits) & (bits & 0x1fff == 0);
-        simple &= normal | (bits == 0);
-        *half = sign | if bits == 0 { 0 } else { (bits.wrapping_sub(112 << 23) >> 13) as u16 };
+/// Pixels into a row per channel.
+fn apart(pixels: &[f32], [red, green, blue]: [&mut [f32]; 3]) -> bool {
+    let rows = red.iter_mut().zip(green).zip(blue);
+    for (((red, green), blue), pixel) in rows.zip(pixels.as_chunks::<3>().0) {
+        [*red, *green, *blue] = *pixel;
     }
-    simple
-        || halves.iter_mut().zip(values).all(|(half, &value)| match half_from_float(value) {
+    true
+}
+
+/// Pixels into a row of half floats per channel; whether all values have one that is exactly them.
+struct Halve;
+
+impl Kernel for Halve {
+    type Args<'a> = (&'a [f32], [&'a mut [u16]; 3]);
+    type Output = bool;
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>((pixels, [red, green, blue]): Self::Args<'_>) -> bool {
+        let pixels = pixels.as_chunks::<3>().0;
+        // zeros and what is normal in both formats, without branches
+        let mut others = 0;
+        let mut simple = |value: f32| {
+            let (sign, bits) = ((value.to_bits() >> 16 & 0x8000) as u16, value.to_bits() & 0x7fff_ffff);
+            let normal = (bits.wrapping_sub(113 << 23) < 30 << 23) & (bits & 0x1fff == 0);
+            others |= u32::from(!(normal | (bits == 0)));
+            sign | if bits == 0 { 0 } else { (bits.wrapping_sub(112 << 23) >> 13) as u16 }
+        };
+        let rows = red.iter_mut().zip(&mut *green).zip(&mut *blue);
+        for (((red, green), blue), pixel) in rows.zip(pixels) {
+            (*red, *green, *blue) = (simple(pixel[0]), simple(pixel[1]), simple(pixel[2]));
+        }
+        others == 0 || exact_halves(pixels, [red, green, blue])
+    }
+}
+
+/// [`Halve`] for any values.
+#[cold]
+fn exact_halves(pixels: &[[f32; 3]], rows: [&mut [u16]; 3]) -> bool {
+    rows.into_iter().enumerate().all(|(channel, row)| {
+        row.iter_mut().zip(pixels).all(|(half, pixel)| match half_from_float(pixel[channel]) {
             Some(exact) => {
                 *half = exact;
                 true
             }
             None => false,
         })
+    })
 }
 
 /// The half float that is exactly `value`, if there is one and it is finite.
@@ -266,6 +370,9 @@ mod tests {
 
     #[test]
     fn half_floats_are_found_exactly() {
+        // SAFETY: the kernel makes no demands
+        let halve =
+            |pixel: [f32; 3], rows: [&mut [u16]; 3]| unsafe { Backend::best().function::<Halve>()((&pixel, rows)) };
         for bits in 0..=u16::MAX {
             // by the definition of the format
             let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
@@ -276,13 +383,13 @@ mod tests {
             };
             let value = if bits & 0x8000 == 0 { magnitude } else { -magnitude } as f32;
             assert_eq!(half_from_float(value), Some(bits), "{value}");
-            let mut half = [0];
-            assert!(halves_from_floats(&[value], &mut half));
-            assert_eq!(half, [bits], "{value}");
+            let [mut red, mut green, mut blue] = [[0]; 3];
+            assert!(halve([value, 1.0, value], [&mut red, &mut green, &mut blue]));
+            assert_eq!([red, green, blue], [[bits], [0x3c00], [bits]], "{value}");
         }
         for value in [0.1, 1.0 + 1.0 / 2048.0, 65536.0, 2f32.powi(-25), f32::INFINITY, f32::NAN] {
             assert_eq!(half_from_float(value), None, "{value}");
-            assert!(!halves_from_floats(&[1.0, value], &mut [0; 2]), "{value}");
+            assert!(!halve([1.0, value, 1.0], [&mut [0], &mut [0], &mut [0]]), "{value}");
         }
     }
 }

@@ -2,8 +2,11 @@
 
 use lumistack_simd::{Lanes, MAX_LANES};
 
-/// The lanes of one vector, the rest 0: what functions for different instruction sets exchange.
-pub(crate) type Vector = [f32; MAX_LANES];
+/// The most lanes of two vectors.
+pub(crate) const WIDEST: usize = 2 * MAX_LANES;
+
+/// The lanes of one vector or of two, the rest 0: what functions for different instruction sets exchange.
+pub(crate) type Vector = [f32; WIDEST];
 
 /// The vector at `at`.
 ///
@@ -53,14 +56,18 @@ pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
 #[inline(always)]
 pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
     let mut lanes = Vector::default();
-    // SAFETY: a vector has at most MAX_LANES lanes
+    // SAFETY: a vector has at most WIDEST lanes
     unsafe { vector.store(lanes.as_mut_ptr()) };
     sum_of(&lanes[..V::COUNT])
 }
 
-/// Sum in f64.
+/// Sum in f64, of numbers of lanes that four divides: in four chains, since each addition waits for the one before.
 pub(crate) fn sum_of(lanes: &[f32]) -> f64 {
-    lanes.iter().map(|&lane| f64::from(lane)).sum()
+    let mut sums = [0.0; 4];
+    for part in lanes.as_chunks::<4>().0 {
+        sums.iter_mut().zip(part).for_each(|(sum, &lane)| *sum += f64::from(lane));
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
 /// Adds lane by lane.

@@ -8,3 +8,14 @@ pub fn float_from_half(half: u16) -> f32 {
     let magnitude = f32::from_bits((bits & 0x7fff) << 13) * f32::from_bits((127 + 112) << 23);
     f32::from_bits(magnitude.to_bits() | (bits & 0x8000) << 16)
 }
+
+/// The half float nearest to a value, of two equally near ones the even one; |value| below 65520.
+#[inline(always)]
+pub fn nearest_half(value: f32) -> u16 {
+    let magnitude = value.to_bits() & 0x7fff_ffff;
+    // the last bit of a subnormal half float is that of a float in 0.5..1, so that an addition rounds there
+    let subnormal = (f32::from_bits(magnitude) + 0.5).to_bits() & 0x7f_ffff;
+    let normal = (magnitude.wrapping_sub(112 << 23) + 0xfff + (magnitude >> 13 & 1)) >> 13;
+    let half = if magnitude < 113 << 23 { subnormal } else { normal };
+    half as u16 | (value.to_bits() >> 16 & 0x8000) as u16
+}

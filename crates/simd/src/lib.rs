@@ -30,7 +30,7 @@ mod x86;
 mod tests;
 
 pub use backend::Backend;
-pub use half::float_from_half;
+pub use half::{float_from_half, nearest_half};
 pub use lanes::{Function, Kernel, Lanes};
 pub use pair::Pair;
 pub use portable::Portable;

@@ -1,6 +1,6 @@
 //! Every operation of every backend that this machine has, against the scalar twin.
 
-use crate::{Backend, Kernel, Lanes, MAX_LANES, float_from_half};
+use crate::{Backend, Kernel, Lanes, MAX_LANES, float_from_half, nearest_half};
 
 /// Values per operand: two of the longest vectors, so that every backend takes more than one step.
 const LEN: usize = 2 * MAX_LANES;
@@ -245,4 +245,17 @@ fn eight_lanes_are_eight_on_every_backend() {
         assert_eq!(MAX_LANES % backend.lanes(), 0);
     }
     assert_eq!(Some(&Backend::best()), Backend::available().last());
+}
+
+#[test]
+fn the_nearest_half_float_is_no_farther_than_its_neighbours() {
+    for bits in 0..0x7bffu16 {
+        let (low, high) = (float_from_half(bits), float_from_half(bits + 1));
+        let middle = 0.5 * (low + high);
+        let even = bits + bits % 2;
+        // an f32 has 13 bits more, so that the middle and its neighbours are exact
+        let around = [low, middle.next_down(), middle, middle.next_up(), high].map(nearest_half);
+        assert_eq!(around, [bits, bits, even, bits + 1, bits + 1], "{bits}");
+        assert_eq!(nearest_half(-low), bits | 0x8000);
+    }
 }

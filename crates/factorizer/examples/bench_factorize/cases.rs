@@ -23,21 +23,26 @@ const WIDTH_MM: f64 = 473.76;
 
 /// A display and what it shall show.
 pub struct Case {
-    pub name: &'static str,
+    pub name: String,
     pub display: Display,
     pub target: LightField,
 }
 
-/// The paper's main case: three layers, nearest sampling.
-pub fn three_layers(resolution: [usize; 2]) -> Display {
-    let display =
-        Display::uniform(resolution, WIDTH_MM / resolution[0] as f64, [5; 2], [20.0; 2], &[-40.0, 0.0, 40.0], FRAMES);
+/// The paper's views per axis.
+pub const PAPER_VIEWS: usize = 5;
+/// Views per axis that make three layers of 420 × 262 pixels right between them too: all shifts are whole pixels there.
+pub const NATIVE_VIEWS: usize = 13;
+
+/// The paper's main case with so many views per axis: three layers, nearest sampling.
+pub fn three_layers(resolution: [usize; 2], views: usize) -> Display {
+    let pitch_mm = WIDTH_MM / resolution[0] as f64;
+    let display = Display::uniform(resolution, pitch_mm, [views; 2], [20.0; 2], &[-40.0, 0.0, 40.0], FRAMES);
     Display { brightness: BRIGHTNESS, ..display }
 }
 
 /// The same, read between pixel centres.
 pub fn bilinear(resolution: [usize; 2]) -> Display {
-    Display { sampling: Sampling::Bilinear, ..three_layers(resolution) }
+    Display { sampling: Sampling::Bilinear, ..three_layers(resolution, PAPER_VIEWS) }
 }
 
 /// One layer in front of the paper's lenslets: 187 × 117 of 2.54 mm for 840 × 525 pixels, as many pixels per lenslet at any resolution.

@@ -24,7 +24,7 @@ use std::time::Instant;
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_factorizer::{FactorizeError, Problem, Run, Settings, factorize, random_start, solver};
 
-use cases::{Case, Update};
+use cases::{Case, NATIVE_VIEWS, PAPER_VIEWS, Update};
 use machine::Machine;
 use peers::Peer;
 use table::{PeerRow, Quality, Report, Row, Series};
@@ -80,14 +80,21 @@ fn arguments() -> Result<Arguments, String> {
 fn bench(arguments: &Arguments) -> Outcome {
     let resolution = arguments.resolution;
     println!("preparing: light fields in closed form, {}×{} pixels, 5×5 views", resolution[0], resolution[1]);
-    let [three, between, directional] =
-        [cases::three_layers(resolution), cases::bilinear(resolution), cases::directional(resolution)];
+    let (three, between) = (cases::three_layers(resolution, PAPER_VIEWS), cases::bilinear(resolution));
     let target = scene::light_field(&three)?;
-    let cases = [
-        Case { name: "3 layers", target: target.clone(), display: three },
-        Case { name: "3 layers, bilinear", target, display: between },
-        Case { name: "1 layer, directional", target: scene::light_field(&directional)?, display: directional },
+    let mut cases = vec![
+        Case { name: "3 layers".into(), target: target.clone(), display: three },
+        Case { name: "3 layers, bilinear".into(), target, display: between },
     ];
+    // many views stand beside few at half the resolution
+    let half = resolution.map(|n| n / 2);
+    let others = [PAPER_VIEWS, NATIVE_VIEWS].map(|views| {
+        let name = format!("{}×{}, {views}×{views} views", half[0], half[1]);
+        (name, cases::three_layers(half, views))
+    });
+    for (name, display) in others.into_iter().chain([("1 layer, directional".into(), cases::directional(resolution))]) {
+        cases.push(Case { name, target: scene::light_field(&display)?, display });
+    }
     let main = &cases[0];
     let mut peers = start_peers(arguments, main)?;
     let mut runs = own_runs(&cases)?;

@@ -137,7 +137,7 @@ fn what_does_not_fit_is_named() {
 }
 
 #[test]
-fn cancelling_stops_between_layers_and_ends_the_progress() {
+fn cancelling_stops_the_run_and_ends_the_progress() {
     let owned = random(Kind::Plain, 6);
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let progress = Steps::default();
@@ -153,6 +153,23 @@ fn cancelling_stops_between_layers_and_ends_the_progress() {
     assert_eq!(seen.get(), 3);
     let steps = progress.0.lock().unwrap();
     assert_eq!(*steps, ["begin 10 iterations", "3 dB notes", "end"].map(String::from), "{steps:?}");
+}
+
+#[test]
+fn a_cancelled_step_leaves_the_lines_that_it_did_not_reach() {
+    for kind in [Kind::Plain, Kind::Bilinear, Kind::LensletsDark, Kind::Additive] {
+        let owned = random(kind, 6);
+        for solver in ["multiplicative", "block-exact"] {
+            let start = crate::random_start(&owned.display, 6);
+            let mut run = crate::solver(solver).unwrap().start(&owned.problem(), start).unwrap();
+            let (before, cancel) = (run.download(), Cancel::default());
+            cancel.cancel();
+            assert!(run.step(&cancel).is_err(), "{kind:?} {solver}");
+            assert_eq!(run.download(), before, "{kind:?} {solver}");
+            run.step(&Cancel::default()).unwrap();
+            assert_ne!(run.download(), before, "{kind:?} {solver}");
+        }
+    }
 }
 
 #[test]

@@ -7,6 +7,8 @@ use lumistack_simd::Backend;
 use super::oracle::Oracle;
 use super::problems::{Kind, random};
 use crate::engine::Engine;
+use crate::prepared::Prepared;
+use crate::solvers::method;
 use crate::step::Rule;
 use crate::{FLOOR, random_start};
 
@@ -178,6 +180,28 @@ fn the_objective_and_the_psnr_are_those_of_the_oracle_and_of_the_forward_model()
             }
         }
     }
+}
+
+#[test]
+fn the_objective_that_a_step_finds_on_its_way_is_that_of_its_end() {
+    let mut found = 0;
+    for kind in Kind::ALL {
+        for seed in SEEDS {
+            let owned = random(kind, seed);
+            let prepared = Prepared::new(&owned.problem(), random_start(&owned.display, seed)).unwrap();
+            let mut run = method("block-exact").unwrap().begin(prepared).unwrap();
+            for _ in 0..3 {
+                run.step(&Cancel::default()).unwrap();
+                let Some(seen) = run.seen() else { continue };
+                let evaluated = run.objective();
+                let slack = ERROR_SEEN_PER_VALUE * 3.0 * run.rays() as f64;
+                let difference = (seen.value - evaluated.value).abs();
+                assert!(difference <= ERROR_SEEN * evaluated.value + slack, "{kind:?} {seed}: {seen:?} {evaluated:?}");
+                found += 1;
+            }
+        }
+    }
+    assert!(found > 200, "{found}");
 }
 
 #[test]
