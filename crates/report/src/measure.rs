@@ -70,6 +70,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     }
     let targets = shown.len();
     let zone = input.zone.map(|zone| zone_looks(&judge, zone, &mut shown));
+    // its references have more samples than the target's views, and it is one that eyes see
+    let median_of_zone = (shown.len() > targets).then(|| shown.len() - 1);
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {
             let keep = names::sample_views(&given.geometry().grid);
@@ -89,13 +91,17 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =
         (picture::shrink_factor(&sizes[..4], HEADLINE_BUDGET), picture::shrink_factor(&sizes, ROWS_BUDGET));
+    let headline = match median_of_zone {
+        Some(median) => shown[median].compare(other_amplification, headline_shrunk, 1)?,
+        None => shown[0].compare(amplification, headline_shrunk, 1)?,
+    };
     let rows = shown.iter().enumerate().map(|(i, view)| {
         let amplification = if i < targets { amplification } else { other_amplification };
         view.compare(amplification, rows_shrunk, shown.len())
     });
     Ok(Measured {
         rows: rows.collect::<Result<_, _>>()?,
-        headline: shown[0].compare(amplification, headline_shrunk, 1)?,
+        headline,
         rows_shrunk,
         headline_shrunk,
         sheets: sheets.embedded(grid)?,
@@ -107,7 +113,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     })
 }
 
-/// Figures of the zone's directions that can be looked at; the worst and the median of them are shown.
+/// Figures of the zone's directions that can be looked at; the worst and, last, the median of them are shown.
 fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
     let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();
     let looks = views.iter().fold(ZoneLooks::default(), |sum, (_, figures)| ZoneLooks {

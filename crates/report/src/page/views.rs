@@ -15,7 +15,8 @@ pub(super) fn headline(measured: &Measured) -> Markup {
             div class="compare group" { (pictures(&measured.headline)) }
             div class="beside" {
                 p {
-                    "The view from straight ahead. A good display shows the target's picture again, and its difference is almost white: red is too bright, blue too dark, and the error is "
+                    @if measured.zone.is_some() { "A seen picture from between the solver's views, the median of those below. " } @else { "The view from straight ahead. " }
+                    "A good display shows the target's picture again, and its difference is almost white: red is too bright, blue too dark, and the error is "
                     "amplified " strong { "× " (k) } " (of the colour channel that is furthest off, in linear light)."
                     @if measured.has_dropped_rays { " Grey squares are rays that leave a layer or have weight 0; they do not count, and the display may show black there." }
                     " Views are divided by the brightness β, clamped to 0..1 and sRGB-encoded." (shrunk_note(measured.headline_shrunk))
