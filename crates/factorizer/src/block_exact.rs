@@ -19,8 +19,8 @@ use lumistack_display::{Formation, LayerStack};
 
 use crate::engine::Engine;
 use crate::line::Outcome;
+use crate::method::{Iterated, Method};
 use crate::prepared::Prepared;
-use crate::solver::{Iterated, Method};
 use crate::step::Rule;
 use crate::{FactorizeError, Objective, Problem, Run, Solver};
 

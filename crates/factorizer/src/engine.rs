@@ -12,7 +12,6 @@ use crate::factor::{Factor, Layout};
 use crate::gather::{self, GatherFunctions, GatherLine};
 use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
 use crate::plan::Plan;
-use crate::prepared::Patterns;
 use crate::respond::{self, Pulled, StepLine};
 use crate::scratch::Scratch;
 use crate::spread::{self, SpreadBand, SpreadFunctions};
@@ -47,14 +46,16 @@ pub(crate) struct Engine {
     rays: u64,
 }
 
+/// Where patterns come from.
+#[derive(Clone)]
+pub(crate) enum Patterns<'a> {
+    Stack(LayerStack),
+    /// A solution at half the resolution.
+    Coarse(&'a Engine),
+}
+
 impl Engine {
     /// Values of the start, and of all patterns later, stay within the hardware's box and at `floor` or above.
-    #[cfg(test)]
-    pub(crate) fn new(problem: &crate::Problem, start: LayerStack, floor: f32) -> Result<Self, crate::FactorizeError> {
-        Ok(crate::prepared::Prepared::new(problem, start)?.engine(floor))
-    }
-
-    /// [`new`](Self::new) on what is prepared.
     pub(crate) fn begin(plan: Arc<Plan>, display: &Display, floor: f32, patterns: &Patterns) -> Self {
         let mut ranges = ranges_of(display);
         ranges.iter_mut().for_each(|[low, high]| *low = low.max(floor).min(*high));

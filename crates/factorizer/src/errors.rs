@@ -5,8 +5,8 @@ use lumistack_simd::{Function, Kernel, Lanes};
 use crate::expand::{Rays, coefficients, errors};
 use crate::factor::{Factor, PAD};
 use crate::plan::Plan;
+use crate::row::Row;
 use crate::scratch::Scratch;
-use crate::target::Row;
 use crate::vector::{mask, sum};
 
 /// Error sums of some rays.

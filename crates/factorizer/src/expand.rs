@@ -8,9 +8,9 @@ use lumistack_display::Formation;
 use crate::factor::{Factor, PAD};
 use crate::map::LineTap;
 use crate::plan::Plan;
+use crate::row::Row;
 use crate::rows::Reading;
 use crate::scratch::Scratch;
-use crate::target::Row;
 
 /// Rays of one view through a part of one field row.
 pub(crate) struct Rays<'a> {

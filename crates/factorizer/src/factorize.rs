@@ -6,11 +6,12 @@ use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LayerStack};
 
 use crate::coarse::Coarse;
-use crate::engine::Engine;
+use crate::engine::{Engine, Patterns};
+use crate::method::{Iterated, Method};
 use crate::plan::Plan;
-use crate::prepared::{Patterns, Prepared};
+use crate::prepared::Prepared;
 use crate::quantize::{has_levels, reoptimize, round_to_levels};
-use crate::solver::{AUTO, Iterated, Method};
+use crate::solver::AUTO;
 use crate::solvers::method;
 use crate::start::start_patterns;
 use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, unlit};

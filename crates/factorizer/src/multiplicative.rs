@@ -14,8 +14,8 @@ use lumistack_core::{Cancel, Cancelled};
 use lumistack_display::{Formation, LayerStack};
 
 use crate::engine::Engine;
+use crate::method::{Iterated, Method};
 use crate::prepared::Prepared;
-use crate::solver::{Iterated, Method};
 use crate::step::Rule;
 use crate::{FLOOR, FactorizeError, Objective, Problem, Run, Solver};
 

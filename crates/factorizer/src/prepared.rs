@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use lumistack_display::{Display, LayerStack};
 
-use crate::engine::Engine;
+use crate::engine::{Engine, Patterns};
 use crate::plan::Plan;
 use crate::{FactorizeError, Problem};
 
@@ -14,14 +14,6 @@ pub(crate) struct Prepared<'a> {
     pub(crate) plan: Arc<Plan>,
     pub(crate) display: &'a Display,
     pub(crate) patterns: Patterns<'a>,
-}
-
-/// Where patterns come from.
-#[derive(Clone)]
-pub(crate) enum Patterns<'a> {
-    Stack(LayerStack),
-    /// A solution at half the resolution.
-    Coarse(&'a Engine),
 }
 
 impl<'a> Prepared<'a> {
@@ -35,5 +27,13 @@ impl<'a> Prepared<'a> {
     /// Values, now and later, stay within the hardware's box and at `floor` or above.
     pub(crate) fn engine(self, floor: f32) -> Engine {
         Engine::begin(self.plan, self.display, floor, &self.patterns)
+    }
+}
+
+#[cfg(test)]
+impl Engine {
+    /// From scratch.
+    pub(crate) fn new(problem: &Problem, start: LayerStack, floor: f32) -> Result<Self, FactorizeError> {
+        Ok(Prepared::new(problem, start)?.engine(floor))
     }
 }

@@ -9,8 +9,8 @@ use crate::expand::Rays;
 use crate::factor::{Factor, PAD};
 use crate::line::LineOf;
 use crate::plan::Plan;
+use crate::row::Row;
 use crate::rows::Reading;
-use crate::target::Row;
 use crate::vector::mask;
 
 /// Where the value of a row at x = 0 would stand; x counts in the padded storage of the line under update.

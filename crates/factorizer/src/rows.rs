@@ -7,7 +7,7 @@ use std::ops::{AddAssign, Mul, Range};
 use lumistack_simd::{Backend, Function, Kernel, Lanes, float_from_half, nearest_half};
 
 use crate::map::{Access, ColumnTaps};
-use crate::target::{Cover, Row};
+use crate::row::{Cover, Row, RowMut};
 
 /// The functions of one instruction set. None makes demands on its arguments that are not checked.
 #[derive(Clone, Copy, Debug)]
@@ -230,12 +230,6 @@ impl Kernel for Radiance {
             Row::Float(row) => to.iter_mut().zip(row).for_each(|(to, &value)| *to = brightness * value),
         }
     }
-}
-
-/// A row that is written.
-pub(crate) enum RowMut<'a> {
-    Half(&'a mut [u16]),
-    Float(&'a mut [f32]),
 }
 
 struct Average;

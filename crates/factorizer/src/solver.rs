@@ -3,8 +3,6 @@
 use lumistack_core::{Cancel, Cancelled};
 use lumistack_display::LayerStack;
 
-use crate::engine::Engine;
-use crate::prepared::Prepared;
 use crate::problem::{FactorizeError, Problem};
 
 /// Name of the choice of solver by what the benchmarks show to be best.
@@ -62,20 +60,4 @@ pub struct Objective {
     pub value: f64,
     /// PSNR in dB of L̃/β against L, peak 1, over all rays with w > 0 and all channels; NaN when no ray counts.
     pub psnr_view: f64,
-}
-
-/// A solver as this crate sees it.
-pub(crate) trait Method: Solver {
-    /// [`Solver::start`] on what is prepared already.
-    fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError>;
-}
-
-/// A run as this crate sees it.
-pub(crate) trait Iterated: Run {
-    /// The objective of the patterns that the last step met when it ended, which it found on its way. `None` where only [`Run::objective`] knows, or
-    /// where the step was taken back.
-    fn seen(&self) -> Option<Objective>;
-
-    /// The patterns, where they are.
-    fn finish(self: Box<Self>) -> Engine;
 }

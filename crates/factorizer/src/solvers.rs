@@ -1,9 +1,10 @@
 //! The list of solvers.
 
 use crate::block_exact::{BlockExact, Extrapolated};
+use crate::method::Method;
 use crate::multiplicative::Multiplicative;
 use crate::problem::FactorizeError;
-use crate::solver::{AUTO, Method, Solver};
+use crate::solver::{AUTO, Solver};
 
 /// All of them.
 static METHODS: [&dyn Method; 3] = [&Multiplicative, &BlockExact, &Extrapolated];

@@ -11,7 +11,8 @@ use lumistack_simd::{Backend, Kernel, Lanes};
 use crate::bands;
 use crate::factor::PAD;
 use crate::problem::Problem;
-use crate::rows::{RowFunctions, RowMut};
+use crate::row::{Cover, Row, RowMut};
+use crate::rows::RowFunctions;
 
 /// Target L, brightness β and weights w.
 #[derive(Clone, Debug)]
@@ -55,28 +56,6 @@ impl std::fmt::Debug for Lent {
         write!(f, "Lent({} values)", (*self.values).as_ref().len())
     }
 }
-
-/// One padded row of L.
-#[derive(Clone, Copy)]
-pub(crate) enum Row<'a> {
-    Half(&'a [u16]),
-    Float(&'a [f32]),
-}
-
-impl<'a> Row<'a> {
-    /// Some columns.
-    #[inline(always)]
-    pub(crate) fn part(self, cols: Range<usize>) -> Self {
-        let part = PAD + cols.start..PAD + cols.end;
-        match self {
-            Self::Half(row) => Self::Half(&row[part]),
-            Self::Float(row) => Self::Float(&row[part]),
-        }
-    }
-}
-
-/// The first of three pixels next to each other, and the share of each in a mean.
-pub(crate) type Cover = (usize, [f32; 3]);
 
 #[derive(Clone, Debug)]
 enum RayWeights {
