@@ -18,10 +18,12 @@ use serde::Serialize;
 
 pub use self::displays::{DisplayLikeness, DisplaysComparison, compare_displays};
 pub use self::likeness::{Likeness, ZoneLikeness};
-use self::likeness::{Sums, difference, middle_views, save, seen, some_views, target_of, zone_of};
+use self::likeness::{Sums, along_rays, difference, middle_views, save, seen, some_views, target_of, zone_of};
 pub use self::photo::{PhotoComparison, Pose, compare_photo};
 use crate::error::{PipelineError, display_error};
+use crate::job::Job;
 use crate::simulate::{RunFolder, Viewpoint, picture_from};
+use crate::stage::score;
 
 /// What two runs have in common and what not.
 #[derive(Clone, Debug, Serialize)]
@@ -69,7 +71,12 @@ pub fn compare_runs(
     };
     let simulators = [&a, &b].map(|run| Simulator::new(&run.display, &run.stack));
     let shape = [geometry.rows, geometry.cols];
-    let directions = Zone::of_grid(&geometry.grid, Some(a.display.field.fov_deg)).directions(LEAST_DIRECTIONS);
+    // patterns that somebody saved have no job beside them, which would tell of expected eyes
+    let zone = match Job::load(&first.join("job.toml")) {
+        Ok(job) => score::zone_of(&job, &a.display, &geometry),
+        Err(_) => Zone::of_grid(&geometry.grid, Some(a.display.field.fov_deg)),
+    };
+    let directions = zone.directions(LEAST_DIRECTIONS);
     let views = if target.is_some() { some_views(&geometry.grid) } else { Vec::new() };
     let shown = middle_views(&geometry.grid);
     task.progress.begin("compare", (directions.len() + views.len() + shown.len()) as u64, "pictures");
@@ -90,10 +97,9 @@ pub fn compare_runs(
         for &view in &views {
             task.cancel.check()?;
             for (i, sums) in of_target.iter_mut().enumerate() {
-                let emitted = simulators[i].view(&maps[i], &geometry, view);
-                let scale = 1.0 / [&a, &b][i].stack.brightness as f32;
-                let shows: Vec<f32> = emitted.radiance.data().iter().map(|value| value * scale).collect();
-                sums.add(target.view(view), &shows, shape, &emitted.valid);
+                let brightness = [&a, &b][i].stack.brightness;
+                let (shows, counts) = along_rays(&simulators[i], &maps[i], brightness, &geometry, view);
+                sums.add(target.view(view), &shows, shape, &counts);
             }
             task.progress.advance(1, "");
         }

@@ -7,7 +7,7 @@ use lumistack_design::sheet::{Cell, Sheet};
 use lumistack_display::{RayMap, Simulator};
 use serde::Serialize;
 
-use super::likeness::{Likeness, Sums, ZoneLikeness, middle_views, seen, some_views, target_of, zone_of};
+use super::likeness::{Likeness, Sums, ZoneLikeness, along_rays, middle_views, seen, some_views, target_of, zone_of};
 use crate::error::PipelineError;
 use crate::job::Job;
 use crate::simulate::RunFolder;
@@ -77,17 +77,15 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
         let folder = run.join("nodes").join(&node.id);
         let made = RunFolder::open(&folder)?;
         let (simulator, map) = (Simulator::new(&made.display, &made.stack), RayMap::new(&made.display, geometry));
-        let scale = 1.0 / made.stack.brightness as f32;
         let mut sums = Sums::new();
         let mut views_db: Vec<Vec<Option<f64>>> = Vec::new();
         for row in views.chunk_by(|a, b| a[0] == b[0]) {
             let mut of_row = Vec::new();
             for &view in row {
                 task.cancel.check()?;
-                let emitted = simulator.view(&map, geometry, view);
-                let shows: Vec<f32> = emitted.radiance.data().iter().map(|value| value * scale).collect();
+                let (shows, counts) = along_rays(&simulator, &map, made.stack.brightness, geometry, view);
                 let mut own = Sums::new();
-                own.add(target.view(view), &shows, shape, &emitted.valid);
+                own.add(target.view(view), &shows, shape, &counts);
                 sums.merge(&own);
                 of_row.push(own.likeness().psnr_db);
                 task.progress.advance(1, "");

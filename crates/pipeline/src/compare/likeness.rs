@@ -4,7 +4,7 @@ use std::path::Path;
 
 use lumistack_core::Tensor;
 use lumistack_core::metrics::{Flip, Mean, SquaredError, ssim};
-use lumistack_display::{EmittedView, FieldGeometry, LightField, Simulator, ViewGrid, spread};
+use lumistack_display::{EmittedView, FieldGeometry, LightField, RayMap, Simulator, ViewGrid, spread};
 use serde::Serialize;
 
 use crate::error::{PipelineError, field_error};
@@ -62,9 +62,24 @@ pub(super) fn seen(
     geometry: &FieldGeometry,
     view: [usize; 2],
 ) -> (Vec<f32>, Vec<bool>) {
-    let seen = EmittedView::from(simulator.seen(geometry, view));
+    adapted(simulator.seen(geometry, view).into(), brightness)
+}
+
+/// What a display shows along the rays of a view, L̃/β, and which of them count.
+pub(super) fn along_rays(
+    simulator: &Simulator<'_>,
+    map: &RayMap,
+    brightness: f64,
+    geometry: &FieldGeometry,
+    view: [usize; 2],
+) -> (Vec<f32>, Vec<bool>) {
+    adapted(simulator.view(map, geometry, view), brightness)
+}
+
+/// Divided by β.
+fn adapted(emitted: EmittedView, brightness: f64) -> (Vec<f32>, Vec<bool>) {
     let scale = (1.0 / brightness) as f32;
-    (seen.radiance.data().iter().map(|value| value * scale).collect(), seen.valid)
+    (emitted.radiance.data().iter().map(|value| value * scale).collect(), emitted.valid)
 }
 
 /// Sums of the metrics over views.
