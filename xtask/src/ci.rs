@@ -68,7 +68,8 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     )?;
     steps.step("tests", || {
         let mut tests = command("cargo");
-        run(tests.arg("test").args(EVERYTHING).env("LUMISTACK_PYTHON", &python))
+        // presentations run in the step of panels, alone
+        run(tests.arg("test").args(EVERYTHING).args(["--", "--skip", "show::"]).env("LUMISTACK_PYTHON", &python))
     })?;
     beside(
         || {
