@@ -33,6 +33,8 @@ cargo xtask bench [what]
       --full         twice the resolution, more samples in the references: 25 minutes each
       --no-peers     our own figures alone
   big [scene.gltf]      a scene of 1,100 copies, 100 million triangles with FlightHelmet, in the memory of one
+  field [scene.gltf]    light fields with the light that views share averaged, beside the same views one by one: processor time at equal
+                squared error, bias included; 5×5 and 13×13 views over 20°, a quilt's 45, many copies. Scenes as for `render` (some minutes)
   agreement     the path tracer against Mitsuba 3 on scenes that both express exactly: a test per pixel over
                 converged renders, a table, and an error where they differ (some minutes); then FlightHelmet and OpenChessSet as diffuse
                 scenes with their textures against Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
@@ -79,6 +81,7 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         }
         ["render", options @ ..] => bench_render::render(options)?,
         ["big", options @ ..] => bench_render::big(options)?,
+        ["field", options @ ..] => bench_render::field(options)?,
         ["design"] => example("lumistack-pipeline", "bench_design", &[]),
         ["zone", options @ ..] => bench_zone::run(options)?,
         ["web"] => web::bench(),

@@ -88,6 +88,41 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-pathtracer", "bench_render", &words))
 }
 
+/// Views, zone in degrees and samples of light fields: those of the paper's prototypes, the native ones of a display, and a quilt's.
+const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
+
+/// Renders light fields view by view and with shared light, of diffuse surfaces and of those that the files have, and of many copies.
+pub fn field(options: &[&str]) -> Option<Outcome> {
+    let mut scenes: Vec<String> = options.iter().map(|scene| absolute(scene)).collect();
+    if options.iter().any(|word| word.starts_with("--")) {
+        return None;
+    }
+    if scenes.is_empty() {
+        scenes = default_scenes();
+    }
+    println!(
+        "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias in it | times less time |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
+    let run = || -> Outcome {
+        for scene in &scenes {
+            for (number, [views, fov, samples]) in FIELDS.into_iter().enumerate() {
+                let words = ["field", scene, "--views", views, "--fov", fov, "--samples", samples, "--size", "210x131"];
+                let words = words.map(str::to_owned);
+                example("lumistack-pathtracer", "bench_render", &words)?;
+                if number == 0 {
+                    for more in [&["--own-materials"][..], &["--copies", COPIES]] {
+                        let more: Vec<String> = more.iter().map(|&word| word.to_owned()).collect();
+                        example("lumistack-pathtracer", "bench_render", &[words.to_vec(), more].concat())?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    };
+    Some(run())
+}
+
 fn default_scenes() -> Vec<String> {
     let mut scenes = vec![text(&tools::root().join("scenes/still-life/still-life.gltf"))];
     if let Some(helmet) = asset(FLIGHT_HELMET) {

@@ -47,8 +47,14 @@ impl AssetResolver for Folder<'_> {
 }
 
 impl Case {
-    /// A glTF or USD file as a diffuse scene; a file without a camera also gets a floor. With `copies` > 1, so many of it stand in a square.
-    pub fn load(path: &Path, copies: usize, [cols, rows]: [usize; 2], task: Task<'_>) -> Outcome<Self> {
+    /// A glTF or USD file as a diffuse scene, or with its own materials; a file without a camera also gets a floor. With `copies` > 1, so many of it stand in a square.
+    pub fn load(
+        path: &Path,
+        copies: usize,
+        [cols, rows]: [usize; 2],
+        own_materials: bool,
+        task: Task<'_>,
+    ) -> Outcome<Self> {
         // what a diffuse scene leaves out need not be warned of
         let unread = Collector::default();
         let quiet = Task { warnings: &unread, ..task };
@@ -66,14 +72,26 @@ impl Case {
         if copies > 1 {
             repeat(&mut parts, copies, bounds);
         }
-        Self::new(if copies > 1 { format!("{copies} × {name}") } else { name }, parts, [cols, rows], task)
+        Self::new(
+            if copies > 1 { format!("{copies} × {name}") } else { name },
+            parts,
+            [cols, rows],
+            own_materials,
+            task,
+        )
     }
 
-    /// Any parts as a diffuse scene.
-    pub fn new(name: String, parts: SceneParts, [cols, rows]: [usize; 2], task: Task<'_>) -> Outcome<Self> {
+    /// Any parts as a diffuse scene, or with their own materials.
+    pub fn new(
+        name: String,
+        parts: SceneParts,
+        [cols, rows]: [usize; 2],
+        own_materials: bool,
+        task: Task<'_>,
+    ) -> Outcome<Self> {
         let unread = Collector::default();
         let bounds = parts.clone().validate(Task { warnings: &unread, ..task })?.bounds();
-        let mut parts = diffuse(parts);
+        let mut parts = if own_materials { unlit(parts) } else { diffuse(unlit(parts)) };
         let size = bounds.max - bounds.min;
         let centre = bounds.centre();
         let height = f64::from(size.y).max(f64::from(size.length()) * 0.5) * 1.15;
@@ -221,10 +239,15 @@ fn repeat(parts: &mut SceneParts, copies: usize, bounds: lumistack_scene::Bounds
     }
 }
 
-/// The parts with every material made diffuse, without lights and environment, with face normals.
-fn diffuse(mut parts: SceneParts) -> SceneParts {
+/// The parts without lights and environment.
+fn unlit(mut parts: SceneParts) -> SceneParts {
     parts.lights.clear();
     parts.environment = None;
+    parts
+}
+
+/// The parts with every material made diffuse, with face normals.
+fn diffuse(mut parts: SceneParts) -> SceneParts {
     for material in &mut parts.materials {
         let texture = material.base_color_texture;
         // the peers get factor or texture, and no alpha

@@ -5,15 +5,18 @@
 //! bench_render rays SCENE [--copies N] [--rounds N] [--size COLSxROWS] [--embree LIBRARY]
 //! bench_render agree SCENE [--reference N] [--size COLSxROWS] [--folder FOLDER] [--peer PYTHON SCRIPT]...
 //! bench_render big SCENE [--copies N]
+//! bench_render field SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES] [--samples N] [--size COLSxROWS]
 //! ```
 //!
 //! `rays` counts rays per second of the tree alone. `big` renders a scene of many copies and prints what it occupies. `view` renders one view of a diffuse scene (see [`case`]) with everyone in turn and prints, per renderer and sampler, the median time,
 //! samples per second, the mean squared error against the renderer's own converged picture, and error × seconds per megapixel. `agree` compares converged pictures of the
-//! same view and fails where they differ.
+//! same view and fails where they differ. `field` renders many views one by one, and with the light that views share averaged, and prints a table row for each: processor
+//! seconds, squared error with that of the worst view and the bias in it, and how many times less time it takes to the same error.
 
 mod case;
 #[cfg(unix)]
 mod embree;
+mod field;
 mod peer;
 mod rays;
 
@@ -44,6 +47,10 @@ struct Options {
     peers: Vec<[PathBuf; 2]>,
     copies: usize,
     embree: Option<PathBuf>,
+    /// Of a light field: rows and columns of views, their zone, and whether surfaces stay as the file has them.
+    views: [usize; 2],
+    fov_deg: f64,
+    own_materials: bool,
 }
 
 fn main() -> ExitCode {
@@ -52,12 +59,14 @@ fn main() -> ExitCode {
         Some("view") => options(&words[1..]).and_then(|options| view(&options)),
         Some("rays") => options(&words[1..]).and_then(|options| {
             let (warnings, cancel) = (Collector::default(), Cancel::default());
-            let case = Case::load(&options.scene, options.copies, options.size, Task::quiet(&warnings, &cancel))?;
+            let case =
+                Case::load(&options.scene, options.copies, options.size, false, Task::quiet(&warnings, &cancel))?;
             rays::measure(&case, options.embree.as_deref(), options.rounds)
         }),
         Some("agree") => options(&words[1..]).and_then(|options| agree(&options)),
+        Some("field") => options(&words[1..]).and_then(|options| field::measure(&options)),
         Some("big") => options(&words[1..]).and_then(|options| big(&options)),
-        _ => Err("say `view SCENE`, `rays SCENE`, `agree SCENE` or `big SCENE`".into()),
+        _ => Err("say `view SCENE`, `rays SCENE`, `agree SCENE`, `big SCENE` or `field SCENE`".into()),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -79,6 +88,9 @@ fn options(words: &[String]) -> Outcome<Options> {
         peers: Vec::new(),
         copies: 1,
         embree: None,
+        views: [5, 5],
+        fov_deg: 20.0,
+        own_materials: false,
     };
     let mut words = words.iter();
     while let Some(word) = words.next() {
@@ -92,14 +104,20 @@ fn options(words: &[String]) -> Outcome<Options> {
             "--embree" => options.embree = Some(value()?.into()),
             "--folder" => options.folder = value()?.into(),
             "--peer" => options.peers.push([value()?.into(), value()?.into()]),
-            "--size" => {
-                let (cols, rows) = value()?.split_once('x').ok_or("--size needs COLSxROWS")?;
-                options.size = [cols.parse()?, rows.parse()?];
-            }
+            "--size" => options.size = pair(value()?)?,
+            "--views" => options.views = pair(value()?)?,
+            "--fov" => options.fov_deg = value()?.parse()?,
+            "--own-materials" => options.own_materials = true,
             _ => options.scene = word.into(),
         }
     }
     Ok(options)
+}
+
+/// Two numbers, as 420x262.
+fn pair(word: &str) -> Outcome<[usize; 2]> {
+    let (a, b) = word.split_once('x').ok_or(format!("{word}: expected two numbers, as 420x262"))?;
+    Ok([a.parse()?, b.parse()?])
 }
 
 /// Someone who renders the view.
@@ -115,7 +133,7 @@ struct Entry {
 fn view(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
-    let case = Case::load(&options.scene, options.copies, options.size, task)?;
+    let case = Case::load(&options.scene, options.copies, options.size, false, task)?;
     let folder = options.folder.join(&case.name);
     case.export(&folder, false)?;
     let start = Instant::now();
@@ -214,7 +232,7 @@ fn view(options: &Options) -> Outcome {
 fn agree(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
-    let case = Case::load(&options.scene, options.copies, options.size, task)?;
+    let case = Case::load(&options.scene, options.copies, options.size, false, task)?;
     let folder = options.folder.join(&case.name);
     case.export(&folder, true)?;
     let renderer = Renderer::new(case.scene.clone(), task)?;
@@ -244,7 +262,7 @@ fn agree(options: &Options) -> Outcome {
 fn big(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
-    let case = Case::load(&options.scene, options.copies, options.size, task)?;
+    let case = Case::load(&options.scene, options.copies, options.size, false, task)?;
     let start = Instant::now();
     let renderer = Renderer::new(case.scene.clone(), task)?;
     println!("\n{}, prepared in {:.2} s", case.name, start.elapsed().as_secs_f64());
