@@ -15,7 +15,7 @@ const TARGET_AHEAD: usize = 64;
 /// How many views are buffered before their sums are added up. The buffers of 169 views at once would fill the first-level cache twice.
 pub(crate) const GROUP: usize = 32;
 
-/// Buffers of one block, and of the pair that it belongs to.
+/// Buffers of one block.
 pub(crate) struct Buffers {
     pub(crate) block: Block,
     /// a_m of a group of views of a block, `[view][frame][lane]`.
@@ -56,8 +56,6 @@ pub(crate) struct Sight {
 pub(crate) struct BlockOfLine<'a> {
     pub(crate) rays: &'a LineRays<'a>,
     pub(crate) x: usize,
-    /// 0 or 1: which of the pair.
-    pub(crate) half: usize,
     pub(crate) sight: Sight,
     /// The line's own rows, `stride` apart.
     pub(crate) values: &'a [f32],
@@ -76,7 +74,7 @@ impl BlockOfLine<'_> {
         unsafe {
             for m in 0..frames {
                 let f = load::<V>(self.values, m * self.stride + self.x);
-                store(f, &mut self.buffers.block.values, (2 * m + self.half) * V::COUNT);
+                store(f, &mut self.buffers.block.values, m * V::COUNT);
                 store(f.mul(V::splat(1.0 / frames as f32)), &mut self.buffers.scaled, m * V::COUNT);
             }
         }
@@ -97,12 +95,12 @@ impl Kernel for ByBuffers {
         // SAFETY: passed on from the caller
         unsafe {
             at.begin::<V>(frames, false);
-            let BlockOfLine { rays, x, half, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, sight, buffers, .. } = at;
             let (mut squares, mut active, mut add) = (V::splat(0.0), 0, false);
             for (index, view) in rays.views.iter().enumerate() {
                 if let Some(weight) = view.weight::<V>(x) {
                     if active == GROUP {
-                        sum_views::<V, false>(sight.sums, buffers, &[], Group { half, frames, views: active, add });
+                        sum_views::<V, false>(sight.sums, buffers, &[], Group { frames, views: active, add });
                         (active, add) = (0, true);
                     }
                     let error = buffered::<V, false>(rays, index, x, weight, sight, (active, &mut *buffers));
@@ -111,7 +109,7 @@ impl Kernel for ByBuffers {
                 }
             }
             store(squares, &mut buffers.squares, 0);
-            sum_views::<V, false>(sight.sums, buffers, &[], Group { half, frames, views: active, add });
+            sum_views::<V, false>(sight.sums, buffers, &[], Group { frames, views: active, add });
         }
     }
 }
@@ -243,8 +241,6 @@ pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, sight: Sight) -
 /// The views that are buffered, and where their sums go.
 #[derive(Clone, Copy)]
 pub(crate) struct Group {
-    /// Which block of the pair.
-    pub(crate) half: usize,
     pub(crate) frames: usize,
     pub(crate) views: usize,
     /// Whether they are added to what is there.
@@ -323,15 +319,13 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
     #[inline(always)]
     unsafe fn begun<V: Lanes>(&self, sums: &[f32], quantity: usize) -> V {
         // SAFETY: see the caller
-        unsafe {
-            if self.group.add { load::<V>(sums, (2 * quantity + self.group.half) * V::COUNT) } else { V::splat(0.0) }
-        }
+        unsafe { if self.group.add { load::<V>(sums, quantity * V::COUNT) } else { V::splat(0.0) } }
     }
 
     #[inline(always)]
     unsafe fn put<V: Lanes>(&self, sum: V, sums: &mut [f32], quantity: usize) {
         // SAFETY: see the caller
-        unsafe { store(sum, sums, (2 * quantity + self.group.half) * V::COUNT) }
+        unsafe { store(sum, sums, quantity * V::COUNT) }
     }
 
     /// n and d, or r and the diagonal of G, of frames m..m + R.

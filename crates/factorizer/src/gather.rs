@@ -11,7 +11,7 @@
 //!
 //! Departures:
 //! 1. Columns go in blocks of one vector, and a block meets all views before the next begins: its values stay in the first-level cache, and
-//!    no accumulator ever moves to memory. Two blocks step together, see [`step`](crate::step).
+//!    no accumulator ever moves to memory.
 //! 2. Where registers hold a_m and the sums of all frames (with AVX-512 and NEON up to 8 for the paper's rule, up to 4 for G, and 6), that is all. G of
 //!    6 frames is too large for that: 3×3 tiles along its diagonal are summed at once, what lies between them afterwards from a_m in a small
 //!    buffer. Otherwise all views' a_m and e are buffered (10 kB for 25 views and 6 frames) before the sums are made tile by tile, each in registers;
@@ -41,8 +41,8 @@ use crate::registers::{Gram, Pairs};
 use crate::step::{Rule, Sums};
 use crate::vector::{self, Vector};
 
-/// How many pairs of blocks' errors are added in f32 before they go to an f64 sum.
-const PAIRS_PER_SUM: usize = 2;
+/// How many blocks' errors are added in f32 before they go to an f64 sum.
+const BLOCKS_PER_SUM: usize = 4;
 
 /// The functions of an update, for one instruction set, rule, and number of frames and of factors.
 pub(crate) struct GatherFunctions {
@@ -125,22 +125,19 @@ impl GatherLine<'_, '_> {
         let (mut squares, mut gain) = (Vector::default(), Vector::default());
         let mut x = first;
         while x < end {
-            for (half, x) in [x, x + lanes].into_iter().enumerate().filter(|(_, x)| *x < end) {
-                let is_whole = inner.start <= x && x + lanes <= inner.end;
-                let sums = if is_whole { functions.whole } else { functions.masked };
-                let values = &*step.values;
-                // SAFETY: x + lanes lies within padded rows for every block that overlaps a view's valid range
-                unsafe { sums(BlockOfLine { rays: &list, x, half, sight, values, stride, buffers: &mut *buffers }) };
-                vector::add(&mut squares, &buffers.squares);
-            }
-            let summed = if x + lanes < end { 2 * lanes } else { lanes };
-            step.finish_block(&functions.step, &mut buffers.block, x, summed);
+            let is_whole = inner.start <= x && x + lanes <= inner.end;
+            let sums = if is_whole { functions.whole } else { functions.masked };
+            let values = &*step.values;
+            // SAFETY: x + lanes lies within padded rows for every block that overlaps a view's valid range
+            unsafe { sums(BlockOfLine { rays: &list, x, sight, values, stride, buffers: &mut *buffers }) };
+            vector::add(&mut squares, &buffers.squares);
+            step.finish_block(&functions.step, &mut buffers.block, x);
             vector::add(&mut gain, &buffers.block.gain);
-            x += 2 * lanes;
+            x += lanes;
             // a few blocks may share an f32 sum, a line may not
-            if x >= end || (x - first) % (PAIRS_PER_SUM * 2 * lanes) == 0 {
+            if x >= end || (x - first) % (BLOCKS_PER_SUM * lanes) == 0 {
                 outcome.error += vector::sum_of(&squares[..lanes]);
-                outcome.gain += vector::sum_of(&gain[..2 * lanes]);
+                outcome.gain += vector::sum_of(&gain[..lanes]);
                 (squares, gain) = (Vector::default(), Vector::default());
             }
         }

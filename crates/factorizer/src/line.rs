@@ -72,33 +72,32 @@ impl LineStep<'_> {
     /// Steps all pixels from their sums, `[quantity][x]` in the order of [`Sums`]; returns the gain.
     pub(crate) fn by_sums(&mut self, functions: &StepFunctions, sums: &[f32], block: &mut Block) -> f64 {
         let mut gain = 0.0;
-        let width = 2 * functions.lanes;
-        for x in self.columns.clone().step_by(width) {
+        let lanes = functions.lanes;
+        for x in self.columns.clone().step_by(lanes) {
             // SAFETY: the kernel makes no demands
             unsafe { (functions.fetch)((self, sums, block, x)) };
-            self.finish_block(functions, block, x, width);
-            gain += vector::sum_of(&block.gain[..width]);
+            self.finish_block(functions, block, x);
+            gain += vector::sum_of(&block.gain[..lanes]);
         }
         gain
     }
 
-    /// Steps two vectors of pixels from x on, whose sums and values are in `block`, and leaves there what is gained. Only the first `summed` pixels have
-    /// sums, and what lies beyond the columns is left alone.
-    pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize, summed: usize) {
-        let width = 2 * functions.lanes;
+    /// Steps one vector of pixels from x on, whose sums and values are in `block`, and leaves there what is gained; x + lanes lies within the padded rows.
+    pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
+        let lanes = functions.lanes;
         // rays that miss the layer add to its padding
-        let room = (self.columns.end - x).min(summed);
+        let room = (self.columns.end - x).min(lanes);
         if let Some(sums) = &mut self.sums {
             block.gain = Vector::default();
             // SAFETY: the kernel makes no demands
-            unsafe { (functions.hand_over)((block, &mut sums[x..], self.stride, self.rule.sums(), room)) };
+            unsafe { (functions.hand_over)((block, &mut sums[x..], self.stride, self.rule.sums())) };
             return;
         }
         let step = Step { block: &mut *block, sweeps: self.rule.sweeps(), range: self.range, levels: self.levels };
         // SAFETY: the function is for the block's number of frames
         unsafe { (functions.step)(step) };
         if let Some(limits) = self.limits {
-            block.darken(width, &limits[x..x + room], self.range[0]);
+            block.darken(lanes, &limits[x..x + room], self.range[0]);
         }
         block.gain[room..].fill(0.0);
         if self.rule != Rule::Probe {
@@ -120,54 +119,49 @@ impl Kernel for Fetch {
     #[inline(always)]
     unsafe fn run<V: Lanes>((line, sums, block, x): Self::Args<'_>) {
         let frames = block.frames;
-        for lane in (0..(line.columns.end - x).min(2 * V::COUNT)).step_by(V::COUNT) {
-            let copy = |from: &[f32], to: &mut [f32], at: usize| {
-                let (from, to) = (&from[..V::COUNT], &mut to[2 * at * V::COUNT + lane..][..V::COUNT]);
-                // SAFETY: the machine has V; both parts have COUNT values
-                unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
-            };
-            for m in 0..frames {
-                copy(&line.values[m * line.stride + x + lane..], &mut block.values, m);
-            }
-            let mut rows = sums[x + lane..].chunks(line.stride);
-            let mut next = || rows.next().unwrap_or_default();
-            for m in 0..frames {
-                copy(next(), &mut block.residual, m);
-            }
-            for m in 0..frames {
-                match line.rule.sums() {
-                    Sums::Gram => (m..frames).for_each(|k| copy(next(), &mut block.gram, m * frames + k)),
-                    Sums::Ratio | Sums::Diagonal => copy(next(), &mut block.emitted, m),
-                }
+        let copy = |from: &[f32], to: &mut [f32], at: usize| {
+            let (from, to) = (&from[..V::COUNT], &mut to[at * V::COUNT..][..V::COUNT]);
+            // SAFETY: the machine has V; both parts have COUNT values
+            unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
+        };
+        for m in 0..frames {
+            copy(&line.values[m * line.stride + x..], &mut block.values, m);
+        }
+        let mut rows = sums[x..].chunks(line.stride);
+        let mut next = || rows.next().unwrap_or_default();
+        for m in 0..frames {
+            copy(next(), &mut block.residual, m);
+        }
+        for m in 0..frames {
+            match line.rule.sums() {
+                Sums::Gram => (m..frames).for_each(|k| copy(next(), &mut block.gram, m * frames + k)),
+                Sums::Ratio | Sums::Diagonal => copy(next(), &mut block.emitted, m),
             }
         }
     }
 }
 
-/// Hands the sums of a block over: to rows that begin at the block, for so many lanes.
+/// Hands the sums of a block over to rows that begin at the block.
 pub(crate) struct HandOver;
 
 impl Kernel for HandOver {
-    type Args<'a> = (&'a Block, &'a mut [f32], usize, Sums, usize);
+    type Args<'a> = (&'a Block, &'a mut [f32], usize, Sums);
     type Output = ();
 
     #[inline(always)]
-    unsafe fn run<V: Lanes>((block, to, stride, sums, room): Self::Args<'_>) {
+    unsafe fn run<V: Lanes>((block, to, stride, sums): Self::Args<'_>) {
         let frames = block.frames;
-        for lane in (0..room).step_by(V::COUNT) {
-            let mut rows = to[lane..].chunks_mut(stride);
-            let mut hand_over = |from: &[f32], at: usize| {
-                let (from, to) = (&from[2 * at * V::COUNT + lane..], rows.next().unwrap_or_default());
-                let (from, to) = (&from[..V::COUNT], &mut to[..V::COUNT]);
-                // SAFETY: the machine has V; both parts have COUNT values
-                unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
-            };
-            (0..frames).for_each(|m| hand_over(&block.residual, m));
-            for m in 0..frames {
-                match sums {
-                    Sums::Gram => (m..frames).for_each(|k| hand_over(&block.gram, m * frames + k)),
-                    Sums::Ratio | Sums::Diagonal => hand_over(&block.emitted, m),
-                }
+        let mut rows = to.chunks_mut(stride);
+        let mut hand_over = |from: &[f32], at: usize| {
+            let (from, to) = (&from[at * V::COUNT..][..V::COUNT], &mut rows.next().unwrap_or_default()[..V::COUNT]);
+            // SAFETY: the machine has V; both parts have COUNT values
+            unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
+        };
+        (0..frames).for_each(|m| hand_over(&block.residual, m));
+        for m in 0..frames {
+            match sums {
+                Sums::Gram => (m..frames).for_each(|k| hand_over(&block.gram, m * frames + k)),
+                Sums::Ratio | Sums::Diagonal => hand_over(&block.emitted, m),
             }
         }
     }
@@ -191,23 +185,20 @@ impl Kernel for Put {
     #[inline(always)]
     unsafe fn run<V: Lanes>((block, to, room): Self::Args<'_>) {
         let Stepped { values, mut beyond, stride, range } = to;
-        for lane in (0..room).step_by(V::COUNT) {
-            let room = (room - lane).min(V::COUNT);
-            for m in 0..block.frames {
-                let at = m * stride + lane;
-                // SAFETY: the machine has V; slices check lengths
-                unsafe {
-                    let moved = load::<V>(&block.values, 2 * m * V::COUNT + lane);
-                    let Some((far, latest)) = &mut beyond else {
-                        put(moved, &mut values[at..], room);
-                        continue;
-                    };
-                    let before = V::load(latest[at..at + V::COUNT].as_ptr());
-                    let further = moved.sub(before).mul_add(V::splat(*far), moved);
-                    let further = further.max(V::splat(range[0])).min(V::splat(range[1]));
-                    put(moved, &mut latest[at..], room);
-                    put(further, &mut values[at..], room);
-                }
+        for m in 0..block.frames {
+            let at = m * stride;
+            // SAFETY: the machine has V; slices check lengths
+            unsafe {
+                let moved = load::<V>(&block.values, m * V::COUNT);
+                let Some((far, latest)) = &mut beyond else {
+                    put(moved, &mut values[at..], room);
+                    continue;
+                };
+                let before = V::load(latest[at..at + V::COUNT].as_ptr());
+                let further = moved.sub(before).mul_add(V::splat(*far), moved);
+                let further = further.max(V::splat(range[0])).min(V::splat(range[1]));
+                put(moved, &mut latest[at..], room);
+                put(further, &mut values[at..], room);
             }
         }
     }

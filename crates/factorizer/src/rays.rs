@@ -129,12 +129,12 @@ impl LineRays<'_> {
         start..self.views.iter().map(|view| view.valid.end).max().unwrap_or(0)
     }
 
-    /// Every view's rows, K other factors.
+    /// Some views' rows, K other factors.
     #[inline(always)]
-    pub(crate) fn by_view<const K: usize>(&self) -> impl ExactSizeIterator<Item = RowsOfView<'_, K>> {
-        let others = self.others.as_chunks::<K>().0.iter();
-        let ahead = self.ahead.as_chunks::<ASKED>().0.iter();
-        let views = self.views.iter().zip(&self.targets).zip(others).zip(ahead);
+    pub(crate) fn by_view<const K: usize>(&self, views: Range<usize>) -> impl Iterator<Item = RowsOfView<'_, K>> {
+        let others = &self.others.as_chunks::<K>().0[views.clone()];
+        let ahead = &self.ahead.as_chunks::<ASKED>().0[views.clone()];
+        let views = self.views[views.clone()].iter().zip(&self.targets[views]).zip(others).zip(ahead);
         views.map(|(((view, target), others), ahead)| RowsOfView { view, target, others, ahead })
     }
 

@@ -41,11 +41,11 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, half, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, sight, buffers, .. } = at;
             let lit = Lit::<K>::new(rays, x, sight, &buffers.scaled);
             let mut squares = V::splat(0.0);
             let (mut above, mut below) = ([V::splat(0.0); M], [V::splat(0.0); M]);
-            for rows in rays.by_view::<K>() {
+            for rows in rays.by_view::<K>(0..rays.views.len()) {
                 let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
                 let error = wanted.sub(emitted);
                 squares = error.mul_add(error, squares);
@@ -55,8 +55,8 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
                 }
             }
             for m in 0..M {
-                store(above[m], &mut buffers.block.residual, (2 * m + half) * V::COUNT);
-                store(below[m], &mut buffers.block.emitted, (2 * m + half) * V::COUNT);
+                store(above[m], &mut buffers.block.residual, m * V::COUNT);
+                store(below[m], &mut buffers.block.emitted, m * V::COUNT);
             }
             store(squares, &mut buffers.squares, 0);
         }
@@ -75,17 +75,29 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                 return V::call::<ByBuffers>(at);
             }
             at.begin::<V>(M, true);
-            let BlockOfLine { rays, x, half, sight, buffers, .. } = at;
+            let BlockOfLine { rays, x, sight, buffers, .. } = at;
             let Buffers { block, products: buffered, errors, emitted, scaled, squares: all } = buffers;
             let tile = tile_of(M);
             let lit = Lit::<K>::new(rays, x, sight, scaled);
-            let mut squares = V::splat(0.0);
-            let (mut residual, mut gram) = ([V::splat(0.0); M], [[V::splat(0.0); M]; M]);
-            let mut group = Group { half, frames: M, views: 0, add: false };
-            let mut rest = rays.by_view::<K>();
+            let views = rays.views.len();
+            let mut first = 0;
+            // sums wait in memory between groups: the call at the end of this loop leaves no registers
             loop {
-                // a call in this loop would cost it its registers
-                for rows in rest.by_ref().take(GROUP) {
+                let add = first > 0;
+                let mut squares = if add { load::<V>(all, 0) } else { V::splat(0.0) };
+                let (mut residual, mut gram) = ([V::splat(0.0); M], [[V::splat(0.0); M]; M]);
+                if add {
+                    for m in 0..M {
+                        residual[m] = load::<V>(&block.residual, m * V::COUNT);
+                        for k in m..M {
+                            if m / tile == k / tile {
+                                gram[m][k] = load::<V>(&block.gram, (m * M + k) * V::COUNT);
+                            }
+                        }
+                    }
+                }
+                let mut active = 0;
+                for rows in rays.by_view::<K>(first..views.min(first + GROUP)) {
                     let Some(Seen { products, wanted, emitted }) = lit.seen::<V, M, MASKED>(&rows) else { continue };
                     let error = wanted.sub(emitted);
                     squares = error.mul_add(error, squares);
@@ -97,29 +109,30 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                             }
                         }
                         if tile < M {
-                            store(products[m], buffered, (group.views * M + m) * V::COUNT);
+                            store(products[m], buffered, (active * M + m) * V::COUNT);
                         }
                     }
-                    group.views += 1;
+                    active += 1;
                 }
+                for m in 0..M {
+                    store(residual[m], &mut block.residual, m * V::COUNT);
+                    for k in m..M {
+                        if m / tile == k / tile {
+                            store(gram[m][k], &mut block.gram, (m * M + k) * V::COUNT);
+                        }
+                    }
+                }
+                store(squares, all, 0);
                 if tile < M {
+                    let group = Group { frames: M, views: active, add };
                     let tiles = Tiles { group, shares: &[], products: buffered, errors, emitted };
                     V::call::<BetweenTiles<false>>((tiles, block));
-                    (group.views, group.add) = (0, true);
                 }
-                if rest.len() == 0 {
+                first += GROUP;
+                if first >= views {
                     break;
                 }
             }
-            for m in 0..M {
-                store(residual[m], &mut block.residual, (2 * m + half) * V::COUNT);
-                for k in m..M {
-                    if m / tile == k / tile {
-                        store(gram[m][k], &mut block.gram, (2 * (m * M + k) + half) * V::COUNT);
-                    }
-                }
-            }
-            store(squares, all, 0);
         }
     }
 }

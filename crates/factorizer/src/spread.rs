@@ -225,7 +225,7 @@ impl Kernel for Apart {
         // SAFETY: passed on from the caller
         unsafe {
             let (mut squares, mut active) = ([V::splat(0.0); 2], [[0.0; GROUP]; 2]);
-            let mut group = Group { half: 0, frames, views: 0, add: false };
+            let mut group = Group { frames, views: 0, add: false };
             for index in views {
                 let Some(weight) = rays.views[index].weight::<V>(x) else { continue };
                 let error = buffered::<V, true>(rays, index, x, weight, sight, (group.views, &mut *buffers));
@@ -236,11 +236,11 @@ impl Kernel for Apart {
                 group.views += 1;
             }
             for (half, to) in to.into_iter().enumerate().take(if is_high { 2 } else { 1 }) {
-                sum_views::<V, true>(sight.sums, buffers, &active[half], Group { half, ..group });
+                sum_views::<V, true>(sight.sums, buffers, &active[half], group);
                 let mut rows = to.chunks_mut(field_stride);
                 let mut keep = |from: &[f32], at: usize| {
                     let to = &mut rows.next().unwrap_or_default()[..V::COUNT];
-                    vector::load::<V>(from, (2 * at + half) * V::COUNT).store(to.as_mut_ptr());
+                    vector::load::<V>(from, at * V::COUNT).store(to.as_mut_ptr());
                 };
                 let block = &buffers.block;
                 (0..frames).for_each(|m| keep(&block.residual, m));

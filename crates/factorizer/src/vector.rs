@@ -2,11 +2,8 @@
 
 use lumistack_simd::{Lanes, MAX_LANES};
 
-/// The most lanes of two vectors.
-pub(crate) const WIDEST: usize = 2 * MAX_LANES;
-
-/// The lanes of one vector or of two, the rest 0: what functions for different instruction sets exchange.
-pub(crate) type Vector = [f32; WIDEST];
+/// The lanes of one vector, the rest 0: what functions for different instruction sets exchange.
+pub(crate) type Vector = [f32; MAX_LANES];
 
 /// The vector at `at`.
 ///
@@ -56,7 +53,7 @@ pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
 #[inline(always)]
 pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
     let mut lanes = Vector::default();
-    // SAFETY: a vector has at most WIDEST lanes
+    // SAFETY: a vector has at most MAX_LANES lanes
     unsafe { vector.store(lanes.as_mut_ptr()) };
     sum_of(&lanes[..V::COUNT])
 }
