@@ -1,6 +1,7 @@
 // Bundles src/ and the WebAssembly module of ../crates/web (in pkg/, written by `cargo xtask web`) into dist/.
 import { build } from "esbuild";
-import { copyFileSync, existsSync, mkdirSync, readFileSync } from "node:fs";
+import { copyFileSync, existsSync, mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { join } from "node:path";
 import { gzipSync } from "node:zlib";
 
 const wasm = "pkg/lumistack_web_bg.wasm";
@@ -9,17 +10,26 @@ if (!existsSync(wasm)) {
   process.exit(1);
 }
 mkdirSync("dist", { recursive: true });
+const BROWSERS = { bundle: true, minify: true, target: ["es2022", "chrome111", "firefox113", "safari16.4"], charset: "utf8", legalComments: "none" };
 await build({
+  ...BROWSERS,
   entryPoints: { viewer: "src/viewer.ts" },
   outdir: "dist",
-  bundle: true,
-  minify: true,
   format: "esm",
-  target: ["es2022", "chrome111", "firefox113", "safari16.4"],
-  charset: "utf8",
-  legalComments: "none",
   loader: { ".css": "text" },
   plugins: [
+    {
+      // The simulator's thread travels inside the script, and is started from there: wherever the script comes from.
+      name: "worker",
+      setup({ onResolve, onLoad }) {
+        onResolve({ filter: /^worker:/ }, ({ path, resolveDir }) => ({ path: join(resolveDir, path.slice("worker:".length)), namespace: "worker" }));
+        onLoad({ filter: /.*/, namespace: "worker" }, async ({ path }) => {
+          // The page compiles the module: the thread has no address from which one could be fetched.
+          const { outputFiles } = await build({ ...BROWSERS, entryPoints: [path], format: "iife", define: { "import.meta.url": '""' }, write: false });
+          return { contents: outputFiles[0].text.trim(), loader: "text" };
+        });
+      },
+    },
     {
       // The sheet travels inside the script, in the shadow root of the element: minified like the script.
       name: "sheet",
@@ -32,10 +42,11 @@ await build({
     },
   ],
 });
-await build({ entryPoints: { viewer: "src/page.css" }, outdir: "dist", minify: true });
+// The page's own few rules stand in it: nothing is fetched before its poster shows.
+const { outputFiles } = await build({ entryPoints: ["src/page.css"], minify: true, write: false });
+writeFileSync("dist/index.html", readFileSync("src/index.html", "utf8").replace("/*page.css*/", () => outputFiles[0].text.trim()));
 copyFileSync(wasm, "dist/lumistack_web_bg.wasm");
-copyFileSync("src/index.html", "dist/index.html");
-for (const name of ["index.html", "viewer.css", "viewer.js", "lumistack_web_bg.wasm"]) {
+for (const name of ["index.html", "viewer.js", "lumistack_web_bg.wasm"]) {
   const bytes = readFileSync(`dist/${name}`);
   console.log(`dist/${name}  ${(bytes.length / 1000).toFixed(1)} kB, ${(gzipSync(bytes, { level: 9 }).length / 1000).toFixed(1)} kB gzip`);
 }

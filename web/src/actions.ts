@@ -3,7 +3,7 @@ import { download, fileName, record, toPng, videoFormat, type Recording } from "
 import type { Face } from "./face.js";
 import type { Motion } from "./motion.js";
 import { problemOf } from "./problem.js";
-import type { Stage } from "./stage.js";
+import type { Shot, Stage } from "./stage.js";
 
 /** Seconds of a recorded turn. */
 const TURN_S = 6;
@@ -13,9 +13,9 @@ export interface Shown {
   mode: string;
 }
 
-export async function savePicture(stage: Stage, shown: Shown, motion: Motion): Promise<void> {
+export async function savePicture(stage: Stage, shot: Shot, shown: Shown, motion: Motion): Promise<void> {
   const [x, y] = motion.slope.map((value) => ((Math.atan(value) * 180) / Math.PI).toFixed(1));
-  download(await toPng(stage.snapshot()), `${fileName(shown.title)}_${shown.mode}_${x}_${y}.png`);
+  download(await toPng(await stage.still(shot)), `${fileName(shown.title)}_${shown.mode}_${x}_${y}.png`);
 }
 
 export class TurnRecorder {
@@ -29,7 +29,7 @@ export class TurnRecorder {
 
   /** Adds the picture on show, if a turn is being recorded. */
   frame(): void {
-    this.recording?.frame(this.stage.visible);
+    this.recording?.frame(this.stage.main);
   }
 
   /** Goes once around the zone; `wake` starts the drawing. */
@@ -39,7 +39,7 @@ export class TurnRecorder {
     const button = this.face.at("record");
     button.classList.add("busy");
     this.face.notice(`Recording a turn of ${TURN_S} seconds…`, "plain");
-    const { width, height } = this.stage.visible;
+    const { width, height } = this.stage.main;
     this.motion.startTurn(TURN_S);
     try {
       this.recording = record(width, height, format);

@@ -3,6 +3,8 @@
 /** What MediaRecorder may be asked for, best first. */
 const FORMATS = ["video/mp4;codecs=avc1.640028", "video/webm;codecs=vp9", "video/webm;codecs=vp8", "video/webm"];
 const BITS_PER_S = 12e6;
+/** Least width of a video: pictures are enlarged by a whole number. */
+const VIDEO_PX = 960;
 
 export function download(blob: Blob, name: string): void {
   const url = URL.createObjectURL(blob);
@@ -32,9 +34,10 @@ export interface Recording {
 /** Records onto a canvas of its own, so that it does not matter which one is on show. */
 export function record(width: number, height: number, format: string): Recording {
   const copy = document.createElement("canvas");
+  const scale = Math.ceil(VIDEO_PX / width);
   // Encoders want even sizes.
-  copy.width = width - (width % 2);
-  copy.height = height - (height % 2);
+  copy.width = width * scale - ((width * scale) % 2);
+  copy.height = height * scale - ((height * scale) % 2);
   const context = copy.getContext("2d")!;
   const stream = copy.captureStream(30);
   const recorder = new MediaRecorder(stream, { mimeType: format, videoBitsPerSecond: BITS_PER_S });

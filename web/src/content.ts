@@ -1,66 +1,76 @@
 // What is on show: a stack of layers with its simulator, or a light field of somebody else's.
-import type { Foreign } from "./lightfield.js";
+import type { Engine } from "./engine.js";
+import { infoOf, nearestView, viewSlope, type FileInfo, type Info } from "./info.js";
+import type { Wish } from "./painter.js";
 import { problemOf, REWRITE } from "./problem.js";
-import { Viewer, viewSlope, type FileInfo, type Info } from "./simulator.js";
-import type { Scene, Stage } from "./stage.js";
+import type { Shot, Stage } from "./stage.js";
 import type { Slope, State } from "./state.js";
 
 export interface Content {
   readonly info: Info;
   /** Frames that can be drawn, rising. */
   readonly frames: readonly number[];
-  /** Hands its pictures to the stage; `force_cpu` leaves WebGL2 alone. */
-  attach(forceCpu: boolean): void;
+  /** Whether the picture is what it will be: every frame is there, or will never be. */
+  readonly whole: boolean;
+  /** Takes a graphics context, or gives it back. */
+  attach(wish: Wish): void;
   /** Takes over what the user has chosen. */
   apply(state: State): void;
-  draw(state: State, slope: Slope): void;
+  /** The picture to show. */
+  shot(state: State, slope: Slope): Shot;
   free(): void;
 }
 
 export class StackContent implements Content {
-  readonly viewer: Viewer;
   readonly info: Info;
   readonly frames: number[] = [];
+  whole = false;
+  /** Version of the module, and colours of the error map, from its start on. */
+  about: { version: string; heat: string; heatTop: number } | undefined;
+  private engine: Engine | undefined;
   /** Views of the target that have arrived, as row/column. */
   private readonly targets = new Set<string>();
   /** Parts of each frame that have yet to arrive. */
   private readonly missing: number[];
   private options = "";
+  private wanted = "";
 
-  constructor(
-    json: string,
-    private readonly stage: Stage,
-  ) {
-    try {
-      this.viewer = new Viewer(json);
-    } catch (error) {
-      throw problemOf(error, REWRITE);
-    }
-    this.info = JSON.parse(this.viewer.info()) as Info;
+  /** Throws where the text is no preview. */
+  constructor(private readonly json: string) {
+    this.info = infoOf(json);
     this.missing = Array.from({ length: this.info.frames }, (_, frame) => this.info.files.filter((file) => file.frame === frame).length);
   }
 
-  /** A file has become part of the picture; whether there is a first picture now. */
+  /** Hands the preview to the simulator, which checks it. */
+  async open(engine: Engine, stage: Stage): Promise<void> {
+    this.about = await openPreview(engine, this.json);
+    this.engine = engine;
+    stage.use(engine);
+    this.sendOptions();
+  }
+
+  /** A file has become part of the picture; whether that made a frame whole. */
   arrived({ frame, view }: FileInfo): boolean {
     if (view) this.targets.add(view.join("/"));
     if (frame === undefined || --this.missing[frame]! > 0) return false;
     this.frames.push(frame);
     this.frames.sort((a, b) => a - b);
-    return this.frames.length === 1;
+    this.whole = this.frames.length === this.info.frames;
+    return true;
   }
 
   get targetsReady(): number {
     return this.targets.size;
   }
 
-  attach(forceCpu: boolean): void {
-    this.stage.use(this.viewer, this.info, forceCpu);
+  attach(wish: Wish): void {
+    void this.engine?.call("attach", [wish]);
   }
 
   apply(state: State): void {
     const most = 1 / this.info.brightness;
-    const single = state.mode === "slow" || state.mode === "exploded";
-    const options = JSON.stringify({
+    const single = state.mode === "slow";
+    this.wanted = JSON.stringify({
       gain: Math.min(state.gain ?? most, most),
       gap_mm: state.gapMm,
       shift_mm: [state.shiftXMm, state.shiftYMm],
@@ -69,74 +79,93 @@ export class StackContent implements Content {
       eye_distance_mm: state.eyeMm,
       frame: single ? readyFrame(this.frames, state.frame) : null,
     });
-    if (options !== this.options) this.viewer.set_options(options);
-    this.options = options;
+    this.sendOptions();
   }
 
-  draw(state: State, slope: Slope): void {
-    this.stage.draw(this.scene(state, slope));
+  /** The mask of a layer, or of the backlight behind the last one. */
+  mask(layer: number, frame: number): Shot {
+    const { layers, backlight, field } = this.info;
+    const { cols, rows } = layers[layer] ?? backlight ?? field;
+    return { kind: "mask", field: [field.cols, field.rows], layer, frame, size: [cols, rows], backlight: layer >= layers.length };
   }
 
   /** PSNR of the view that the comparison shows, in words. */
-  psnr(slope: Slope): string {
-    const [row, col] = this.nearest(slope);
+  async psnr(slope: Slope): Promise<string> {
+    const [row, col] = nearestView(this.info, slope);
     const { cols, rows } = this.info.views;
     const name = `view ${col + 1}, ${row + 1} of ${cols} × ${rows}`;
-    const db = this.viewer.psnr(slope[0], slope[1]);
+    const db = await this.engine?.call("psnr", [slope[0], slope[1]]);
     if (db === undefined) return `${name}: target not loaded yet`;
     return `${Number.isFinite(db) ? db.toFixed(1) : "∞"} dB · ${name}`;
   }
 
-  /** Row and column of the nearest view of the target. */
-  nearest([x, y]: Slope): [number, number] {
-    const view = this.viewer.nearest_view(x, y);
-    return [view[0]!, view[1]!];
-  }
-
   free(): void {
-    this.viewer.free();
+    this.engine?.stop();
+    this.engine = undefined;
   }
 
-  private scene(state: State, slope: Slope): Scene {
+  shot(state: State, slope: Slope): Shot {
+    const { info } = this;
     const frame = readyFrame(this.frames, state.frame);
-    if (state.mode === "layers") return { kind: "mask", layer: state.layer, frame };
-    if (state.mode === "exploded") return { kind: "exploded", slope, yaw: state.yaw, pitch: state.pitch, spread: state.spread, frame };
-    const view = this.nearest(slope);
-    if (state.mode !== "compare" || !this.targets.has(view.join("/"))) return { kind: "view", slope };
+    const field = [info.field.cols, info.field.rows] as const;
+    if (state.mode === "layers") return this.mask(state.layer, frame);
+    if (state.mode === "exploded") {
+      const { yaw, pitch, spread } = state;
+      return { kind: "exploded", field, slope, yaw, pitch, spread, frame, stack: { field: info.field, layers: info.layers } };
+    }
+    const view = nearestView(info, slope);
+    if (state.mode !== "compare" || !this.targets.has(view.join("/"))) return { kind: "view", field, slope };
     // Display and target are compared from exactly where the target was rendered.
-    const snapped = viewSlope(this.info, ...view);
-    if (state.comparison === "slider") return { kind: "split", slope: snapped, at: state.split };
-    return { kind: state.comparison, slope: snapped };
+    const snapped = viewSlope(info, ...view);
+    if (state.comparison === "slider") return { kind: "split", field, slope: snapped, view, at: state.split };
+    if (state.comparison === "side") return { kind: "side", field, slope: snapped, view };
+    return { kind: "error", field, slope: snapped };
+  }
+
+  private sendOptions(): void {
+    if (!this.engine || this.wanted === "" || this.wanted === this.options) return;
+    this.options = this.wanted;
+    void this.engine.call("options", [this.wanted]);
+  }
+}
+
+/** Checks a preview and opens it; the error says what is wrong with it. */
+export async function openPreview(engine: Engine, json: string): Promise<{ version: string; heat: string; heatTop: number }> {
+  try {
+    return await engine.call("open", [json]);
+  } catch (error) {
+    throw problemOf(error, REWRITE);
   }
 }
 
 export class FieldContent implements Content {
-  readonly info: Info;
   readonly frames = [0];
+  readonly whole = true;
 
   constructor(
-    private readonly foreign: Foreign,
-    private readonly stage: Stage,
+    readonly info: Info,
+    private readonly engine: Engine,
+    stage: Stage,
   ) {
-    this.info = foreign.info;
+    stage.use(engine);
   }
 
   attach(): void {
-    this.stage.useLightField(this.foreign.field, this.info);
+    // The processor mixes views.
   }
 
   apply(): void {
     // Nothing to choose: the views are shown as they are.
   }
 
-  draw(_state: State, [x, y]: Slope): void {
+  shot(_state: State, [x, y]: Slope): Shot {
     const { zone } = this.info;
     const along = (value: number, half: number): number => (half > 0 ? Math.min(Math.max(0.5 + value / Math.tan(half) / 2, 0), 1) : 0.5);
-    this.stage.drawLightField(along(x, zone.x_rad), along(-y, zone.y_rad));
+    return { kind: "between", u: along(x, zone.x_rad), v: along(-y, zone.y_rad) };
   }
 
   free(): void {
-    this.foreign.field.free();
+    this.engine.stop();
   }
 }
 

@@ -9,8 +9,8 @@ import type { Ticker } from "./loop.js";
 import { Tilt, type Motion } from "./motion.js";
 import type { Problem } from "./problem.js";
 import { lastMask } from "./sheet.js";
-import { zoneSlope } from "./simulator.js";
-import type { Stage } from "./stage.js";
+import { zoneSlope } from "./info.js";
+import type { Shot, Stage } from "./stage.js";
 import type { Comparison, Mode, Slope, State } from "./state.js";
 import { toggleTheme } from "./theme.js";
 
@@ -28,6 +28,8 @@ export interface Controlled {
   content(): Content | undefined;
   set(change: Partial<State>): void;
   look(slope: Slope): void;
+  /** The picture on show. */
+  shot(): Shot | undefined;
   stepFrame(by: number): void;
   open(files: ReadonlyMap<string, File>): Promise<void>;
   report(problem: Problem): void;
@@ -103,6 +105,7 @@ export class Controls {
     onClick("step-back", () => target.stepFrame(-1));
     onClick("step-on", () => target.stepFrame(1));
     onClick("play", () => on.set({ playing: !on.state().playing }));
+    onClick("apart", () => on.set({ mode: on.state().mode === "exploded" ? "perceived" : "exploded" }));
     onClick("front", () => on.set({ yaw: 0, pitch: 0 }));
     onClick("centre", () => on.look([0, 0]));
     onClick("swing", () => {
@@ -113,7 +116,10 @@ export class Controls {
     onClick("tilt", () => this.toggleTilt());
     onClick("theme", () => toggleTheme(on.element));
     onClick("full", () => (document.fullscreenElement ? document.exitFullscreen() : on.element.requestFullscreen()));
-    onClick("shot", () => on.content() && savePicture(on.stage, shown(), on.motion));
+    onClick("shot", () => {
+      const shot = on.shot();
+      return shot && savePicture(on.stage, shot, shown(), on.motion);
+    });
     onClick("record", () => on.content() && this.turn.save(shown(), () => on.ticker.redraw()));
     onClick("link", () => copyLink(`${location.href.replace(/#.*$/, "")}${Address.hash(on.state(), on.motion.slope, true)}`, on.face));
   }

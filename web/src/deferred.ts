@@ -4,6 +4,7 @@ export interface Deferred {
   promise: Promise<void>;
   resolve: () => void;
   reject: (error: Error) => void;
+  settled: boolean;
 }
 
 export function deferred(): Deferred {
@@ -12,5 +13,17 @@ export function deferred(): Deferred {
   const promise = new Promise<void>((yes, no) => ([resolve, reject] = [yes, no]));
   // Whoever does not ask is told by the page itself.
   promise.catch(() => undefined);
-  return { promise, resolve, reject };
+  const made: Deferred = {
+    promise,
+    settled: false,
+    resolve: () => {
+      made.settled = true;
+      resolve();
+    },
+    reject: (error) => {
+      made.settled = true;
+      reject(error);
+    },
+  };
+  return made;
 }

@@ -1,24 +1,27 @@
 // <lumistack-viewer src="stack/preview.json">: loads a preview and shows it.
 //
-// Attributes: src; renderer="cpu" leaves WebGL2 alone; wasm names the module's file where it does not lie beside the script;
+// Attributes: src; renderer="cpu" leaves WebGL2 alone and "webgl2" takes it in any case; wasm names the module's file where it does not lie beside the script;
 // theme="dark" or "light" instead of what the system says; url-state keeps the state in the page's address; keyboard="page"
 // listens to keys anywhere on the page, not only on the focused picture; hold keeps the view from swinging.
 import { Address } from "./address.js";
+import type { Surroundings } from "./around.js";
 import { toPng, videoFormat } from "./capture.js";
 import { readyFrame, StackContent, type Content } from "./content.js";
 import { Controls } from "./controls.js";
 import { recognize } from "./drop.js";
+import type { Engine } from "./engine.js";
 import { Face } from "./face.js";
+import { nearestView, zoneSlope, type FileInfo, type Info } from "./info.js";
 import { layOut } from "./layout.js";
 import { Loader } from "./loader.js";
 import { Ticker } from "./loop.js";
 import { Motion, Tilt } from "./motion.js";
+import type { Wish } from "./painter.js";
 import { Problem, problemOf } from "./problem.js";
 import { lastMask, Sheet } from "./sheet.js";
-import { zoneSlope, type FileInfo, type Info } from "./simulator.js";
 import { Sliders } from "./sliders.js";
 import { FilesSource, sourceOf } from "./source.js";
-import { Stage, type Path } from "./stage.js";
+import { Stage, type Path, type Shot } from "./stage.js";
 import { DEFAULTS, fromHash, type Comparison, type Mode, type Slope, type State } from "./state.js";
 import { TEMPLATE } from "./template.js";
 import { restoreTheme } from "./theme.js";
@@ -38,6 +41,8 @@ const NARROW_PX = 860;
 /** Milliseconds between two descriptions of where one stands, and of rest before PSNR is computed. */
 const WORDS_MS = 90;
 const PSNR_MS = 60;
+/** Milliseconds out of sight after which a viewer gives its graphics context back: browsers have few. */
+const REST_MS = 1500;
 
 export class LumistackViewer extends HTMLElement {
   static readonly observedAttributes = ["src", "renderer"];
@@ -58,6 +63,9 @@ export class LumistackViewer extends HTMLElement {
 
   private state: State = { ...DEFAULTS };
   private content: Content | undefined;
+  /** What one may look around in before the patterns are there. */
+  private around: Surroundings | undefined;
+  private resting: ReturnType<typeof setTimeout> | undefined;
 
   private frameClockS = 0;
   private wordsTimer: ReturnType<typeof setTimeout> | undefined;
@@ -75,12 +83,9 @@ export class LumistackViewer extends HTMLElement {
     this.face = new Face(this.root);
     this.stageBox = this.face.at("stage");
     this.picture = this.face.at("picture");
-    this.stage = new Stage(this.picture, {
-      path: (path, why, lasting) => this.pathChanged(path, why, lasting),
-      stale: () => this.ticker.redraw(),
-    });
+    this.stage = new Stage(this.face.at("shown"), { shown: () => this.drawn(), failed: (error) => this.drawingFailed(error) });
     this.ticker = new Ticker(this.motion, {
-      can: () => this.isConnected && (this.content?.frames.length ?? 0) > 0,
+      can: () => this.isConnected && ((this.content?.frames.length ?? 0) > 0 || this.around !== undefined),
       play: (dtS) => this.playFrames(dtS),
       draw: () => this.draw(),
     });
@@ -98,6 +103,9 @@ export class LumistackViewer extends HTMLElement {
     this.loader = new Loader(this.stage, {
       clear: () => this.dropContent(),
       shown: (content) => this.show(content),
+      poster: (address) => this.showPoster(address),
+      around: (views) => this.lookInto(views),
+      opened: (content, engine) => this.opened(content, engine),
       progress: (share) => this.progress(share),
       part: (content, file) => this.arrived(content, file),
       finished: (content, failed) => this.finish(content, failed),
@@ -114,6 +122,7 @@ export class LumistackViewer extends HTMLElement {
       content: () => this.content,
       set: (change) => this.set(change),
       look: (slope) => this.look(slope),
+      shot: () => this.shot(),
       stepFrame: (by) => this.stepFrame(by),
       open: (files) => this.open(files),
       report: (problem) => this.report(problem),
@@ -169,16 +178,17 @@ export class LumistackViewer extends HTMLElement {
     return this.stage.path;
   }
 
-  /** RGBA bytes of the picture on show; of views at the light field's own size where `native`. */
-  pixels(native = false): ImageData {
-    this.draw();
-    return this.stage.pixels(native);
+  /** RGBA bytes of the picture on show, at the light field's own size; of a comparison side by side those of the display. */
+  async pixels(): Promise<ImageData> {
+    const shot = this.shot();
+    return shot ? this.stage.pixels(shot) : new ImageData(1, 1);
   }
 
   /** The picture on show as PNG. */
-  screenshot(): Promise<Blob> {
-    this.draw();
-    return toPng(this.stage.snapshot());
+  async screenshot(): Promise<Blob> {
+    const shot = this.shot();
+    if (!shot) throw new Error("there is no picture yet");
+    return toPng(await this.stage.still(shot));
   }
 
   /** Shows what is among the files (path → file): a preview, a quilt, the views of a light field. */
@@ -205,7 +215,7 @@ export class LumistackViewer extends HTMLElement {
     reduced.addEventListener("change", calm, { signal });
     const resizer = new ResizeObserver(() => this.layOut());
     resizer.observe(this.stageBox);
-    const watcher = new IntersectionObserver((seen) => this.ticker.show(seen.at(-1)!.isIntersecting));
+    const watcher = new IntersectionObserver((seen) => this.seen(seen.at(-1)!.isIntersecting));
     watcher.observe(this);
     signal.addEventListener("abort", () => {
       resizer.disconnect();
@@ -214,6 +224,7 @@ export class LumistackViewer extends HTMLElement {
     const keys: EventTarget = this.getAttribute("keyboard") === "page" ? document : this.stageBox;
     keys.addEventListener("keydown", (event) => this.controls.key(event as KeyboardEvent), { signal });
     this.face.at("tilt").hidden = !Tilt.possible;
+    this.face.at("nudge").textContent = matchMedia("(hover: hover)").matches ? "Move the mouse to look around" : "Drag to look around";
     this.face.at("record").hidden = videoFormat() === undefined;
     this.face.at("full").hidden = !document.fullscreenEnabled;
     restoreTheme(this);
@@ -224,8 +235,10 @@ export class LumistackViewer extends HTMLElement {
       this.readAddress();
     }
     this.stateChanged();
-    if (this.src) void this.load();
-    else this.face.card("Open a preview", "Drop a preview folder, a quilt or a folder of views here.", "Nothing leaves this computer.");
+    if (this.src) {
+      this.watchPoster();
+      void this.load();
+    } else this.face.card("Open a preview", "Drop a preview folder, a quilt or a folder of views here.", "Nothing leaves this computer.");
   }
 
   disconnectedCallback(): void {
@@ -236,13 +249,14 @@ export class LumistackViewer extends HTMLElement {
     this.address.stop();
     clearTimeout(this.wordsTimer);
     clearTimeout(this.psnrTimer);
+    clearTimeout(this.resting);
     this.dropContent();
   }
 
   attributeChangedCallback(name: string, before: string | null, now: string | null): void {
     if (!this.isConnected || before === now || !this.life) return;
     if (name === "src" && now) void this.load();
-    if (name === "renderer") this.content?.attach(this.wantsCpu());
+    if (name === "renderer") this.content?.attach(this.wish());
   }
 
   // --- loading
@@ -257,8 +271,11 @@ export class LumistackViewer extends HTMLElement {
 
   private dropContent(): void {
     this.face.fresh();
+    this.face.nudge(false);
     this.stage.release();
     this.sheet.clear();
+    this.around?.free();
+    this.around = undefined;
     this.content?.free();
     this.content = undefined;
   }
@@ -270,13 +287,59 @@ export class LumistackViewer extends HTMLElement {
     this.motion.setZone(zoneSlope(info));
     this.map.show(info);
     if (this.keepsAddress) document.title = `${info.title || "Preview"} – Lumistack`;
-    if (content instanceof StackContent) {
-      this.sheet.setUp(content.viewer, info);
-      this.sliders.setUp(info);
-    } else this.state.mode = "perceived";
+    if (content instanceof StackContent) this.sliders.setUp(info);
+    else this.state.mode = "perceived";
     this.fit(info);
-    content.attach(this.wantsCpu());
     this.stateChanged();
+  }
+
+  /** The simulator of what is on show has started. */
+  private opened(content: Content, engine: Engine): void {
+    engine.onPath = ({ path, why }) => this.pathChanged(path, why);
+    if (content instanceof StackContent) {
+      const { version, heat, heatTop } = content.about!;
+      this.face.about(version, heat, heatTop);
+      this.sheet.setUp(async (layer, frame) => (await this.stage.pictures(content.mask(layer, frame)))[0]!, content.info);
+    }
+    content.attach(this.wish());
+    this.stateChanged();
+  }
+
+  /** The picture that a page brings along, or else the one that the preview names. */
+  private get poster(): HTMLImageElement {
+    return this.querySelector<HTMLImageElement>('img[slot="poster"]') ?? (this.face.at("poster") as HTMLImageElement);
+  }
+
+  private showPoster(address: string): void {
+    const { poster } = this;
+    if (poster.src === address) return;
+    // Another preview than the one that the page was made for.
+    if (poster.slot) poster.remove();
+    const ours = this.face.at("poster") as HTMLImageElement;
+    ours.src = address;
+    this.watchPoster();
+  }
+
+  private watchPoster(): void {
+    const { poster } = this;
+    if (!poster.src) return;
+    poster.hidden = false;
+    const there = (): void => {
+      performance.mark("lumistack-poster");
+      this.layOut();
+    };
+    poster.decode().then(there, () => (poster.hidden = true));
+  }
+
+  private get hasPoster(): boolean {
+    const { poster } = this;
+    return !poster.hidden && poster.complete && poster.naturalWidth > 0;
+  }
+
+  private lookInto(views: Surroundings): void {
+    this.around = views;
+    performance.mark("lumistack-interactive");
+    this.ticker.redraw();
   }
 
   /** Keeps the state within what a display has. */
@@ -295,18 +358,15 @@ export class LumistackViewer extends HTMLElement {
   }
 
   private arrived(content: StackContent, file: FileInfo): void {
-    if (content.arrived(file)) {
-      this.stateChanged();
-      this.ticker.now();
-      this.loader.firstPicture.resolve();
-      this.dispatchEvent(new CustomEvent("lumistack-ready"));
-    }
+    // A new frame may be the one to show.
+    if (content.arrived(file)) this.stateChanged();
     this.ticker.redraw();
   }
 
   private finish(content: StackContent, failed: readonly Problem[]): void {
     const { info } = content;
     const ready = content.frames.length;
+    content.whole = true;
     this.progress(1);
     this.stateChanged();
     const first = failed[0];
@@ -316,14 +376,16 @@ export class LumistackViewer extends HTMLElement {
       this.report(new Problem(`${first.message}${rest}${mean}`, first.advice, ready === 0));
     }
     if (ready > 0) this.loader.everything.resolve();
+    this.ticker.redraw();
   }
 
   private progress(share: number): void {
     const { content } = this;
-    let text = "Loading…";
-    if (content instanceof StackContent) {
+    // Under a picture the bar is enough.
+    let text = content?.whole || this.hasPoster ? "" : "Loading…";
+    if (text && content instanceof StackContent) {
       const { frames } = content.info;
-      text = content.frames.length < frames ? `Frame ${content.frames.length + 1} of ${frames}` : `${content.targetsReady} views of the target`;
+      if (content.frames.length < frames) text = `Frame ${content.frames.length + 1} of ${frames}`;
     }
     this.face.progress(share, text);
   }
@@ -340,10 +402,24 @@ export class LumistackViewer extends HTMLElement {
     this.dispatchEvent(new CustomEvent("lumistack-error", { detail, bubbles: true, composed: true }));
   }
 
-  private pathChanged(path: Path, why: string | undefined, lasting: boolean): void {
+  private pathChanged(path: Path, why: string | undefined): void {
+    this.stage.path = path;
     this.face.path(path);
-    if (why) this.face.notice(why, lasting ? "passing" : "warn");
+    if (why) this.face.notice(why, "warn");
     else this.face.silence();
+    this.ticker.redraw();
+  }
+
+  private seen(visible: boolean): void {
+    this.ticker.show(visible);
+    clearTimeout(this.resting);
+    if (!visible) {
+      this.resting = setTimeout(() => {
+        this.resting = undefined;
+        this.content?.attach("rest");
+      }, REST_MS);
+    } else if (this.resting === undefined) this.content?.attach(this.wish());
+    else this.resting = undefined;
   }
 
   // --- state
@@ -352,9 +428,10 @@ export class LumistackViewer extends HTMLElement {
     return this.hasAttribute("url-state");
   }
 
-  private wantsCpu(): boolean {
-    const asked = this.keepsAddress && new URLSearchParams(location.search).get("renderer") === "cpu";
-    return asked || this.getAttribute("renderer") === "cpu";
+  private wish(): Wish {
+    const asked = this.keepsAddress && new URLSearchParams(location.search).get("renderer");
+    const wish = asked || this.getAttribute("renderer");
+    return wish === "cpu" || wish === "webgl2" ? wish : "auto";
   }
 
   private readAddress(): void {
@@ -377,7 +454,7 @@ export class LumistackViewer extends HTMLElement {
   private stateChanged(): void {
     const { state, content } = this;
     const info = content?.info;
-    this.motion.swing = state.swing && state.mode !== "layers";
+    this.motion.swing = state.swing && state.mode !== "layers" && (content?.whole ?? false);
     this.face.showState(state, info);
     if (content) {
       content.apply(state);
@@ -400,9 +477,11 @@ export class LumistackViewer extends HTMLElement {
 
   private layOut(): void {
     const { content, state } = this;
-    if (!content || this.stageBox.clientWidth === 0) return;
+    const { poster } = this;
+    if (this.stageBox.clientWidth === 0 || !(content || this.hasPoster)) return;
     const room: [number, number] = [this.stageBox.clientWidth, this.stageBox.clientHeight];
-    const { box, one, tall, aspect } = layOut(content.info, state, room, this.clientWidth <= NARROW_PX);
+    const shape = content?.info ?? { field: { cols: poster.naturalWidth, rows: poster.naturalHeight } };
+    const { box, one, tall, aspect } = layOut(shape, state, room, this.clientWidth <= NARROW_PX);
     // A narrow page gives the picture no more height than it fills.
     this.stageBox.style.setProperty("--aspect", String(aspect));
     this.picture.classList.toggle("tall", tall);
@@ -411,16 +490,30 @@ export class LumistackViewer extends HTMLElement {
     this.ticker.redraw();
   }
 
-  private draw(): void {
+  /** What is to be seen now, where there are patterns. */
+  private shot(): Shot | undefined {
+    const { content } = this;
+    return content && content.frames.length > 0 ? content.shot(this.state, this.motion.slope) : undefined;
+  }
+
+  /** Whether something stands in for the picture until every frame is there: the mean of a few is confetti. */
+  private get isEarly(): boolean {
     const { content, state } = this;
-    if (!content || content.frames.length === 0) return;
-    try {
-      content.draw(state, this.motion.slope);
-    } catch (error) {
-      return this.report(new Problem(problemOf(error, "").message, "Load this page again; if that does not help, add ?renderer=cpu to its address."));
+    return state.mode === "perceived" && !content?.whole && (this.hasPoster || this.around !== undefined);
+  }
+
+  private draw(): void {
+    const { isEarly } = this;
+    if (isEarly) {
+      this.face.early(true);
+      // The poster is sharper: small views serve whoever moves before the patterns are there.
+      if (this.around && !this.motion.fresh) this.around.draw(this.face.at("early") as HTMLCanvasElement, this.motion.slope);
+    } else {
+      const shot = this.shot();
+      if (shot) this.stage.draw(shot);
     }
-    this.controls.drawn();
     this.map.mark(this.motion.slope);
+    this.face.nudge(this.motion.fresh && this.state.mode === "perceived" && (!isEarly || this.around !== undefined));
     this.writeAddress();
     this.wordsTimer ??= setTimeout(() => {
       this.wordsTimer = undefined;
@@ -428,17 +521,34 @@ export class LumistackViewer extends HTMLElement {
     }, WORDS_MS);
   }
 
+  /** A picture is on the canvas. */
+  private drawn(): void {
+    this.controls.drawn();
+    this.face.early(this.isEarly);
+    if (!this.content?.whole && this.hasPoster) return;
+    if (this.loader.firstPicture.settled) return;
+    this.loader.firstPicture.resolve();
+    performance.mark("lumistack-first-picture");
+    this.dispatchEvent(new CustomEvent("lumistack-ready"));
+  }
+
+  private drawingFailed(error: unknown): void {
+    this.report(new Problem(problemOf(error, "").message, "Load this page again; if that does not help, add ?renderer=cpu to its address."));
+  }
+
   private describe(): void {
     const { content, state, motion } = this;
     if (!content) return;
     this.face.describe(content.info, state, motion.slope, !motion.active);
     if (state.mode !== "compare" || !(content instanceof StackContent)) return;
-    const key = `${content.nearest(motion.slope).join()},${content.targetsReady}`;
+    const { slope } = motion;
+    const key = `${nearestView(content.info, slope).join()},${content.targetsReady}`;
     if (key === this.psnrKey) return;
     this.psnrKey = key;
     clearTimeout(this.psnrTimer);
-    this.psnrTimer = setTimeout(() => {
-      if (content === this.content) this.face.at("psnr").textContent = content.psnr(motion.slope);
+    this.psnrTimer = setTimeout(async () => {
+      const words = await content.psnr(slope);
+      if (content === this.content && key === this.psnrKey) this.face.at("psnr").textContent = words;
     }, PSNR_MS);
   }
 

@@ -1,13 +1,16 @@
 // The layers pulled apart, without WebGL: in a parallel projection every layer is an affine picture.
-import type { Info, Viewer } from "./simulator.js";
+import type { Info } from "./info.js";
 import type { Slope } from "./state.js";
+
+/** The layers and the size of what stands in front of one. */
+export type Stack = Pick<Info, "field" | "layers">;
 
 export interface Exploded {
   slope: Slope;
   yaw: number;
   pitch: number;
   spread: number;
-  frame: number;
+  stack: Stack;
 }
 
 /** Share of the canvas that the turned stack fills. */
@@ -15,10 +18,12 @@ const FILL = 0.86;
 /** Rays across the field. */
 const RAYS = 5;
 
-export function explode(on: HTMLCanvasElement, viewer: Viewer, info: Info, { slope, yaw, pitch, spread, frame }: Exploded): void {
-  const context = on.getContext("2d")!;
-  const { width_mm, height_mm } = info.field;
-  const count = info.layers.length;
+/** `mask` gives the picture of a layer. */
+export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw, pitch, spread, stack }: Exploded, mask: (layer: number) => OffscreenCanvas): void {
+  const on = context.canvas;
+  const { layers } = stack;
+  const { width_mm, height_mm } = stack.field;
+  const count = layers.length;
   const apart = (spread * width_mm * 1.1) / Math.max(count, 2);
   // Backlight at 0, layers at 1, 2, …: places along the normal, the middle one at the origin.
   const place = (i: number): number => (i - count / 2) * apart;
@@ -40,13 +45,13 @@ export function explode(on: HTMLCanvasElement, viewer: Viewer, info: Info, { slo
   const far = Math.cos(yaw) >= 0 ? 0 : count;
   for (let n = 0; n <= count; n++) {
     const i = far === 0 ? n : count - n;
-    const layer = info.layers[i - 1];
+    const layer = layers[i - 1];
     const wide = layer ? layer.cols * layer.pitch_mm : width_mm;
     const high = layer ? layer.rows * layer.pitch_mm : height_mm;
     const corner = toCanvas(-wide / 2, high / 2, place(i));
     const right = toCanvas(wide / 2, high / 2, place(i));
     const down = toCanvas(-wide / 2, -high / 2, place(i));
-    const picture = layer ? maskOf(viewer, i - 1, layer.cols, layer.rows, frame) : undefined;
+    const picture = layer && mask(i - 1);
     const cols = picture?.width ?? 1;
     const rows = picture?.height ?? 1;
     context.setTransform((right[0] - corner[0]) / cols, (right[1] - corner[1]) / cols, (down[0] - corner[0]) / rows, (down[1] - corner[1]) / rows, ...corner);
@@ -61,7 +66,7 @@ export function explode(on: HTMLCanvasElement, viewer: Viewer, info: Info, { slo
   }
   context.setTransform(1, 0, 0, 1, 0, 0);
   const thin = Math.max(on.width / 600, 1.2);
-  const gap = count > 1 ? (info.layers[count - 1]!.d_mm - info.layers[0]!.d_mm) / (count - 1) : 1;
+  const gap = count > 1 ? (layers[count - 1]!.d_mm - layers[0]!.d_mm) / (count - 1) : 1;
   for (let r = 0; r < RAYS; r++) {
     const x = ((r + 0.5) / RAYS - 0.5) * width_mm;
     context.beginPath();
@@ -82,7 +87,7 @@ export function explode(on: HTMLCanvasElement, viewer: Viewer, info: Info, { slo
   }
 }
 
-function outline(context: CanvasRenderingContext2D, corners: readonly (readonly [number, number])[]): void {
+function outline(context: OffscreenCanvasRenderingContext2D, corners: readonly (readonly [number, number])[]): void {
   context.globalAlpha = 1;
   context.beginPath();
   for (const [x, y] of corners) context.lineTo(x, y);
@@ -90,12 +95,4 @@ function outline(context: CanvasRenderingContext2D, corners: readonly (readonly 
   context.strokeStyle = "rgb(128 132 142 / 0.8)";
   context.lineWidth = 1;
   context.stroke();
-}
-
-function maskOf(viewer: Viewer, layer: number, cols: number, rows: number, frame: number): HTMLCanvasElement {
-  const picture = document.createElement("canvas");
-  picture.width = cols;
-  picture.height = rows;
-  picture.getContext("2d")!.putImageData(new ImageData(new Uint8ClampedArray(viewer.render_layer(layer, frame)), cols, rows), 0, 0);
-  return picture;
 }

@@ -1,7 +1,7 @@
 // What stands around the picture: controls in line with the state, progress, messages, and in words where one stands.
 import type { Problem } from "./problem.js";
 import { layerName } from "./sheet.js";
-import { version, zoneSlope, type Info } from "./simulator.js";
+import { zoneSlope, type Info } from "./info.js";
 import { paintTrack } from "./sliders.js";
 import type { Path } from "./stage.js";
 import type { Mode, Slope, State } from "./state.js";
@@ -13,6 +13,7 @@ const PASSING_MS = 8000;
 
 export class Face {
   private readonly frame: HTMLElement;
+  private version = "";
   private passing: ReturnType<typeof setTimeout> | undefined;
 
   constructor(private readonly root: ShadowRoot) {
@@ -28,14 +29,18 @@ export class Face {
   setUp(info: Info): void {
     this.at("title").textContent = info.title || "Untitled";
     this.at("facts").textContent = facts(info);
+    this.at("caption").textContent = info.caption;
     // A light field of somebody else's has no layers, and so no modes and nothing that could be built badly.
     this.frame.classList.toggle("foreign", info.layers.length === 0);
     (this.at("exploded-frame") as HTMLInputElement).max = String(info.frames - 1);
     this.at("exploded-frame-label").hidden = info.frames < 2;
-    if (info.heat) {
-      (this.root.querySelector("#legend i") as HTMLElement).style.background = `linear-gradient(90deg, ${info.heat.stops.join(", ")})`;
-      this.at("legend-most").textContent = `${Math.round(info.heat.max * 100)} % of white`;
-    }
+  }
+
+  /** The error map's colours, and who draws with what version. */
+  about(version: string, heat: string, heatTop: number): void {
+    (this.root.querySelector("#legend i") as HTMLElement).style.background = `linear-gradient(90deg, ${heat})`;
+    this.at("legend-most").textContent = `${Math.round(heatTop * 100)} % of white`;
+    this.version = version;
   }
 
   /** Makes a mode available or not. */
@@ -62,11 +67,12 @@ export class Face {
     divider.hidden = !slider;
     divider.style.left = `${state.split * 100}%`;
     divider.setAttribute("aria-valuenow", String(Math.round(state.split * 100)));
-    this.at("legend").hidden = !(comparing && state.comparison === "error" && info?.heat);
+    this.at("legend").hidden = !(comparing && state.comparison === "error");
     const picture = this.at("picture");
     picture.classList.toggle("both", side);
     picture.classList.toggle("bare", state.mode === "exploded");
     picture.classList.toggle("grain", state.mode === "layers");
+    this.at("apart").textContent = state.mode === "exploded" ? "Put it together" : "Take it apart";
     const play = this.at("play");
     play.innerHTML = state.playing ? ICONS.pause : ICONS.play;
     play.setAttribute("aria-label", state.playing ? "Pause" : "Play");
@@ -91,10 +97,22 @@ export class Face {
     place.replaceChildren(bold, whereabouts(info, state.mode, inside));
     place.classList.toggle("outside", !inside);
     const shown = state.mode === "layers" ? `${layerName(state.layer, info.layers.length)}, frame ${state.frame + 1}` : `${info.title}, seen from ${words}`;
-    this.at("picture").setAttribute("aria-label", shown);
+    this.at("shown").setAttribute("aria-label", shown);
     const live = this.at("live");
     const said = `${words}${inside ? "" : ", outside the zone"}`;
     if (resting && live.textContent !== said) live.textContent = said;
+  }
+
+  /** How to look around, while nobody has. */
+  nudge(visible: boolean): void {
+    this.at("nudge").hidden = !visible;
+  }
+
+  /** Whether what is shown is not yet what the patterns give. */
+  early(on: boolean): void {
+    this.at("picture").classList.toggle("early", on);
+    // From the first decision on: until then a poster shows.
+    this.at("picture").classList.add("started");
   }
 
   progress(share: number, text: string): void {
@@ -139,11 +157,12 @@ export class Face {
     this.silence();
     this.at("card").hidden = true;
     this.at("picture").hidden = false;
+    this.at("picture").classList.remove("started");
   }
 
   path(path: Path): void {
     this.frame.dataset["path"] = path;
-    this.at("footer").textContent = `Lumistack ${version()}${path === "cpu" ? " · drawn by the processor" : ""}`;
+    this.at("footer").textContent = `Lumistack ${this.version}${path === "cpu" ? " · drawn by the processor" : ""}`;
   }
 
   private slider(id: string, value: number, words: string | undefined): void {

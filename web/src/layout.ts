@@ -1,5 +1,5 @@
 // How large the picture is: the field's shape, or the mask's, as large as there is room.
-import type { Info } from "./simulator.js";
+import type { Info } from "./info.js";
 import { sizeOf } from "./sheet.js";
 import type { State } from "./state.js";
 
@@ -17,12 +17,13 @@ export interface Layout {
 const MARGIN = { wide: 28, narrow: 10 };
 const BETWEEN = 12;
 
-export function layOut(info: Info, state: State, room: [number, number], narrow: boolean): Layout {
+/** A poster has pixels and nothing else. */
+export function layOut(info: Info | { field: { cols: number; rows: number } }, state: State, room: [number, number], narrow: boolean): Layout {
   const margin = narrow ? MARGIN.narrow : MARGIN.wide;
   const [roomX, roomY] = [Math.max(room[0] - 2 * margin, 1), Math.max(room[1] - 2 * margin, 1)];
-  let aspect = info.field.width_mm / info.field.height_mm || info.field.cols / info.field.rows;
+  let aspect = "layers" in info ? info.field.width_mm / info.field.height_mm : info.field.cols / info.field.rows;
   if (state.mode === "exploded") return { box: room, one: room, tall: false, aspect };
-  if (state.mode === "layers") {
+  if (state.mode === "layers" && "layers" in info) {
     const [cols, rows] = sizeOf(info, state.layer);
     aspect = cols / rows;
   }

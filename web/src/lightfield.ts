@@ -1,59 +1,54 @@
 // Quilts and light fields: views as somebody else made them, shown as such.
 import type { Dropped } from "./drop.js";
 import { Problem, problemOf } from "./problem.js";
-import { LightField, type Info } from "./simulator.js";
+import type { Engine } from "./engine.js";
+import type { Info } from "./info.js";
 
 /** Half the angle over which views that say nothing of it are spread, degrees. */
 const HALF_ANGLE: readonly [number, number] = [17.5, 10];
 
-export interface Foreign {
-  field: LightField;
-  info: Info;
-}
-
-/** Decodes the pictures and makes the light field of them. */
-export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "views" }>, report: (share: number) => void, signal: AbortSignal): Promise<Foreign> {
+/** Decodes the pictures and hands them to the simulator. */
+export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "views" }>, engine: Engine, report: (share: number) => void, signal: AbortSignal): Promise<Info> {
   if (dropped.kind === "quilt") {
     const picture = await pixelsOf(dropped.file);
     const { cols, rows } = dropped;
     if (picture.width < cols || picture.height < rows) throw new Problem(`${dropped.file.name} has ${picture.width} × ${picture.height} pixels for ${cols} × ${rows} views.`, "See that the numbers in the file's name are right.", false);
-    const field = make(() => LightField.from_quilt(bytesOf(picture), picture.width, picture.height, cols, rows));
-    report(1);
     const width = Math.floor(picture.width / cols);
     const height = Math.floor(picture.height / rows);
+    await checked(engine.call("openQuilt", [picture, cols, rows], [picture.data.buffer]));
+    report(1);
     // A quilt's views all lie on a line, left to right.
-    return foreign(field, dropped.title, height, width, 1, cols * rows, dropped.aspect);
+    return foreign(dropped.title, height, width, 1, cols * rows, dropped.aspect);
   }
   const { views } = dropped;
   const [rows, cols] = [views.length, views[0]!.length];
-  let field: LightField | undefined;
-  let size: [number, number] = [0, 0];
+  let size: [number, number] | undefined;
   for (let row = 0; row < rows; row++) {
     for (let col = 0; col < cols; col++) {
       const file = views[row]![col]!;
       const picture = await pixelsOf(file);
       if (signal.aborted) throw signal.reason;
-      if (!field) {
+      if (!size) {
         size = [picture.height, picture.width];
-        field = make(() => new LightField(picture.height, picture.width, rows, cols));
+        await checked(engine.call("openField", [...size, rows, cols]));
       } else if (picture.width !== size[1] || picture.height !== size[0]) {
         throw new Problem(`${file.name} has ${picture.width} × ${picture.height} pixels, the views before it ${size[1]} × ${size[0]}.`, "All views of a light field have the same size: drop the folder of the views alone.", false);
       }
-      const made = field;
-      make(() => made.put(row, col, bytesOf(picture)));
+      await checked(engine.call("putView", [row, col, picture], [picture.data.buffer]));
       report((row * cols + col + 1) / (rows * cols));
     }
   }
-  return foreign(field!, dropped.title, size[0], size[1], rows, cols, undefined);
+  return foreign(dropped.title, ...size!, rows, cols, undefined);
 }
 
-function foreign(field: LightField, title: string, rows: number, cols: number, viewRows: number, viewCols: number, aspect: number | undefined): Foreign {
+function foreign(title: string, rows: number, cols: number, viewRows: number, viewCols: number, aspect: number | undefined): Info {
   const zone = { x_rad: viewCols > 1 ? rad(HALF_ANGLE[0]) : 0, y_rad: viewRows > 1 ? rad(HALF_ANGLE[1]) : 0 };
   const slopes: [number, number][] = [];
   const place = (i: number, n: number, angle: number): number => (n > 1 ? ((2 * i) / (n - 1) - 1) * Math.tan(angle) : 0);
   for (let r = 0; r < viewRows; r++) for (let c = 0; c < viewCols; c++) slopes.push([place(c, viewCols, zone.x_rad), -place(r, viewRows, zone.y_rad)]);
-  const info: Info = {
+  return {
     title,
+    caption: "",
     field: { cols, rows, width_mm: aspect ?? cols / rows, height_mm: 1 },
     layers: [],
     directional: false,
@@ -63,7 +58,6 @@ function foreign(field: LightField, title: string, rows: number, cols: number, v
     zone,
     files: [],
   };
-  return { field, info };
 }
 
 async function pixelsOf(file: File): Promise<ImageData> {
@@ -83,13 +77,9 @@ async function pixelsOf(file: File): Promise<ImageData> {
   return context.getImageData(0, 0, canvas.width, canvas.height);
 }
 
-function bytesOf(picture: ImageData): Uint8Array {
-  return new Uint8Array(picture.data.buffer);
-}
-
-function make<T>(action: () => T): T {
+async function checked(call: Promise<void>): Promise<void> {
   try {
-    return action();
+    await call;
   } catch (error) {
     throw new Problem(problemOf(error, "").message, "See that all views have the same size and that the quilt's name is right.", false);
   }

@@ -1,10 +1,12 @@
 // From a source to what is on show: one load at a time, and the newest wins.
-import { FieldContent, StackContent, type Content } from "./content.js";
+import { Surroundings } from "./around.js";
+import { FieldContent, openPreview, StackContent, type Content } from "./content.js";
 import { deferred } from "./deferred.js";
 import type { Dropped } from "./drop.js";
+import { Engine } from "./engine.js";
+import type { FileInfo } from "./info.js";
 import { loadForeign } from "./lightfield.js";
 import { problemOf, REWRITE, type Problem } from "./problem.js";
-import { startModule, type FileInfo } from "./simulator.js";
 import type { Source } from "./source.js";
 import type { Stage } from "./stage.js";
 import { stream } from "./stream.js";
@@ -12,7 +14,13 @@ import { stream } from "./stream.js";
 export interface LoaderEvents {
   /** What is on show goes, another is about to come. */
   clear(): void;
+  /** The content is known; a stack has no simulator yet, and none of its files. */
   shown(content: Content): void;
+  /** Pictures to look at until the patterns are there: one from straight ahead as an address, or small ones from all around. */
+  poster(address: string): void;
+  around(views: Surroundings): void;
+  /** The simulator has started. */
+  opened(content: Content, engine: Engine): void;
   /** Share of all bytes that has arrived, 0..1. */
   progress(share: number): void;
   part(content: StackContent, file: FileInfo): void;
@@ -39,21 +47,41 @@ export class Loader {
     const { signal } = this.begin();
     events.clear();
     events.progress(0);
+    // The module is on its way while preview.json is.
+    const starting = Engine.start(module);
+    const stop = (): void => void starting.then((engine) => engine.stop()).catch(() => undefined);
+    starting.catch(() => undefined);
     try {
-      const [json] = await Promise.all([source.json(), startModule(module)]);
-      if (signal.aborted) return;
-      const content = new StackContent(json, this.stage);
+      const json = await source.json();
+      if (signal.aborted) return stop();
+      const content = read(json);
+      if (!content) {
+        // The simulator says what is wrong.
+        const engine = await starting;
+        await openPreview(engine, json).finally(() => engine.stop());
+        throw new Error("preview.json: expected a preview, found something else");
+      }
       events.shown(content);
+      const early = this.early(source, content, signal);
+      const engine = await starting;
+      if (signal.aborted) return stop();
+      await content.open(engine, this.stage);
+      // Small and soon on show: before what is large.
+      await early;
+      if (signal.aborted) return;
+      events.opened(content, engine);
       const failed: Problem[] = [];
       const sink = {
         progress: (share: number) => events.progress(share),
         part: (file: FileInfo) => events.part(content, file),
         problem: (problem: Problem) => void failed.push(problem),
       };
-      await stream(source, content.viewer, content.info.files, sink, signal);
+      await stream(source, engine, content.info.files, sink, signal);
       if (!signal.aborted) events.finished(content, failed);
     } catch (error) {
-      if (!signal.aborted) events.problem(problemOf(error, REWRITE));
+      if (signal.aborted) return stop();
+      stop();
+      events.problem(problemOf(error, REWRITE));
     }
   }
 
@@ -62,12 +90,17 @@ export class Loader {
     const { events } = this;
     this.decoding?.abort();
     const { signal } = (this.decoding = new AbortController());
-    await startModule(module);
-    const foreign = await loadForeign(dropped, (share) => events.progress(share), signal);
-    if (signal.aborted) return foreign.field.free();
+    const engine = await Engine.start(module);
+    const info = await loadForeign(dropped, engine, (share) => events.progress(share), signal).catch((error: unknown) => {
+      engine.stop();
+      throw error;
+    });
+    if (signal.aborted) return engine.stop();
     this.begin();
     events.clear();
-    events.shown(new FieldContent(foreign, this.stage));
+    const content = new FieldContent(info, engine, this.stage);
+    events.shown(content);
+    events.opened(content, engine);
     events.progress(1);
     this.firstPicture.resolve();
     this.everything.resolve();
@@ -84,5 +117,30 @@ export class Loader {
     this.firstPicture = deferred();
     this.everything = deferred();
     return this.loading;
+  }
+
+  /** What is on show before the patterns; where it cannot be had, they are waited for. */
+  private async early(source: Source, { info }: StackContent, signal: AbortSignal): Promise<void> {
+    const { events } = this;
+    const bytes = (path: string): Promise<Uint8Array<ArrayBuffer>> => source.bytes(path, signal);
+    const poster = async (path: string): Promise<void> => {
+      const address = await source.address(path);
+      if (!signal.aborted) events.poster(address);
+    };
+    const around = async (wanted: NonNullable<typeof info.around>): Promise<void> => {
+      const views = await Surroundings.of(wanted, await bytes(wanted.path));
+      if (signal.aborted) views.free();
+      else events.around(views);
+    };
+    await Promise.allSettled([info.poster && poster(info.poster), info.around && around(info.around)]);
+  }
+}
+
+/** Undefined where the text is no preview. */
+function read(json: string): StackContent | undefined {
+  try {
+    return new StackContent(json);
+  } catch {
+    return undefined;
   }
 }

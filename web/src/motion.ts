@@ -21,7 +21,8 @@ export class Motion {
   private told: Slope = [0, 0];
   private goal: [number, number] = [0, 0];
   private zone: Slope = [1, 1];
-  private quietS = 0;
+  /** At first nobody has done anything for long. */
+  private quietS = IDLE_S;
   private phaseS = 0;
   private held = false;
   private swinging = false;
@@ -29,6 +30,8 @@ export class Motion {
   swing = true;
   /** Whether the user asked for less motion: no spring, no swing unless asked for. */
   calm = false;
+  /** Whether nobody has moved anything yet. */
+  fresh = true;
   /** A turn that is being recorded: seconds since its start. */
   private turnS: number | undefined;
   private turnLengthS = 0;
@@ -89,6 +92,7 @@ export class Motion {
 
   /** The user did something. */
   input(): void {
+    this.fresh = false;
     this.quietS = 0;
     this.swinging = false;
     this.turnS = undefined;
@@ -96,6 +100,7 @@ export class Motion {
 
   /** The user touched something that does not say where to look. */
   touched(): void {
+    this.fresh = false;
     this.quietS = 0;
     this.swinging = false;
   }

@@ -1,15 +1,15 @@
 // The contact sheet of the layers mode: every layer's mask in every frame, and the backlight's.
-import { put } from "./stage.js";
-import type { Info, Viewer } from "./simulator.js";
+import type { Info } from "./info.js";
 
 const THUMB_PX = 46;
-/** Thumbnails drawn per turn of the event loop. */
-const BATCH = 4;
+
+/** Draws a mask in its own size. */
+export type DrawMask = (layer: number, frame: number) => Promise<ImageBitmap>;
 
 export class Sheet {
   private readonly drawn = new Set<string>();
   private cells = new Map<string, HTMLButtonElement>();
-  private viewer: Viewer | undefined;
+  private mask: DrawMask | undefined;
   private info: Info | undefined;
   private busy = false;
 
@@ -23,8 +23,8 @@ export class Sheet {
   }
 
   /** Lays out empty cells for a stack. */
-  setUp(viewer: Viewer, info: Info): void {
-    this.viewer = viewer;
+  setUp(mask: DrawMask, info: Info): void {
+    this.mask = mask;
     this.info = info;
     this.drawn.clear();
     this.cells = new Map();
@@ -47,7 +47,7 @@ export class Sheet {
   }
 
   clear(): void {
-    this.viewer = undefined;
+    this.mask = undefined;
     this.box.replaceChildren();
   }
 
@@ -80,22 +80,19 @@ export class Sheet {
 
   private async drawThumbs(ready: readonly number[]): Promise<void> {
     this.busy = true;
-    const viewer = this.viewer;
-    const whole = document.createElement("canvas");
-    let n = 0;
+    const { mask } = this;
     for (const [key, cell] of this.cells) {
       const [layer, frame] = key.split("/").map(Number) as [number, number];
       if (!ready.includes(frame) || this.drawn.has(key)) continue;
-      if (n++ % BATCH === BATCH - 1) await new Promise((resolve) => setTimeout(resolve));
-      if (viewer !== this.viewer || !viewer) break;
-      const [cols, rows] = sizeOf(this.info!, layer);
-      put(whole, layer < this.info!.layers.length ? viewer.render_layer(layer, frame) : viewer.render_backlight(frame), cols, rows);
+      const picture = await mask?.(layer, frame).catch(() => undefined);
+      if (!picture || mask !== this.mask) break;
       const thumb = cell.firstElementChild as HTMLCanvasElement;
       thumb.height = THUMB_PX * 2;
-      thumb.width = Math.max(Math.round((thumb.height * cols) / rows), 1);
+      thumb.width = Math.max(Math.round((thumb.height * picture.width) / picture.height), 1);
       const context = thumb.getContext("2d")!;
       context.imageSmoothingQuality = "high";
-      context.drawImage(whole, 0, 0, thumb.width, thumb.height);
+      context.drawImage(picture, 0, 0, thumb.width, thumb.height);
+      picture.close();
       this.drawn.add(key);
     }
     this.busy = false;

@@ -1,5 +1,5 @@
 // The sliders of "how it is built and seen": their ranges follow from the display.
-import type { Info } from "./simulator.js";
+import type { Info } from "./info.js";
 import { DEFAULTS, type State } from "./state.js";
 
 interface Slider {
@@ -87,7 +87,10 @@ export class Sliders {
       this.root.querySelector(`#${slider.id}-row`)!.classList.toggle("changed", state[slider.key] !== DEFAULTS[slider.key]);
       paintTrack(input);
     }
-    (this.button() as HTMLButtonElement).disabled = !SLIDERS.some(({ id }) => this.root.querySelector(`#${id}-row`)!.classList.contains("changed"));
+    const changed = SLIDERS.some(({ key }) => state[key] !== DEFAULTS[key]);
+    (this.button() as HTMLButtonElement).disabled = !changed;
+    // A link to a badly built display shows what is bad about it.
+    if (changed) (this.root.querySelector("#build") as HTMLDetailsElement).open = true;
   }
 
   private input({ id }: Slider): HTMLInputElement {

@@ -6,6 +6,8 @@ export interface Source {
   json(): Promise<string>;
   /** A file that preview.json names. */
   bytes(path: string, signal: AbortSignal): Promise<Uint8Array<ArrayBuffer>>;
+  /** An address for a picture that preview.json names. */
+  address(path: string): Promise<string>;
 }
 
 declare global {
@@ -37,6 +39,10 @@ export class ServerSource implements Source {
   async bytes(path: string, signal: AbortSignal): Promise<Uint8Array<ArrayBuffer>> {
     const response = await this.fetch(new URL(path, new URL("..", this.url)), signal);
     return new Uint8Array(await response.arrayBuffer());
+  }
+
+  async address(path: string): Promise<string> {
+    return new URL(path, new URL("..", this.url)).href;
   }
 
   private async fetch(url: URL, signal: AbortSignal | undefined): Promise<Response> {
@@ -75,6 +81,10 @@ export class InlineSource implements Source {
     if (text === undefined) throw new Problem(`${path} is missing in this page.`, REWRITE);
     return fromBase64(text);
   }
+
+  async address(path: string): Promise<string> {
+    return `data:image/jpeg;base64,${this.files[path]}`;
+  }
 }
 
 /** The preview of the attribute `src`. */
@@ -103,6 +113,10 @@ export class FilesSource implements Source {
     const named = this.files.get(this.base + path) ?? this.beside(path);
     if (!named) throw new Problem(`${path} is missing among the dropped files.`, "Drop the whole preview folder, with stack/ in it.");
     return new Uint8Array(await named.arrayBuffer());
+  }
+
+  async address(path: string): Promise<string> {
+    return URL.createObjectURL(new Blob([await this.bytes(path)]));
   }
 
   private async file(path: string): Promise<File> {

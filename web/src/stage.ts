@@ -1,87 +1,48 @@
-// The canvases: WebGL2 where there is one, otherwise pictures that the processor makes.
-import { problemOf } from "./problem.js";
-import { explode } from "./explode.js";
-import type { Info, LightField, Viewer } from "./simulator.js";
-import type { Slope } from "./state.js";
+// The canvases, which show the pictures that the simulator's thread draws.
+import type { Engine } from "./engine.js";
+import type { Path, Scene, Size } from "./painter.js";
 
-/** One picture to show. */
-export type Scene =
-  | { kind: "view"; slope: Slope }
-  | { kind: "split"; slope: Slope; at: number }
-  | { kind: "side"; slope: Slope }
-  | { kind: "error"; slope: Slope }
-  | { kind: "exploded"; slope: Slope; yaw: number; pitch: number; spread: number; frame: number }
-  | { kind: "mask"; layer: number; frame: number };
+export type { Path, Scene } from "./painter.js";
 
-export type Path = "webgl2" | "cpu";
+/** A picture of a stack, or one between the views of a light field, 0..1 from the left and from the top. */
+export type Shot = Scene | { kind: "between"; u: number; v: number };
 
 export interface StageEvents {
-  /** The way pictures are made has changed, why, and whether it will stay so. */
-  path(path: Path, why: string | undefined, lasting: boolean): void;
-  /** Ask for a new picture. */
-  stale(): void;
+  /** A picture is on the canvas. */
+  shown(): void;
+  failed(error: unknown): void;
 }
 
 /** Drawing buffers beyond this give no visible detail and cost time. */
 const MOST_PX = 2400;
-/** Milliseconds after which a lost context is given up and a new canvas tried. */
-const RESTORE_MS = 2500;
 
 export class Stage {
-  private gl: HTMLCanvasElement;
-  private readonly flat = canvas("flat");
+  readonly main = canvas("main");
   /** The target of the side-by-side comparison. */
   readonly aside = canvas("aside");
-  private viewer: Viewer | undefined;
-  private lightField: LightField | undefined;
-  private info: Info | undefined;
-  private wanted: Path = "webgl2";
   path: Path = "cpu";
-  private size: [number, number] = [1, 1];
-  private retry: ReturnType<typeof setTimeout> | undefined;
-  private drawn: Scene | undefined;
+  private engine: Engine | undefined;
+  private size: Size = [1, 1];
+  private busy = false;
+  /** What to draw when the picture that is being drawn is there: only the newest counts. */
+  private next: Shot | undefined;
 
   constructor(
-    private readonly box: HTMLElement,
+    box: HTMLElement,
     private readonly events: StageEvents,
   ) {
-    this.gl = this.newGl();
-    this.box.prepend(this.gl, this.flat, this.aside);
+    box.prepend(this.main, this.aside);
   }
 
-  /** Shows a simulator's pictures from now on; `force_cpu` leaves WebGL2 alone. */
-  use(viewer: Viewer, info: Info, forceCpu: boolean): void {
-    this.release();
-    this.viewer = viewer;
-    this.info = info;
-    this.wanted = forceCpu ? "cpu" : "webgl2";
-    if (forceCpu) this.switchTo("cpu", undefined);
-    else this.attach();
+  use(engine: Engine): void {
+    this.engine = engine;
   }
 
-  /** Shows a light field, whose views the processor blends. */
-  useLightField(field: LightField, info: Info): void {
-    this.release();
-    this.lightField = field;
-    this.info = info;
-  }
-
-  /** A picture between the views of the light field, 0..1 from the left and from the top. */
-  drawLightField(u: number, v: number): void {
-    if (!this.lightField || !this.info) return;
-    this.aside.hidden = true;
-    this.show(this.flat);
-    put(this.flat, this.lightField.render(u, v), this.info.field.cols, this.info.field.rows);
-  }
-
-  /** Lets go of the simulator before it is freed. */
+  /** Forgets the engine; what is on the canvas stays. */
   release(): void {
-    clearTimeout(this.retry);
-    if (this.viewer && this.path === "webgl2") this.viewer.detach();
-    this.viewer = undefined;
-    this.lightField = undefined;
-    this.drawn = undefined;
-    this.path = "cpu";
+    this.engine = undefined;
+    this.next = undefined;
+    this.busy = false;
   }
 
   /** Size of the box in CSS pixels. */
@@ -90,162 +51,58 @@ export class Stage {
     this.size = [Math.max(Math.round(width * scale), 1), Math.max(Math.round(height * scale), 1)];
   }
 
-  draw(scene: Scene): void {
-    if (!this.viewer) return;
-    this.drawn = scene;
-    this.aside.hidden = scene.kind !== "side";
-    if (this.path === "webgl2" && scene.kind !== "mask") {
-      this.show(this.gl);
-      this.drawGl(scene, this.size);
-    } else {
-      this.show(this.flat);
-      this.drawFlat(scene);
-    }
+  /** Shows a picture as soon as it is drawn, unless a newer one is asked for before it is begun. */
+  draw(shot: Shot): void {
+    if (this.busy) this.next = shot;
+    else void this.drawNow(shot);
   }
 
-  /** What is on the canvas; at the field's own size where `native`. */
-  pixels(native: boolean): ImageData {
-    if (this.lightField) return copy(this.visible);
-    const scene = this.drawn;
-    if (!scene || !this.info) return new ImageData(1, 1);
-    const { cols, rows } = this.info.field;
-    if (this.path === "cpu" || scene.kind === "mask") {
-      this.draw(scene);
-      return copy(this.flat);
+  private async drawNow(shot: Shot): Promise<void> {
+    const { engine } = this;
+    this.busy = true;
+    for (let now: Shot | undefined = shot; now && engine; now = this.next) {
+      this.next = undefined;
+      try {
+        const [main, aside] = await paint(engine, now, this.size);
+        if (engine !== this.engine) return;
+        put(this.main, main!);
+        this.aside.hidden = !aside;
+        if (aside) put(this.aside, aside);
+        this.events.shown();
+      } catch (error) {
+        if (engine !== this.engine) return;
+        this.events.failed(error);
+      }
     }
-    this.drawGl(scene, native ? [cols, rows] : this.size);
-    const data = copy(this.gl);
-    if (native) this.drawGl(scene, this.size);
-    return data;
+    this.busy = false;
   }
 
-  /** The picture on show as a canvas of its own; both halves of a side-by-side comparison. */
-  snapshot(): HTMLCanvasElement {
-    const main = this.pixels(false);
+  /** The bytes of a picture, in its own size. */
+  async pixels(shot: Shot): Promise<ImageData> {
+    if (!this.engine) return new ImageData(1, 1);
+    return shot.kind === "between" ? this.engine.call("between", [shot.u, shot.v]) : this.engine.call("pixels", [shot, this.size]);
+  }
+
+  /** A picture, and the target beside it. */
+  async pictures(shot: Shot): Promise<ImageBitmap[]> {
+    return this.engine ? paint(this.engine, shot, this.size) : [];
+  }
+
+  /** A picture as a canvas of its own; both halves of a side-by-side comparison. */
+  async still(shot: Shot): Promise<HTMLCanvasElement> {
     const out = document.createElement("canvas");
-    const both = !this.aside.hidden;
-    out.width = main.width * (both ? 2 : 1);
-    out.height = main.height;
+    const pictures = await this.pictures(shot);
+    out.width = pictures.reduce((sum, { width }) => sum + width, 0) || 1;
+    out.height = pictures[0]?.height ?? 1;
     const context = out.getContext("2d")!;
-    context.putImageData(main, 0, 0);
-    if (both) context.drawImage(this.aside, main.width, 0, main.width, main.height);
+    pictures.forEach((picture, i) => context.drawImage(picture, i * picture.width, 0));
     return out;
   }
+}
 
-  /** The canvas on show, to be recorded. */
-  get visible(): HTMLCanvasElement {
-    return this.gl.hidden ? this.flat : this.gl;
-  }
-
-  private show(which: HTMLCanvasElement): void {
-    this.gl.hidden = which !== this.gl;
-    this.flat.hidden = which !== this.flat;
-  }
-
-  private drawGl(scene: Exclude<Scene, { kind: "mask" }>, [width, height]: [number, number]): void {
-    const viewer = this.viewer!;
-    const [x, y] = scene.slope;
-    if (this.gl.width !== width) this.gl.width = width;
-    if (this.gl.height !== height) this.gl.height = height;
-    switch (scene.kind) {
-      case "view":
-        return viewer.draw(x, y);
-      case "split":
-        return viewer.draw_split(x, y, scene.at);
-      case "error":
-        return viewer.draw_error(x, y);
-      case "exploded":
-        return viewer.draw_exploded(x, y, scene.yaw, scene.pitch, scene.spread);
-      case "side": {
-        const view = viewer.nearest_view(x, y);
-        viewer.draw_target(view[0]!, view[1]!);
-        this.aside.width = width;
-        this.aside.height = height;
-        this.aside.getContext("2d")!.drawImage(this.gl, 0, 0);
-        return viewer.draw(x, y);
-      }
-    }
-  }
-
-  private drawFlat(scene: Scene): void {
-    const viewer = this.viewer!;
-    const info = this.info!;
-    const { cols, rows } = info.field;
-    if (scene.kind === "mask") {
-      const layer = info.layers[scene.layer];
-      if (layer) return put(this.flat, viewer.render_layer(scene.layer, scene.frame), layer.cols, layer.rows);
-      const backlight = info.backlight!;
-      return put(this.flat, viewer.render_backlight(scene.frame), backlight.cols, backlight.rows);
-    }
-    const [x, y] = scene.slope;
-    switch (scene.kind) {
-      case "view":
-        return put(this.flat, viewer.render(x, y), cols, rows);
-      case "error":
-        return put(this.flat, viewer.render_error(x, y), cols, rows);
-      case "side": {
-        const view = viewer.nearest_view(x, y);
-        put(this.aside, viewer.render_target(view[0]!, view[1]!), cols, rows);
-        return put(this.flat, viewer.render(x, y), cols, rows);
-      }
-      case "split": {
-        const view = viewer.nearest_view(x, y);
-        put(this.flat, viewer.render(x, y), cols, rows);
-        const target = new ImageData(clamped(viewer.render_target(view[0]!, view[1]!)), cols, rows);
-        const from = Math.round(scene.at * cols);
-        this.flat.getContext("2d")!.putImageData(target, 0, 0, from, 0, cols - from, rows);
-        return;
-      }
-      case "exploded": {
-        this.flat.width = this.size[0];
-        this.flat.height = this.size[1];
-        return explode(this.flat, viewer, info, scene);
-      }
-    }
-  }
-
-  private attach(): void {
-    try {
-      this.viewer!.attach(this.gl);
-      this.switchTo("webgl2", undefined);
-    } catch (error) {
-      this.switchTo("cpu", "This browser offers no WebGL2: the processor draws the same picture, less fluently.");
-      console.info(`lumistack-viewer: ${problemOf(error, "").message}`);
-    }
-  }
-
-  private switchTo(path: Path, why: string | undefined, lasting = true): void {
-    this.path = path;
-    this.events.path(path, why, lasting);
-    this.events.stale();
-  }
-
-  private newGl(): HTMLCanvasElement {
-    const made = canvas("gl");
-    made.addEventListener("webglcontextlost", (event) => {
-      event.preventDefault();
-      if (made !== this.gl || !this.viewer || this.path !== "webgl2") return;
-      this.viewer.detach();
-      this.switchTo("cpu", "The browser took the graphics context away: the processor draws until it is back.", false);
-      clearTimeout(this.retry);
-      this.retry = setTimeout(() => this.replace(), RESTORE_MS);
-    });
-    made.addEventListener("webglcontextrestored", () => {
-      if (made !== this.gl || !this.viewer || this.wanted !== "webgl2") return;
-      clearTimeout(this.retry);
-      this.attach();
-    });
-    return made;
-  }
-
-  /** A canvas whose context does not come back is exchanged. */
-  private replace(): void {
-    if (!this.viewer || this.wanted !== "webgl2" || this.path === "webgl2") return;
-    const fresh = this.newGl();
-    this.gl.replaceWith(fresh);
-    this.gl = fresh;
-    this.attach();
-  }
+async function paint(engine: Engine, shot: Shot, size: Size): Promise<ImageBitmap[]> {
+  if (shot.kind !== "between") return engine.call("paint", [shot, size]);
+  return [await createImageBitmap(await engine.call("between", [shot.u, shot.v]))];
 }
 
 function canvas(name: string): HTMLCanvasElement {
@@ -256,22 +113,10 @@ function canvas(name: string): HTMLCanvasElement {
   return made;
 }
 
-function clamped(data: Uint8ClampedArray): Uint8ClampedArray<ArrayBuffer> {
-  return new Uint8ClampedArray(data);
-}
-
-/** Shows RGBA bytes at their own size. */
-export function put(on: HTMLCanvasElement, rgba: Uint8ClampedArray, cols: number, rows: number): void {
-  if (on.width !== cols) on.width = cols;
-  if (on.height !== rows) on.height = rows;
-  on.getContext("2d")!.putImageData(new ImageData(clamped(rgba), cols, rows), 0, 0);
-}
-
-function copy(from: HTMLCanvasElement): ImageData {
-  const out = document.createElement("canvas");
-  out.width = from.width;
-  out.height = from.height;
-  const context = out.getContext("2d", { willReadFrequently: true })!;
-  context.drawImage(from, 0, 0);
-  return context.getImageData(0, 0, out.width, out.height);
+/** Shows a picture in its own size. */
+function put(on: HTMLCanvasElement, picture: ImageBitmap): void {
+  on.hidden = false;
+  on.width = picture.width;
+  on.height = picture.height;
+  on.getContext("bitmaprenderer")!.transferFromImageBitmap(picture);
 }

@@ -40,9 +40,11 @@ export const TEMPLATE = `
     </div>
   </header>
   <div class="stage" id="stage" tabindex="0" role="group" aria-roledescription="light field display" aria-label="Picture" aria-describedby="keys">
-    <div class="picture" id="picture" role="img">
+    <div class="picture" id="picture">
+      <div class="shown" id="shown" role="img" aria-label="Picture"><slot name="poster"><img id="poster" alt="" hidden></slot><canvas id="early" aria-hidden="true"></canvas></div>
       <button type="button" class="divider" id="divider" role="slider" aria-label="Boundary between display and target" aria-valuemin="0" aria-valuemax="100" aria-valuenow="50" hidden><span></span></button>
       <span class="tag left" id="tag-left" hidden>Display</span><span class="tag right" id="tag-right" hidden>Target</span>
+      <p class="nudge" id="nudge" hidden></p>
     </div>
     <div class="progress" id="progress" role="progressbar" aria-label="Loading" aria-valuemin="0" aria-valuemax="100" hidden><i></i><span></span></div>
     <div class="notice" id="notice" role="status" hidden><span></span><button type="button" aria-label="Dismiss">${ICONS.close}</button></div>
@@ -72,8 +74,10 @@ export const TEMPLATE = `
     </div>
     <div class="group sheet" data-for="layers" id="sheet"></div>
   </div>
-  <aside class="panel" aria-label="Controls">
-    <section>
+  <section class="panel" aria-label="Controls">
+    <div class="part">
+      <p class="caption" id="caption"></p>
+      <button type="button" class="primary" id="apart">Take it apart</button>
       <h2>Where you look from</h2>
       <div class="pad" id="pad" tabindex="0" role="application" aria-label="Viewing position; arrow keys move it" aria-describedby="place"></div>
       <p class="place" id="place"></p>
@@ -83,9 +87,9 @@ export const TEMPLATE = `
         <button type="button" class="text toggle" id="swing" aria-pressed="true">Swing when idle</button>
         <button type="button" class="text toggle" id="tilt" aria-pressed="false" hidden>Tilt</button>
       </div>
-    </section>
-    <section id="build">
-      <h2>How it is built and seen</h2>
+    </div>
+    <details class="part" id="build">
+      <summary>How it is built</summary>
       ${range("gain", "Adaptation", "The eye’s gain; at 1/β it is adapted.")}
       ${range("gap", "Gap error", "Added between any two layers.")}
       ${range("shiftx", "Misalignment across", "Offset of the front layer to the right.")}
@@ -94,9 +98,9 @@ export const TEMPLATE = `
       ${range("pupil", "Pupil", "Its diameter: views mix, depth blurs.")}
       ${range("eye", "Eye distance", "Near by, one sees several views.")}
       <div class="row"><button type="button" class="text" id="reset">As designed</button></div>
-    </section>
+    </details>
     <footer id="footer"></footer>
-  </aside>
+  </section>
   <dialog id="chooser" aria-label="Open">
     <h2>Open</h2>
     <p>Nothing leaves this computer.</p>

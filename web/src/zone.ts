@@ -1,5 +1,5 @@
 // The map of the viewing zone: where the target's views are, where the eye is, and a pad to move it with.
-import { zoneSlope, type Info } from "./simulator.js";
+import { zoneSlope, type Info } from "./info.js";
 import type { Slope } from "./state.js";
 import { REACH } from "./motion.js";
 

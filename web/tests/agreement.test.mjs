@@ -34,7 +34,7 @@ for (const name of CASES) {
       const { slopes, rows, cols, files, brightness } = JSON.parse(readFileSync(join(folder, "references.json"), "utf8"));
       assert.equal(slopes.length, 9);
       const server = await site(folder);
-      const query = renderer === "cpu" ? "?renderer=cpu" : "";
+      const query = `?renderer=${renderer}`;
       // Without gain nothing is brighter than white, so that no error hides in what is clipped.
       const plain = await open(browser, `${server.url}/${query}#gain=1`);
       const adapted = await open(browser, `${server.url}/${query}`);

@@ -77,53 +77,81 @@ test("a mask is cut off: the other frame is shown, and it is said", async () => 
   await page.context().close();
 });
 
-test("no WebGL: the processor draws the same picture, and it is said", async () => {
-  const reference = await shown(good);
-  const wanted = await pixels(reference.page, [0.125, 0]);
-  await reference.page.context().close();
-  const { page, error } = await shown(good, {
-    init: () => {
-      const real = HTMLCanvasElement.prototype.getContext;
-      HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
-        return /webgl/.test(kind) ? null : real.call(this, kind, ...rest);
-      };
-    },
+/** Runs in the page: what the simulator's thread starts with. */
+const inThread = (before) => `window.Blob = class extends Blob {
+  constructor(parts, options) {
+    super(options?.type === "text/javascript" ? [${JSON.stringify(before)}, ...parts] : parts, options);
+  }
+};`;
+const NO_WEBGL = `{
+  const real = OffscreenCanvas.prototype.getContext;
+  OffscreenCanvas.prototype.getContext = function (kind, ...rest) { return /webgl/.test(kind) ? null : real.call(this, kind, ...rest); };
+}`;
+/** WebGL2 that does not say that it is software, and takes its time. */
+const SLOW_WEBGL = `{
+  const real = OffscreenCanvas.prototype.getContext;
+  OffscreenCanvas.prototype.getContext = function (kind, options) { return real.call(this, kind, { ...options, failIfMajorPerformanceCaveat: false }); };
+  const get = WebGL2RenderingContext.prototype.getParameter;
+  WebGL2RenderingContext.prototype.getParameter = function (name) { return name === this.RENDERER ? "A fine driver" : get.call(this, name); };
+  const read = WebGL2RenderingContext.prototype.readPixels;
+  WebGL2RenderingContext.prototype.readPixels = function (...all) {
+    for (const start = performance.now(); performance.now() - start < 400; );
+    return read.apply(this, all);
+  };
+}`;
+const path = (page) => page.evaluate(() => document.querySelector("lumistack-viewer").path);
+
+for (const [name, init] of [
+  ["no WebGL", inThread(NO_WEBGL)],
+  ["WebGL in software, which says so", undefined],
+  ["WebGL that is slower than the processor", inThread(SLOW_WEBGL)],
+]) {
+  test(`${name}: the processor draws the same picture, and it is said`, async () => {
+    const reference = await shown(good, {}, "?renderer=webgl2");
+    const wanted = await pixels(reference.page, [0.125, 0]);
+    assert.equal(await path(reference.page), "webgl2");
+    await reference.page.context().close();
+    const { page, error } = await shown(good, { init });
+    assert.equal(error, undefined);
+    for (const x of [0.1, 0.11, 0.12]) await pixels(page, [x, 0]);
+    await page.waitForFunction(() => document.querySelector("lumistack-viewer").path === "cpu");
+    assert.match(await text(page, "#footer"), /processor/);
+    assert.equal(await text(page, "#notice"), undefined, "a message lies over the picture");
+    assert.deepEqual((await pixels(page, [0.125, 0])).data, wanted.data);
+    assert.deepEqual(page.trouble, []);
+    await page.context().close();
   });
-  assert.equal(error, undefined);
-  assert.match(await text(page, "#notice"), /no WebGL2/);
-  assert.match(await text(page, "#footer"), /processor/);
-  assert.deepEqual((await pixels(page, [0.125, 0])).data, wanted.data);
-  assert.deepEqual(page.trouble, []);
-  await page.context().close();
-});
+}
 
 test("a lost context: the processor draws until it is back", async () => {
-  const { page, error } = await shown(good);
+  const { page, error } = await shown(good, {}, "?renderer=webgl2");
   assert.equal(error, undefined);
   const before = await pixels(page, [0.125, 0]);
-  await page.evaluate(() => {
-    const canvas = document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas.gl");
-    window.lost = canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
-    window.lost.loseContext();
+  const [thread] = page.workers();
+  await thread.evaluate(() => {
+    self.lost = self.context.getExtension("WEBGL_lose_context");
+    self.lost.loseContext();
   });
-  await page.waitForTimeout(300);
-  const path = () => page.evaluate(() => document.querySelector("lumistack-viewer").path);
-  assert.equal(await path(), "cpu");
+  await page.waitForFunction(() => document.querySelector("lumistack-viewer").path === "cpu");
   assert.match(await text(page, "#notice"), /graphics context/);
   assert.deepEqual((await pixels(page)).data, before.data);
-  await page.evaluate(() => window.lost.restoreContext());
-  await page.waitForTimeout(300);
-  assert.equal(await path(), "webgl2");
+  await thread.evaluate(() => self.lost.restoreContext());
+  await page.waitForFunction(() => document.querySelector("lumistack-viewer").path === "webgl2");
   assert.equal(await text(page, "#notice"), undefined);
   assert.deepEqual((await pixels(page)).data, before.data);
   await page.context().close();
 });
 
 test("a context that never comes back: a new canvas takes over", async () => {
-  const { page } = await shown(good);
+  const { page } = await shown(good, {}, "?renderer=webgl2");
   const before = await pixels(page, [0.125, 0]);
-  await page.evaluate(() => document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas.gl").getContext("webgl2").getExtension("WEBGL_lose_context").loseContext());
+  await page.workers()[0].evaluate(() => {
+    self.before = self.context;
+    self.context.getExtension("WEBGL_lose_context").loseContext();
+  });
+  await page.waitForFunction(() => document.querySelector("lumistack-viewer").path === "cpu");
   await page.waitForFunction(() => document.querySelector("lumistack-viewer").path === "webgl2");
+  assert.notEqual(await page.workers()[0].evaluate(() => self.before === self.context), true);
   assert.deepEqual((await pixels(page)).data, before.data);
   await page.context().close();
 });

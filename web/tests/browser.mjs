@@ -66,10 +66,10 @@ export function complete(page) {
 
 /** The picture on show, as {width, height, data: Buffer of RGBA}. */
 export async function pixels(page, slope) {
-  const { width, height, text } = await page.evaluate((at) => {
+  const { width, height, text } = await page.evaluate(async (at) => {
     const viewer = document.querySelector("lumistack-viewer");
     if (at) viewer.slope = at;
-    const { width, height, data } = viewer.pixels(true);
+    const { width, height, data } = await viewer.pixels();
     let text = "";
     for (let i = 0; i < data.length; i += 8192) text += String.fromCharCode(...data.subarray(i, i + 8192));
     return { width, height, text: btoa(text) };

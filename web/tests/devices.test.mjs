@@ -166,3 +166,28 @@ test("an element out of sight draws nothing, and goes on when it is seen", async
   assert.deepEqual(page.trouble, []);
   await page.context().close();
 });
+
+test("an element out of sight gives its graphics context back, keeps its picture, and takes another when it is seen", async () => {
+  const page = await open(browser, `${server.url}/?renderer=webgl2`);
+  assert.equal(await complete(page), undefined);
+  await page.evaluate(() => {
+    const before = document.createElement("div");
+    before.style.height = "200vh";
+    document.body.prepend(before);
+    scrollTo(0, 0);
+  });
+  const lost = () => page.workers()[0].evaluate(() => self.context.isContextLost());
+  const until = async (wanted) => {
+    for (let n = 0; n < 100 && (await lost()) !== wanted; n++) await page.waitForTimeout(100);
+    assert.equal(await lost(), wanted);
+  };
+  assert.equal(await lost(), false);
+  await until(true);
+  const size = await page.evaluate(() => document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas.main").width);
+  assert.equal(size, SCENE.cols);
+  await page.evaluate(() => document.querySelector("lumistack-viewer").scrollIntoView());
+  await until(false);
+  assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").path), "webgl2");
+  assert.deepEqual(page.trouble, []);
+  await page.context().close();
+});

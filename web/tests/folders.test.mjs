@@ -98,9 +98,9 @@ test("a quilt of the disk, dropped: its shape is what its name says, not what it
   near(colourAt(await pixels(page, [-edge, 0])), colours[0]);
   near(colourAt(await pixels(page, [edge, 0])), colours[5]);
   // an even picture fills its place to the edges: nothing of the ground shows within
-  const { width, height, shot } = await page.evaluate(() => {
-    const { width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas:not([hidden])").getBoundingClientRect();
-    const all = document.querySelector("lumistack-viewer").pixels();
+  const { width, height, shot } = await page.evaluate(async () => {
+    const { width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas.main").getBoundingClientRect();
+    const all = await document.querySelector("lumistack-viewer").pixels();
     return { width, height, shot: [0, all.width * (all.height >> 1) * 4].map((at) => [...all.data.subarray(at, at + 3)]) };
   });
   assert.ok(Math.abs(width / height - 2) < 0.02, `${width} × ${height}`);

@@ -27,7 +27,7 @@ const viewer = (page, action, argument) => page.evaluate(`(${action})(document.q
 
 for (const renderer of ["webgl2", "cpu"]) {
   test(`every mode clicked through on ${renderer}`, async () => {
-    const page = await open(browser, `${server.url}/${renderer === "cpu" ? "?renderer=cpu" : ""}`);
+    const page = await open(browser, `${server.url}/?renderer=${renderer}`);
     assert.equal(await complete(page), undefined);
     for (const [mode, comparison] of MODES) {
       await page.click(`input[name="mode"][value="${mode}"]`);
@@ -161,7 +161,7 @@ test("a screen reader is told where one stands", async () => {
   await viewer(page, "(v) => void (v.slope = [0.1, 0])");
   await page.waitForTimeout(250);
   assert.equal(await viewer(page, `(v) => v.shadowRoot.querySelector("#live").textContent`), "5.7° right");
-  assert.match(await viewer(page, `(v) => v.shadowRoot.querySelector("#picture").getAttribute("aria-label")`), /Two squares, seen from 5\.7° right/);
+  assert.match(await viewer(page, `(v) => v.shadowRoot.querySelector("#shown").getAttribute("aria-label")`), /Two squares, seen from 5\.7° right/);
   await page.context().close();
 });
 

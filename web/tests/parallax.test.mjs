@@ -32,7 +32,7 @@ function darkCentre({ width, data }, from, to) {
 
 for (const renderer of ["webgl2", "cpu"]) {
   test(`on ${renderer}, what lies at d moves by −d·s`, async () => {
-    const page = await open(browser, `${server.url}/${renderer === "cpu" ? "?renderer=cpu" : ""}`);
+    const page = await open(browser, `${server.url}/?renderer=${renderer}`);
     assert.equal(await complete(page), undefined);
     const { far, near, pitchMm, rows } = SCENE;
     // Whole pixels of shift: a slope of k·pitch/d; up is a smaller row.

@@ -19,7 +19,7 @@ const DIST: &str = "web/dist";
 /// Of the sources of `web/dist`.
 const HASH: &str = "web/dist/sources.blake3";
 /// The page's files and what they are compressed to at most, all together, bytes.
-const PAGE: [&str; 4] = ["index.html", "viewer.css", "viewer.js", "lumistack_web_bg.wasm"];
+const PAGE: [&str; 3] = ["index.html", "viewer.js", "lumistack_web_bg.wasm"];
 const BUDGET: usize = 150_000;
 /// Sources of the page, besides the lock entries of what they depend on.
 const SOURCES: [&str; 8] = [

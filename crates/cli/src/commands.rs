@@ -80,7 +80,8 @@ fn run_command(args: &Run, line: &str, registry: &Registry, json: bool, task: Ta
     change_sequence(&mut job, &args.sequence);
     if !is_job(&args.input) && job.sequence.is_none() {
         // nobody chose outputs: one that shows the display to its maker, without a word of the command line
-        job.outputs.push(OutputJob { name: Some("preview".into()), ..OutputJob::new("web_simulator") });
+        let params = serde_json::Map::from_iter([("title".into(), job.name.clone().into())]);
+        job.outputs.push(OutputJob { name: Some("preview".into()), params, ..OutputJob::new("web_simulator") });
     }
     let folder = args.output.clone().unwrap_or_else(|| Path::new("runs").join(&job.name));
     if args.plan {

@@ -58,7 +58,7 @@ pub(crate) fn to_rgba(linear: &[f32]) -> Vec<u8> {
 /// Error that the map shows as white.
 pub(crate) const HEAT_TOP: f32 = 0.25;
 
-/// Colours of the error map from 0 to [`HEAT_TOP`], evenly spaced, as sRGB codes; their lightness rises all the way. The shader has the same.
+/// Colours of the error map from 0 to [`HEAT_TOP`], evenly spaced, as sRGB codes; their lightness rises all the way.
 const HEAT: [[f32; 3]; 6] = [
     [0.0, 0.0, 8.0],
     [66.0, 10.0, 104.0],
@@ -69,14 +69,9 @@ const HEAT: [[f32; 3]; 6] = [
 ];
 
 /// The error map's colours as `#rrggbb`, evenly spaced from 0 to [`HEAT_TOP`].
+#[cfg(target_arch = "wasm32")]
 pub(crate) fn heat_stops() -> [String; HEAT.len()] {
     HEAT.map(|[r, g, b]| format!("#{:02x}{:02x}{:02x}", r as u8, g as u8, b as u8))
-}
-
-/// The same as shares of 1, for the shader.
-#[cfg(target_arch = "wasm32")]
-pub(crate) fn heat_table() -> Vec<f32> {
-    HEAT.iter().flatten().map(|code| code / 255.0).collect()
 }
 
 /// The error map's colour.

@@ -1,18 +1,11 @@
-//! JSON, read and written by what is there: in the browser its own parser, since another would be a fifth of the module.
+//! JSON, read by what is there: in the browser its own parser, since another would be a fifth of the module.
 
-use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// What a text says; an error tells what is wrong with it.
 #[cfg(not(target_arch = "wasm32"))]
 pub(crate) fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     serde_json::from_str(text).map_err(|error| error.to_string())
-}
-
-/// The text of a value.
-#[cfg(not(target_arch = "wasm32"))]
-pub(crate) fn text<T: Serialize>(value: &T) -> String {
-    serde_json::to_string(value).unwrap_or_default()
 }
 
 /// What a text says; an error tells what is wrong with it. Keys that are not known are stepped over.
@@ -24,11 +17,4 @@ pub(crate) fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
         None => "no JSON".into(),
     })?;
     serde_wasm_bindgen::from_value(value).map_err(|error| error.to_string())
-}
-
-/// The text of a value.
-#[cfg(target_arch = "wasm32")]
-pub(crate) fn text<T: Serialize>(value: &T) -> String {
-    let value = value.serialize(&serde_wasm_bindgen::Serializer::json_compatible()).unwrap_or_default();
-    js_sys::JSON::stringify(&value).map_or_else(|_| String::new(), String::from)
 }

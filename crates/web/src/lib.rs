@@ -10,12 +10,9 @@
 
 mod colour;
 mod decode;
-#[cfg(any(test, target_arch = "wasm32"))]
-mod explode;
 mod field;
 #[cfg(target_arch = "wasm32")]
 mod gl;
-mod info;
 mod json;
 mod model;
 mod options;

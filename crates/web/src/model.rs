@@ -11,10 +11,9 @@ use lumistack_display::{
 
 use crate::colour::{DECODED, heat, to_rgba};
 use crate::decode::decode;
-use crate::info::Info;
 use crate::preview::{Part, Preview};
 use crate::tables::Tables;
-use crate::{Error, Options, err, json};
+use crate::{Error, Options, err};
 
 /// A preview and the options under which it is looked at.
 #[derive(Debug)]
@@ -72,11 +71,6 @@ impl Model {
     /// The current options.
     pub fn options(&self) -> &Options {
         &self.options
-    }
-
-    /// What the page needs to know, as JSON.
-    pub fn info(&self) -> String {
-        json::text(&Info::of(&self.preview, &self.geometry))
     }
 
     /// Takes the bytes of file `index`. Returns the part that it holds and, where it completes one, the number of complete frames before.

@@ -1,9 +1,10 @@
 //! What JavaScript sees. Every class passes on to the tested code beside it.
 
-use js_sys::{Float32Array, Uint8ClampedArray, Uint32Array};
+use js_sys::Uint8ClampedArray;
 use wasm_bindgen::prelude::*;
-use web_sys::HtmlCanvasElement;
+use web_sys::WebGl2RenderingContext;
 
+use crate::colour::{HEAT_TOP, heat_stops};
 use crate::gl::Gpu;
 use crate::{Error, Field, Model, err};
 
@@ -15,9 +16,9 @@ impl From<Error> for JsValue {
 
 type Thrown<T> = Result<T, JsValue>;
 
-/// What is thrown by drawing without a canvas.
+/// What is thrown by drawing without a context.
 fn detached() -> Error {
-    err("the viewer has no canvas: attach one before drawing")
+    err("the viewer has no context: attach one before drawing")
 }
 
 fn clamped(bytes: &[u8]) -> Uint8ClampedArray {
@@ -28,6 +29,18 @@ fn clamped(bytes: &[u8]) -> Uint8ClampedArray {
 #[wasm_bindgen]
 pub fn version() -> String {
     env!("CARGO_PKG_VERSION").into()
+}
+
+/// The error map's colours, evenly spaced, as a list of a style sheet.
+#[wasm_bindgen]
+pub fn heat() -> String {
+    heat_stops().join(",")
+}
+
+/// The error of the last of them.
+#[wasm_bindgen]
+pub fn heat_top() -> f32 {
+    HEAT_TOP
 }
 
 /// A preview and what it shows.
@@ -45,11 +58,6 @@ impl Viewer {
         Ok(Self { model: Model::new(preview_json)?, gpu: None })
     }
 
-    /// What the page needs to know, as JSON.
-    pub fn info(&self) -> String {
-        self.model.info()
-    }
-
     /// Takes the bytes of a file, in any order.
     pub fn put(&mut self, file: usize, bytes: &[u8]) -> Thrown<()> {
         let (_, completed) = self.model.put(file, bytes)?;
@@ -59,27 +67,12 @@ impl Viewer {
         Ok(())
     }
 
-    /// Frames of which every part has arrived; drawing uses those.
-    pub fn frames_ready(&self) -> usize {
-        self.model.frames_ready()
-    }
-
-    /// Views of the target that have arrived.
-    pub fn targets_ready(&self) -> usize {
-        self.model.targets_ready()
-    }
-
     /// Changes the options, as JSON; keys that are left out go back to their defaults.
     pub fn set_options(&mut self, json: &str) -> Thrown<()> {
         Ok(self.model.set_options(json)?)
     }
 
-    /// Emitted light times gain from a slope, [row][col][rgb].
-    pub fn view_linear(&self, sx: f64, sy: f64) -> Float32Array {
-        Float32Array::from(self.model.view_linear([sx, sy]).as_slice())
-    }
-
-    /// The same as sRGB bytes [row][col][rgba].
+    /// What the display shows from a slope, sRGB bytes [row][col][rgba].
     pub fn render(&self, sx: f64, sy: f64) -> Uint8ClampedArray {
         clamped(&self.model.render([sx, sy]))
     }
@@ -109,53 +102,21 @@ impl Viewer {
         self.model.psnr([sx, sy])
     }
 
-    /// [view_row, view_col] of the target's view nearest to a slope.
-    pub fn nearest_view(&self, sx: f64, sy: f64) -> Uint32Array {
-        let [row, col] = self.model.nearest_view([sx, sy]);
-        Uint32Array::from([row as u32, col as u32].as_slice())
-    }
-
-    /// Draws to a canvas through WebGL2 from now on; throws where there is none or the preview is too large for it.
-    pub fn attach(&mut self, canvas: HtmlCanvasElement) -> Thrown<()> {
+    /// Draws through a context from now on; throws where it is lost or too small for the preview.
+    pub fn attach(&mut self, context: WebGl2RenderingContext) -> Thrown<()> {
         self.gpu = None;
-        self.gpu = Some(Gpu::new(canvas, &self.model)?);
+        self.gpu = Some(Gpu::new(context, &self.model)?);
         Ok(())
     }
 
-    /// Gives the canvas back, also after its context was lost.
+    /// Gives the context back, also after it was lost.
     pub fn detach(&mut self) {
         self.gpu = None;
     }
 
-    /// What the display shows from a slope, letterboxed to the drawing buffer.
+    /// Draws what the display shows from a slope to the context, whose canvas has the field's size.
     pub fn draw(&self, sx: f64, sy: f64) -> Thrown<()> {
         Ok(self.gpu.as_ref().ok_or_else(detached)?.draw(&self.model, [sx, sy])?)
-    }
-
-    /// A view of the target.
-    pub fn draw_target(&mut self, view_row: usize, view_col: usize) -> Thrown<()> {
-        Ok(self.gpu.as_mut().ok_or_else(detached)?.draw_target(&self.model, [view_row, view_col])?)
-    }
-
-    /// The error map of the target's view nearest to a slope.
-    pub fn draw_error(&mut self, sx: f64, sy: f64) -> Thrown<()> {
-        Ok(self.gpu.as_mut().ok_or_else(detached)?.draw_error(&self.model, [sx, sy])?)
-    }
-
-    /// A layer's pattern in a frame.
-    pub fn draw_layer(&self, layer: usize, frame: usize) -> Thrown<()> {
-        Ok(self.gpu.as_ref().ok_or_else(detached)?.draw_layer(&self.model, layer, frame)?)
-    }
-
-    /// The display left of `at` (0..1), the target's nearest view right of it.
-    pub fn draw_split(&mut self, sx: f64, sy: f64, at: f64) -> Thrown<()> {
-        Ok(self.gpu.as_mut().ok_or_else(detached)?.draw_split(&self.model, [sx, sy], at)?)
-    }
-
-    /// The layers pulled apart, with rays of a slope through them; `spread` 0 is their true distances.
-    pub fn draw_exploded(&self, sx: f64, sy: f64, yaw_rad: f64, pitch_rad: f64, spread: f64) -> Thrown<()> {
-        let gpu = self.gpu.as_ref().ok_or_else(detached)?;
-        Ok(gpu.draw_exploded(&self.model, [sx, sy], [yaw_rad, pitch_rad, spread])?)
     }
 }
 

@@ -338,26 +338,11 @@ fn previews_that_make_no_sense_say_where() {
     assert!(Model::new("{").unwrap_err().to_string().starts_with("preview.json: expected a preview"));
 }
 
-fn info(sample: &Sample) -> Value {
-    serde_json::from_str(&sample.model().info()).unwrap()
-}
-
 #[test]
-fn the_page_is_told_what_it_needs() {
-    let info = info(&Sample::new(displays().remove(3), 1));
-    assert_eq!(info["field"], json!({"cols": 16, "rows": 10, "width_mm": 16.0, "height_mm": 10.0}));
-    assert_eq!(info["views"]["distance_mm"], 200.0);
-    assert_eq!(info["views"]["slopes"].as_array().unwrap().len(), 9);
-    // slopes and half a bin beyond them: the field's full angle
-    let half = info["zone"]["x_rad"].as_f64().unwrap();
-    assert!((half - 10f64.to_radians()).abs() < 1e-12, "{half}");
-    assert_eq!(info["heat"]["stops"][5], "#fcffd6");
+fn a_backlight_is_shown_bin_by_bin() {
     let directional = Sample::new(displays().remove(1), 1);
-    let info_of_lenslets = self::info(&directional);
-    assert_eq!(info_of_lenslets["backlight"], json!({"rows": 6, "cols": 12}));
     let backlight = directional.full_model().render_backlight(0).unwrap();
     assert_eq!((backlight.len(), backlight[0]), (4 * 72, srgb_code(directional.stack.emission.unwrap().data()[0])));
-    assert_eq!((&info["formation"], &info["frames"]), (&json!("attenuating"), &json!(2)));
 }
 
 /// The tables say for every ray what the shader does with them: an oracle that reads them as the shader does gives the same picture.

@@ -4,15 +4,20 @@
 //! |---|---|
 //! | `index.html`, `app/` | the page; works under any path of any server that hands out files |
 //! | `preview.html` | the same in one file, which a double click opens |
-//! | `stack/preview.json` | display, brightness, target, and the pictures in the order to fetch |
+//! | `stack/preview.json` | title, caption, display, brightness, target, and the pictures in the order to fetch: the frames whose mean is nearest to the whole first |
+//! | `stack/poster.jpg` | the display from straight ahead, which the page shows at once |
+//! | `stack/around.jpg` | of large stacks: small views from all over the zone, side by side, to look around in while the patterns load |
 //! | `stack/layerL_frameM.png` | patterns: value = code / 255, linear |
 //! | `stack/emission_frameM.png` | emission of a directional backlight, bins side by side: value = code / 255, linear |
 //! | `stack/target_YY_XX.png` | views of the light field that the patterns were made for, sRGB-encoded, where the host lends them; 7 per axis at most |
 //!
 //! Later times of a sequence are sites of their own in `time_0001/`, ... Memory: one frame of patterns, whatever their number.
 
+mod order;
 mod page;
 mod pictures;
+mod poster;
+mod words;
 
 use lumistack_plugin::display::{FieldGeometry, Projection, ViewGrid, spread};
 use lumistack_plugin::serde::Deserialize;
@@ -21,8 +26,9 @@ use lumistack_plugin::{
     Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, StackInput, Time, export_plugin, serde_json,
 };
 
-use page::Site;
+use page::{About, Site};
 use pictures::{Rounding, emission_picture, layer_picture, png_of, target_codes};
+use poster::Poster;
 
 pub use page::PREVIEW_JSON;
 
@@ -32,6 +38,11 @@ pub const FINGERPRINT: &str =
 
 /// Views of the target per axis that the page has to compare with, at most: of a display that chooses hundreds they would be most of the site.
 const MOST_TARGETS: usize = 7;
+/// Bytes of patterns from which on small views come before them: half a second of a mobile connection.
+const AROUND_FROM: usize = 1_000_000;
+/// Paths of the pictures that come before the patterns.
+const POSTER: &str = "stack/poster.jpg";
+const AROUND: &str = "stack/around.jpg";
 
 /// The plugin.
 #[derive(Debug)]
@@ -46,8 +57,11 @@ pub struct WebSimulator {
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct SimulatorParams {
     title: String,
+    caption: String,
+    address: String,
     target: bool,
     single_file: bool,
+    single_file_mb: f64,
 }
 
 impl OutputPlugin for WebSimulator {
@@ -58,13 +72,26 @@ impl OutputPlugin for WebSimulator {
 
     fn schema() -> Schema {
         Schema::new([
-            Param::text("title", "", "Title of the page; empty for the display's name."),
+            Param::text("title", "", "Title of the page: the scene's name; empty for the display's. The name of a file becomes words."),
+            Param::text("caption", "", "One sentence below the title; empty for one about the display."),
+            Param::text(
+                "address",
+                "",
+                "Where the site will be, such as https://example.org/still-life/: previews of links to it show the picture. Many services want it.",
+            ),
             Param::bool(
                 "target",
                 true,
                 "Also write views that the patterns were made for, 7 × 7 at most, to compare with; they are a good part of the site's size.",
             ),
             Param::bool("single_file", true, "Also write the whole site as one file, preview.html."),
+            Param::float(
+                "single_file_mb",
+                30.0,
+                1.0..=2000.0,
+                "Largest preview.html: browsers take long to open a larger one, so it is left out, which a message says.",
+            )
+            .unit("MB"),
         ])
     }
 
@@ -75,15 +102,22 @@ impl OutputPlugin for WebSimulator {
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
         let folder = if time.index == 0 { String::new() } else { format!("time_{:04}/", time.index) };
-        let title = if self.params.title.is_empty() { &self.display.name } else { &self.params.title };
-        let mut site = Site::new(&self.host, folder, title, self.params.single_file)?;
+        let (params, display) = (&self.params, &self.display);
+        let title = words::title_of(if params.title.is_empty() { &display.name } else { &params.title });
+        let caption =
+            if params.caption.is_empty() { words::caption_of(&title, display) } else { params.caption.clone() };
+        let poster = Poster::new(stack)?;
+        let about = About { title: &title, caption: &caption, address: &params.address, poster: &poster };
+        let most_bytes = params.single_file.then_some((params.single_file_mb * 1e6) as usize);
+        let mut site = Site::new(&self.host, folder, &about, most_bytes)?;
         let mut files = Vec::new();
         let places = stack.target().grid.views().map(|count| spread(count, MOST_TARGETS));
         let shown = thinned(stack.target(), &places);
         let targets = self.targets(stack, &shown)?;
         let per_frame = stack.layer_count() + usize::from(stack.emission_shape().is_some());
         let stage = self.host.stage("preview", (stack.frames() * per_frame + targets.len()) as u64, "pictures");
-        let mut rounding = Rounding::new(&self.display, &shown);
+        let mut rounding = Rounding::new(display, &shown);
+        let mut middles = Vec::with_capacity(stack.frames());
         for frame in 0..stack.frames() {
             let mut layers = Vec::with_capacity(stack.layer_count());
             for layer in 0..stack.layer_count() {
@@ -104,8 +138,19 @@ impl OutputPlugin for WebSimulator {
                 emission = Some((picture, exact, shape));
                 stage.advance(1, "");
             }
-            rounding.add(layers, emission, stack.brightness());
+            let middle = rounding.add(layers, emission, stack.brightness());
+            middles.push(order::coarse(&middle, shown.cols));
         }
+        let order = order::by_importance(&middles);
+        files.sort_by_key(|file: &Value| order.iter().position(|frame| file["frame"] == *frame));
+        let size: u64 = files.iter().filter_map(|file| file["bytes"].as_u64()).sum();
+        let around = if size >= AROUND_FROM as u64 {
+            let (jpeg, told) = poster::around(stack, AROUND, display.field.fov_deg)?;
+            site.file(AROUND, &jpeg)?;
+            Some(told)
+        } else {
+            None
+        };
         for view in targets {
             self.host.check_cancelled()?;
             let Some(plane) = stack.target_view([places[0][view[0]], places[1][view[1]]])? else { continue };
@@ -120,7 +165,10 @@ impl OutputPlugin for WebSimulator {
             "schema": "lumistack-preview",
             "version": 1,
             "title": title,
-            "display": self.display,
+            "caption": caption,
+            "poster": POSTER,
+            "around": around,
+            "display": display,
             "brightness": stack.brightness(),
             "frames": stack.frames(),
             "target": geometry_json(&shown),

@@ -5,18 +5,24 @@ use base64::engine::general_purpose::STANDARD;
 use lumistack_plugin::serde_json::{Value, json};
 use lumistack_plugin::{Host, OutputFile, PluginError};
 
+use crate::POSTER;
 use crate::pictures::Picture;
+use crate::poster::Poster;
 
 /// What the page reads first.
 pub const PREVIEW_JSON: &str = "stack/preview.json";
 const INDEX: &str = include_str!("../../../web/dist/index.html");
 const SCRIPT: &str = include_str!("../../../web/dist/viewer.js");
-const STYLE: &str = include_str!("../../../web/dist/viewer.css");
 const MODULE: &[u8] = include_bytes!("../../../web/dist/lumistack_web_bg.wasm");
 
 /// What of the page is replaced in the single file.
-const STYLE_LINK: &str = r#"<link rel="stylesheet" href="app/viewer.css">"#;
 const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>"#;
+/// What of the page is replaced in every site.
+const HEAD: [&str; 2] = ["<title>", "<!--/about-->"];
+const POSTER_PLACE: &str = "<!--poster-->";
+/// What of the page a single file has no use for, and the sentence that names it, which only stands where there is one.
+const FOLDER: [&str; 2] = ["<!--folder-->", "<!--/folder-->\n"];
+const SINGLE: [&str; 2] = ["<!--single-->", "<!--/single-->"];
 /// Bytes; a multiple of 3, so that the parts' texts join to the text of the whole.
 const ENCODED_AT_ONCE: usize = 3 << 16;
 
@@ -31,16 +37,54 @@ pub(crate) struct Site<'a> {
 /// The site in one file; every picture is added when it is there, so that none is kept.
 struct SingleFile {
     file: OutputFile,
+    /// Bytes so far, and at most.
+    length: usize,
+    most: usize,
     /// What of the page follows its script.
     end: String,
 }
 
+/// What the page and links to it say.
+pub(crate) struct About<'a> {
+    pub(crate) title: &'a str,
+    pub(crate) caption: &'a str,
+    /// Where the site will be; empty where nobody knows.
+    pub(crate) address: &'a str,
+    pub(crate) poster: &'a Poster,
+}
+
 impl<'a> Site<'a> {
-    /// `folder` is empty or ends with `/`.
-    pub(crate) fn new(host: &'a Host, folder: String, title: &str, single_file: bool) -> Result<Self, PluginError> {
-        let index = titled(title);
-        let single = if single_file { Some(SingleFile::new(host, &folder, &index)?) } else { None };
-        Ok(Self { host, folder, index, single })
+    /// `folder` is empty or ends with `/`; `most_bytes` are those of the single file, where there is to be one.
+    pub(crate) fn new(
+        host: &'a Host,
+        folder: String,
+        about: &About<'_>,
+        most_bytes: Option<usize>,
+    ) -> Result<Self, PluginError> {
+        let single = match most_bytes {
+            Some(most) => Some(SingleFile::new(host, &folder, about, most)?),
+            None => None,
+        };
+        let mut site = Self { host, folder, index: about.page(false)?, single };
+        site.file(POSTER, &about.poster.jpeg)?;
+        Ok(site)
+    }
+
+    /// Writes a file of the preview.
+    pub(crate) fn file(&mut self, path: &str, bytes: &[u8]) -> Result<(), PluginError> {
+        self.host.write(&format!("{}{path}", self.folder), bytes)?;
+        let Some(single) = &mut self.single else { return Ok(()) };
+        if single.add(path, bytes)? {
+            return Ok(());
+        }
+        // dropped, the file leaves nothing
+        let most = single.most / 1_000_000;
+        self.single = None;
+        let text = format!(
+            "preview.html was left out: it would have more than {most} MB (single_file_mb). `lumistack preview` on this folder shows the page."
+        );
+        self.host.info(&text);
+        Ok(())
     }
 
     /// Writes a picture; gives its entry in preview.json.
@@ -51,7 +95,7 @@ impl<'a> Site<'a> {
         picture: &Picture,
         bytes: &[u8],
     ) -> Result<Value, PluginError> {
-        self.host.write(&format!("{}{path}", self.folder), bytes)?;
+        self.file(path, bytes)?;
         for (key, value) in [
             ("path", json!(path)),
             ("rows", json!(picture.rows)),
@@ -60,19 +104,15 @@ impl<'a> Site<'a> {
         ] {
             entry[key] = value;
         }
-        if let Some(single) = &mut self.single {
-            single.text(",")?;
-            single.entry(path, bytes)?;
-        }
         Ok(entry)
     }
 
     /// Writes the page and preview.json.
     pub(crate) fn finish(self, preview_json: &str) -> Result<(), PluginError> {
+        let index = if self.single.is_some() { self.index.clone() } else { cut(&self.index, SINGLE, "")? };
         for (path, bytes) in [
-            ("index.html", self.index.as_bytes()),
+            ("index.html", index.as_bytes()),
             ("app/viewer.js", SCRIPT.as_bytes()),
-            ("app/viewer.css", STYLE.as_bytes()),
             ("app/lumistack_web_bg.wasm", MODULE),
             (PREVIEW_JSON, preview_json.as_bytes()),
         ] {
@@ -83,22 +123,30 @@ impl<'a> Site<'a> {
 }
 
 impl SingleFile {
-    fn new(host: &Host, folder: &str, index: &str) -> Result<Self, PluginError> {
-        let parts = index
-            .split_once(STYLE_LINK)
-            .and_then(|(head, rest)| rest.split_once(SCRIPT_LINK).map(|(middle, end)| [head, middle, end]));
-        let Some([head, middle, end]) = parts else {
-            let text = "web/dist/index.html: expected links to app/viewer.css and, after it, app/viewer.js, found none";
+    fn new(host: &Host, folder: &str, about: &About<'_>, most: usize) -> Result<Self, PluginError> {
+        let index = about.page(true)?;
+        let Some((start, end)) = index.split_once(SCRIPT_LINK) else {
+            let text = "web/dist/index.html: expected a link to app/viewer.js, found none";
             return Err(PluginError::Failed(text.into()));
         };
         let file = host.create(&format!("{folder}preview.html"))?;
-        let mut single = Self { file, end: end.into() };
-        single.text(&format!("{head}<style>{STYLE}</style>{middle}<script>window.LUMISTACK_INLINE={{"))?;
+        let mut single = Self { file, length: 0, most, end: end.into() };
+        single.text(&format!("{start}<script>window.LUMISTACK_INLINE={{"))?;
         single.entry("wasm", MODULE)?;
         Ok(single)
     }
 
-    /// A file of the site. Keys are our own paths and base64 has nothing that a script would take for its end.
+    /// A file of the site, unless that makes the whole too large.
+    fn add(&mut self, path: &str, bytes: &[u8]) -> Result<bool, PluginError> {
+        if self.length + bytes.len().div_ceil(3) * 4 > self.most {
+            return Ok(false);
+        }
+        self.text(",")?;
+        self.entry(path, bytes)?;
+        Ok(true)
+    }
+
+    /// Keys are our own paths and base64 has nothing that a script would take for its end.
     fn entry(&mut self, key: &str, bytes: &[u8]) -> Result<(), PluginError> {
         self.text(&format!("\"{key}\":\""))?;
         for part in bytes.chunks(ENCODED_AT_ONCE) {
@@ -118,17 +166,59 @@ impl SingleFile {
     }
 
     fn text(&mut self, text: &str) -> Result<(), PluginError> {
+        self.length += text.len();
         self.file.append(text.as_bytes())
     }
 }
 
-/// The page under a title.
-fn titled(title: &str) -> String {
-    let escaped = title.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
-    match (INDEX.find("<title>"), INDEX.find("</title>")) {
-        (Some(start), Some(end)) if start < end => {
-            format!("{}{escaped} – Lumistack{}", &INDEX[..start + "<title>".len()], &INDEX[end..])
-        }
-        _ => INDEX.into(),
+impl About<'_> {
+    /// The page; in a `single` file its poster is part of it, and it says nothing of a folder or an address of its own.
+    fn page(&self, single: bool) -> Result<String, PluginError> {
+        let Poster { jpeg, rows, cols } = self.poster;
+        let source = if single { format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)) } else { POSTER.into() };
+        let image = format!(
+            r#"<img slot="poster" src="{source}" width="{cols}" height="{rows}" alt="{}">"#,
+            escaped(self.title)
+        );
+        let page = cut(INDEX, HEAD, &self.head(single))?;
+        let page = cut(&page, [POSTER_PLACE, ""], &image)?;
+        if single { cut(&cut(&page, FOLDER, "")?, SINGLE, "") } else { Ok(page) }
     }
+
+    /// Title and description, and what services that show links ask for (Open Graph).
+    fn head(&self, single: bool) -> String {
+        let (title, caption) = (escaped(self.title), escaped(self.caption));
+        let mut head = format!(
+            "<title>{title} – Lumistack</title>\n<meta name=\"description\" content=\"{caption}\">\n\
+             <meta property=\"og:type\" content=\"website\">\n<meta property=\"og:title\" content=\"{title}\">\n\
+             <meta property=\"og:description\" content=\"{caption}\">\n"
+        );
+        if !single {
+            let address = escaped(self.address.trim_end_matches('/'));
+            let base = if address.is_empty() { String::new() } else { format!("{address}/") };
+            let Poster { rows, cols, .. } = self.poster;
+            if !base.is_empty() {
+                head += &format!("<meta property=\"og:url\" content=\"{base}\">\n");
+            }
+            head += &format!(
+                "<meta property=\"og:image\" content=\"{base}{POSTER}\">\n<meta property=\"og:image:width\" content=\"{cols}\">\n\
+                 <meta property=\"og:image:height\" content=\"{rows}\">\n<meta name=\"twitter:card\" content=\"summary_large_image\">"
+            );
+        }
+        head
+    }
+}
+
+/// The page with `text` in place of what lies between two marks, and of the marks.
+fn cut(page: &str, [from, to]: [&str; 2], text: &str) -> Result<String, PluginError> {
+    let missing = |mark: &str| PluginError::Failed(format!("web/dist/index.html: expected {mark}, found none"));
+    let start = page.find(from).ok_or_else(|| missing(from))?;
+    let after = start + from.len();
+    let end = after + page[after..].find(to).ok_or_else(|| missing(to))? + to.len();
+    Ok(format!("{}{text}{}", &page[..start], &page[end..]))
+}
+
+/// Text that stands in the page, also within quotes.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -89,32 +89,38 @@ impl<'a> Rounding<'a> {
         Self { display, differences, geometry, map, frames: 0.0, brightness: 1.0 }
     }
 
-    /// One frame. First the patterns, then what their codes stand for: one of the two is in memory at a time.
+    /// One frame. First the patterns, then what their codes stand for: one of the two is in memory at a time. Returns the frame's middle view.
     pub(crate) fn add(
         &mut self,
         layers: Vec<(Picture, Vec<f32>)>,
         emission: Option<(Picture, Vec<f32>, Bins)>,
         brightness: f64,
-    ) {
+    ) -> Vec<f32> {
         let (pictures, exact): (Vec<Picture>, Vec<Vec<f32>>) = layers.into_iter().unzip();
         let (emitted, exact_emission) = emission
             .map_or((None, None), |(picture, values, bins)| (Some((picture, bins)), Some(untiled(&values, bins))));
         let tensors = pictures.iter().zip(exact).map(|(picture, values)| layer(picture, values)).collect();
-        self.add_views(&LayerStack { layers: tensors, emission: exact_emission, brightness }, -1.0);
+        let middle = self.add_views(&LayerStack { layers: tensors, emission: exact_emission, brightness }, -1.0);
         let values = |picture: &Picture| picture.codes.iter().map(|code| f32::from(*code) / 255.0).collect::<Vec<_>>();
         let tensors = pictures.iter().map(|picture| layer(picture, values(picture))).collect();
         let emission = emitted.map(|(picture, bins)| untiled(&values(&picture), bins));
         self.add_views(&LayerStack { layers: tensors, emission, brightness }, 1.0);
         self.frames += 1.0;
         self.brightness = brightness;
+        middle
     }
 
-    fn add_views(&mut self, stack: &LayerStack, sign: f32) {
+    fn add_views(&mut self, stack: &LayerStack, sign: f32) -> Vec<f32> {
         let simulator = Simulator::new(self.display, stack);
+        let mut middle = Vec::new();
         for (i, sum) in self.differences.iter_mut().enumerate() {
             let view = simulator.view(&self.map, &self.geometry, [i, i]).radiance;
             sum.iter_mut().zip(view.data()).for_each(|(sum, value)| *sum += sign * value);
+            if i == 1 {
+                middle = view.into_data();
+            }
         }
+        middle
     }
 
     /// PSNR of L̃/β, dB; infinite where the rounding costs nothing.

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use lumistack_plugin::Time;
+use lumistack_plugin::core::colour::srgb_encode;
 use lumistack_plugin::core::metrics::SquaredError;
 use lumistack_plugin::core::seed::Stream;
-use lumistack_plugin::display::{Display, LayerStack, LightField, Simulator};
+use lumistack_plugin::display::{Display, LayerStack, LightField, Simulator, ViewGrid};
 use lumistack_plugin::serde_json::{Value, from_slice, json};
 use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_testkit::{MemoryHost, conformance, samples};
@@ -77,8 +78,10 @@ fn files_come_frame_by_frame_and_then_the_target_from_the_middle() {
     let files = write(&sample.display, OutputData::LayerStack(stack, Some(&target)), json!({"title": "A <b> & c"}));
     let preview: Value = from_slice(&files[PREVIEW_JSON]).unwrap();
     let list = preview["files"].as_array().unwrap();
-    for (i, file) in list.iter().take(stack.layers.len()).enumerate() {
-        assert_eq!((&file["layer"], &file["frame"]), (&json!(i), &json!(0)));
+    // one frame after another, whichever comes first
+    for (i, file) in list.iter().take(stack.layers.len() * stack.frames()).enumerate() {
+        let layers = stack.layers.len();
+        assert_eq!((&file["layer"], &file["frame"]), (&json!(i % layers), &list[i / layers * layers]["frame"]));
         assert_eq!(file["bytes"], files[file["path"].as_str().unwrap()].len());
     }
     let [rows, cols] = target.geometry().grid.views();
@@ -93,9 +96,12 @@ fn files_come_frame_by_frame_and_then_the_target_from_the_middle() {
         assert!(page.contains(&format!("\"{}\":\"iVBOR", file["path"].as_str().unwrap())));
     }
     let index = std::str::from_utf8(&files["index.html"]).unwrap();
+    assert!(index.contains(r#"<a href="preview.html">"#) && !page.contains("preview.html</a>"));
     assert!(index.contains("app/viewer.js") && !index.contains("=\"/") && !index.contains("http"), "{index}");
     let few = write(&sample.display, OutputData::LayerStack(stack, None), json!({"single_file": false}));
     assert!(!few.contains_key("preview.html") && !few.keys().any(|path| path.contains("target")));
+    let index = std::str::from_utf8(&few["index.html"]).unwrap();
+    assert!(!index.contains("preview.html"), "{index}");
     let none = json!({"target": false});
     let few = write(&sample.display, OutputData::LayerStack(stack, Some(&target)), none);
     assert!(!few.keys().any(|path| path.contains("target")));
@@ -112,4 +118,77 @@ fn rounding_of_exact_codes_costs_nothing() {
     let files = write(&display, OutputData::LayerStack(&stack, None), json!({}));
     let stated = model_of(&files).preview().rounding_db;
     assert!(stated.is_none_or(|stated| stated > 120.0), "{stated:?}");
+}
+
+/// A stack of slow waves, which a JPEG keeps.
+fn waves(display: &Display) -> LayerStack {
+    let mut stack = LayerStack::filled(display, 0.0);
+    for (n, layer) in stack.layers.iter_mut().enumerate() {
+        let value = |i: usize| 0.6 + 0.4 * (0.02 * (n + 1) as f32 * (i / 3 % 60) as f32).sin();
+        layer.data_mut().iter_mut().enumerate().for_each(|(i, place)| *place = value(i));
+    }
+    stack
+}
+
+#[test]
+fn the_poster_is_the_seen_picture_and_links_show_it() {
+    let display = Display::uniform([60, 40], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 3.0], 2);
+    let display = Display { name: "Two layers".into(), brightness: 0.8, ..display };
+    let stack = waves(&display);
+    let params = json!({"title": "still-life", "caption": "A \"kettle\".", "address": "https://example.org/kettle"});
+    let files = write(&display, OutputData::LayerStack(&stack, None), params);
+    let poster = image::load_from_memory(&files["stack/poster.jpg"]).unwrap().to_rgb8();
+    assert_eq!(poster.dimensions(), (60, 40));
+    let geometry = display.geometry().unwrap();
+    let grid = ViewGrid::single(geometry.grid.projection, [0.0, 0.0]);
+    let seen = Simulator::new(&display, &stack).seen(&geometry.with_grid(grid), [0, 0]).radiance;
+    let mut error = SquaredError::default();
+    for (code, value) in poster.as_raw().iter().zip(seen.data()) {
+        let wanted = srgb_encode((value / 0.8).min(1.0));
+        error.add(f64::from(*code) / 255.0, f64::from(wanted));
+    }
+    assert!(error.psnr() > 38.0, "{} dB", error.psnr());
+    let preview: Value = from_slice(&files[PREVIEW_JSON]).unwrap();
+    assert_eq!((&preview["title"], &preview["poster"]), (&json!("Still life"), &json!("stack/poster.jpg")));
+    let index = std::str::from_utf8(&files["index.html"]).unwrap();
+    for part in [
+        r#"<title>Still life – Lumistack</title>"#,
+        r#"<meta property="og:description" content="A &quot;kettle&quot;.">"#,
+        r#"<meta property="og:image" content="https://example.org/kettle/stack/poster.jpg">"#,
+        r#"<img slot="poster" src="stack/poster.jpg" width="60" height="40" alt="Still life">"#,
+    ] {
+        assert!(index.contains(part), "{part} is missing in {index}");
+    }
+    let page = std::str::from_utf8(&files["preview.html"]).unwrap();
+    assert!(page.contains(r#"src="data:image/jpeg;base64,"#) && !page.contains("og:image"));
+}
+
+/// Of a large stack there are small views from all over the zone; and a single file that is too large is left out, which is said.
+#[test]
+fn a_large_stack_can_be_looked_into_before_it_is_there() {
+    let display = Display::uniform([400, 250], 1.0, [3, 1], [20.0, 20.0], &[-3.0, 3.0], 3);
+    let mut stack = LayerStack::filled(&display, 0.0);
+    let mut random = Stream::new(5);
+    stack.layers.iter_mut().for_each(|layer| layer.data_mut().fill_with(|| random.next_f32()));
+    let (host, plugin) = (MemoryHost::new(), Plugin::compiled_in(&PLUGIN).unwrap());
+    let output = Output::open(&plugin, &host, &json!({"single_file_mb": 2.0}), &display).unwrap();
+    output.submit(Time::default(), OutputData::LayerStack(&stack, None)).unwrap();
+    output.finish().unwrap();
+    let files = host.files();
+    let preview: Value = from_slice(&files[PREVIEW_JSON]).unwrap();
+    let around = &preview["around"];
+    let most = 10f64.to_radians().tan();
+    assert_eq!((&around["slope_y"], around["slope_x"].as_array().unwrap().len()), (&json!([0.0]), 5));
+    assert!((around["slope_x"][4].as_f64().unwrap() - most).abs() < 1e-12);
+    let quilt = image::load_from_memory(&files["stack/around.jpg"]).unwrap().to_rgb8();
+    assert_eq!((&around["cols"], &around["rows"]), (&json!(200), &json!(125)));
+    assert_eq!(quilt.dimensions(), (1000, 125));
+    assert!(!files.contains_key("preview.html"));
+    assert!(
+        host.messages().iter().any(|(_, text)| text.contains("preview.html was left out") && text.contains("2 MB"))
+    );
+    // a small one has none
+    let display = Display::uniform([6, 5], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 3.0], 2);
+    let files = write(&display, OutputData::LayerStack(&LayerStack::filled(&display, 0.5), None), json!({}));
+    assert!(!files.contains_key("stack/around.jpg") && files.contains_key("preview.html"));
 }

@@ -1,6 +1,6 @@
-//! Drawing through WebGL2: the canvas, its programs and its textures.
+//! Drawing through WebGL2: its programs and its textures.
 
-mod canvas;
 mod display;
+mod parts;
 
 pub(crate) use display::Gpu;

@@ -2,7 +2,3 @@ vec3 srgb_encode(vec3 linear) {
     vec3 x = clamp(linear, 0.0, 1.0);
     return mix(1.055 * pow(x, vec3(1.0 / 2.4)) - 0.055, 12.92 * x, vec3(lessThanEqual(x, vec3(0.0031308))));
 }
-
-vec3 srgb_decode(vec3 code) {
-    return mix(pow((code + 0.055) / 1.055, vec3(2.4)), code / 12.92, vec3(lessThanEqual(code, vec3(0.04045))));
-}

@@ -2,7 +2,6 @@ DECLARE_LAYERS
 uniform sampler2DArray emission;
 uniform sampler2D taps_x;
 uniform sampler2D taps_y;
-uniform sampler2D reference;
 uniform ivec2 slots;      // first frame slice, number of slices
 uniform ivec4 places;     // on the pupil along an axis; table rows per part; parts along x, y
 uniform float on_disc[81];
@@ -10,9 +9,7 @@ uniform ivec2 lenslets;   // columns, rows
 uniform float gain;
 uniform float black;
 uniform bool dropped;     // rays that leave a layer do not count
-uniform bool as_error;
-uniform vec3 heat[6];
-uniform float heat_top;
+uniform int rows;
 out vec4 colour;
 
 #if FORMATION == 0
@@ -75,40 +72,29 @@ vec4 part_of(ivec2 at, ivec2 table) {
     return counts && slots.y > 0 ? share * vec4(sum / float(slots.y), 1.0) : vec4(0.0);
 }
 
-// Of a place: the mean over the parts that count; fourth: their share.
-vec4 seen(ivec2 at, ivec2 place) {
+// Of a place: the mean over the parts that count.
+vec3 seen(ivec2 at, ivec2 place) {
     vec4 sum = vec4(0.0);
     for (int j = 0; j < places.w; j++) {
         for (int i = 0; i < places.z; i++) {
             sum += part_of(at, (place * places.zw + ivec2(i, j)) * places.y);
         }
     }
-    return sum.a > 0.0 ? vec4(sum.rgb / sum.a, sum.a) : vec4(0.0);
+    return sum.a > 0.0 ? sum.rgb / sum.a : vec3(0.0);
 }
 
 void main() {
-    // texture row 0 is the top of the picture
-    ivec2 at = ivec2(gl_FragCoord.xy);
-    vec4 sum = vec4(0.0);
+    // the tables count rows from the top
+    ivec2 at = ivec2(gl_FragCoord.x, rows - 1 - int(gl_FragCoord.y));
+    vec3 sum = vec3(0.0);
     float count = 0.0;
-    bool all = true;
     for (int j = 0; j < places.x; j++) {
         for (int i = 0; i < places.x; i++) {
             if (on_disc[j * places.x + i] > 0.0) {
-                vec4 one = seen(at, ivec2(i, j));
-                sum += one;
+                sum += seen(at, ivec2(i, j));
                 count += 1.0;
-                all = all && one.a >= 0.5;
             }
         }
     }
-    vec3 light = gain * sum.rgb / count;
-    if (as_error) {
-        vec3 off = abs(light - srgb_decode(texelFetch(reference, at, 0).rgb));
-        float t = clamp(max(off.r, max(off.g, off.b)) / heat_top, 0.0, 1.0) * 5.0;
-        int first = min(int(t), 4);
-        colour = vec4(all ? mix(heat[first], heat[first + 1], t - float(first)) : vec3(0.0), 1.0);
-    } else {
-        colour = vec4(srgb_encode(light), 1.0);
-    }
+    colour = vec4(srgb_encode(gain * sum / count), 1.0);
 }

@@ -1,0 +1,117 @@
+//! Pictures that the page shows before its patterns are there: the display from the middle, and from a few places around it.
+
+use image::ExtendedColorType;
+use image::codecs::jpeg::JpegEncoder;
+use lumistack_plugin::core::colour::srgb_code;
+use lumistack_plugin::display::{FieldGeometry, Projection};
+use lumistack_plugin::serde_json::{Value, json};
+use lumistack_plugin::{PluginError, StackInput, ViewPoint};
+
+use crate::pictures::Picture;
+
+/// Longest side of the poster and of a view around it, pixels.
+const POSTER_PX: usize = 1200;
+const AROUND_PX: usize = 240;
+/// Bytes that the poster and all views around it should have at most, and the qualities that are tried for it.
+const POSTER_BYTES: usize = 45_000;
+const AROUND_BYTES: usize = 110_000;
+const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];
+/// Places across and upwards: close enough that a mixture of neighbours has no double edges at this size.
+const PLACES: [usize; 2] = [5, 3];
+
+/// A picture and its size.
+#[derive(Debug)]
+pub(crate) struct Poster {
+    pub(crate) jpeg: Vec<u8>,
+    pub(crate) rows: usize,
+    pub(crate) cols: usize,
+}
+
+impl Poster {
+    /// What an eye that is adapted to the display sees from straight ahead.
+    ///
+    /// # Errors
+    /// If the host cannot simulate.
+    pub(crate) fn new(stack: &StackInput<'_>) -> Result<Self, PluginError> {
+        let picture = seen(stack, [0.0; 2], POSTER_PX)?;
+        let jpeg = jpeg_of(&picture, POSTER_BYTES)?;
+        Ok(Self { jpeg, rows: picture.rows, cols: picture.cols })
+    }
+}
+
+/// Small views from places all over the zone, side by side in one picture, the first at the left and from above; and what preview.json says of them.
+///
+/// # Errors
+/// If the host cannot simulate.
+pub(crate) fn around(stack: &StackInput<'_>, path: &str, fov_deg: [f64; 2]) -> Result<(Vec<u8>, Value), PluginError> {
+    let views = stack.target().grid.views();
+    // one view promises nothing beside it
+    let slopes = |axis: usize, views: usize| match (views, PLACES[axis]) {
+        (1, _) => vec![0.0],
+        (_, count) => {
+            let most = (0.5 * fov_deg[axis].to_radians()).tan();
+            (0..count).map(|i| most * (2.0 * i as f64 / (count - 1) as f64 - 1.0)).collect::<Vec<_>>()
+        }
+    };
+    let (across, upwards) = (slopes(0, views[1]), slopes(1, views[0]));
+    let mut lines: Vec<Vec<u8>> = Vec::new();
+    let mut size = [0; 2];
+    for y in upwards.iter().rev() {
+        let tiles: Vec<Picture> =
+            across.iter().map(|x| seen(stack, [*x, *y], AROUND_PX)).collect::<Result<_, PluginError>>()?;
+        size = [tiles[0].rows, tiles[0].cols];
+        let line = |row: usize| tiles.iter().flat_map(move |tile| &tile.codes[3 * row * size[1]..][..3 * size[1]]);
+        lines.extend((0..size[0]).map(|row| line(row).copied().collect::<Vec<u8>>()));
+    }
+    let quilt = Picture { rows: lines.len(), cols: size[1] * across.len(), codes: lines.concat() };
+    let told = json!({
+        "path": path, "rows": size[0], "cols": size[1],
+        "slope_x": across, "slope_y": upwards.iter().rev().collect::<Vec<_>>(),
+    });
+    Ok((jpeg_of(&quilt, AROUND_BYTES)?, told))
+}
+
+/// The display from a slope at the centre of the field, box-filtered until no side is longer than `most` pixels, sRGB-encoded.
+fn seen(stack: &StackInput<'_>, [x, y]: [f64; 2], most: usize) -> Result<Picture, PluginError> {
+    let from = match stack.target().grid.projection {
+        Projection::Oblique => ViewPoint::Slope([x, y]),
+        Projection::Perspective { distance_mm: z } => ViewPoint::Eye([x * z, y * z, z]),
+    };
+    let plane = stack.simulate(from)?;
+    Ok(reduced(&plane.values(), stack.target(), most, (1.0 / stack.brightness()) as f32))
+}
+
+/// Values times `scale`, the mean over boxes of whole pixels.
+fn reduced(linear: &[f32], geometry: &FieldGeometry, most: usize, scale: f32) -> Picture {
+    let (rows, cols) = (geometry.rows, geometry.cols);
+    let step = rows.max(cols).div_ceil(most);
+    let [out_rows, out_cols] = [rows, cols].map(|count| count.div_ceil(step));
+    let mut codes = Vec::with_capacity(3 * out_rows * out_cols);
+    for (row, col) in (0..out_rows).flat_map(|row| (0..out_cols).map(move |col| (row, col))) {
+        let within = |start: usize, count: usize| start * step..((start + 1) * step).min(count);
+        let (mut sum, mut count) = ([0.0f32; 3], 0.0);
+        for (y, x) in within(row, rows).flat_map(|y| within(col, cols).map(move |x| (y, x))) {
+            let pixel = &linear[3 * (y * cols + x)..][..3];
+            sum.iter_mut().zip(pixel).for_each(|(sum, value)| *sum += (scale * value).min(1.0));
+            count += 1.0;
+        }
+        codes.extend(sum.map(|sum| srgb_code(sum / count)));
+    }
+    Picture { rows: out_rows, cols: out_cols, codes }
+}
+
+/// The file, of the best quality that fits.
+fn jpeg_of(picture: &Picture, most_bytes: usize) -> Result<Vec<u8>, PluginError> {
+    let (width, height) = (picture.cols as u32, picture.rows as u32);
+    let mut jpeg = Vec::new();
+    for quality in QUALITIES {
+        jpeg.clear();
+        JpegEncoder::new_with_quality(&mut jpeg, quality)
+            .encode(&picture.codes, width, height, ExtendedColorType::Rgb8)
+            .map_err(|error| PluginError::failed("a picture", error))?;
+        if jpeg.len() <= most_bytes {
+            break;
+        }
+    }
+    Ok(jpeg)
+}

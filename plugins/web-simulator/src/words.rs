@@ -1,0 +1,72 @@
+//! What the page and links to it say of a display.
+
+use lumistack_plugin::display::{Backlight, Display};
+
+/// A title for people: the name of a file becomes words ("still-life" → "Still life"); other titles stay as they are.
+pub(crate) fn title_of(name: &str) -> String {
+    let of_file = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
+    if name.is_empty() || !name.chars().all(of_file) {
+        return name.into();
+    }
+    let words = name.split(['-', '_']).filter(|word| !word.is_empty()).collect::<Vec<_>>().join(" ");
+    words[..1].to_uppercase() + &words[1..]
+}
+
+/// One sentence: how the display shows the scene.
+pub(crate) fn caption_of(title: &str, display: &Display) -> String {
+    let plural = |count: usize, one: &str| match count {
+        1 => format!("one {one}"),
+        count => format!("{} {one}s", in_words(count)),
+    };
+    let layers = plural(display.layers.len(), "layer");
+    let below = if matches!(display.backlight, Backlight::Lenslets(_)) { " over a directional backlight" } else { "" };
+    let frames = match display.frames {
+        1 => String::new(),
+        count => format!(" and {} frames in quick succession", in_words(count)),
+    };
+    let show = if display.layers.len() == 1 && display.frames == 1 { "shows" } else { "show" };
+    let half = 0.5 * display.field.fov_deg[0].max(display.field.fov_deg[1]);
+    let half = (10.0 * half).round() / 10.0;
+    format!(
+        "{title} in depth, without glasses: as {layers} of pixels{below}{frames} {show} it within {half}° of straight ahead."
+    )
+}
+
+fn in_words(count: usize) -> String {
+    const WORDS: [&str; 13] =
+        ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"];
+    WORDS.get(count).map_or_else(|| count.to_string(), |word| (*word).into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_files_become_words_and_titles_stay() {
+        for (name, title) in [
+            ("still-life", "Still life"),
+            ("my_scene-2", "My scene 2"),
+            ("FlightHelmet", "FlightHelmet"),
+            ("A <b> & c", "A <b> & c"),
+            ("", ""),
+            ("été", "été"),
+        ] {
+            assert_eq!(title_of(name), title);
+        }
+    }
+
+    #[test]
+    fn a_caption_counts_what_there_is() {
+        let display = Display::uniform([6, 5], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 0.0, 3.0], 6);
+        assert_eq!(
+            caption_of("Still life", &display),
+            "Still life in depth, without glasses: as three layers of pixels and six frames in quick succession show it within 10° of straight ahead."
+        );
+        let display = Display::uniform([6, 5], 1.0, [3, 3], [25.0, 10.0], &[0.0], 1);
+        assert_eq!(
+            caption_of("X", &display),
+            "X in depth, without glasses: as one layer of pixels shows it within 12.5° of straight ahead."
+        );
+    }
+}

@@ -1,0 +1,73 @@
+// The simulator in a thread of its own: nothing that it does holds up the page.
+import { Problem, problemOf } from "./problem.js";
+import { fromBase64 } from "./source.js";
+import type { Methods, Told } from "./worker.js";
+import WORKER from "worker:./worker.ts";
+
+let compiling: Promise<WebAssembly.Module> | undefined;
+
+/** Compiles the module once; a failed attempt may be repeated. It lies beside the script, elsewhere, or in the page. */
+function compile(url: string | null): Promise<WebAssembly.Module> {
+  const get = async (): Promise<WebAssembly.Module> => {
+    const inline = window.LUMISTACK_INLINE?.["wasm"];
+    if (inline !== undefined) return WebAssembly.compile(fromBase64(inline));
+    const response = await fetch(url ?? new URL("lumistack_web_bg.wasm", import.meta.url));
+    if (!response.ok) throw new Error(`the server answers ${response.status}`);
+    return WebAssembly.compile(await response.arrayBuffer());
+  };
+  compiling ??= get();
+  compiling.catch(() => (compiling = undefined));
+  return compiling;
+}
+
+export class Engine {
+  private readonly waiting = new Map<number, { resolve: (value: never) => void; reject: (error: Error) => void }>();
+  private last = 0;
+  /** Told when the way pictures are made changes. */
+  onPath: ((told: Told) => void) | undefined;
+
+  private constructor(private readonly worker: Worker) {
+    worker.onmessage = ({ data: [id, value, error] }: MessageEvent<[number, unknown, string | undefined]>) => {
+      if (id === 0) return this.onPath?.(value as Told);
+      const { resolve, reject } = this.waiting.get(id)!;
+      this.waiting.delete(id);
+      if (error === undefined) resolve(value as never);
+      else reject(new Error(error));
+    };
+    worker.onerror = ({ message }) => {
+      for (const { reject } of this.waiting.values()) reject(new Error(message || "a worker does not start"));
+      this.waiting.clear();
+    };
+  }
+
+  /** `url` names the module where it does not lie beside the script. */
+  static async start(url: string | null): Promise<Engine> {
+    try {
+      const module = await compile(url);
+      const script = URL.createObjectURL(new Blob([WORKER], { type: "text/javascript" }));
+      const engine = new Engine(new Worker(script));
+      await engine.call("start", [module]).finally(() => URL.revokeObjectURL(script));
+      return engine;
+    } catch (error) {
+      const advice = "See that lumistack_web_bg.wasm lies beside viewer.js, that the server sends it, and that the page may start workers (worker-src blob:), then load this page again.";
+      throw new Problem(
+        `The simulator could not start: ${problemOf(error, "").message}`,
+        typeof WebAssembly === "undefined" ? "This browser has no WebAssembly, or it is switched off: use another one." : advice,
+      );
+    }
+  }
+
+  /** Calls are answered in their order. `handed` is no longer ours afterwards. */
+  call<K extends keyof Methods>(name: K, args: Parameters<Methods[K]>, handed: Transferable[] = []): Promise<ReturnType<Methods[K]>> {
+    return new Promise((resolve, reject) => {
+      const id = ++this.last;
+      this.waiting.set(id, { resolve, reject });
+      this.worker.postMessage([id, name, args], handed);
+    });
+  }
+
+  /** Ends the thread and gives its memory and its graphics context back. */
+  stop(): void {
+    this.worker.terminate();
+  }
+}

@@ -1,0 +1,95 @@
+// What preview.json says of a display, as far as the page needs it. The module checks the file; this only reads it.
+import type { Slope } from "./state.js";
+
+export interface LayerInfo {
+  cols: number;
+  rows: number;
+  d_mm: number;
+  pitch_mm: number;
+}
+
+export interface FileInfo {
+  path: string;
+  kind: "layer" | "emission" | "target";
+  layer?: number;
+  frame?: number;
+  view?: [number, number];
+  bytes?: number;
+}
+
+/** Small views side by side in one picture, the first at the left and from above. */
+export interface Around {
+  path: string;
+  /** Pixels of a view. */
+  cols: number;
+  rows: number;
+  /** Slopes of the columns, rising, and of the rows, falling. */
+  slope_x: number[];
+  slope_y: number[];
+}
+
+export interface Info {
+  title: string;
+  caption: string;
+  field: { cols: number; rows: number; width_mm: number; height_mm: number };
+  layers: LayerInfo[];
+  directional: boolean;
+  backlight?: { cols: number; rows: number };
+  frames: number;
+  brightness: number;
+  views: { rows: number; cols: number; slopes: [number, number][]; projection: string };
+  /** Half angles of the zone. */
+  zone: { x_rad: number; y_rad: number };
+  files: FileInfo[];
+  /** Path of a picture from straight ahead. */
+  poster?: string;
+  around?: Around;
+}
+
+/** Throws where the text is no preview. */
+export function infoOf(json: string): Info {
+  const { title = "", caption = "", display, target, frames, brightness, files, poster, around } = JSON.parse(json);
+  const emission = files.find(({ kind }: FileInfo) => kind === "emission");
+  const [rows, cols] = [target.slope_y.length, target.slope_x.length];
+  // One view promises nothing beside it.
+  const half = (axis: number, views: number): number => (views > 1 ? (display.field.fov_deg[axis] * Math.PI) / 360 : 0);
+  return {
+    title,
+    caption,
+    field: { cols: target.cols, rows: target.rows, width_mm: target.cols * target.pitch_mm, height_mm: target.rows * target.pitch_mm },
+    layers: display.layers.map(({ resolution, d_mm, pitch_mm }: { resolution: [number, number]; d_mm: number; pitch_mm: number }) => ({
+      cols: resolution[0],
+      rows: resolution[1],
+      d_mm,
+      pitch_mm,
+    })),
+    directional: emission !== undefined,
+    ...(emission && { backlight: { cols: emission.cols, rows: emission.rows } }),
+    frames,
+    brightness,
+    views: { rows, cols, slopes: target.slope_y.flatMap((y: number) => target.slope_x.map((x: number) => [x, y])), projection: target.projection },
+    zone: { x_rad: half(0, cols), y_rad: half(1, rows) },
+    files,
+    ...(poster && { poster }),
+    ...(around && { around }),
+  };
+}
+
+/** Tangents of the zone's half angles; never 0, so that they may divide. */
+export function zoneSlope(info: Info): Slope {
+  return [Math.max(Math.tan(info.zone.x_rad), 1e-6), Math.max(Math.tan(info.zone.y_rad), 1e-6)];
+}
+
+/** The slope of a view of the target. */
+export function viewSlope(info: Info, row: number, col: number): Slope {
+  return info.views.slopes[row * info.views.cols + col] ?? [0, 0];
+}
+
+/** Row and column of the view of the target that is nearest to a slope. */
+export function nearestView({ views }: Info, [x, y]: Slope): [number, number] {
+  const nearest = (slopes: number[], slope: number): number =>
+    slopes.reduce((best, each, i) => (Math.abs(each - slope) < Math.abs(slopes[best]! - slope) ? i : best), 0);
+  const first = views.slopes.slice(0, views.cols).map(([x]) => x);
+  const column = Array.from({ length: views.rows }, (_, row) => views.slopes[row * views.cols]![1]);
+  return [nearest(column, y), nearest(first, x)];
+}

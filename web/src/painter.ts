@@ -1,0 +1,198 @@
+// Draws one picture after another: what the display shows through WebGL2 where that is fast, everything else and everywhere else by the processor.
+//
+// Every picture has one pixel for each of the light field's: the page scales it, so that it looks the same whoever has drawn it.
+import type { Viewer } from "../pkg/lumistack_web.js";
+import { explode, type Stack } from "./explode.js";
+import type { Slope } from "./state.js";
+import type { Told } from "./worker.js";
+
+/** One picture to show. */
+export type Scene = { field: Size } & (
+  | { kind: "view"; slope: Slope }
+  | { kind: "split"; slope: Slope; view: readonly [number, number]; at: number }
+  | { kind: "side"; slope: Slope; view: readonly [number, number] }
+  | { kind: "error"; slope: Slope }
+  | { kind: "exploded"; slope: Slope; yaw: number; pitch: number; spread: number; frame: number; stack: Stack }
+  | { kind: "mask"; layer: number; frame: number; size: Size; backlight: boolean }
+);
+
+export type Path = "webgl2" | "cpu";
+/** "auto": WebGL2 unless it runs in software or is slower than the processor; "rest": none, until it is asked for again. */
+export type Wish = Path | "auto" | "rest";
+/** Columns and rows. */
+export type Size = readonly [number, number];
+
+/** Milliseconds of a picture through WebGL2 above which the processor may show that it is faster. */
+const SLOW_MS = 60;
+/** Pictures through WebGL2 that are measured. */
+const TESTS = 2;
+/** Names of drivers that draw with the processor. */
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+/** Milliseconds after which a lost context is given up and a new canvas tried. */
+const RESTORE_MS = 2500;
+
+export class Painter {
+  private gl: { canvas: OffscreenCanvas; context: WebGL2RenderingContext } | undefined;
+  private readonly flat = new OffscreenCanvas(1, 1);
+  private readonly context = this.flat.getContext("2d", { willReadFrequently: true })!;
+  private readonly masks = new Map<string, OffscreenCanvas>();
+  private latest: OffscreenCanvas | undefined;
+  private wish: Wish = "cpu";
+  /** Pictures that are still to be measured. */
+  private untested = 0;
+
+  constructor(
+    private readonly viewer: Viewer,
+    private readonly tell: (told: Told) => void,
+  ) {}
+
+  attach(wish: Wish): void {
+    this.leave();
+    this.wish = wish;
+    if (wish === "rest") return;
+    if (wish !== "cpu" && this.enter()) this.tell({ path: "webgl2" });
+    else this.tell({ path: "cpu" });
+  }
+
+  paint(scene: Scene, size: Size): ImageBitmap[] {
+    const { viewer, context } = this;
+    const { field } = scene;
+    switch (scene.kind) {
+      case "view":
+        return [this.view(scene.slope, field).transferToImageBitmap()];
+      case "error":
+        return [this.put(viewer.render_error(...scene.slope), field).transferToImageBitmap()];
+      case "side":
+        return [this.view(scene.slope, field).transferToImageBitmap(), this.put(viewer.render_target(...scene.view), field).transferToImageBitmap()];
+      case "split": {
+        const shown = this.view(scene.slope, field);
+        if (shown !== this.flat) {
+          this.clear(field);
+          context.drawImage(shown, 0, 0);
+        }
+        const from = Math.round(scene.at * field[0]);
+        context.putImageData(imageOf(viewer.render_target(...scene.view), field), 0, 0, from, 0, field[0] - from, field[1]);
+        return [this.flat.transferToImageBitmap()];
+      }
+      case "mask":
+        return [this.put(scene.backlight ? viewer.render_backlight(scene.frame) : viewer.render_layer(scene.layer, scene.frame), scene.size).transferToImageBitmap()];
+      case "exploded":
+        this.clear(size);
+        explode(context, scene, (layer) => this.mask(layer, scene.frame, scene.stack));
+        return [this.flat.transferToImageBitmap()];
+    }
+  }
+
+  private view([x, y]: Slope, field: Size): OffscreenCanvas {
+    if (this.gl) {
+      const start = performance.now();
+      const { canvas } = this.gl;
+      if (canvas.width !== field[0]) canvas.width = field[0];
+      if (canvas.height !== field[1]) canvas.height = field[1];
+      this.viewer.draw(x, y);
+      if (this.untested === 0 || this.isFast(start, x, y)) return canvas;
+      this.leave();
+      this.tell({ path: "cpu" });
+    }
+    return this.put(this.viewer.render(x, y), field);
+  }
+
+  /** Whether WebGL2 is worth its while on this machine: it is not where a browser draws it in software and does not say so. */
+  private isFast(start: number, x: number, y: number): boolean {
+    this.gl!.context.readPixels(0, 0, 1, 1, WebGL2RenderingContext.RGBA, WebGL2RenderingContext.UNSIGNED_BYTE, new Uint8Array(4));
+    const took = performance.now() - start;
+    this.untested--;
+    // The first picture compiles shaders.
+    if (took < (this.untested > 0 ? 10 : 1) * SLOW_MS) return true;
+    const again = performance.now();
+    this.viewer.render(x, y);
+    return took < performance.now() - again;
+  }
+
+  /** Takes a context; false where there is none that one would want. */
+  private enter(): boolean {
+    const canvas = new OffscreenCanvas(1, 1);
+    const auto = this.wish === "auto";
+    try {
+      const context = canvas.getContext("webgl2", { antialias: false, depth: false, failIfMajorPerformanceCaveat: auto }) as WebGL2RenderingContext | null;
+      if (!context || (auto && isSoftware(context))) return false;
+      this.viewer.attach(context);
+      canvas.addEventListener("webglcontextlost", (event) => {
+        event.preventDefault();
+        if (this.gl?.canvas !== canvas) return;
+        this.viewer.detach();
+        this.gl = undefined;
+        this.tell({ path: "cpu", why: "The browser took the graphics context away: the processor draws until it is back." });
+        // A context that does not come back is exchanged.
+        setTimeout(again, RESTORE_MS);
+      });
+      const again = (): void => {
+        if (!this.gl && this.latest === canvas && this.wish !== "rest") this.attach(this.wish);
+      };
+      canvas.addEventListener("webglcontextrestored", again);
+      this.gl = { canvas, context };
+      this.latest = canvas;
+      this.untested = auto ? TESTS : 0;
+      // For whoever wants to take the context away and see what happens.
+      Object.assign(self, { context });
+      return true;
+    } catch (error) {
+      console.info(`lumistack-viewer: ${error instanceof Error ? error.message : error}`);
+      return false;
+    }
+  }
+
+  private leave(): void {
+    const { gl } = this;
+    this.gl = undefined;
+    if (!gl) return;
+    this.viewer.detach();
+    gl.context.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  private mask(layer: number, frame: number, { layers }: Stack): OffscreenCanvas {
+    const key = `${layer}/${frame}`;
+    let mask = this.masks.get(key);
+    if (!mask) {
+      // Only a frame's masks are on show at a time.
+      if (this.masks.size >= layers.length) this.masks.clear();
+      const { cols, rows } = layers[layer]!;
+      mask = new OffscreenCanvas(cols, rows);
+      mask.getContext("2d")!.putImageData(imageOf(this.viewer.render_layer(layer, frame), [cols, rows]), 0, 0);
+      this.masks.set(key, mask);
+    }
+    return mask;
+  }
+
+  private put(rgba: Uint8ClampedArray, size: Size): OffscreenCanvas {
+    this.clear(size);
+    this.context.putImageData(imageOf(rgba, size), 0, 0);
+    return this.flat;
+  }
+
+  private clear([cols, rows]: Size): void {
+    this.flat.width = cols;
+    this.flat.height = rows;
+  }
+}
+
+/** Whether a driver says that it is none of a graphics processor's: not every browser counts that as a caveat. */
+function isSoftware(context: WebGL2RenderingContext): boolean {
+  let name = String(context.getParameter(context.RENDERER));
+  // Some browsers name themselves, and the driver only if asked so.
+  const named = name === "WebKit WebGL" ? context.getExtension("WEBGL_debug_renderer_info") : null;
+  if (named) name = String(context.getParameter(named.UNMASKED_RENDERER_WEBGL));
+  return SOFTWARE.test(name);
+}
+
+function imageOf(rgba: Uint8ClampedArray, [cols, rows]: Size): ImageData {
+  return new ImageData(rgba as Uint8ClampedArray<ArrayBuffer>, cols, rows);
+}
+
+/** The bytes of a picture. */
+export function pixelsOf(picture: ImageBitmap): ImageData {
+  const context = new OffscreenCanvas(picture.width, picture.height).getContext("2d", { willReadFrequently: true })!;
+  context.drawImage(picture, 0, 0);
+  picture.close();
+  return context.getImageData(0, 0, context.canvas.width, context.canvas.height);
+}

@@ -1,0 +1,68 @@
+// The thread that unpacks patterns and draws pictures. It answers calls in their order.
+import { heat, heat_top, initSync, LightField, Viewer, version } from "../pkg/lumistack_web.js";
+import { Painter, pixelsOf, type Path, type Scene, type Size, type Wish } from "./painter.js";
+
+/** What is told unasked: who draws from now on, and why where it is not what was wished for. */
+export interface Told {
+  path: Path;
+  why?: string;
+}
+
+let viewer: Viewer | undefined;
+let painter: Painter | undefined;
+let field: LightField | undefined;
+
+const methods = {
+  start(module: WebAssembly.Module): void {
+    initSync({ module });
+  },
+  /** Takes the text of preview.json. */
+  open(json: string): { version: string; heat: string; heatTop: number } {
+    viewer = new Viewer(json);
+    painter = new Painter(viewer, (told) => postMessage([0, told]));
+    return { version: version(), heat: heat(), heatTop: heat_top() };
+  },
+  put(index: number, bytes: ArrayBuffer): void {
+    viewer!.put(index, new Uint8Array(bytes));
+  },
+  options(json: string): void {
+    viewer!.set_options(json);
+  },
+  /** Takes a graphics context, or gives it back. */
+  attach(wish: Wish): void {
+    painter!.attach(wish);
+  },
+  paint(scene: Scene, size: Size): ImageBitmap[] {
+    return painter!.paint(scene, size);
+  },
+  pixels(scene: Scene, size: Size): ImageData {
+    return pixelsOf(painter!.paint(scene, size)[0]!);
+  },
+  psnr(x: number, y: number): number | undefined {
+    return viewer!.psnr(x, y);
+  },
+  openField(rows: number, cols: number, viewRows: number, viewCols: number): void {
+    field = new LightField(rows, cols, viewRows, viewCols);
+  },
+  putView(row: number, col: number, picture: ImageData): void {
+    field!.put(row, col, new Uint8Array(picture.data.buffer));
+  },
+  openQuilt(picture: ImageData, cols: number, rows: number): void {
+    field = LightField.from_quilt(new Uint8Array(picture.data.buffer), picture.width, picture.height, cols, rows);
+  },
+  /** Between the views, 0..1 from the left and from the top. */
+  between(u: number, v: number): ImageData {
+    return new ImageData(new Uint8ClampedArray(field!.render(u, v)), field!.cols(), field!.rows());
+  },
+};
+
+export type Methods = typeof methods;
+
+onmessage = ({ data: [id, name, args] }: MessageEvent<[number, keyof Methods, never]>) => {
+  try {
+    const value = (methods[name] as (...args: never[]) => unknown)(...(args as never[]));
+    postMessage([id, value], { transfer: Array.isArray(value) ? value : [] });
+  } catch (error) {
+    postMessage([id, undefined, error instanceof Error ? error.message : String(error)]);
+  }
+};
