@@ -11,7 +11,6 @@ use std::borrow::Cow;
 use lumistack_core::Task;
 use lumistack_core::tone::ToneCurve;
 use lumistack_display::{FieldGeometry, LightField};
-use lumistack_simd::{float_from_half, nearest_half};
 
 use super::denoise::{self, Denoised};
 use super::depth::Depths;
@@ -93,7 +92,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         } else {
             look.apply_to(rgb);
         }
-        round_to_half(rgb);
+        lumistack_field_io::round_to_half(rgb);
         Ok(())
     };
     let (mut target, mut held_out, mut outside) = (None, None, None);
@@ -166,13 +165,6 @@ fn brightest<'a>(
         }));
     }
     Ok(rays)
-}
-
-/// The nearest half floats, as files of views hold them: whoever solves for the light field works on exactly what is on disk.
-fn round_to_half(rgb: &mut [f32]) {
-    /// The largest half float.
-    const LARGEST: f32 = 65504.0;
-    rgb.iter_mut().for_each(|value| *value = float_from_half(nearest_half(value.clamp(-LARGEST, LARGEST))));
 }
 
 #[cfg(test)]
