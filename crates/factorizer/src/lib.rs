@@ -11,7 +11,8 @@
 //!                                ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
 //! ```
 //!
-//! [`factorize`] drives a solver; [`solvers`] lists them; [`ChannelRun`] takes one channel whose target stays on disk. Results are the same bytes on
+//! [`factorize`] drives a solver; [`solvers`] lists them. [`held_bytes`] says what that takes beside the target, which is read once and may lie in a mapped
+//! file; [`ChannelRun`] takes one channel whose target stays there. Results are the same bytes on
 //! any number of threads, for a given seed and instruction set.
 
 mod aligned;
@@ -27,6 +28,7 @@ mod factorize;
 mod gather;
 mod line;
 mod map;
+mod memory;
 mod method;
 mod multiplicative;
 mod plan;
@@ -55,6 +57,7 @@ mod tests;
 
 pub use block_exact::{BlockExact, Extrapolated};
 pub use factorize::{Factorization, Iteration, LevelsLoss, Settings, factorize, warm_start_pays};
+pub use memory::held_bytes;
 pub use multiplicative::Multiplicative;
 pub use problem::{FactorizeError, Problem};
 pub use quantize::{has_levels, reoptimize_on_levels, round_to_levels};

@@ -149,33 +149,30 @@ impl Block {
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / M as f32));
-            // −G/M in the upper triangle, and M/G_mm apart; if a loop had to negate, all of G would be copied before it
+            // G/M in the upper triangle, M/G_mm apart
             for m in 0..M {
-                let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
-                put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
-                for k in m..M {
-                    let g = get::<V>(&self.gram, (m * M + k) * n).mul(V::splat(-1.0 / M as f32));
+                for k in m + 1..M {
+                    let g = get::<V>(&self.gram, (m * M + k) * n).mul(mean);
                     put(g, &mut self.gram, (m * M + k) * n);
                 }
+                let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
+                put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
             }
             let start: [V; M] = std::array::from_fn(|m| get::<V>(&self.values, m * n));
             let before: [V; M] = std::array::from_fn(|m| get::<V>(&self.residual, m * n));
             let (mut values, mut residual) = (start, before);
-            // a loop over m is not unrolled, so that values stay in memory; a closure is not inlined
-            macro_rules! coordinates {
-                ($($m:literal),*) => { $(if $m < M {
-                    let best = residual[$m].mul_add(get::<V>(&self.emitted, $m * n), values[$m]);
-                    let moved = best.max(low).min(high);
-                    let delta = moved.sub(values[$m]);
-                    values[$m] = moved;
-                    for k in 0..M {
-                        let at = usize::min($m, k) * M + usize::max($m, k);
-                        residual[k] = get::<V>(&self.gram, at * n).mul_add(delta, residual[k]);
-                    }
-                })* };
-            }
             for _ in 0..sweeps {
-                coordinates!(0, 1, 2, 3, 4, 5, 6, 7);
+                for m in 0..M {
+                    let best = residual[m].mul_add(get::<V>(&self.emitted, m * n), values[m]);
+                    let moved = best.max(low).min(high);
+                    let delta = moved.sub(values[m]);
+                    values[m] = moved;
+                    for k in 0..M {
+                        let g = get::<V>(&self.gram, (m.min(k) * M + m.max(k)) * n);
+                        let g = if k == m { g.mul(mean) } else { g };
+                        residual[k] = g.neg_mul_add(delta, residual[k]);
+                    }
+                }
             }
             // −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
             let mut gain = V::splat(0.0);

@@ -82,8 +82,8 @@ struct Listing {
 
 /// Rounds every value to the nearest half float, which is what a light field's folder stores: whoever factorizes the result works on
 /// exactly what is on disk.
-pub fn round_to_half(field: &mut LightField) {
-    for value in field.radiance_mut().data_mut() {
+pub fn round_to_half(values: &mut [f32]) {
+    for value in values {
         *value = f16::from_f32(value.clamp(-LARGEST, LARGEST)).to_f32();
     }
 }

@@ -8,6 +8,7 @@
 //! folder     taken for a job                              left_overs     of runs that were killed
 //! used       what the last run needed                     clean          frees the rest
 //! handover   scenes that Blender handed over              plugin_files   files among the parameters of plugins
+//! paged      light fields too large for memory
 //! ```
 
 pub(crate) mod clean;
@@ -19,6 +20,7 @@ pub(crate) mod key;
 pub(crate) mod left_overs;
 pub(crate) mod lock;
 pub(crate) mod names;
+pub(crate) mod paged;
 pub(crate) mod plugin_files;
 pub(crate) mod settings;
 pub(crate) mod stamps;

@@ -1,5 +1,6 @@
 //! `[render]`: settings of the path tracer.
 
+use lumistack_display::FieldGeometry;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
@@ -15,7 +16,8 @@ pub struct RenderJob {
     pub samples: Option<u32>,
     /// Paths per pixel of all views together: the solver averages over all rays that meet a layer's pixel, so more views need fewer each.
     pub zone_samples: u32,
-    /// Memory that the light field may take while it is rendered and solved for, MiB: fewer views are chosen where `views = "auto"` would take more.
+    /// Memory that the light field may take while it is rendered and solved for, MiB: fewer views are chosen where `views = "auto"` would take more, and a
+    /// light field of fixed views that is larger lies in a file meanwhile.
     pub field_mib: u64,
     /// Bounces after the first hit.
     pub max_bounces: u32,
@@ -144,9 +146,16 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
-    /// Memory that a ray takes, bytes: light that is shared, and the view that it is put on. Solving takes 18: three channels as f32, and as half floats in
-    /// the solver's own order.
+    /// Memory that a ray takes, bytes: light that is shared, and the view that it is put on.
     pub(crate) const BYTES_PER_RAY: u64 = 32;
+    /// Memory that a ray takes while patterns are solved for: three channels as f32, and as half floats in the solver's own order.
+    const BYTES_WHILE_SOLVING: u64 = 18;
+
+    /// Whether a light field is kept in memory; a larger one lies in a file.
+    pub(crate) fn is_held(&self, geometry: &FieldGeometry) -> bool {
+        let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
+        Self::BYTES_WHILE_SOLVING * rays as u64 <= self.field_mib << 20
+    }
 
     /// Paths per pixel of one of so many views.
     pub fn samples_of_view(&self, views: usize) -> u32 {

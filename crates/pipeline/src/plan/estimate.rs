@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use lumistack_display::Display;
+use lumistack_display::{Display, FieldGeometry};
 use lumistack_plugin_host::Registry;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -242,6 +242,10 @@ struct Sizes {
     /// Values of the patterns of all frames.
     values: f64,
     frames: f64,
+    /// Bytes of the light fields that are kept in memory: the target, and those for the report.
+    held: f64,
+    /// Bytes that the factorizer holds beside.
+    solving: f64,
 }
 
 impl Sizes {
@@ -251,7 +255,14 @@ impl Sizes {
         let count = |grid: Option<lumistack_display::ViewGrid>| grid.map_or(0, |grid| grid.iter().count()) as f64;
         let area = |[cols, rows]: [usize; 2]| (cols * rows) as f64;
         let frames = display.frames as f64;
+        let others = [held_out_grid(&geometry.grid, job.render.held_out), geometry.grid.outside(job.render.outside)];
+        let fields = others.into_iter().chain([Some(geometry.grid.clone())]).flatten();
+        let held = fields.map(|grid| geometry.with_grid(grid)).filter(|geometry| job.render.is_held(geometry));
+        let bytes =
+            |geometry: FieldGeometry| (12 * geometry.grid.iter().count() * geometry.rows * geometry.cols) as f64;
         Some(Self {
+            held: held.map(bytes).sum(),
+            solving: lumistack_factorizer::held_bytes(&display, &geometry, rayon::current_num_threads()) as f64,
             pixels: (geometry.rows * geometry.cols) as f64,
             views: geometry.grid.iter().count() as f64,
             others: count(held_out_grid(&geometry.grid, job.render.held_out))
@@ -308,7 +319,6 @@ fn memory(plan: &Plan, index: usize) -> u64 {
     let Some(sizes) = Sizes::of(job) else { return 0 };
     const RGB: f64 = 12.0;
     let field = RGB * sizes.rays();
-    let others = RGB * sizes.pixels * sizes.others;
     // a tree over the triangles, and textures, take several times the files
     let scene =
         4.0 * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
@@ -316,11 +326,10 @@ fn memory(plan: &Plan, index: usize) -> u64 {
         What::Ingest | What::Place => scene,
         What::Trace | What::Score => scene + 4.0 * RGB * sizes.pixels,
         What::Denoise => scene + 3.0 * field,
-        What::Expose => scene + field + others,
-        // patterns, and the two sums of every value
-        What::Patterns | What::Design(_) | What::Search => field + others + 4.0 * 4.0 * sizes.values,
-        What::Measure => 2.0 * (field + 4.0 * sizes.values),
-        _ => field + others + 4.0 * sizes.values,
+        What::Expose => scene + sizes.held + RGB * sizes.pixels,
+        What::Patterns | What::Design(_) | What::Search => sizes.held + sizes.solving,
+        What::Measure => 2.0 * (sizes.held + 4.0 * sizes.values),
+        _ => sizes.held + 4.0 * sizes.values,
     };
     bytes as u64
 }

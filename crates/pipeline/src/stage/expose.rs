@@ -6,17 +6,20 @@
 //!
 //! Radiance is traced without what is seen of the environment, so that neither exposure nor cached views depend on the background.
 
+use std::borrow::Cow;
+
 use lumistack_core::Task;
 use lumistack_core::tone::ToneCurve;
-use lumistack_display::LightField;
+use lumistack_display::{FieldGeometry, LightField};
 
 use super::denoise::{self, Denoised};
 use super::depth::Depths;
-use super::fields::Shot;
+use super::fields::{FieldJob, Shot};
 use super::look::Look;
 use super::trace::Traced;
 use crate::error::PipelineError;
 use crate::job::Background;
+use crate::store::paged::Paged;
 use crate::store::views::{read_view, view_path};
 
 /// Rays that decide about exposure and tone curve, at most.
@@ -52,41 +55,74 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     let Shot { job, ingested, .. } = shot;
     let Traced { fields, depths, views, .. } = traced;
     let kind = job.render.denoise;
+    let read = |one: &FieldJob, view| {
+        let path = view_path(&one.finished(kind), view, None);
+        read_view(&path, &one.geometry).ok_or_else(PipelineError::replaced(&path, "cached view"))
+    };
+    // what is too large for memory is read twice instead
     let mut radiance = Vec::new();
     for one in fields {
-        let mut field = LightField::black(one.geometry.clone())?;
-        for view in one.wanted(views) {
-            let path = view_path(&one.finished(kind), view, None);
-            let picture = read_view(&path, &one.geometry).ok_or_else(PipelineError::replaced(&path, "cached view"))?;
-            field.view_mut(view).copy_from_slice(&picture);
+        let mut field = None;
+        if job.render.is_held(&one.geometry) {
+            let held = field.insert(LightField::black(one.geometry.clone())?);
+            for view in one.wanted(views) {
+                held.view_mut(view).copy_from_slice(&read(one, view)?);
+            }
         }
         radiance.push(field);
     }
     let look = if linear {
         Look { exposure: 1.0, curve: ToneCurve::Linear }
     } else {
-        Look::choose(&job.light, &ingested.scene, &brightest(&radiance[0], views, depths))
+        let picture = |view| match &radiance[0] {
+            Some(held) => Ok(Cow::Borrowed(held.view(view))),
+            None => read(&fields[0], view).map(Cow::Owned),
+        };
+        Look::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
     };
     let denoised = denoise::denoised(&fields[0], kind, look)?;
-    let (mut target, mut held_out, mut outside) = (None, None, None);
-    for (field, mut radiance) in fields.iter().zip(radiance) {
+    let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
             // neither exposed nor clipped nor rounded
-        } else if let Background::Colour(background) = job.light.background {
-            for view in field.wanted(views) {
-                let missed = field.missed(view, kind, || ingested.renderer(task), shot.window(), task)?;
-                expose_over(look, background, &missed, radiance.view_mut(view));
-            }
-            lumistack_field_io::round_to_half(&mut radiance);
-        } else {
-            look.apply(&mut radiance);
-            lumistack_field_io::round_to_half(&mut radiance);
+            return Ok(());
         }
-        task.progress.advance(field.geometry.grid.iter().count() as u64, "");
+        if let Background::Colour(background) = job.light.background {
+            let missed = field.missed(view, kind, || ingested.renderer(task), shot.window(), task)?;
+            expose_over(look, background, &missed, rgb);
+        } else {
+            look.apply_to(rgb);
+        }
+        lumistack_field_io::round_to_half(rgb);
+        Ok(())
+    };
+    let (mut target, mut held_out, mut outside) = (None, None, None);
+    for (field, radiance) in fields.iter().zip(radiance) {
+        let (wanted, grid) = (field.wanted(views), &field.geometry.grid);
+        let exposed = match radiance {
+            Some(mut held) => {
+                for &view in &wanted {
+                    expose_view(field, view, held.view_mut(view))?;
+                }
+                held
+            }
+            None => {
+                let mut paged = Paged::begin(field.geometry.clone(), &field.folder)?;
+                let black = vec![0.0; 3 * field.geometry.rows * field.geometry.cols];
+                for view in grid.iter() {
+                    let mut picture = if wanted.contains(&view) { read(field, view)? } else { black.clone() };
+                    if wanted.contains(&view) {
+                        expose_view(field, view, &mut picture)?;
+                    }
+                    paged.write(&picture)?;
+                }
+                paged.finish()?
+            }
+        };
+        task.progress.advance(grid.iter().count() as u64, "");
         match field.name {
-            "target" => target = Some(radiance),
-            "held-out" => held_out = Some(radiance),
-            _ => outside = Some(radiance),
+            "target" => target = Some(exposed),
+            "held-out" => held_out = Some(exposed),
+            _ => outside = Some(exposed),
         }
     }
     let target = target.ok_or_else(|| PipelineError::job("views", "at least one", "none"))?;
@@ -110,8 +146,12 @@ pub(crate) fn expose_over(look: Look, background: [f32; 3], missed: &[f32], rgb:
 }
 
 /// The brightest channel of evenly spread rays of some views, and whether they meet a surface.
-fn brightest(field: &LightField, views: &[[usize; 2]], depths: &Depths) -> Vec<(f32, bool)> {
-    let geometry = field.geometry();
+fn brightest<'a>(
+    geometry: &FieldGeometry,
+    views: &[[usize; 2]],
+    depths: &Depths,
+    picture: impl Fn([usize; 2]) -> Result<Cow<'a, [f32]>, PipelineError>,
+) -> Result<Vec<(f32, bool)>, PipelineError> {
     let size = geometry.rows * geometry.cols;
     let all = views.len() * size;
     let every = all.div_ceil(MOST_RAYS).max(1);
@@ -119,12 +159,12 @@ fn brightest(field: &LightField, views: &[[usize; 2]], depths: &Depths) -> Vec<(
     for (number, &view) in views.iter().enumerate() {
         // goes on in the next view where it left off
         let first = (every - number * size % every) % every;
-        rays.extend(field.view(view).chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
+        rays.extend(picture(view)?.chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
             let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);
             (rgb[0].max(rgb[1]).max(rgb[2]), surface)
         }));
     }
-    rays
+    Ok(rays)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use lumistack_core::{Task, Tensor};
 use lumistack_display::{Display, FieldGeometry, LightField, Projection, Weights};
 use lumistack_field_io::GeometryDefaults;
 use lumistack_report::DepthBudget;
+use lumistack_simd::{float_from_half, nearest_half};
 use serde_json::{Map, Value, json};
 
 use super::denoise::Denoised;
@@ -165,9 +166,8 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
     let Shot { ingested, placement, geometry, .. } = shot;
     let scene = &ingested.scene;
     let pose = serde_json::to_value(&ingested.pose).expect("poses serialize");
-    let mut values = exposed.target.radiance().data().to_vec();
-    let percentile = |values: &mut [f32], share| f64::from(lumistack_core::metrics::percentile(values, share));
-    let span = percentile(&mut values, 0.99) - percentile(&mut values, 0.01);
+    let [low, high] = percentiles_of_halves(exposed.target.radiance().data(), [0.01, 0.99]).map(f64::from);
+    let span = high - low;
     let map = placement.window.scene_from_display;
     json!({
         "file": path.display().to_string(),
@@ -189,6 +189,24 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
         // shares of the window and of the range 0..1: whether framing, light and exposure fit the scene
         "coverage": traced.depths.coverage(geometry.grid.views().map(|count| count / 2)),
         "target span": span,
+    })
+}
+
+/// Percentiles of values that are half floats, by their number: without a copy of all values.
+fn percentiles_of_halves(values: &[f32], shares: [f64; 2]) -> [f32; 2] {
+    // in the order of numbers: bits of negative ones fall
+    let turn = |bits: u16| if bits & 0x8000 == 0 { bits | 0x8000 } else { !bits };
+    let mut counts = vec![0usize; 1 << 16];
+    values.iter().for_each(|&value| counts[usize::from(turn(nearest_half(value)))] += 1);
+    shares.map(|share| {
+        let mut rank = (share * values.len().saturating_sub(1) as f64).round() as usize;
+        let found = counts.iter().position(|&count| {
+            let is_here = rank < count;
+            rank -= if is_here { 0 } else { count };
+            is_here
+        });
+        let turned = found.unwrap_or(0x8000) as u16;
+        float_from_half(if turned & 0x8000 == 0 { !turned } else { turned & 0x7fff })
     })
 }
 
@@ -289,5 +307,21 @@ pub(crate) fn add_weights(key: &mut KeyBuilder, weights: &Weights) {
         Weights::PerRay(t) => {
             key.add_f32("weights per ray", t.data());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_of_half_floats_are_those_of_the_values() {
+        let values: Vec<f32> =
+            (0..5000).map(|i| float_from_half(nearest_half(((i * 7919) % 5003) as f32 / 3000.0 - 0.2))).collect();
+        for shares in [[0.01, 0.99], [0.0, 1.0], [0.12, 0.121]] {
+            let expected = shares.map(|share| lumistack_core::metrics::percentile(&mut values.clone(), share));
+            assert_eq!(percentiles_of_halves(&values, shares), expected);
+        }
+        assert_eq!(percentiles_of_halves(&[], [0.01, 0.99]), [0.0, 0.0]);
     }
 }

@@ -64,7 +64,7 @@ pub(crate) fn run(
     let (params, time) = (source.params.clone().into(), Time { index: source.time, seconds: source.time_s });
     let made = lumistack_plugin_host::make_field(registry, &source.plugin, &params, display, time, task);
     let mut field = made.map_err(host_error)?;
-    lumistack_field_io::round_to_half(&mut field);
+    lumistack_field_io::round_to_half(field.radiance_mut().data_mut());
     let target = field_key("target", &field, &Map::new());
     Ok((field, Kept { key, target }, false))
 }

@@ -166,3 +166,29 @@ fn every_step_can_be_executed_alone() {
     let error = with_task(|task| run_step(&job, &parts, "t0009/factorize", &registry, task)).unwrap_err();
     assert!(error.to_string().contains("t0009/factorize"), "{error}");
 }
+
+#[test]
+fn a_light_field_in_a_file_gives_what_one_in_memory_gives() {
+    let registry = Registry::built_in().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/letters/letters.gltf");
+    let head = format!("name = \"paged\"\nscene = {scene:?}");
+    let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [60, 40]\nviews = [5, 5]\nframes = 2\n";
+    let report = "[report]\nzone_directions = 0\n";
+    let (mut found, mut memory) = (Vec::new(), Vec::new());
+    // 60,000 rays of 18 bytes: more than one MiB
+    for (name, limit) in [("held", 4096), ("paged", 1)] {
+        let render = format!("[render]\nsamples = 1\nmax_bounces = 1\nfield_mib = {limit}\n");
+        let job = job(folder.path(), &head, &[display, &render, report]);
+        let dir = folder.path().join(name);
+        let plan = plan(&job, &dir, &registry).unwrap();
+        memory.push(plan.steps.iter().find(|step| step.stage == "factorize").unwrap().memory_bytes);
+        with_task(|task| run(&job, &dir, &registry, None, task)).unwrap();
+        found.push(results(&dir));
+    }
+    assert!(found[0].len() > 30 && found[0].keys().eq(found[1].keys()), "{:?}", found[0].keys());
+    for (path, bytes) in &found[0] {
+        assert!(*bytes == found[1][path], "{}", path.display());
+    }
+    assert_eq!(memory[0] - memory[1], 12 * 60 * 40 * 25, "a plan says what is held");
+}
