@@ -1,6 +1,8 @@
 // Bundles src/ and the WebAssembly module of ../crates/web (in pkg/, written by `cargo xtask web`) into dist/.
 import { build } from "esbuild";
-import { copyFileSync, existsSync, mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { execFileSync } from "node:child_process";
+import { copyFileSync, existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { gzipSync } from "node:zlib";
 
@@ -46,6 +48,12 @@ await build({
 const { outputFiles } = await build({ entryPoints: ["src/page.css"], minify: true, write: false });
 writeFileSync("dist/index.html", readFileSync("src/index.html", "utf8").replace("/*page.css*/", () => outputFiles[0].text.trim()));
 copyFileSync(wasm, "dist/lumistack_web_bg.wasm");
+// What a program that imports the package sees of it; everything else is private.
+const all = mkdtempSync(join(tmpdir(), "lumistack-types-"));
+execFileSync(process.execPath, ["node_modules/typescript/bin/tsc", "--emitDeclarationOnly", "--declaration", "--outDir", all], { stdio: "inherit" });
+mkdirSync("dist/types", { recursive: true });
+for (const name of ["viewer.d.ts", "element.d.ts", "state.d.ts"]) copyFileSync(join(all, name), join("dist/types", name));
+rmSync(all, { recursive: true });
 for (const name of ["index.html", "viewer.js", "lumistack_web_bg.wasm"]) {
   const bytes = readFileSync(`dist/${name}`);
   console.log(`dist/${name}  ${(bytes.length / 1000).toFixed(1)} kB, ${(gzipSync(bytes, { level: 9 }).length / 1000).toFixed(1)} kB gzip`);

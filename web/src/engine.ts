@@ -1,7 +1,8 @@
 // The simulator in a thread of its own: nothing that it does holds up the page.
+import type { Told } from "./painter.js";
 import { Problem, problemOf } from "./problem.js";
 import { fromBase64 } from "./source.js";
-import type { Methods, Told } from "./worker.js";
+import type { Methods } from "./worker.js";
 import WORKER from "worker:./worker.ts";
 
 let compiling: Promise<WebAssembly.Module> | undefined;

@@ -3,8 +3,7 @@ import type { Problem } from "./problem.js";
 import { layerName } from "./sheet.js";
 import { zoneSlope, type Info } from "./info.js";
 import { paintTrack } from "./sliders.js";
-import type { Path } from "./stage.js";
-import type { Mode, Slope, State } from "./state.js";
+import type { Mode, Path, Slope, State } from "./state.js";
 import { ICONS } from "./template.js";
 import { inWords, isInside } from "./zone.js";
 

@@ -3,8 +3,7 @@
 // Every picture has one pixel for each of the light field's: the page scales it, so that it looks the same whoever has drawn it.
 import type { Viewer } from "../pkg/lumistack_web.js";
 import { explode, type Stack } from "./explode.js";
-import type { Slope } from "./state.js";
-import type { Told } from "./worker.js";
+import type { Path, Slope } from "./state.js";
 
 /** One picture to show. */
 export type Scene = { field: Size } & (
@@ -16,11 +15,16 @@ export type Scene = { field: Size } & (
   | { kind: "mask"; layer: number; frame: number; size: Size; backlight: boolean }
 );
 
-export type Path = "webgl2" | "cpu";
 /** "auto": WebGL2 unless it runs in software or is slower than the processor; "rest": none, until it is asked for again. */
 export type Wish = Path | "auto" | "rest";
 /** Columns and rows. */
 export type Size = readonly [number, number];
+
+/** What is told unasked: who draws from now on, and why where it is not what was wished for. */
+export interface Told {
+  path: Path;
+  why?: string;
+}
 
 /** Milliseconds of a picture through WebGL2 above which the processor may show that it is faster. */
 const SLOW_MS = 60;

@@ -1,8 +1,7 @@
 // The canvases, which show the pictures that the simulator's thread draws.
 import type { Engine } from "./engine.js";
-import type { Path, Scene, Size } from "./painter.js";
-
-export type { Path, Scene } from "./painter.js";
+import type { Scene, Size } from "./painter.js";
+import type { Path } from "./state.js";
 
 /** A picture of a stack, or one between the views of a light field, 0..1 from the left and from the top. */
 export type Shot = Scene | { kind: "between"; u: number; v: number };

@@ -4,6 +4,8 @@
 export type Mode = "perceived" | "slow" | "exploded" | "compare" | "layers";
 /** How target and display are compared. */
 export type Comparison = "slider" | "side" | "error";
+/** Who draws what the display shows. */
+export type Path = "webgl2" | "cpu";
 /** Tangents of the angles at which one looks: right of the normal, above it. */
 export type Slope = readonly [x: number, y: number];
 

@@ -3,7 +3,7 @@ import { LumistackViewer } from "./element.js";
 
 export { LumistackViewer };
 export type { LumistackErrorDetail } from "./element.js";
-export type { Comparison, Mode, Slope } from "./state.js";
+export type { Comparison, Mode, Path, Slope } from "./state.js";
 
 if (!customElements.get("lumistack-viewer")) customElements.define("lumistack-viewer", LumistackViewer);
 

@@ -1,12 +1,6 @@
 // The thread that unpacks patterns and draws pictures. It answers calls in their order.
 import { heat, heat_top, initSync, LightField, Viewer, version } from "../pkg/lumistack_web.js";
-import { Painter, pixelsOf, type Path, type Scene, type Size, type Wish } from "./painter.js";
-
-/** What is told unasked: who draws from now on, and why where it is not what was wished for. */
-export interface Told {
-  path: Path;
-  why?: string;
-}
+import { Painter, pixelsOf, type Scene, type Size, type Wish } from "./painter.js";
 
 let viewer: Viewer | undefined;
 let painter: Painter | undefined;

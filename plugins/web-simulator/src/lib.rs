@@ -28,7 +28,7 @@ use lumistack_plugin::{
 
 use page::{About, Site};
 use pictures::{Rounding, emission_picture, layer_picture, png_of, target_codes};
-use poster::Poster;
+use poster::{AROUND, POSTER, Poster};
 
 pub use page::PREVIEW_JSON;
 
@@ -40,9 +40,6 @@ pub const FINGERPRINT: &str =
 const MOST_TARGETS: usize = 7;
 /// Bytes of patterns from which on small views come before them: half a second of a mobile connection.
 const AROUND_FROM: usize = 1_000_000;
-/// Paths of the pictures that come before the patterns.
-const POSTER: &str = "stack/poster.jpg";
-const AROUND: &str = "stack/around.jpg";
 
 /// The plugin.
 #[derive(Debug)]
@@ -145,7 +142,7 @@ impl OutputPlugin for WebSimulator {
         files.sort_by_key(|file: &Value| order.iter().position(|frame| file["frame"] == *frame));
         let size: u64 = files.iter().filter_map(|file| file["bytes"].as_u64()).sum();
         let around = if size >= AROUND_FROM as u64 {
-            let (jpeg, told) = poster::around(stack, AROUND, display.field.fov_deg)?;
+            let (jpeg, told) = poster::around(stack, display.field.fov_deg)?;
             site.file(AROUND, &jpeg)?;
             Some(told)
         } else {

@@ -1,15 +1,18 @@
 //! Which frames come first: the mean of those that are there should come as near to the mean of all as it can.
 
-/// Side of the boxes over which a frame's picture is averaged, pixels: the eye sees those, not the grain.
+/// Least side of the boxes over which a frame's picture is averaged, pixels: the eye sees those, not the grain.
 const BOX: usize = 8;
+/// Most boxes side by side, so that a frame of any size takes little memory.
+const ACROSS: usize = 64;
 
 /// What a frame shows straight ahead, coarsely.
 pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     let rows = linear.len() / (3 * cols);
-    let (out_rows, out_cols) = (rows.div_ceil(BOX), cols.div_ceil(BOX));
+    let side = rows.max(cols).div_ceil(ACROSS).max(BOX);
+    let (out_rows, out_cols) = (rows.div_ceil(side), cols.div_ceil(side));
     let mut sums = vec![0.0; 3 * out_rows * out_cols];
     for (i, pixel) in linear.chunks_exact(3).enumerate() {
-        let at = 3 * (i / cols / BOX * out_cols + i % cols / BOX);
+        let at = 3 * (i / cols / side * out_cols + i % cols / side);
         sums[at..at + 3].iter_mut().zip(pixel).for_each(|(sum, value)| *sum += value);
     }
     sums

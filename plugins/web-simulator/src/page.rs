@@ -5,9 +5,8 @@ use base64::engine::general_purpose::STANDARD;
 use lumistack_plugin::serde_json::{Value, json};
 use lumistack_plugin::{Host, OutputFile, PluginError};
 
-use crate::POSTER;
 use crate::pictures::Picture;
-use crate::poster::Poster;
+use crate::poster::{POSTER, Poster};
 
 /// What the page reads first.
 pub const PREVIEW_JSON: &str = "stack/preview.json";
@@ -177,7 +176,7 @@ impl About<'_> {
         let Poster { jpeg, rows, cols } = self.poster;
         let source = if single { format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)) } else { POSTER.into() };
         let image = format!(
-            r#"<img slot="poster" src="{source}" width="{cols}" height="{rows}" alt="{}">"#,
+            r#"<img slot="poster" src="{source}" width="{cols}" height="{rows}" fetchpriority="high" alt="{}">"#,
             escaped(self.title)
         );
         let page = cut(INDEX, HEAD, &self.head(single))?;

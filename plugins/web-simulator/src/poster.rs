@@ -9,6 +9,9 @@ use lumistack_plugin::{PluginError, StackInput, ViewPoint};
 
 use crate::pictures::Picture;
 
+/// Paths of the poster and of the views around it.
+pub(crate) const POSTER: &str = "stack/poster.jpg";
+pub(crate) const AROUND: &str = "stack/around.jpg";
 /// Longest side of the poster and of a view around it, pixels.
 const POSTER_PX: usize = 1200;
 const AROUND_PX: usize = 240;
@@ -43,7 +46,7 @@ impl Poster {
 ///
 /// # Errors
 /// If the host cannot simulate.
-pub(crate) fn around(stack: &StackInput<'_>, path: &str, fov_deg: [f64; 2]) -> Result<(Vec<u8>, Value), PluginError> {
+pub(crate) fn around(stack: &StackInput<'_>, fov_deg: [f64; 2]) -> Result<(Vec<u8>, Value), PluginError> {
     let views = stack.target().grid.views();
     // one view promises nothing beside it
     let slopes = |axis: usize, views: usize| match (views, PLACES[axis]) {
@@ -65,7 +68,7 @@ pub(crate) fn around(stack: &StackInput<'_>, path: &str, fov_deg: [f64; 2]) -> R
     }
     let quilt = Picture { rows: lines.len(), cols: size[1] * across.len(), codes: lines.concat() };
     let told = json!({
-        "path": path, "rows": size[0], "cols": size[1],
+        "path": AROUND, "rows": size[0], "cols": size[1],
         "slope_x": across, "slope_y": upwards.iter().rev().collect::<Vec<_>>(),
     });
     Ok((jpeg_of(&quilt, AROUND_BYTES)?, told))

@@ -155,7 +155,7 @@ fn the_poster_is_the_seen_picture_and_links_show_it() {
         r#"<title>Still life – Lumistack</title>"#,
         r#"<meta property="og:description" content="A &quot;kettle&quot;.">"#,
         r#"<meta property="og:image" content="https://example.org/kettle/stack/poster.jpg">"#,
-        r#"<img slot="poster" src="stack/poster.jpg" width="60" height="40" alt="Still life">"#,
+        r#"<img slot="poster" src="stack/poster.jpg" width="60" height="40" fetchpriority="high" alt="Still life">"#,
     ] {
         assert!(index.contains(part), "{part} is missing in {index}");
     }
