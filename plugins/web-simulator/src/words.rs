@@ -5,10 +5,10 @@ use lumistack_plugin::display::{Backlight, Display};
 /// A title for people: the name of a file becomes words ("still-life" → "Still life"); other titles stay as they are.
 pub(crate) fn title_of(name: &str) -> String {
     let of_file = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
-    if name.is_empty() || !name.chars().all(of_file) {
+    let words = name.split(['-', '_']).filter(|word| !word.is_empty()).collect::<Vec<_>>().join(" ");
+    if words.is_empty() || !name.chars().all(of_file) {
         return name.into();
     }
-    let words = name.split(['-', '_']).filter(|word| !word.is_empty()).collect::<Vec<_>>().join(" ");
     words[..1].to_uppercase() + &words[1..]
 }
 
@@ -50,6 +50,7 @@ mod tests {
             ("FlightHelmet", "FlightHelmet"),
             ("A <b> & c", "A <b> & c"),
             ("", ""),
+            ("-_-", "-_-"),
             ("été", "été"),
         ] {
             assert_eq!(title_of(name), title);

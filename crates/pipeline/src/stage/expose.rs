@@ -109,11 +109,13 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
                 let mut paged = Paged::begin(field.geometry.clone(), &field.folder)?;
                 let black = vec![0.0; 3 * field.geometry.rows * field.geometry.cols];
                 for view in grid.iter() {
-                    let mut picture = if wanted.contains(&view) { read(field, view)? } else { black.clone() };
                     if wanted.contains(&view) {
+                        let mut picture = read(field, view)?;
                         expose_view(field, view, &mut picture)?;
+                        paged.write(&picture)?;
+                    } else {
+                        paged.write(&black)?;
                     }
-                    paged.write(&picture)?;
                 }
                 paged.finish()?
             }
