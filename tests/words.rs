@@ -242,3 +242,27 @@ fn a_plan_is_told_and_nothing_is_done() {
     std::fs::write(&scene, text + " ").unwrap();
     assert!(cached(&planned(&[])).is_empty());
 }
+
+#[test]
+fn the_doctor_says_what_is_there_and_how_to_get_the_rest() {
+    let folder = tempfile::tempdir().unwrap();
+    let python = folder.path().join("no-python");
+    let mut doctor = lumistack();
+    doctor.arg("doctor").env("LUMISTACK_PYTHON", &python).env("LUMISTACK_OIDN", &python).env_remove("CARGO");
+    let text = succeed(&mut doctor);
+    let line = |what: &str| text.lines().find(|line| line.contains(what)).unwrap_or_else(|| panic!("{what}: {text}"));
+    assert!(line("processor").contains(" threads, "), "{text}");
+    assert!(line("USD files").trim_start().starts_with("missing") && line("USD files").contains("no-python"), "{text}");
+    assert!(
+        text.contains("lumistack setup usd") && line("denoiser oidn").trim_start().starts_with("missing"),
+        "{text}"
+    );
+    let json = succeed(doctor.arg("--json"));
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let of = |what: &str| {
+        let findings = json["findings"].as_array().unwrap().iter();
+        findings.clone().find(|finding| finding["what"] == what).unwrap_or_else(|| panic!("{what}: {json}")).clone()
+    };
+    assert_eq!(of("USD files")["state"], "missing");
+    assert!(of("memory")["help"].is_string() != (of("memory")["state"] == "good"), "{json}");
+}
