@@ -1,6 +1,6 @@
 //! Arrays in and out, through Python's buffer protocol: NumPy is not needed to read or to lend one.
 //!
-//! In: `float32` in row-major order is used where it is. Everything else is copied to that: other strides, Fortran order, misaligned memory, the other byte order,
+//! In, from the buffer protocol, `__array__` or DLPack: `float32` in row-major order is used where it is. Everything else is copied to that: other strides, Fortran order, misaligned memory, the other byte order,
 //! `float16` and `float64`. `uint8` and `uint16` are sRGB code values and become linear light, as in pictures; other types are refused.
 //!
 //! Out: an [`Array`] lends its values, read-only, for as long as anybody looks at them.
@@ -14,6 +14,8 @@ use pyo3::buffer::PyUntypedBuffer;
 use pyo3::exceptions::{PyBufferError, PyImportError, PyTypeError};
 use pyo3::ffi;
 use pyo3::prelude::*;
+
+use crate::own::in_package;
 
 /// Values that came from Python, row-major.
 pub(crate) struct Values {
@@ -35,6 +37,9 @@ impl Values {
         // tensors of other libraries
         if buffer.is_err() && object.hasattr("__array__")? {
             object = object.call_method0("__array__")?;
+            buffer = PyUntypedBuffer::get(&object);
+        } else if buffer.is_err() && object.hasattr("__dlpack__")? {
+            object = in_package(py, "_arrays", "from_dlpack", (&object, what), None)?;
             buffer = PyUntypedBuffer::get(&object);
         }
         let Ok(buffer) = buffer else {
@@ -210,6 +215,7 @@ pub(crate) enum Part {
     Layer(Arc<LayerStack>, usize),
     Emission(Arc<LayerStack>),
     Picture(Arc<Tensor<3>>),
+    Weights(Arc<Tensor<4>>),
 }
 
 impl Part {
@@ -219,6 +225,7 @@ impl Part {
             Self::Layer(stack, n) => stack.layers[*n].data(),
             Self::Emission(stack) => stack.emission.as_ref().map_or(&[], Tensor::data),
             Self::Picture(picture) => picture.data(),
+            Self::Weights(weights) => weights.data(),
         }
     }
 
@@ -228,6 +235,7 @@ impl Part {
             Self::Layer(stack, n) => stack.layers[*n].shape().to_vec(),
             Self::Emission(stack) => stack.emission.as_ref().map_or(vec![0], |emission| emission.shape().to_vec()),
             Self::Picture(picture) => picture.shape().to_vec(),
+            Self::Weights(weights) => weights.shape().to_vec(),
         }
     }
 }

@@ -15,6 +15,7 @@ use crate::display::{Display, display_of};
 use crate::error::{exception, raised, setting};
 use crate::field::LightField;
 use crate::json::{map_of, numbers, table, to_python};
+use crate::own::{in_package, in_python};
 use crate::work::long;
 
 #[pymethods]
@@ -120,9 +121,20 @@ impl LightField {
         Ok(Self { field, display, info, references: None })
     }
 
-    /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per view.
-    #[pyo3(signature = (folder, *, info=None))]
-    fn save(&self, py: Python<'_>, folder: PathBuf, info: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+    /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per view. A path that ends with .npy gets the values alone, as one array
+    /// of float32: LightField.open() asks for their geometry again.
+    #[pyo3(signature = (path, *, info=None))]
+    fn save(&self, py: Python<'_>, path: PathBuf, info: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        if path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("npy")) {
+            if info.is_some() {
+                return Err(setting(py, "save: expected no `info`, as an array file has no place for it, found one"));
+            }
+            let radiance = self.field.radiance();
+            return long(py, None, |_| {
+                lumistack_field_io::npy::write(&path, &radiance.shape(), radiance.data()).map_err(PipelineError::Field)
+            });
+        }
+        let folder = path;
         let mut all = self.info.clone();
         if let Some(info) = info {
             all.extend(map_of("info", info)?);
@@ -185,6 +197,73 @@ impl LightField {
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &Value::Object(self.info.clone()))
+    }
+
+    /// Type of the values, float32, as NumPy names it.
+    #[getter]
+    fn dtype<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.radiance(py)?.getattr("dtype")
+    }
+
+    /// Number of axes: 5.
+    #[getter]
+    fn ndim(&self) -> usize {
+        Field::AXES.len()
+    }
+
+    /// Number of view rows, as of the array.
+    fn __len__(&self) -> usize {
+        self.field.radiance().shape()[0]
+    }
+
+    /// light_field[view_y, view_x] is a view [row, col, rgb]; every index of NumPy is taken. Nothing is copied that NumPy does not copy.
+    fn __getitem__<'py>(&self, py: Python<'py>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        self.radiance(py)?.get_item(index)
+    }
+
+    fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        Ok(self.radiance(py)?.try_iter()?.into_any())
+    }
+
+    /// The values for libraries that take DLPack, such as torch.from_dlpack(): lent where those know of read-only memory (NumPy 2.1 or newer), else copied.
+    #[pyo3(signature = (**options))]
+    fn __dlpack__<'py>(&self, py: Python<'py>, options: Option<&Bound<'py, PyDict>>) -> PyResult<Bound<'py, PyAny>> {
+        in_package(py, "_arrays", "dlpack", (self.radiance(py)?,), options)
+    }
+
+    fn __dlpack_device__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.radiance(py)?.call_method0("__dlpack_device__")
+    }
+
+    /// The same as lumistack.factorize(light_field, display, ...).
+    #[pyo3(signature = (display=None, **settings))]
+    fn factorize<'py>(
+        slf: &Bound<'py, Self>,
+        display: Option<&Bound<'py, PyAny>>,
+        settings: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        in_python(slf.py(), "factorize", (slf, display), settings)
+    }
+
+    /// The values as an xarray.DataArray, without a copy: axes view_y, view_x, row, col and rgb, with slopes, places on the display in millimetres and channels as
+    /// coordinates. xarray must be installed.
+    fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        in_package(slf.py(), "_arrays", "to_xarray", (slf,), None)
+    }
+
+    /// Draws a view through matplotlib, sRGB encoded, over millimetres on the display: view = (view_y, view_x), the middle one by default. Gives the axes, which are
+    /// made unless they are given.
+    #[pyo3(signature = (view=None, *, ax=None))]
+    fn plot<'py>(
+        slf: &Bound<'py, Self>,
+        view: Option<[usize; 2]>,
+        ax: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        in_package(slf.py(), "_show", "plot_view", (slf, view, ax), None)
+    }
+
+    fn _repr_html_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        in_package(slf.py(), "_show", "light_field", (slf,), None)
     }
 
     #[pyo3(signature = (dtype=None, copy=None))]

@@ -15,6 +15,7 @@ mod field;
 mod field_methods;
 mod functions;
 mod json;
+mod own;
 mod plugin;
 mod scene;
 mod stack;

@@ -3,7 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use lumistack_display::{Display as Description, LayerStack as Stack, LightField as Field, RayMap, Simulator, score};
+use lumistack_core::Tensor;
+use lumistack_display::{
+    Display as Description, LayerStack as Stack, LightField as Field, RayMap, Simulator, Weights, score,
+};
 use lumistack_factorizer::{Factorization, Iteration};
 use lumistack_pipeline::{FactorizeJob, PipelineError, References, RunFolder, weights_of};
 use pyo3::prelude::*;
@@ -13,6 +16,7 @@ use crate::array::{Array, Part, Values};
 use crate::display::{Display, display_of};
 use crate::error::raised;
 use crate::field::LightField;
+use crate::own::{in_package, in_python};
 use crate::work::long;
 
 /// The patterns of a display: transmittances 0 to 1, linear, of every layer and frame.
@@ -249,6 +253,62 @@ impl LayerStack {
         Ok(LightField::plain(field))
     }
 
+    /// The weight of every ray of a light field in psnr(), [view_y, view_x, row, col]: 0 where a ray misses the display, else what `weights` says, 1 without them.
+    ///
+    /// psnr() is -10 log10 of the mean of (views(light_field).radiance - light_field.radiance)² over all rays of a weight above 0 and all channels.
+    #[pyo3(signature = (light_field, *, weights=None))]
+    fn weights<'py>(
+        &self,
+        py: Python<'py>,
+        light_field: &LightField,
+        weights: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
+        let target = &*light_field.field;
+        let weights = long(py, None, |_| {
+            let weights = weights_of(&FactorizeJob::default(), weights, target)?;
+            Ok(ray_weights(&self.display, &self.stack, target, &weights))
+        })?;
+        Array::numpy(py, Part::Weights(Arc::new(weights)))
+    }
+
+    /// The same as lumistack.simulate(stack, ...).
+    #[pyo3(signature = (slope=None, **viewpoint))]
+    fn simulate<'py>(
+        slf: &Bound<'py, Self>,
+        slope: Option<&Bound<'py, PyAny>>,
+        viewpoint: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        in_python(slf.py(), "simulate", (slf, slope), viewpoint)
+    }
+
+    /// The same as lumistack.write(stack, plugin, folder, ...).
+    #[pyo3(signature = (plugin, folder, **params))]
+    fn write<'py>(
+        slf: &Bound<'py, Self>,
+        plugin: &Bound<'py, PyAny>,
+        folder: &Bound<'py, PyAny>,
+        params: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        in_python(slf.py(), "write", (slf, plugin, folder), params)
+    }
+
+    /// Draws the patterns of a frame through matplotlib, rear to front, and beside them the picture that is seen from the middle. Gives the figure.
+    #[pyo3(signature = (frame=0))]
+    fn plot<'py>(slf: &Bound<'py, Self>, frame: usize) -> PyResult<Bound<'py, PyAny>> {
+        in_package(slf.py(), "_show", "plot_patterns", (slf, frame), None)
+    }
+
+    /// Draws PSNR against iterations through matplotlib. Gives the axes, which are made unless they are given.
+    #[pyo3(signature = (*, ax=None))]
+    fn plot_history<'py>(slf: &Bound<'py, Self>, ax: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
+        in_package(slf.py(), "_show", "plot_history", (slf, ax), None)
+    }
+
+    fn _repr_html_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        in_package(slf.py(), "_show", "layer_stack", (slf,), None)
+    }
+
     fn __repr__(&self) -> String {
         let psnr = self.solved.as_ref().and_then(|solved| solved.steps.last());
         let psnr = psnr.map_or(String::new(), |step| format!(", {:.2} dB", step.psnr_view));
@@ -262,6 +322,23 @@ impl LayerStack {
         let parts = (self.layers(py)?, self.emission(py)?, display, self.brightness());
         Ok((rebuild, parts.into_pyobject(py)?))
     }
+}
+
+/// The weight of every ray in `score`, `[view_y][view_x][row][col]`.
+fn ray_weights(display: &Description, stack: &Stack, target: &Field, weights: &Weights) -> Tensor<4> {
+    let geometry = target.geometry();
+    let [view_rows, view_cols] = geometry.grid.views();
+    let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
+    let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
+    let mut all = Tensor::zeros(["view_y", "view_x", "row", "col"], shape);
+    let of_views = all.data_mut().chunks_exact_mut(geometry.rows * geometry.cols);
+    for (view, of_view) in geometry.grid.iter().zip(of_views) {
+        let valid = simulator.view(&map, geometry, view).valid;
+        for (i, (weight, valid)) in of_view.iter_mut().zip(valid).enumerate() {
+            *weight = if valid { weights.at(view, i / geometry.cols, i % geometry.cols) } else { 0.0 };
+        }
+    }
+    all
 }
 
 fn opened(folder: &Path, display: Option<Arc<Description>>) -> Result<(Stack, Arc<Description>), PipelineError> {

@@ -14,12 +14,30 @@ use lumistack_pipeline::PipelineError;
 use pyo3::prelude::*;
 
 use crate::error::{exception, in_python, raised};
+use crate::own::in_package;
 
 /// Time between two looks.
 const TICK: Duration = Duration::from_millis(30);
 
-/// Does `work` and gives its result. `callback(stage, fraction)` hears of its progress.
+/// Does `work` and gives its result. `callback(stage, fraction)` hears of its progress; without one a terminal or a notebook shows it.
 pub(crate) fn long<T: Send>(
+    py: Python<'_>,
+    callback: Option<&Bound<'_, PyAny>>,
+    work: impl FnOnce(Task<'_>) -> Result<T, PipelineError> + Send,
+) -> PyResult<T> {
+    if callback.is_some() {
+        return told(py, callback, work);
+    }
+    let shown = in_package(py, "_progress", "shown", (), None)?;
+    if shown.is_none() {
+        return told(py, None, work);
+    }
+    let result = told(py, Some(&shown), work);
+    shown.call_method0("close")?;
+    result
+}
+
+fn told<T: Send>(
     py: Python<'_>,
     callback: Option<&Bound<'_, PyAny>>,
     work: impl FnOnce(Task<'_>) -> Result<T, PipelineError> + Send,

@@ -44,6 +44,7 @@ from lumistack._lumistack import (
     simulate,
     write,
 )
+from lumistack._progress import set_progress
 
 __all__ = [
     "Array",
@@ -72,6 +73,7 @@ __all__ = [
     "render",
     "report",
     "run",
+    "set_progress",
     "set_threads",
     "simulate",
     "write",

@@ -1,0 +1,173 @@
+"""How light fields and patterns look in a notebook, and as plots."""
+
+from __future__ import annotations
+
+import base64
+import html
+import struct
+import zlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lumistack._lumistack import LayerStack, LightField
+
+#: Thumbnails are reduced to this width, pixels.
+_WIDTH = 320
+#: Views that a notebook holds at most along the only axis of views, and along each of two: pictures weigh.
+_VIEWS = 9
+_VIEWS_OF_TWO = 5
+
+
+def light_field(light_field: LightField) -> str | None:
+    """HTML: a view with a slider for each axis of views, and what the light field is. None without NumPy."""
+    if not _has_numpy():
+        return None
+    view_rows, view_cols, rows, cols, _ = light_field.shape
+    most = _VIEWS if 1 in (view_rows, view_cols) else _VIEWS_OF_TWO
+    chosen = [_spread(count, most) for count in (view_rows, view_cols)]
+    views = [[_png(light_field.radiance[v, u]) for u in chosen[1]] for v in chosen[0]]
+    kind = "parallel" if light_field.distance_mm is None else f"perspective, from {light_field.distance_mm:g} mm"
+    facts = {
+        "views": f"{view_cols} × {view_rows}, {kind}",
+        "pixels": f"{cols} × {rows}, {light_field.pitch_mm:g} mm each",
+        "slopes": f"{_range(light_field.slope_x)} across, {_range(light_field.slope_y)} up",
+    }
+    return _viewer("LightField", facts, views)
+
+
+def layer_stack(stack: LayerStack) -> str | None:
+    """HTML: the picture that is seen, with a slider for the angle, the patterns of the first frame, and what they are. None without NumPy."""
+    if not _has_numpy():
+        return None
+    slopes = sorted(stack.display.slopes[0])
+    picks = [slopes[i] for i in _spread(len(slopes), _VIEWS)]
+    seen = [[_png(stack.simulate((slope, 0.0))) for slope in picks]]
+    facts = {
+        "display": html.escape(stack.display.name),
+        "layers": ", ".join(f"{distance:g}" for distance in stack.display.layer_distances_mm) + " mm",
+        "frames": f"{stack.frames}, at a brightness of {stack.brightness:g}",
+    }
+    if stack.history:
+        facts["PSNR"] = f"{stack.history[-1][2]:.2f} dB of the views that the solver saw"
+    patterns = [f'<img src="{_png(layer[0])}" alt="layer {n}" width="120">' for n, layer in enumerate(stack.layers)]
+    return _viewer("LayerStack", facts, seen) + f"<p>first frame, rear to front<br>{' '.join(patterns)}</p>"
+
+
+def plot_view(light_field: LightField, view: tuple[int, int] | None, ax: Any) -> Any:
+    """A view as a picture over millimetres."""
+    view_rows, view_cols, rows, cols, _ = light_field.shape
+    v, u = (view_rows // 2, view_cols // 2) if view is None else view
+    width, height = cols * light_field.pitch_mm, rows * light_field.pitch_mm
+    ax = _axes(ax)
+    ax.imshow(_srgb(light_field[v, u]), extent=(-width / 2, width / 2, -height / 2, height / 2))
+    ax.set_title(f"view [{v}, {u}], slope ({light_field.slope_x[u]:.3f}, {light_field.slope_y[v]:.3f})")
+    ax.set_xlabel("x, mm")
+    ax.set_ylabel("y, mm")
+    return ax
+
+
+def plot_patterns(stack: LayerStack, frame: int) -> Any:
+    """Patterns of a frame, and what is seen from the middle over all frames."""
+    from matplotlib import pyplot
+
+    if not -stack.frames <= frame < stack.frames:
+        raise IndexError(f"frame: expected {-stack.frames} to {stack.frames - 1}, found {frame}")
+    pictures = [
+        (f"layer {n}, {distance:g} mm", layer[frame])
+        for n, (distance, layer) in enumerate(zip(stack.display.layer_distances_mm, stack.layers, strict=True))
+    ]
+    pictures.append((f"seen, {stack.frames} frames", stack.simulate()))
+    figure, axes = pyplot.subplots(1, len(pictures), squeeze=False, figsize=(3.2 * len(pictures), 2.6), layout="constrained")
+    for ax, (title, picture) in zip(axes[0], pictures, strict=True):
+        ax.imshow(_srgb(picture))
+        ax.set_title(title)
+        ax.set_axis_off()
+    return figure
+
+
+def plot_history(stack: LayerStack, ax: Any) -> Any:
+    """PSNR against iterations."""
+    if not stack.history:
+        raise ValueError("history: expected patterns that factorize() has made, found others")
+    ax = _axes(ax)
+    ax.plot([step[0] for step in stack.history], [step[2] for step in stack.history], marker=".")
+    ax.set_xlabel("iterations")
+    ax.set_ylabel("PSNR of the solver's views, dB")
+    return ax
+
+
+def _axes(ax: Any) -> Any:
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot
+
+    return pyplot.subplots(layout="constrained")[1]
+
+
+def _has_numpy() -> bool:
+    try:
+        import numpy  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def _spread(count: int, most: int) -> list[int]:
+    """Indices all over an axis, its ends and middle among them."""
+    if count <= most:
+        return list(range(count))
+    return [round(i * (count - 1) / (most - 1)) for i in range(most)]
+
+
+def _range(slopes: list[float]) -> str:
+    return f"{min(slopes):.3f} to {max(slopes):.3f}" if len(slopes) > 1 else f"{slopes[0]:.3f}"
+
+
+def _srgb(linear: Any) -> Any:
+    """8-bit sRGB of linear light (IEC 61966-2-1), [row, col, rgb]."""
+    import numpy
+
+    light = numpy.clip(numpy.asarray(linear, numpy.float32), 0.0, 1.0)
+    encoded = numpy.where(light <= 0.0031308, 12.92 * light, 1.055 * numpy.power(light, 1 / 2.4) - 0.055)
+    return (255.0 * encoded + 0.5).astype(numpy.uint8)
+
+
+def _png(linear: Any) -> str:
+    """A reduced picture as a data URI."""
+    import numpy
+
+    step = max(1, -(-linear.shape[1] // _WIDTH))
+    rows, cols = (count // step for count in linear.shape[:2])
+    if step > 1 and rows and cols:
+        linear = numpy.asarray(linear)[: rows * step, : cols * step].reshape(rows, step, cols, step, 3).mean((1, 3))
+    codes = _srgb(linear)
+    # a filter byte of 0 before every row
+    lines = b"".join(b"\x00" + row.tobytes() for row in codes)
+    header = struct.pack(">IIBBBBB", codes.shape[1], codes.shape[0], 8, 2, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]
+    file = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks
+    )
+    return "data:image/png;base64," + base64.b64encode(file).decode()
+
+
+def _viewer(name: str, facts: dict[str, str], views: list[list[str]]) -> str:
+    """A picture of many, chosen by sliders, beside a table."""
+    rows = "".join(f"<tr><th style='text-align:left'>{key}</th><td style='text-align:left'>{value}</td></tr>" for key, value in facts.items())
+    middle = (len(views) // 2, len(views[0]) // 2)
+    pictures = "".join(
+        f'<img src="{picture}" alt="view {v}, {u}" data-at="{v},{u}" style="width:{_WIDTH}px;image-rendering:auto'
+        f'{"" if (v, u) == middle else ";display:none"}">'
+        for v, row in enumerate(views)
+        for u, picture in enumerate(row)
+    )
+    change = (
+        "const b=this.closest('[data-lumistack]'),a=n=>b.querySelector('[name='+n+']')?.value??0;"
+        "b.querySelectorAll('img[data-at]').forEach(i=>i.style.display=i.dataset.at==a('v')+','+a('u')?'':'none')"
+    )
+    sliders = "".join(
+        f'<label style="display:block">{text} <input type="range" name="{axis}" min="0" max="{count - 1}" value="{at}" oninput="{html.escape(change)}"></label>'
+        for axis, text, count, at in (("u", "left to right", len(views[0]), middle[1]), ("v", "top to bottom", len(views), middle[0]))
+        if count > 1
+    )
+    return f"<div data-lumistack><b>lumistack.{name}</b><table>{rows}</table>{pictures}{sliders}</div>"

@@ -1,0 +1,452 @@
+"""The client: submits units that are ready, looks at how they ended, and goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+from urllib.parse import urlsplit
+
+from lumistack.farm import _work
+
+# How often a unit may fail before it is given up.
+MOST_FAILURES = 3
+# How often a unit may be lost with its worker before it is given up: workers that are preempted are no fault of the unit.
+MOST_LOSSES = 50
+# How long to wait for workers when there is none, seconds.
+WORKER_SECONDS = 60.0
+# How often workers are looked at while all units run, seconds.
+TEND_SECONDS = 2.0
+# Name of the resource that workers may offer, bytes.
+MEMORY = "memory"
+
+
+class FarmError(Exception):
+    """A run that did not finish; what is finished is kept, and the same call goes on."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of work."""
+
+    id: str
+    kind: str
+    inputs: tuple[str, ...]
+    seconds: float
+    memory_bytes: int
+    to_end_seconds: float
+    done: bool
+
+
+@dataclass
+class Outcome:
+    """What a run ended with."""
+
+    seconds: float = 0.0
+    done: list[str] = field(default_factory=list)
+    """Units that were done now."""
+    before: int = 0
+    """Units that were done before."""
+    failed: dict[str, str] = field(default_factory=dict)
+    """Units that were given up, with the cause."""
+    left: list[str] = field(default_factory=list)
+    """Units that depend on those."""
+    refused: dict[str, str] = field(default_factory=dict)
+    """Workers that could not be used, with the reason."""
+    lost: int = 0
+    """How often a unit was lost with its worker and done again."""
+
+
+Tell = Callable[[dict[str, Any]], None]
+
+
+def quiet(event: dict[str, Any]) -> None:
+    """Says nothing."""
+
+
+def plan(
+    job: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    options: Sequence[str] = (),
+    program: Sequence[str] | None = None,
+) -> dict[str, Any]:
+    """Plans a job into its run folder; `options` are those of `lumistack farm plan`. Returns units and what is known of them."""
+    words = [*(program or [sys.executable, "-m", "lumistack"]), "--json", "farm", "plan", os.fspath(job), "-o", os.fspath(folder), *options]
+    found = subprocess.run(words, capture_output=True, text=True)
+    answer = _work._answer(found.stdout, "farm_plan")
+    if found.returncode != 0 or answer is None:
+        raise FarmError((found.stderr or found.stdout).strip().removeprefix("error: "))
+    return answer
+
+
+def run(
+    job: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    options: Sequence[str] = (),
+    program: Sequence[str] | None = None,
+    **engine: Any,
+) -> Outcome:
+    """Plans a job and executes it; further arguments as of `execute`."""
+    return execute(plan(job, folder, options=options, program=program), program=program, **engine)
+
+
+def execute(
+    planned: dict[str, Any],
+    *,
+    address: str | None = None,
+    client: Any = None,
+    workers: int = 2,
+    threads: int | None = None,
+    maps: Sequence[str] = (),
+    tls: tuple[str, str, str] | None = None,
+    insecure: bool = False,
+    program: Sequence[str] | None = None,
+    worker_program: Sequence[str] | None = None,
+    tell: Tell = quiet,
+) -> Outcome:
+    """Executes the units of a plan.
+
+    `address`: of a Dask scheduler; without one, and without a `client` of Dask, so many `workers` of this machine are started. `threads`: of a unit; default: the
+    worker's share of its machine. `maps`: texts "/here=/there". `tls`: files of authority, certificate and key. `worker_program`: words that start lumistack on
+    workers; default: the package of the worker's Python.
+
+    Raises FarmError when units were given up or no worker can be used; what is finished is kept.
+    """
+    if address is not None:
+        check_address(address, tls is not None, insecure)
+    on_workers = list(worker_program) if worker_program else (list(program) if program and address is None and client is None else None)
+    start = time.monotonic()
+    with connected(address, client, workers, tls) as dask:
+        engine = Engine(dask, planned, list(maps), threads, on_workers, tell)
+        outcome = engine.execute()
+    outcome.seconds = time.monotonic() - start
+    return outcome
+
+
+def check_address(address: str, has_tls: bool, insecure: bool) -> None:
+    """Refuses schedulers on other machines without TLS: whoever reaches one can run anything on its workers."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    host = (parts.hostname or "").lower()
+    is_here = host in ("localhost", "::1") or re.fullmatch(r"127(\.\d{1,3}){3}", host) is not None
+    if parts.scheme == "tls":
+        if not has_tls:
+            raise FarmError(f"{address}: expected the files of --tls-ca, --tls-cert and --tls-key with tls://, found none")
+    elif not (is_here or insecure):
+        raise FarmError(
+            f"{address}: expected tls:// or an address of this machine, found {parts.scheme}:// to another: whoever reaches such a scheduler can run "
+            "anything on its workers; --insecure does it all the same"
+        )
+
+
+@contextmanager
+def connected(address: str | None, client: Any, workers: int, tls: tuple[str, str, str] | None) -> Iterator[Any]:
+    """A client of Dask, with a cluster of this machine where no scheduler is named."""
+    if client is not None:
+        yield client
+        return
+    distributed = _distributed()
+    # what comes back is read as text: a result that needs pickle is refused
+    readers: dict[str, Any] = {"deserializers": ["msgpack", "error"]}
+    settings = {
+        # deaths of workers are counted here
+        "distributed.scheduler.allowed-failures": MOST_LOSSES,
+        "distributed.worker.daemon": False,
+        "distributed.logging.distributed": "error",
+    }
+    with import_module("dask").config.set(settings):
+        if address is not None:
+            security = None
+            if tls is not None:
+                authority, certificate, key = tls
+                security = distributed.Security(
+                    tls_ca_file=authority, tls_client_cert=certificate, tls_client_key=key, require_encryption=True
+                )
+            with distributed.Client(address, security=security, timeout="30s", set_as_default=False, **readers) as dask_client:
+                yield dask_client
+            return
+        memory = _memory_bytes()
+        cluster = distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            # units are children of the workers, which hold nothing themselves
+            memory_limit=0,
+            resources={MEMORY: memory / workers},
+            silence_logs=50,
+        )
+        with cluster, distributed.Client(cluster, set_as_default=False, **readers) as dask_client:
+            yield dask_client
+
+
+def _distributed() -> Any:
+    try:
+        return import_module("distributed")
+    except ImportError as error:
+        raise FarmError(f"expected the package distributed, found none ({error}); pip install 'lumistack[farm]' brings it along") from error
+
+
+def _has(module: str) -> bool:
+    return find_spec(module) is not None
+
+
+def _memory_bytes() -> float:
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):
+        return 8e9
+
+
+class Engine:
+    """The state of a run: which units wait, run, are done or given up."""
+
+    def __init__(
+        self, dask: Any, planned: dict[str, Any], maps: list[str], threads: int | None, program: list[str] | None, tell: Tell
+    ) -> None:
+        self.dask, self.threads, self.program, self.tell = dask, threads, program, tell
+        self.code, self.version = str(planned["code"]), str(planned["version"])
+        names = [name for name in Unit.__dataclass_fields__ if name != "inputs"]
+        self.units = {
+            unit["id"]: Unit(inputs=tuple(unit["inputs"]), **{name: unit[name] for name in names}) for unit in planned["units"]
+        }
+        self.here = Path(planned["folder"])
+        self.maps = maps
+        self.folder = _mapped(str(self.here), maps)
+        # the last unit checks everything, so it is never taken for done
+        last = planned["units"][-1]["id"] if planned["units"] else ""
+        self.done = {unit.id for unit in self.units.values() if unit.done and unit.id != last}
+        self.outcome = Outcome(before=len(self.done))
+        self.running: dict[Any, str] = {}
+        self.ended: SimpleQueue[Any] = SimpleQueue()
+        # workers that a task may run on, where not on all
+        self.bound: dict[Any, list[str]] = {}
+        self.failures: dict[str, int] = {}
+        self.losses: dict[str, int] = {}
+        self.checked: dict[str, str | None] = {}
+        self.attempts = 0
+        self.store: str | None = None
+
+    def execute(self) -> Outcome:
+        if self.dask.dashboard_link and _has("bokeh"):
+            self.tell({"event": "dashboard", "address": self.dask.dashboard_link})
+        self.check_workers(wait=True)
+        try:
+            self.submit()
+            while self.running:
+                try:
+                    future = self.ended.get(timeout=TEND_SECONDS)
+                except Empty:
+                    self.tend()
+                else:
+                    self.take(future)
+                self.submit()
+        except BaseException:
+            # a worker ends its unit when nobody wants it any more
+            self.dask.cancel(list(self.running), force=True)
+            raise
+        return self.end()
+
+    # workers
+
+    def check_workers(self, wait: bool) -> list[str]:
+        """Addresses of the workers that can be used; those that cannot are named once."""
+        deadline = time.monotonic() + (WORKER_SECONDS if wait else 0.0)
+        while True:
+            known = list(self.dask.scheduler_info(n_workers=-1)["workers"])
+            new = [address for address in known if address not in self.checked]
+            if new:
+                self.look_at(new)
+            usable = [address for address in known if address in self.checked and self.checked[address] is None]
+            if usable or time.monotonic() > deadline:
+                break
+            if known and all(address in self.checked for address in known):
+                break
+            time.sleep(0.2)
+        if not usable and wait:
+            reasons = sorted(set(self.outcome.refused.values()))
+            if not reasons:
+                raise FarmError(f"expected workers, found none within {WORKER_SECONDS:.0f} s")
+            named = "; ".join(f"{worker}: {reason}" for worker, reason in self.outcome.refused.items())
+            raise FarmError(f"no worker can be used: {named}")
+        return usable
+
+    def look_at(self, addresses: list[str]) -> None:
+        found = self.dask.run(_work.probe, self.program, self.folder, workers=addresses, on_error="return")
+        for address in addresses:
+            text = found.get(address) if isinstance(found, dict) else None
+            if _json(text) is None:
+                # it was lost meanwhile; if not, it is looked at again
+                continue
+            reason = self.objection(text)
+            self.checked[address] = reason
+            if reason is not None:
+                self.refuse(address, reason)
+
+    def objection(self, text: object) -> str | None:
+        """Why a worker cannot be used."""
+        about = _json(text) or {}
+        if "code" not in about:
+            return f"lumistack does not start there: {about.get('error')}"
+        if about["code"] != self.code:
+            theirs, ours = f"{about.get('version')} ({about['code']})", f"{self.version} ({self.code})"
+            return f"it has lumistack {theirs}, and the run was planned by {ours}; install the same build"
+        if not about.get("folder"):
+            return f"it does not see {self.folder}: share the folder with it, or say where it lies there (--map /here=/there)"
+        return None
+
+    def refuse(self, worker: str, reason: str) -> None:
+        self.outcome.refused[worker] = reason
+        self.tell({"event": "refused", "worker": worker, "reason": reason})
+
+    # units
+
+    def ready(self) -> list[Unit]:
+        busy = set(self.running.values()) | self.done | set(self.outcome.failed)
+        found = [unit for unit in self.units.values() if unit.id not in busy and all(i in self.done for i in unit.inputs)]
+        return sorted(found, key=lambda unit: -unit.to_end_seconds)
+
+    def tend(self) -> None:
+        """Frees tasks that wait for workers which are gone: a worker that starts again has another address."""
+        usable = self.check_workers(wait=False)
+        for future, workers in list(self.bound.items()):
+            if not future.done() and usable and not set(workers) & set(usable):
+                self.lose(self.running.pop(future))
+                del self.bound[future]
+                future.cancel()
+
+    def submit(self) -> None:
+        if self.store is not None:
+            return
+        ready = self.ready()
+        if not ready:
+            return
+        usable = self.check_workers(wait=True)
+        offered = self.memory_of(usable)
+        everyone = not self.outcome.refused
+        for unit in ready:
+            self.attempts += 1
+            options: dict[str, Any] = {}
+            if offered:
+                # an estimate beyond all workers must not wait for ever
+                options["resources"] = {MEMORY: min(float(unit.memory_bytes), offered)}
+            if not everyone:
+                options["workers"] = usable
+            future = self.dask.submit(
+                _work.execute,
+                self.program,
+                self.folder,
+                unit.id,
+                self.maps,
+                self.threads,
+                key=f"lumistack-{os.getpid()}-{self.attempts}-{unit.id}",
+                priority=unit.to_end_seconds,
+                pure=False,
+                retries=0,
+                **options,
+            )
+            self.running[future] = unit.id
+            if not everyone:
+                self.bound[future] = usable
+            future.add_done_callback(self.ended.put)
+
+    def memory_of(self, usable: list[str]) -> float:
+        """The most memory that one of the workers offers, bytes; 0 where one offers none."""
+        info = self.dask.scheduler_info(n_workers=-1)["workers"]
+        offers = [float(info[address].get("resources", {}).get(MEMORY, 0.0)) for address in usable if address in info]
+        return max(offers) if offers and min(offers) > 0 else 0.0
+
+    def take(self, future: Any) -> None:
+        unit = self.running.pop(future, None)
+        self.bound.pop(future, None)
+        if unit is None:
+            return
+        answer, lost = None, False
+        if future.status == "finished":
+            answer = _json(future.result())
+        else:
+            lost = True
+        if answer is None or answer.get("id") != unit:
+            answer = {"outcome": "lost" if lost else "failed", "message": "the worker gave no answer that makes sense"}
+        outcome, message = str(answer.get("outcome")), str(answer.get("message", ""))
+        if outcome == "done":
+            self.done.add(unit)
+            self.outcome.done.append(unit)
+            count = {"done": len(self.done), "units": len(self.units)}
+            self.tell({"event": "done_unit", "id": unit, "seconds": answer.get("seconds"), **count})
+        elif outcome in ("lost", "cancelled"):
+            # the worker is gone, or the scheduler has given the task to another
+            self.lose(unit)
+        elif outcome == "refused":
+            # a worker that came or changed since workers were looked at
+            self.checked.pop(str(answer.get("worker")), None)
+            self.lose(unit)
+        else:
+            self.fail(unit, message, of_store=outcome == "store")
+
+    def lose(self, unit: str) -> None:
+        self.outcome.lost += 1
+        self.losses[unit] = self.losses.get(unit, 0) + 1
+        if self.losses[unit] >= MOST_LOSSES:
+            self.give_up(unit, f"its worker was lost {MOST_LOSSES} times")
+
+    def fail(self, unit: str, message: str, of_store: bool = False) -> None:
+        self.failures[unit] = self.failures.get(unit, 0) + 1
+        self.tell({"event": "failed_unit", "id": unit, "attempt": self.failures[unit], "message": message})
+        if self.failures[unit] >= MOST_FAILURES:
+            if of_store:
+                # no other unit will fare better
+                self.store = message
+            self.give_up(unit, message)
+
+    def give_up(self, unit: str, message: str) -> None:
+        self.outcome.failed[unit] = message
+
+    def end(self) -> Outcome:
+        outcome = self.outcome
+        outcome.left = [unit for unit in self.units if unit not in self.done and unit not in outcome.failed]
+        if not outcome.failed:
+            return outcome
+        kept = f"{len(self.done)} of {len(self.units)} units are done and kept; the same command goes on from them"
+        if self.store is not None:
+            raise FarmError(f"the run folder cannot be written: {self.store}; {kept}")
+        causes: dict[str, list[str]] = {}
+        for unit, message in outcome.failed.items():
+            causes.setdefault(message, []).append(unit)
+        told = []
+        for message, units in causes.items():
+            others = f" and {len(units) - 1} more" if len(units) > 1 else ""
+            told.append(f"unit {units[0]}{others} failed {MOST_FAILURES} times: {message}")
+        waits = f"; {len(outcome.left)} units that depend on it were left" if outcome.left else ""
+        raise FarmError(f"{'; '.join(told)}{waits}; {kept}")
+
+
+def _json(text: object) -> dict[str, Any] | None:
+    if not isinstance(text, str):
+        return None
+    try:
+        found = json.loads(text)
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _mapped(path: str, maps: Sequence[str]) -> str:
+    for pair in maps:
+        here, there = pair.split("=", 1)
+        if path == here or path.startswith(here.rstrip("/") + "/"):
+            return there.rstrip("/") + path[len(here.rstrip("/")) :]
+    return path

@@ -1,0 +1,138 @@
+"""What runs on a worker: one unit as a child process, and questions about the machine. It returns texts of JSON alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from typing import Any
+
+# How often a unit that runs looks whether it is still wanted, seconds.
+LOOK_SECONDS = 0.2
+# How long a unit may take to stop, seconds.
+STOP_SECONDS = 10.0
+# Letters of what a child said that are kept.
+MOST_SAID = 4000
+
+
+def _program(words: list[str] | None) -> list[str]:
+    """Words that start the program here."""
+    return words or [sys.executable, "-m", "lumistack"]
+
+
+def _answer(text: str, event: str) -> dict[str, Any] | None:
+    """The last line of JSON that tells of an event."""
+    for line in reversed(text.splitlines()):
+        if line.startswith("{"):
+            try:
+                found = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(found, dict) and found.get("event") == event:
+                return found
+    return None
+
+
+def probe(words: list[str] | None, folder: str) -> str:
+    """Version and code of the program on this worker, and whether it sees the run folder."""
+    about: dict[str, Any] = {"host": os.uname().nodename if hasattr(os, "uname") else "", "process": os.getpid()}
+    about["folder"] = os.path.isdir(folder)
+    try:
+        found = subprocess.run([*_program(words), "--json", "farm", "code"], capture_output=True, text=True, timeout=120)
+        answer = _answer(found.stdout, "code")
+        about.update(answer or {"error": (found.stderr or found.stdout).strip()[-MOST_SAID:]})
+    except (OSError, subprocess.TimeoutExpired) as error:
+        about["error"] = str(error)
+    return json.dumps(about)
+
+
+def _is_wanted() -> bool:
+    """Whether the task of this thread is still to be done: its client may be gone, or have thought better of it."""
+    try:
+        from distributed import get_worker
+
+        worker = get_worker()
+        state = worker.state.tasks.get(worker.get_current_task())
+    except (ImportError, ValueError, AttributeError):
+        return True
+    return state is not None and state.state == "executing"
+
+
+def _address() -> str:
+    """This worker's address, by which the client names it."""
+    try:
+        from distributed import get_worker
+
+        return str(get_worker().address)
+    except (ImportError, ValueError):
+        return ""
+
+
+def _threads(given: int | None) -> int:
+    """Threads of a unit: this worker's share of the machine."""
+    if given is not None:
+        return given
+    try:
+        from distributed import get_worker
+
+        of_worker: int = get_worker().state.nthreads
+    except (ImportError, ValueError, AttributeError):
+        of_worker = 1
+    return max(1, (os.cpu_count() or 1) // max(1, of_worker))
+
+
+def execute(words: list[str] | None, folder: str, unit: str, maps: list[str], threads: int | None) -> str:
+    """Executes a unit. Never raises: how it ended is in the text."""
+    line = [*_program(words), "--json", "--threads", str(_threads(threads)), "farm", "unit", "--attached"]
+    for pair in maps:
+        line += ["--map", pair]
+    try:
+        # the unit ends with its standard input, so it never outlives this process
+        child = subprocess.Popen(
+            [*line, folder, unit],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            # Ctrl-C is for the client, which then wants the unit no more
+            process_group=0 if os.name == "posix" else None,
+        )
+    except OSError as error:
+        return json.dumps({"id": unit, "outcome": "refused", "message": str(error), "worker": _address()})
+    said: dict[str, str] = {}
+
+    def listen(name: str, stream: Any) -> None:
+        kept = ""
+        for text in stream:
+            kept = (kept + text)[-MOST_SAID:]
+        said[name] = kept
+
+    listeners = [threading.Thread(target=listen, args=pair) for pair in (("out", child.stdout), ("err", child.stderr))]
+    for listener in listeners:
+        listener.start()
+    wanted = True
+    while True:
+        try:
+            child.wait(LOOK_SECONDS)
+            break
+        except subprocess.TimeoutExpired:
+            if wanted and not _is_wanted():
+                wanted = False
+                child.terminate()
+                threading.Timer(STOP_SECONDS, child.kill).start()
+    for listener in listeners:
+        listener.join()
+    if child.stdin is not None:
+        child.stdin.close()
+    if not wanted:
+        return json.dumps({"id": unit, "outcome": "cancelled"})
+    answer = _answer(said.get("out", ""), "unit")
+    if answer is None:
+        ended = f"ended by signal {-child.returncode}" if child.returncode < 0 else f"ended with code {child.returncode}"
+        last = (said.get("err", "") or said.get("out", "")).strip().splitlines()
+        answer = {"outcome": "failed", "message": f"{ended}: {last[-1]}" if last else ended}
+    answer["id"], answer["worker"] = unit, _address()
+    return json.dumps(answer)
