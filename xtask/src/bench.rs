@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::bench_render;
 use crate::bench_zone;
 use crate::fuzz;
+use crate::python;
 use crate::tools::{self, Outcome, absolute, cargo, command, example, output_of, text};
 use crate::web;
 
@@ -35,12 +36,18 @@ cargo xtask bench [what]
   big [scene.gltf]      a scene of 1,100 copies, 100 million triangles with FlightHelmet, in the memory of one
   field [scene.gltf]    light fields with the light that views share averaged, beside the same views one by one: processor time at equal
                 squared error, bias included; 5×5 and 13×13 views over 20°, a quilt's 45, many copies. Scenes as for `render` (some minutes)
+  splats        13×13 views of a million Gaussian splats: all together, one by one, and by a naive renderer (some minutes)
   agreement     the path tracer against Mitsuba 3 on scenes that both express exactly: a test per pixel over
                 converged renders, a table, and an error where they differ (some minutes); then FlightHelmet and OpenChessSet as diffuse
                 scenes with their textures against Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
       --quick        a quarter of the samples
   design        predicted against solved quality of 40 random designs, and 100 small designs in a sweep that is killed again and
                 again, which must end with the same bytes (a minute or two)
+  farm          a sequence of 48 times on one and on two workers: time against prediction, twenty kills of workers and one of the client,
+                a full disk where this is root; bytes must be those of one machine (some ten minutes)
+      --quick        12 small times (two minutes)
+      --times N, --samples N     others than 48 times of 32 samples per pixel
+      --json FILE    also as JSON
   zone [scene.gltf]     how right displays are all over their zone: those that choose their views beside those for 5×5, whole runs in turn:
                 quality, wall and processor time. Scenes: the ones named, or still-life, glass, letters (directional) and, where
                 LUMISTACK_ASSETS has them, FlightHelmet and 2CylinderEngine (about 4 minutes each)
@@ -54,7 +61,7 @@ cargo xtask bench [what]
                 others; anything but a value or a message is a failure. Needs a C++ compiler, takes a nightly Rust where there is one; fetches
                 cargo-fuzz
       --minutes N    for each target, default 10
-      --target NAME  one only: load (glTF and its pictures), light_field, quilt, npy, picture, obj, display, job, stack, calibration
+      --target NAME  one only: load (glTF and its pictures), light_field, quilt, npy, picture, obj, splats, display, job, stack, calibration
 
 NumPy and PyTorch are fetched into target/python-bench at the first `factorize` (on x86-64 Linux 3 GB to fetch and
 6 GB on disk, since PyTorch's package brings its GPU libraries along); where they cannot be had, the bench says so
@@ -82,7 +89,9 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["render", options @ ..] => bench_render::render(options)?,
         ["big", options @ ..] => bench_render::big(options)?,
         ["field", options @ ..] => bench_render::field(options)?,
+        ["splats"] => example("lumistack-splats", "bench_splats", &[]),
         ["design"] => example("lumistack-pipeline", "bench_design", &[]),
+        ["farm", options @ ..] => farm(options)?,
         ["zone", options @ ..] => bench_zone::run(options)?,
         ["web"] => web::bench(),
         ["fuzz", options @ ..] => fuzzing(options)?,
@@ -92,6 +101,24 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         }
         _ => return None,
     })
+}
+
+fn farm(options: &[&str]) -> Option<Outcome> {
+    let mut words = options.iter();
+    let mut passed = Vec::new();
+    while let Some(&word) = words.next() {
+        match word {
+            "--quick" => passed.push(word.to_owned()),
+            "--json" => passed.extend([word.to_owned(), absolute(words.next()?)]),
+            "--times" | "--samples" => passed.extend([word.to_owned(), (*words.next()?).to_owned()]),
+            _ => return None,
+        }
+    }
+    Some(
+        python::release_environment().and_then(|python| {
+            tools::run(command(&python).arg(tools::root().join("xtask/bench/farm.py")).args(&passed))
+        }),
+    )
 }
 
 fn fuzzing(options: &[&str]) -> Option<Outcome> {

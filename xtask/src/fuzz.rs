@@ -15,7 +15,7 @@ struct Target {
     extensions: &'static [&'static str],
 }
 
-const TARGETS: [Target; 10] = [
+const TARGETS: [Target; 11] = [
     Target {
         name: "load",
         own: &["crates/gltf/tests/data"],
@@ -32,6 +32,7 @@ const TARGETS: [Target; 10] = [
         extensions: &["png", "jpg", "webp", "hdr", "exr"],
     },
     Target { name: "obj", own: &[], assets: &[], extensions: &["obj"] },
+    Target { name: "splats", own: &[], assets: &[], extensions: &[] },
     Target { name: "display", own: &["scenes/displays"], assets: &[], extensions: &["toml"] },
     Target { name: "job", own: &["scenes", "tests/cases"], assets: &[], extensions: &["toml"] },
     Target { name: "stack", own: &[], assets: &[], extensions: &[] },

@@ -20,7 +20,7 @@ const FORBIDDEN: [(&str, &[&str]); 3] = [
 ];
 
 /// Crates that must compile to wasm32 and so take no file system, clock or terminal.
-pub const PORTABLE: [&str; 7] = [
+pub const PORTABLE: [&str; 8] = [
     "lumistack-simd",
     "lumistack-core",
     "lumistack-scene",
@@ -28,6 +28,7 @@ pub const PORTABLE: [&str; 7] = [
     "lumistack-gltf",
     "lumistack-pathtracer",
     "lumistack-factorizer",
+    "lumistack-splats",
 ];
 
 /// Calls that the portable crates must not make; files and clocks come in as arguments.

@@ -5,7 +5,18 @@ use std::path::{Path, PathBuf};
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
 /// What builds and checks the package, as pip takes it.
-const TOOLS: [&str; 4] = ["--only-binary=:all:", "maturin==1.16.*", "pytest==9.*", "mypy==2.*"];
+const TOOLS: [&str; 7] = [
+    "--only-binary=:all:",
+    "maturin==1.16.*",
+    "pytest==9.*",
+    "mypy==2.*",
+    "distributed==2026.*",
+    "openjd-cli==0.8.*",
+    "opencue-pyoutline==1.*",
+];
+
+/// What notebooks have, as pip takes them: the package's arrays and plots go there.
+const NOTEBOOKS: [&str; 4] = ["--only-binary=:all:", "matplotlib==3.*", "xarray", "pillow"];
 
 /// The oldest Python for which the wheel is made.
 const OLDEST: (u32, u32) = (3, 11);
@@ -34,11 +45,17 @@ pub fn fetch(python: &Path) -> Outcome {
     if !is_new_enough(python) {
         return Err(format!("the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1));
     }
-    if can_import(python, "maturin, pytest, mypy") {
-        return Ok(());
+    let needed = [
+        ("maturin, pytest, mypy, distributed, openjd.cli, outline", &TOOLS[..]),
+        ("matplotlib, xarray, PIL", &NOTEBOOKS),
+    ];
+    for (modules, packages) in needed {
+        if !can_import(python, modules) {
+            println!("fetching: {modules}, in target/python (used only to build and check the Python package)");
+            install(python, packages).map_err(|error| format!("{modules} cannot be had: {error}"))?;
+        }
     }
-    println!("fetching: maturin, pytest and mypy, in target/python (used only to build and check the Python package)");
-    install(python, &TOOLS).map_err(|error| format!("the tools of the package cannot be had: {error}"))
+    Ok(())
 }
 
 /// The wheel as users get it, in `target/wheels`.
@@ -50,6 +67,18 @@ pub fn release() -> Outcome {
     let wheel = build(&python)?;
     install(&python, &["--force-reinstall", "--no-deps", &wheel.to_string_lossy()])?;
     measure(&python, &wheel)
+}
+
+/// A Python with the package as users get it, and all that its checks need.
+///
+/// # Errors
+/// Where the tools cannot be had or the package does not build.
+pub fn release_environment() -> Outcome<PathBuf> {
+    let python = tools::python()?;
+    fetch(&python)?;
+    let wheel = build(&python)?;
+    install(&python, &["--force-reinstall", "--no-deps", &wheel.to_string_lossy()])?;
+    Ok(python)
 }
 
 fn can_import(python: &Path, modules: &str) -> bool {

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::{Args as ClapArgs, Parser, Subcommand};
 
 use crate::groups::{
-    DisplayArgs, FactorizeArgs, FactorizeDisplayArgs, FieldLookArgs, FileArgs, GeometryArgs, RenderArgs, SequenceArgs,
+    DisplayArgs, FactorizeArgs, FactorizeDisplayArgs, FieldLookArgs, FileArgs, GeometryArgs, JobArgs, RenderArgs,
 };
 use crate::values::Numbers;
 
@@ -66,6 +66,9 @@ pub(crate) enum Command {
     /// PSNR and brightness of many designs on one light field, as a table and plots; with constraints, the design to build
     #[command(after_help = crate::sweep::EXAMPLES)]
     Sweep(crate::sweep::Sweep),
+    /// A run or a sweep on many machines: by Dask, or handed to a farm manager
+    #[command(after_help = crate::farm::EXAMPLES)]
+    Farm(Box<crate::farm::Farm>),
     /// Two runs side by side, or a run beside a photograph of its panels; pictures as an eye's pupil sees them
     #[command(after_help = crate::compare::EXAMPLES)]
     Compare(crate::compare::Compare),
@@ -97,6 +100,9 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: crate::display::DisplayCommand,
     },
+    /// What this machine has of all that the program can use, and how to get the rest
+    #[command(after_help = crate::doctor::EXAMPLES)]
+    Doctor,
     /// Installs what some files need and the program does not bring along
     Setup {
         #[command(subcommand)]
@@ -129,20 +135,11 @@ pub(crate) enum Setup {
 pub(crate) struct Run {
     /// Job file (.toml) or scene (.gltf, .glb, USD, and what importer plugins take)
     pub(crate) input: PathBuf,
-    /// Folder for the results [default: runs/NAME]
-    #[arg(short, long, value_name = "DIR")]
-    pub(crate) output: Option<PathBuf>,
     /// Print the steps of the run instead, with their keys, what is cached, and estimates of time and memory; nothing is written
     #[arg(long)]
     pub(crate) plan: bool,
     #[command(flatten)]
-    pub(crate) display: DisplayArgs,
-    #[command(flatten)]
-    pub(crate) render: RenderArgs,
-    #[command(flatten)]
-    pub(crate) factorize: FactorizeArgs,
-    #[command(flatten)]
-    pub(crate) sequence: SequenceArgs,
+    pub(crate) job: JobArgs,
 }
 
 #[derive(Debug, ClapArgs)]

@@ -5,15 +5,15 @@ use std::path::Path;
 use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_pipeline::{
-    BadValue, Freed, Job, OutputJob, PipelineError, Place, Registry, RunFolder, SequenceJob, ViewOptions, Viewpoint,
-    clean, plugins, render_only, run as run_job, set_threads, simulate_to_file,
+    Freed, Job, PipelineError, Registry, RunFolder, SequenceJob, ViewOptions, Viewpoint, clean, plugins, render_only,
+    run as run_job, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
 use crate::args::{Args, Clean, Command, Factorize, Render, Run, Setup, Simulate};
 use crate::console::{Console, say};
 use crate::groups::{
-    change_display, change_factorize, change_render, change_sequence, geometry, is_job, job_or_scene, stem, tone_of,
+    change_display, change_factorize, change_render, geometry, in_place, job_of, job_or_scene, stem, tone_of,
 };
 use crate::info;
 use crate::preview::{preview_command, written_preview};
@@ -48,6 +48,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         Command::Preview(preview) => preview_command(&preview, &registry_for_work()?, args.json, task),
         Command::Analyze(analyze) => crate::analyze::run(&analyze, &registry_for_work()?, args.json, task),
         Command::Sweep(sweep) => crate::sweep::run(&sweep, &registry_for_work()?, args.json, task),
+        Command::Farm(farm) => crate::farm::run(&farm, args.threads, &registry_for_work()?, args.json, task),
         Command::Compare(compare) => crate::compare::run(&compare, args.json, task),
         Command::Clean(args_of) => clean_command(&args_of, args.json, task),
         Command::Show(show) => crate::show::show_command(&show, &registry_for_work()?, args.json, task),
@@ -55,6 +56,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         Command::Plugins { ids } => info::print_plugins(&ids, &registry()?, args.json),
         Command::Display { what } => crate::display::display_command(&what, args.json),
         Command::Displays => info::print_displays(args.json),
+        Command::Doctor => crate::doctor::run(&registry()?, args.json, cancel),
         Command::Setup { what: Setup::Usd { materialx, python } } => {
             let setup = lumistack_usd::Setup { python, materialx, folder: None };
             let mut tell = |line: &str| match args.json {
@@ -73,21 +75,12 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
 }
 
 fn run_command(args: &Run, line: &str, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
-    let mut job = job_or_scene(&args.input)?;
-    change_display(&mut job, &args.display);
-    change_render(&mut job, &args.render);
-    change_factorize(&mut job, &args.factorize);
-    change_sequence(&mut job, &args.sequence);
-    if !is_job(&args.input) && job.sequence.is_none() {
-        // nobody chose outputs: one that shows the display to its maker, without a word of the command line
-        let params = serde_json::Map::from_iter([("title".into(), job.name.clone().into())]);
-        job.outputs.push(OutputJob { name: Some("preview".into()), params, ..OutputJob::new("web_simulator") });
-    }
-    let folder = args.output.clone().unwrap_or_else(|| Path::new("runs").join(&job.name));
+    let input = &args.input;
+    let (job, folder) = job_of(input, &args.job)?;
     if args.plan {
-        return crate::plan::print(&job, &folder, registry, json).map_err(|error| in_place(error, &args.input));
+        return crate::plan::print(&job, &folder, registry, json).map_err(|error| in_place(error, input));
     }
-    finish(&job, &folder, line, registry, json, task).map_err(|error| in_place(error, &args.input))
+    finish(&job, &folder, line, registry, json, task).map_err(|error| in_place(error, input))
 }
 
 fn factorize_command(
@@ -225,15 +218,4 @@ fn simulate_command(args: &Simulate, json: bool, task: Task<'_>) -> Result<(), P
         say!("{}", args.output.display());
     }
     Ok(())
-}
-
-/// An error about a value of a job, with the place where it was given instead of the word job.
-fn in_place(error: PipelineError, input: &Path) -> PipelineError {
-    match error {
-        PipelineError::Value(value) if value.place == Place::Job => {
-            let place = if is_job(input) { Place::File(input.to_owned()) } else { Place::CommandLine };
-            PipelineError::Value(Box::new(BadValue { place, ..*value }))
-        }
-        other => other,
-    }
 }

@@ -7,7 +7,9 @@ use clap::Args as ClapArgs;
 use lumistack_display::Views;
 use lumistack_factorizer::{StartKind, solver_names};
 use lumistack_field_io::GeometryFlags;
-use lumistack_pipeline::{DisplayJob, FitDepth, ImporterJob, Job, PipelineError, Tone, WindowFrom, is_usd};
+use lumistack_pipeline::{
+    BadValue, DisplayJob, FitDepth, ImporterJob, Job, OutputJob, PipelineError, Place, Tone, WindowFrom, is_usd,
+};
 
 use crate::values::{Angles, Numbers, Size};
 
@@ -160,6 +162,28 @@ pub(crate) struct SequenceArgs {
     /// Full updates at every time after the first [default: 5]
     #[arg(long, value_name = "N")]
     pub(crate) sequence_iterations: Option<u32>,
+    /// Times of a chunk; chunks do not depend on each other's patterns, so machines solve them at once [default: all times are one chain]
+    #[arg(long, value_name = "N")]
+    pub(crate) chunk_times: Option<usize>,
+    /// Times before a chunk that are solved once more for its start [default: 2]
+    #[arg(long, value_name = "N")]
+    pub(crate) warm_up_times: Option<usize>,
+}
+
+/// What the command line changes of a job, and where it runs.
+#[derive(Debug, ClapArgs)]
+pub(crate) struct JobArgs {
+    /// Folder for the results [default: runs/NAME]
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) output: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) display: DisplayArgs,
+    #[command(flatten)]
+    pub(crate) render: RenderArgs,
+    #[command(flatten)]
+    pub(crate) factorize: FactorizeArgs,
+    #[command(flatten)]
+    pub(crate) sequence: SequenceArgs,
 }
 
 /// What to do about values beyond 0 to 1. Without these flags values count as they are.
@@ -361,9 +385,10 @@ pub(crate) fn change_factorize(job: &mut Job, args: &FactorizeArgs) {
 }
 
 pub(crate) fn change_sequence(job: &mut Job, args: &SequenceArgs) {
-    let SequenceArgs { times, turn_deg, shift_mm, duration_s, sequence_iterations } = args;
+    let SequenceArgs { times, turn_deg, shift_mm, duration_s, sequence_iterations, chunk_times, warm_up_times } = args;
     let moves = turn_deg.is_some() || shift_mm.is_some() || duration_s.is_some();
-    if times.is_none() && !moves && sequence_iterations.is_none() {
+    let chunks = chunk_times.is_some() || warm_up_times.is_some();
+    if times.is_none() && !moves && !chunks && sequence_iterations.is_none() {
         return;
     }
     let sequence = job.sequence.get_or_insert_default();
@@ -372,6 +397,36 @@ pub(crate) fn change_sequence(job: &mut Job, args: &SequenceArgs) {
     sequence.shift_mm = shift_mm.map_or(sequence.shift_mm, |shift| shift.0);
     sequence.duration_s = duration_s.unwrap_or(sequence.duration_s);
     sequence.iterations = sequence_iterations.unwrap_or(sequence.iterations);
+    sequence.chunk_times = chunk_times.or(sequence.chunk_times);
+    sequence.warm_up_times = warm_up_times.or(sequence.warm_up_times);
+}
+
+/// A job as the command line changes it, and its folder.
+pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), PipelineError> {
+    let mut job = job_or_scene(input)?;
+    change_display(&mut job, &args.display);
+    change_render(&mut job, &args.render);
+    change_factorize(&mut job, &args.factorize);
+    change_sequence(&mut job, &args.sequence);
+    if !is_job(input) && job.sequence.is_none() {
+        // nobody chose outputs: one that shows the display to its maker, without a word of the command line
+        let params = serde_json::Map::from_iter([("title".into(), job.name.clone().into())]);
+        job.outputs.push(OutputJob { name: Some("preview".into()), params, ..OutputJob::new("web_simulator") });
+    }
+    let runs = if job.sweep.is_some() { "sweeps" } else { "runs" };
+    let folder = args.output.clone().unwrap_or_else(|| Path::new(runs).join(&job.name));
+    Ok((job, folder))
+}
+
+/// An error about a value of a job, with the place where it was given instead of the word job.
+pub(crate) fn in_place(error: PipelineError, input: &Path) -> PipelineError {
+    match error {
+        PipelineError::Value(value) if value.place == Place::Job => {
+            let place = if is_job(input) { Place::File(input.to_owned()) } else { Place::CommandLine };
+            PipelineError::Value(Box::new(BadValue { place, ..*value }))
+        }
+        other => other,
+    }
 }
 
 /// The geometry flags as the job has them.

@@ -9,6 +9,7 @@ use lumistack_pipeline::{
     ImporterJob, Job, LightJob, Outlook, PipelineError, PoseJob, Registry, SceneContents, describe_light_field,
     is_blend, is_usd, load_scene, outlook, plugin_list, plugin_text, presets, refused_outputs,
 };
+use lumistack_scene::{Bounds, Cloud, Scene};
 use lumistack_usd::VariantSet;
 use serde_json::{Value, json};
 
@@ -90,6 +91,7 @@ fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, Pipe
     let mut value = json!({ "scene": {
         "file": path.to_string_lossy(),
         "triangles": scene.triangle_count(),
+        "splats": splats(scene),
         "meshes": scene.meshes.len(),
         "instances": scene.instances.len(),
         "materials": scene.materials.iter().map(|material| material.name.as_str()).collect::<Vec<_>>(),
@@ -106,6 +108,25 @@ fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, Pipe
         value.extend(choices.clone());
     }
     Ok(value)
+}
+
+/// Count, degree of harmonics, extent and memory of the splats; null where there are none.
+fn splats(scene: &Scene) -> Value {
+    if scene.placed_clouds.is_empty() {
+        return Value::Null;
+    }
+    let mut all = Bounds::EMPTY;
+    scene.splat_positions().for_each(|at| all.include(at));
+    let bytes: usize = scene.clouds.iter().map(Cloud::bytes).sum();
+    json!({
+        "count": scene.splat_count(),
+        "clouds": scene.placed_clouds.len(),
+        "degree of harmonics": scene.clouds.iter().map(|cloud| cloud.degree).max(),
+        "colours": scene.clouds.first().map(|cloud| format!("{:?}", cloud.encoding)),
+        "bounds with floaters min": all.min.to_array(),
+        "bounds with floaters max": all.max.to_array(),
+        "memory": format!("{:.1} MB", bytes as f64 / 1e6),
+    })
 }
 
 /// What a job can choose of a scene.

@@ -8,6 +8,8 @@ mod commands;
 mod compare;
 mod console;
 mod display;
+mod doctor;
+mod farm;
 mod groups;
 mod info;
 mod plan;

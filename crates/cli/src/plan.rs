@@ -5,7 +5,7 @@ use std::path::Path;
 use lumistack_pipeline::{Job, PipelineError, Plan, Registry, Step, plan};
 
 use crate::console::say;
-use crate::values::size_text;
+use crate::values::{duration_text, size_text};
 
 /// Prints the plan of a job in a run folder; does nothing else.
 pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -> Result<(), PipelineError> {
@@ -34,7 +34,7 @@ fn table(plan: &Plan) -> Vec<String> {
             Some(false) => "no",
             None => "unknown",
         };
-        let (time, memory) = (duration(*seconds), size_text(*memory_bytes));
+        let (time, memory) = (duration_text(*seconds), size_text(*memory_bytes));
         let key = key.as_deref().unwrap_or("not yet known");
         lines.push(format!(
             "{id:width$}  {stage:9}  {cached:7} {time:>8}  {memory:>8}  {key:16}  {}",
@@ -44,31 +44,10 @@ fn table(plan: &Plan) -> Vec<String> {
     let seconds: f64 = plan.steps.iter().map(|step| step.seconds).sum();
     let most = plan.steps.iter().map(|step| step.memory_bytes).max().unwrap_or(0);
     let cached = plan.steps.iter().filter(|step| step.cached == Some(true)).count();
-    let (count, time, memory) = (plan.steps.len(), duration(seconds), size_text(most));
+    let (count, time, memory) = (plan.steps.len(), duration_text(seconds), size_text(most));
     lines.push(format!(
         "{count} steps in {}, {cached} of them cached; estimated {time} and {memory} of memory",
         plan.folder.display()
     ));
     lines
-}
-
-fn duration(seconds: f64) -> String {
-    match seconds {
-        0.0 => "0 s".into(),
-        s if s < 1.0 => format!("{:.0} ms", (1e3 * s).max(1.0)),
-        s if s < 100.0 => format!("{s:.1} s"),
-        s if s < 6000.0 => format!("{:.0} min", s / 60.0),
-        s => format!("{:.1} h", s / 3600.0),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn times_are_told_in_the_unit_that_people_use() {
-        let told = [0.0, 1e-5, 0.25, 12.34, 600.0, 36000.0].map(duration);
-        assert_eq!(told, ["0 s", "1 ms", "250 ms", "12.3 s", "10 min", "10.0 h"]);
-    }
 }

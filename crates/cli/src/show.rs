@@ -215,6 +215,11 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
     Ok(params)
 }
 
+/// Outputs that could be driven, each in a few words; else why there is none.
+pub(crate) fn outputs() -> Result<Vec<String>, String> {
+    Ok(window::outputs().map_err(|error| error.to_string())?.iter().map(|output| describe(output, false)).collect())
+}
+
 fn list(json: bool) -> Result<(), PipelineError> {
     let outputs = window::outputs().map_err(PipelineError::command)?;
     for output in &outputs {

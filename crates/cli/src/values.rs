@@ -61,6 +61,17 @@ pub(crate) fn size_text(bytes: u64) -> String {
     }
 }
 
+/// A time in the unit that people use.
+pub(crate) fn duration_text(seconds: f64) -> String {
+    match seconds {
+        0.0 => "0 s".into(),
+        s if s < 1.0 => format!("{:.0} ms", (1e3 * s).max(1.0)),
+        s if s < 100.0 => format!("{s:.1} s"),
+        s if s < 6000.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -72,5 +83,11 @@ mod tests {
         assert_eq!("-1.5,2".parse::<Numbers<2>>().unwrap().0, [-1.5, 2.0]);
         assert!("1,nan".parse::<Numbers<2>>().is_err() && "1".parse::<Numbers<2>>().is_err());
         assert!("20x180".parse::<Angles>().is_err());
+    }
+
+    #[test]
+    fn times_are_told_in_the_unit_that_people_use() {
+        let told = [0.0, 1e-5, 0.25, 12.34, 600.0, 36000.0].map(duration_text);
+        assert_eq!(told, ["0 s", "1 ms", "250 ms", "12.3 s", "10 min", "10.0 h"]);
     }
 }

@@ -17,11 +17,13 @@ enum Handling {
 
 use Handling::{NotRead, Read, WithoutEffect};
 
-const EXTENSIONS: [(&str, Handling); 36] = [
+const EXTENSIONS: [(&str, Handling); 37] = [
     ("EXT_mesh_gpu_instancing", Read),
     ("EXT_meshopt_compression", Read),
     ("EXT_texture_webp", Read),
     ("KHR_draco_mesh_compression", Read),
+    ("KHR_gaussian_splatting", Read),
+    ("KHR_gaussian_splatting_compression_spz_2", Read),
     ("KHR_lights_punctual", Read),
     ("KHR_materials_anisotropy", Read),
     ("KHR_materials_clearcoat", Read),
@@ -49,7 +51,6 @@ const EXTENSIONS: [(&str, Handling); 36] = [
     ("EXT_texture_avif", NotRead("; `gltf-transform png IN OUT` writes pictures that can be read")),
     ("KHR_animation_pointer", NotRead("")),
     ("KHR_audio_emitter", NotRead("")),
-    ("KHR_gaussian_splatting", NotRead("")),
     ("KHR_materials_diffuse_transmission", NotRead("")),
     ("KHR_materials_volume_scatter", NotRead("")),
     ("KHR_techniques_webgl", NotRead("; its shaders say nothing about light: export metallic-roughness materials")),

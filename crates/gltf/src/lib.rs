@@ -56,6 +56,7 @@ mod nodes;
 mod options;
 mod quote;
 mod skin;
+mod splats;
 mod textures;
 mod variants;
 mod view;

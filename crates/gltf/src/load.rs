@@ -7,7 +7,7 @@ use std::ops::Range;
 use glam::DAffine3;
 use gltf::json;
 use lumistack_core::{Task, Warning, Warnings};
-use lumistack_scene::{Instance, Material, Scene, SceneParts};
+use lumistack_scene::{Cloud, Instance, Material, PlacedCloud, Scene, SceneParts};
 
 use crate::container::Container;
 use crate::document::Document;
@@ -17,7 +17,8 @@ use crate::nodes::Nodes;
 use crate::options::{LoadOptions, choose};
 use crate::skin::Pose;
 use crate::{
-    AssetResolver, GltfError, animation, cause, extensions, lights_cameras, material, mesh, nodes, skin, variants,
+    AssetResolver, GltfError, animation, cause, extensions, lights_cameras, material, mesh, nodes, skin, splats,
+    variants,
 };
 
 /// Loads a `.gltf` or `.glb` file.
@@ -114,7 +115,7 @@ fn load_scene(
         ..SceneParts::default()
     };
     place_meshes(&document, &nodes, &mut materials, &mut parts)?;
-    if parts.instances.is_empty() {
+    if parts.instances.is_empty() && parts.placed_clouds.is_empty() {
         // there is nothing to validate, and more to say
         return Err(cause::nothing_to_show(&document, &nodes));
     }
@@ -163,6 +164,7 @@ fn place_meshes(
 ) -> Result<(), Fault> {
     // a skin or weights of its own give a node its own shape of the mesh
     let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
+    let mut loaded_splats: HashMap<usize, Vec<(usize, DAffine3)>> = HashMap::new();
     let mut default_material = None;
     for &number in &nodes.shown {
         let node = &document.root.nodes[number];
@@ -183,6 +185,10 @@ fn place_meshes(
         let animated_weights = nodes.poses.get(&number).and_then(|pose| pose.weights.as_deref());
         let weights = animated_weights.or(node.weights.as_deref());
         let own_shape = pose.is_some() || weights.is_some();
+        let clouds = match loaded_splats.entry(index.value()) {
+            Entry::Occupied(entry) => entry.into_mut(),
+            Entry::Vacant(entry) => entry.insert(read_splats(document, mesh, index.value(), &mut parts.clouds)?),
+        };
         let positions = match loaded.entry((index.value(), own_shape.then_some(number))) {
             Entry::Occupied(entry) => entry.into_mut(),
             Entry::Vacant(entry) => {
@@ -193,13 +199,37 @@ fn place_meshes(
             }
         };
         let copies = nodes::copies(document, number)?.unwrap_or_else(|| vec![DAffine3::IDENTITY]);
-        document.spend(&format!("/nodes/{number}"), positions.len() * copies.len(), size_of::<Instance>())?;
+        let placed = (positions.len() + clouds.len()) * copies.len();
+        document.spend(&format!("/nodes/{number}"), placed, size_of::<Instance>())?;
         for node_from_copy in copies {
             let scene_from_mesh = lights_cameras::affine(&(scene_from_node * node_from_copy));
             parts.instances.extend(positions.clone().map(|mesh| Instance { mesh, scene_from_mesh }));
+            parts.placed_clouds.extend(clouds.iter().map(|(cloud, mesh_from_cloud)| PlacedCloud {
+                cloud: *cloud,
+                scene_from_cloud: lights_cameras::affine(&(scene_from_node * node_from_copy * *mesh_from_cloud)),
+            }));
         }
     }
     Ok(())
+}
+
+/// The primitives of a mesh that are splats: numbers of their clouds, and where they stand in the mesh.
+fn read_splats(
+    document: &Document<'_>,
+    mesh: &json::Mesh,
+    number: usize,
+    clouds: &mut Vec<Cloud>,
+) -> Result<Vec<(usize, DAffine3)>, Fault> {
+    let mut found = Vec::new();
+    for i in 0..mesh.primitives.len() {
+        let place = format!("/meshes/{number}/primitives/{i}");
+        if splats::is_splats(document, &place) {
+            let splats = splats::load(document, &place)?;
+            found.push((clouds.len(), splats.mesh_from_cloud));
+            clouds.push(splats.cloud);
+        }
+    }
+    Ok(found)
 }
 
 /// A mesh as one node, or all nodes that share it, show it.
@@ -222,6 +252,9 @@ fn read_mesh(
     let mut meshes = Vec::new();
     for (i, primitive) in mesh.primitives.iter().enumerate() {
         let place = format!("/meshes/{number}/primitives/{i}");
+        if splats::is_splats(document, &place) {
+            continue;
+        }
         let material = match variants::material(document, primitive, &place)? {
             Some(material) => material.value(),
             None => *default_material.get_or_insert_with(|| {

@@ -57,6 +57,28 @@ pub enum PipelineError {
         /// Process and host.
         owner: String,
     },
+    /// A folder without a plan of units of work.
+    #[error(
+        "{}: expected a run folder with a farm's plan, found none; is the folder shared with this machine, and under the same path?",
+        folder.display()
+    )]
+    NoFarmPlan {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A worker whose results would differ from those of the others.
+    #[error(
+        "{}: expected the program that planned the run ({plan}), found another ({worker}); install the same build on all workers, or plan the run again",
+        folder.display()
+    )]
+    OtherCode {
+        /// The run folder.
+        folder: PathBuf,
+        /// Version and code of the plan.
+        plan: String,
+        /// Version and code of the worker.
+        worker: String,
+    },
     /// Something that Lumistack did not write, or that was changed since, has a name that it writes under.
     #[error(
         "{}: expected a name that is free or what Lumistack wrote itself, found {}, which {work} into this folder would replace; move it away, or choose another folder with -o",
@@ -315,6 +337,33 @@ impl PipelineError {
     /// An error of something that a command does beside the pipeline, as a conversion for `map_err`.
     pub fn command(error: impl std::error::Error + Send + Sync + 'static) -> Self {
         Self::Command(Box::new(error))
+    }
+
+    /// Whether it is about this machine alone: another one may do the work.
+    pub fn is_of_machine(&self) -> bool {
+        matches!(self, Self::NoFarmPlan { .. } | Self::OtherCode { .. })
+    }
+
+    /// Whether the store is to blame: no space, no right to write, or gone.
+    pub fn is_of_store(&self) -> bool {
+        use std::io::ErrorKind;
+        let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(self);
+        while let Some(error) = cause {
+            let kind = error.downcast_ref::<std::io::Error>().map(std::io::Error::kind);
+            if matches!(
+                kind,
+                Some(
+                    ErrorKind::StorageFull
+                        | ErrorKind::QuotaExceeded
+                        | ErrorKind::ReadOnlyFilesystem
+                        | ErrorKind::StaleNetworkFileHandle
+                )
+            ) {
+                return true;
+            }
+            cause = error.source();
+        }
+        false
     }
 
     /// A failed write, as a conversion for `map_err`.

@@ -12,6 +12,7 @@
 
 mod compare;
 mod error;
+mod farm;
 mod inspect;
 mod job;
 mod only_views;
@@ -33,6 +34,7 @@ pub use compare::{
     compare_displays, compare_photo, compare_runs, refocused,
 };
 pub use error::{BadValue, FailedOutput, PipelineError, Place};
+pub use farm::{FarmPlan, UnitDone, code, farm_plan, farm_unit};
 pub use inspect::{describe_light_field, plugin_list, plugin_text, plugins};
 pub use job::{
     AngularFilter, Background, Denoise, DisplayJob, Engine, EyeJob, FactorizeJob, FitDepth, ImporterJob, Job, LightJob,
@@ -46,10 +48,12 @@ pub use only_views::render_only;
 pub use outlook::{Outlook, outlook, outlook_on};
 pub use plan::steps::{Plan, Step};
 pub use plan::sweep::SweepSummary;
+pub use plan::units::Cut;
 pub use reader::{is_blend, is_usd};
 pub use refused::{RefusedOutput, refused_outputs};
 pub use run::{NodeSummary, SequenceSummary, Summary, plan, run, run_step, sweep};
 pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_preview};
+pub use stage::denoise::oidn_version;
 pub use stage::ingest::{Ingested, SceneContents, load_scene, scene_contents, take_scene};
 pub use stage::look::automatic_look;
 pub use stage::place::window::place_window;

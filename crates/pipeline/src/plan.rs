@@ -20,3 +20,4 @@ pub(crate) mod steps;
 pub(crate) mod still;
 pub(crate) mod sweep;
 pub(crate) mod times;
+pub(crate) mod units;

@@ -23,6 +23,11 @@ pub fn is_usd(path: &Path) -> bool {
     lumistack_usd::EXTENSIONS.contains(&extension.as_str())
 }
 
+/// Whether a file is a capture by its extension: splats alone.
+pub(crate) fn is_capture(path: &Path) -> bool {
+    path.extension().is_some_and(|found| ["ply", "spz", "sog"].iter().any(|known| found.eq_ignore_ascii_case(known)))
+}
+
 /// Whether a file is Blender's by its extension.
 pub fn is_blend(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(lumistack_usd::BLEND_EXTENSION))

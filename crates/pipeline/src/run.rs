@@ -17,9 +17,11 @@ use crate::plan::execute::context::Context;
 use crate::plan::graph::add_displays;
 use crate::plan::sequence::add_times;
 use crate::plan::steps::{Kind, Plan};
-use crate::plan::still::add_field;
+use crate::plan::still::{Before, add_field};
 use crate::plan::sweep::{self, Designs, SweepSummary};
+use crate::store::farm::forget;
 use crate::store::folder;
+use crate::store::lock::{Hold, UNIT_LIMIT, take_for_unit};
 use crate::store::names::Work;
 use crate::store::plugin_files;
 
@@ -99,8 +101,44 @@ pub fn run(
 ) -> Result<Summary, PipelineError> {
     let start = Instant::now();
     let job = &without_sweep(job, registry)?;
-    let work = if job.sequence.is_some() { Work::Sequence } else { Work::Run };
-    let _owned = folder::take(run_dir, work, job, registry, task)?;
+    let _owned = folder::take(run_dir, work_of(job), job, registry, task)?;
+    forget(run_dir);
+    run_in(job, run_dir, registry, command, start, task)
+}
+
+/// Runs the whole job of units of work that are done: takes up what they left, and makes the rest.
+///
+/// # Errors
+/// As [`run`] or [`sweep`], and when an output failed.
+pub(crate) fn run_finished(
+    job: &Job,
+    run_dir: &Path,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    // a unit that seemed lost may still be at work
+    drop(take_for_unit(run_dir, Hold::Alone, UNIT_LIMIT, task)?);
+    if job.sweep.is_some() {
+        return sweep(job, run_dir, registry, task).map(|_| ());
+    }
+    let job = &without_sweep(job, registry)?;
+    let _owned = folder::take(run_dir, work_of(job), job, registry, task)?;
+    let summary = run_in(job, run_dir, registry, None, Instant::now(), task)?;
+    match summary.failed_outputs {
+        failed if failed.is_empty() => Ok(()),
+        failed => Err(PipelineError::Outputs { failed }),
+    }
+}
+
+/// Runs a job in a folder that the caller holds.
+fn run_in(
+    job: &Job,
+    run_dir: &Path,
+    registry: &Registry,
+    command: Option<&str>,
+    start: Instant,
+    task: Task<'_>,
+) -> Result<Summary, PipelineError> {
     let plan = of_run(job, run_dir)?;
     let mut executor = Executor::new(&plan, registry, command, task);
     executor.execute()?;
@@ -119,8 +157,7 @@ pub fn run_step(
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     let job = &without_sweep(job, registry)?;
-    let work = if job.sequence.is_some() { Work::Sequence } else { Work::Run };
-    let _owned = folder::take(run_dir, work, job, registry, task)?;
+    let _owned = folder::take(run_dir, work_of(job), job, registry, task)?;
     Executor::new(&of_run(job, run_dir)?, registry, None, task).execute_alone(step)
 }
 
@@ -159,20 +196,29 @@ fn without_sweep(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     plugin_files::resolved(job, registry)
 }
 
-fn of_run(job: &Job, run_dir: &Path) -> Result<Plan, PipelineError> {
+/// The work of a job in its folder.
+pub(crate) fn work_of(job: &Job) -> Work {
+    match (&job.sweep, &job.sequence) {
+        (Some(_), _) => Work::Sweep,
+        (None, Some(_)) => Work::Sequence,
+        (None, None) => Work::Run,
+    }
+}
+
+pub(crate) fn of_run(job: &Job, run_dir: &Path) -> Result<Plan, PipelineError> {
     job.check()?;
     let mut plan = Plan::new(job, run_dir);
     let root = plan.add_part(PathBuf::new(), Kind::Run, job.clone(), None);
     if job.sequence.is_some() {
         add_times(&mut plan, root, false)?;
     } else {
-        let field = add_field(&mut plan, root, Vec::new(), None);
+        let field = add_field(&mut plan, root, Before::default());
         add_displays(&mut plan, root, &field, |_| None, true);
     }
     Ok(plan)
 }
 
-fn of_sweep(job: &Job, dir: &Path) -> Result<(Plan, Designs), PipelineError> {
+pub(crate) fn of_sweep(job: &Job, dir: &Path) -> Result<(Plan, Designs), PipelineError> {
     let mut plan = Plan::new(job, dir);
     let table = job.sweep.clone().unwrap_or_default();
     let designs = sweep::add(&mut plan, job, &table)?;

@@ -15,7 +15,7 @@ use crate::error::{PipelineError, display_error, field_error, host_error};
 use crate::job::{FactorizeJob, Job, ReportJob};
 use crate::stage::factorize::Solve;
 use crate::stage::field::{array_weights, eye_weights, warn_of_depth};
-use crate::stage::fields::Shot;
+use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
 use crate::stage::look::Look;
 use crate::stage::read::{self, Beyond};
@@ -66,7 +66,7 @@ pub fn render_field(
     let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());
     let seen = traced.depths.seen(&placement);
     let zone = score::zone_of(&job, display, &geometry);
-    let references = References::render(shot, &zone, (rendered.look, traced.engine), cache_dir, task)?;
+    let references = References::render(shot, &zone, (rendered.look, traced.engine), cache_dir, Block::ALL, task)?;
     let references = references.map(References::held).transpose()?;
     Ok(Traced { field: rendered.target.with_depth(Some(seen)), depth, exposure, tone, references })
 }

@@ -8,11 +8,12 @@
 //! folder     taken for a job                              left_overs     of runs that were killed
 //! used       what the last run needed                     clean          frees the rest
 //! handover   scenes that Blender handed over              plugin_files   files among the parameters of plugins
-//! paged      light fields too large for memory
+//! paged      light fields too large for memory         farm         units of work that are done
 //! ```
 
 pub(crate) mod clean;
 pub(crate) mod code;
+pub(crate) mod farm;
 pub(crate) mod files;
 pub(crate) mod folder;
 pub(crate) mod handover;

@@ -28,6 +28,7 @@ plugins! {
     "obj": lumistack_plugin_obj;
     "panels": lumistack_plugin_panels;
     "quilt": lumistack_plugin_quilt;
+    "splats": lumistack_plugin_splats;
     "tensor-display": lumistack_plugin_tensor_display;
     "test-views": lumistack_plugin_test_views;
     "transparencies": lumistack_plugin_transparencies;

@@ -32,6 +32,11 @@ impl Bounds {
         !(self.min.cmple(self.max)).all()
     }
 
+    /// Whether a point lies in the box or on its border.
+    pub fn contains(&self, point: Vec3) -> bool {
+        point.cmpge(self.min).all() && point.cmple(self.max).all()
+    }
+
     /// Centre; meaningless for an empty box.
     pub fn centre(&self) -> Vec3 {
         0.5 * (self.min + self.max)

@@ -5,18 +5,22 @@
 //! their own. Lengths are in scene units, angles in radians, light in linear sRGB.
 
 mod bounds;
+mod error;
 mod material;
 mod parts;
+mod splats;
 mod validate;
 mod window;
 
 pub use bounds::Bounds;
+pub use error::SceneError;
 pub use material::{
     AlphaMode, Anisotropy, Clearcoat, Filter, Image, Iridescence, Lamp, Material, Pixels, Sheen, Texture, TextureUse,
     Wrap,
 };
 pub use parts::{Camera, Environment, Instance, Light, LightKind, Mesh, Projection, SceneParts};
-pub use validate::{Scene, SceneError};
+pub use splats::{Cloud, Encoding, MAX_DEGREE, PlacedCloud};
+pub use validate::Scene;
 pub use window::{Similarity, Window, WindowError};
 
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.

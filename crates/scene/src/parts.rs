@@ -2,7 +2,7 @@
 
 use glam::{Affine3A, Quat, Vec2, Vec3, Vec4};
 
-use crate::{Image, Material, Texture};
+use crate::{Cloud, Image, Material, PlacedCloud, Texture};
 
 /// A scene that nobody has checked yet; see [`SceneParts::validate`].
 #[derive(Clone, Debug, Default)]
@@ -13,6 +13,10 @@ pub struct SceneParts {
     pub meshes: Vec<Mesh>,
     /// Placed meshes.
     pub instances: Vec<Instance>,
+    /// Clouds of Gaussian splats.
+    pub clouds: Vec<Cloud>,
+    /// Placed clouds.
+    pub placed_clouds: Vec<PlacedCloud>,
     /// Materials; meshes index them.
     pub materials: Vec<Material>,
     /// Textures; materials index them.

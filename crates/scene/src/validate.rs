@@ -5,9 +5,8 @@ use std::ops::Deref;
 
 use glam::{Affine3A, Mat3A, Vec2, Vec3, Vec3A};
 use lumistack_core::Task;
-use thiserror::Error;
 
-use crate::{AlphaMode, Bounds, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneParts, TextureUse};
+use crate::{AlphaMode, Bounds, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneError, SceneParts, TextureUse};
 
 /// A scene whose indices, numbers and transforms have been checked. Read it like [`SceneParts`].
 #[derive(Clone, Debug)]
@@ -26,12 +25,12 @@ impl Deref for Scene {
 }
 
 impl Scene {
-    /// Bounds of all placed triangles; never empty.
+    /// Bounds of all placed triangles, and of all splats but floaters; never empty.
     pub fn bounds(&self) -> Bounds {
         self.bounds
     }
 
-    /// Bounds of the placed triangles that the viewer sees: all but [unseen lamps](Lamp::Unseen). Those of everything where nothing else is there.
+    /// Bounds of what the viewer sees: all but [unseen lamps](Lamp::Unseen) and floating splats. Those of everything where nothing else is there.
     pub fn seen_bounds(&self) -> Bounds {
         self.seen_bounds
     }
@@ -44,6 +43,18 @@ impl Scene {
     /// Number of triangles with instances counted.
     pub fn triangle_count(&self) -> usize {
         self.instances.iter().map(|instance| self.meshes[instance.mesh].triangles.len()).sum()
+    }
+
+    /// Number of splats, those of clouds that are placed often counted as often.
+    pub fn splat_count(&self) -> usize {
+        self.placed_clouds.iter().map(|placed| self.clouds[placed.cloud].len()).sum()
+    }
+
+    /// Centres of all placed splats.
+    pub fn splat_positions(&self) -> impl Iterator<Item = Vec3> {
+        self.placed_clouds.iter().flat_map(|placed| {
+            self.clouds[placed.cloud].positions.iter().map(|at| placed.scene_from_cloud.transform_point3(*at))
+        })
     }
 
     /// Whether something lights the scene: an environment, a punctual light, or a surface that emits more than white (radiance 1). What emits
@@ -70,28 +81,9 @@ impl Scene {
     }
 }
 
-/// A scene that cannot be used.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("{place}: expected {expected}, found {found}")]
-pub struct SceneError {
-    /// Place in the file.
-    pub place: String,
-    /// What was needed.
-    pub expected: String,
-    /// What was there.
-    pub found: String,
-}
-
-impl SceneError {
-    /// An error at a place in the file.
-    pub fn new(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self { place: place.into(), expected: expected.into(), found: found.into() }
-    }
-}
-
 impl SceneParts {
-    /// Checks everything that later stages rely on, generates missing normals and tangents, drops triangles without area and
-    /// instances without volume (with a warning).
+    /// Checks everything that later stages rely on, generates missing normals and tangents, drops triangles without area, splats that are no
+    /// Gaussians and instances without volume (with a warning).
     ///
     /// # Errors
     /// On the first index out of range, number that is not finite, or attribute of the wrong length; and when nothing is left to render.
@@ -142,14 +134,42 @@ impl SceneParts {
                 seen_bounds.join(own);
             }
         }
+        self.check_clouds(task)?;
+        for placed in &self.placed_clouds {
+            let own = self.clouds[placed.cloud].seen_bounds(placed.scene_from_cloud);
+            bounds.join(own);
+            seen_bounds.join(own);
+        }
         if bounds.is_empty() {
-            return Err(SceneError::new(self.name, "at least one triangle with area", "none"));
+            let expected = if self.clouds.is_empty() {
+                "at least one triangle with area"
+            } else {
+                "at least one splat that is a Gaussian"
+            };
+            return Err(SceneError::new(self.name, expected, "none"));
         }
         if !(bounds.min.is_finite() && bounds.max.is_finite()) {
             return Err(SceneError::new(self.name, "bounds that a 32-bit float can hold", format!("{bounds:?}")));
         }
         let seen_bounds = if seen_bounds.is_empty() { bounds } else { seen_bounds };
         Ok(Scene { parts: self, bounds, seen_bounds })
+    }
+
+    fn check_clouds(&mut self, task: Task<'_>) -> Result<(), SceneError> {
+        for cloud in &mut self.clouds {
+            cloud.check(task)?;
+        }
+        for (i, placed) in self.placed_clouds.iter().enumerate() {
+            let place = format!("/placed_clouds/{i}");
+            index(&place, placed.cloud, self.clouds.len(), "cloud")?;
+            let map = placed.scene_from_cloud;
+            if !(map.is_finite() && map.matrix3.determinant() != 0.0) {
+                return Err(SceneError::new(place, "an invertible transform", format!("{map:?}")));
+            }
+        }
+        let clouds = &self.clouds;
+        self.placed_clouds.retain(|placed| !clouds[placed.cloud].is_empty());
+        Ok(())
     }
 
     fn check_images(&self) -> Result<(), SceneError> {

@@ -237,7 +237,7 @@ fn temporary() -> Result<tempfile::TempDir, UsdError> {
 }
 
 /// The programs to try, in this order: Blender, then Pythons that may have bpy.
-fn candidates() -> Vec<Candidate> {
+pub(crate) fn candidates() -> Vec<Candidate> {
     let named = |program: PathBuf, from| Candidate { program, from, given: false };
     if let Some(program) = var_os(VARIABLE).filter(|value| !value.is_empty()) {
         return vec![Candidate { program: program.into(), from: VARIABLE, given: true }];
@@ -330,7 +330,7 @@ fn ask_program(
 }
 
 /// Python runs a script by its name alone.
-fn is_python(program: &Path) -> bool {
+pub(crate) fn is_python(program: &Path) -> bool {
     program.file_name().is_some_and(|name| name.to_string_lossy().to_ascii_lowercase().starts_with("py"))
 }
 

@@ -30,6 +30,7 @@ mod slots;
 mod spacing;
 mod subdivide;
 mod texture;
+mod there;
 mod uber;
 
 use std::path::{Path, PathBuf};
@@ -46,6 +47,7 @@ pub use error::UsdError;
 pub use package::{Array, Contents, Failure, Header, Note, Package, TimeRange, VariantSet};
 pub use scene::scene_from_package;
 pub use setup::Setup;
+pub use there::{There, blender, openusd};
 
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
@@ -69,6 +71,12 @@ pub struct Loaded {
     pub scene: Scene,
     /// Every layer and texture on disk that was read.
     pub files: Vec<PathBuf>,
+}
+
+/// The Pythons that are asked for packages, in this order, each with where it was found.
+pub fn pythons() -> Vec<(PathBuf, &'static str)> {
+    let candidates = python::Surroundings::of_system().candidates().into_iter();
+    candidates.map(|candidate| (candidate.program, candidate.from)).collect()
 }
 
 /// Loads a USD file.

@@ -14,8 +14,8 @@ use crate::python::{Surroundings, interpreter, own_environment};
 const VERSION: &str =
     "import sys, platform; print('Python', platform.python_version()); sys.exit(sys.version_info < (3, 8))";
 /// How OpenUSD says which it is.
-const CHECK: &str = "from pxr import Usd, Sdf; v = Usd.GetVersion(); \
-    print('OpenUSD %d.%02d' % v[1:], 'with' if Sdf.FileFormat.FindByExtension('mtlx') else 'without', 'MaterialX')";
+pub(crate) const CHECK: &str = "import sys\ntry: from pxr import Usd, Sdf\nexcept ImportError as error: sys.exit(str(error))\n\
+    v = Usd.GetVersion(); print('OpenUSD %d.%02d' % v[1:], 'with' if Sdf.FileFormat.FindByExtension('mtlx') else 'without', 'MaterialX')";
 
 /// What is to be set up.
 #[derive(Clone, Debug, Default)]
@@ -92,7 +92,11 @@ impl Setup {
 }
 
 /// Runs a program to its end: what it printed, or how it failed. `line` takes every line as it comes.
-fn run(command: &mut Command, line: &mut dyn FnMut(&str), cancel: &Cancel) -> Result<Result<String, String>, UsdError> {
+pub(crate) fn run(
+    command: &mut Command,
+    line: &mut dyn FnMut(&str),
+    cancel: &Cancel,
+) -> Result<Result<String, String>, UsdError> {
     let mut child = match command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn() {
         Ok(child) => child,
         Err(error) => return Ok(Err(format!("cannot be started: {error}"))),

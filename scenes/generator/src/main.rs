@@ -1,6 +1,6 @@
-//! Writes Lumistack's sample scenes: glTF 2.0 with textures, a camera and an environment.
+//! Writes Lumistack's sample scenes: glTF 2.0 with textures, a camera and an environment, and one of Gaussian splats.
 //!
-//! `cargo run -p lumistack-scene-generator [FOLDER]` rewrites `still-life/`, `letters/` and `glass/` in
+//! `cargo run -p lumistack-scene-generator [FOLDER]` rewrites `still-life/`, `letters/`, `glass/` and `dandelion/` in
 //! FOLDER (default: the repository's `scenes/`). The same source gives the same bytes on every run; the
 //! committed files are checked against it by the tests.
 //!
@@ -9,6 +9,7 @@
 //! frustum at the focus distance is the window.
 
 mod bitmap_font;
+mod dandelion;
 mod encode;
 mod glass;
 mod glass_meshes;
@@ -50,7 +51,12 @@ pub(crate) type SceneFile = (String, Vec<u8>);
 
 /// Builds every scene in memory: the folder's name and its files.
 fn build_scenes() -> Result<Vec<(&'static str, Vec<SceneFile>)>, GeneratorError> {
-    Ok(vec![("still-life", still_life::build()?), ("letters", letters::build()?), ("glass", glass::build()?)])
+    Ok(vec![
+        ("still-life", still_life::build()?),
+        ("letters", letters::build()?),
+        ("glass", glass::build()?),
+        ("dandelion", dandelion::build()?),
+    ])
 }
 
 /// Writes every scene into `folder` and returns the number of bytes written.

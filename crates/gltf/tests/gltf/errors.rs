@@ -331,7 +331,6 @@ fn required_extensions() {
         "EXT_texture_avif",
         "KHR_animation_pointer",
         "KHR_audio_emitter",
-        "KHR_gaussian_splatting",
         "KHR_materials_diffuse_transmission",
         "KHR_materials_volume_scatter",
         "KHR_techniques_webgl",

@@ -7,4 +7,5 @@ mod errors;
 mod features;
 mod materials;
 mod mutations;
+mod splats;
 mod support;

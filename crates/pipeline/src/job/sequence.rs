@@ -21,11 +21,26 @@ pub struct SequenceJob {
     pub duration_s: f64,
     /// Whether every time gets a whole report of its own; the sequence's is always written.
     pub reports: bool,
+    /// Times of a chunk. Chunks do not depend on each other's patterns, so machines solve them at once; without it all times are one chain.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub chunk_times: Option<usize>,
+    /// Times before a chunk that are solved once more, from nothing, so that the chunk starts as the chain would have; default 2.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub warm_up_times: Option<usize>,
 }
 
 impl Default for SequenceJob {
     fn default() -> Self {
-        Self { times: None, iterations: 5, turn_deg: 0.0, shift_mm: [0.0; 3], duration_s: 0.0, reports: false }
+        Self {
+            times: None,
+            iterations: 5,
+            turn_deg: 0.0,
+            shift_mm: [0.0; 3],
+            duration_s: 0.0,
+            reports: false,
+            chunk_times: None,
+            warm_up_times: None,
+        }
     }
 }
 
@@ -52,6 +67,14 @@ impl SequenceJob {
         if self.duration_s != 0.0 && has_light_field {
             let expected = "`duration_s` for a scene or a source only";
             return fail("sequence", expected, "it with light fields".into());
+        }
+        if self.chunk_times == Some(0) {
+            return fail("sequence.chunk_times", "1 or more", "0".into());
+        }
+        if let Some(times) = self.warm_up_times
+            && !self.chunk_times.is_some_and(|chunk| (1..=chunk).contains(&times))
+        {
+            return fail("sequence.warm_up_times", "1 to `chunk_times`", times.to_string());
         }
         if !self.duration_s.is_finite() {
             return fail("sequence.duration_s", "a finite time", self.duration_s.to_string());

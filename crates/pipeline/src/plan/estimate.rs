@@ -21,6 +21,7 @@ use serde_json::{Map, Value};
 use super::steps::{Kind, Plan, What};
 use crate::error::PipelineError;
 use crate::job::Job;
+use crate::reader::is_capture;
 use crate::stage::fields::held_out_grid;
 use crate::stage::node::is_factorized;
 use crate::stage::output::stage_name;
@@ -283,20 +284,38 @@ fn work(plan: &Plan, index: usize) -> f64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
     let Some(sizes) = Sizes::of(job) else { return 0.0 };
-    let samples = f64::from(job.render.samples_of_view(sizes.views as usize));
+    // captures have no noise
+    let is_capture = job.scene.as_deref().is_some_and(is_capture);
+    let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
     match step.what {
         What::Ingest | What::Place => 1.0,
         What::Trace => sizes.pixels * (sizes.views + sizes.others) * samples,
         What::Denoise if !job.render.denoise.filters() => 0.0,
         What::Denoise | What::Expose => sizes.pixels * (sizes.views + sizes.others),
-        What::Score => sizes.pixels * job.report.zone_directions as f64 * SCORE_SAMPLES,
-        What::Patterns => sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations().max(1)),
+        What::Score => {
+            let samples = if is_capture { 1.0 } else { SCORE_SAMPLES };
+            sizes.pixels * job.report.zone_directions as f64 * samples
+        }
+        What::Patterns => {
+            let iterations = job.factorize.iterations().max(1) + warm_up_iterations(plan, step.part);
+            sizes.rays() * sizes.layers * sizes.frames * f64::from(iterations)
+        }
         What::Design(_) | What::Search => {
             let count = if step.what == What::Search { job.sweep.as_ref().map_or(1, |sweep| sweep.count()) } else { 1 };
             sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations().max(1)) * count as f64
         }
         What::Report => sizes.pixels * (sizes.views + sizes.others + job.report.zone_directions as f64),
         _ => sizes.rays(),
+    }
+}
+
+/// Iterations that a time which begins a chunk takes before its own.
+fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
+    let Some((time, sequence)) = plan.time(part) else { return 0 };
+    let Kind::Sequence(times) = &plan.parts[sequence].kind else { return 0 };
+    match times.warm_up(time).len() as u32 {
+        0 => 0,
+        count => plan.parts[sequence].job.factorize.iterations() + (count - 1) * times.sequence.iterations,
     }
 }
 

@@ -24,9 +24,10 @@ use self::listen::{PlaceProgress, Tee};
 use super::estimate::{self, Record};
 use super::steps::{Kind, Plan, Step, What};
 use crate::error::PipelineError;
+use crate::stage::fields::Block;
 use crate::stage::output;
 use crate::store::folder;
-use crate::store::lock::take_known;
+use crate::store::lock::{Hold, UNIT_LIMIT, take_for_unit, take_known};
 use crate::store::names::Work;
 use crate::store::used;
 
@@ -38,6 +39,8 @@ pub(crate) struct Executor<'a> {
     ends: Vec<Ends>,
     done: Vec<bool>,
     records: BTreeMap<String, Record>,
+    /// Where a unit of work is executed: the part that it works in, and how it holds its folder.
+    unit: Option<(usize, Hold)>,
 }
 
 impl<'a> Executor<'a> {
@@ -49,6 +52,7 @@ impl<'a> Executor<'a> {
             ids,
             done: vec![false; plan.steps.len()],
             records: BTreeMap::new(),
+            unit: None,
         }
     }
 
@@ -81,11 +85,69 @@ impl<'a> Executor<'a> {
     /// As [`execute`](Self::execute), and when there is no such step.
     pub(crate) fn execute_alone(&mut self, id: &str) -> Result<(), PipelineError> {
         self.context.check()?;
-        let Some(&index) = self.ids.get(id) else {
-            return Err(PipelineError::value("plan", "step", "the id of a step", format!("`{id}`")));
-        };
+        let index = self.index(id)?;
         self.run(index)?;
         estimate::note(self.context.plan, self.context.registry, std::mem::take(&mut self.records))
+    }
+
+    /// Executes steps of one part as a unit of work, while other processes execute others. The caller holds the run folder together with them, and all units whose
+    /// results this one takes are done.
+    ///
+    /// # Errors
+    /// As [`execute`](Self::execute), and when there is no such step.
+    pub(crate) fn execute_unit(&mut self, steps: &[String], block: Option<Block>) -> Result<(), PipelineError> {
+        self.context.check()?;
+        let hold = if block.is_some() { Hold::Shared } else { Hold::Alone };
+        for id in steps {
+            let index = self.index(id)?;
+            self.unit = Some((self.context.plan.steps[index].part, hold));
+            match block {
+                Some(block) => self.run_block(index, block)?,
+                None => self.run(index)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes results of units that are done into memory, while other processes work.
+    ///
+    /// # Errors
+    /// As [`execute_unit`](Self::execute_unit).
+    pub(crate) fn read_back(&mut self, steps: &[String]) -> Result<(), PipelineError> {
+        self.unit = Some((0, Hold::Shared));
+        steps.iter().try_for_each(|id| {
+            let index = self.index(id)?;
+            self.run(index)
+        })
+    }
+
+    /// Checks jobs, displays, settings and outputs before any work.
+    ///
+    /// # Errors
+    /// The first of them that makes no sense.
+    pub(crate) fn check(&mut self) -> Result<(), PipelineError> {
+        self.context.check()
+    }
+
+    /// Traces a block of pictures, for which the scene and the place of the window are enough.
+    fn run_block(&mut self, index: usize, block: Block) -> Result<(), PipelineError> {
+        let plan = self.context.plan;
+        let step = &plan.steps[index];
+        self.enter(step.part)?;
+        let place = plan.steps.iter().position(|other| other.part == step.part && other.what == What::Place);
+        place.map_or(Ok(()), |place| self.run(place))?;
+        let task = self.context.task;
+        match step.what {
+            What::Trace => self.context.trace_block(step.part, block, task),
+            What::Score => self.context.score_block(step.part, block, task),
+            _ => Err(PipelineError::value("plan", "unit", "a block of pictures to trace", &step.id)),
+        }
+        .map(|_| ())
+    }
+
+    fn index(&self, id: &str) -> Result<usize, PipelineError> {
+        let known = self.ids.get(id).copied();
+        known.ok_or_else(|| PipelineError::value("plan", "step", "the id of a step", format!("`{id}`")))
     }
 
     fn run(&mut self, index: usize) -> Result<(), PipelineError> {
@@ -96,9 +158,12 @@ impl<'a> Executor<'a> {
         let step = &plan.steps[index];
         for input in &step.inputs {
             // in a plan that is executed as a whole they are done
-            let known = self.ids.get(input.as_str()).copied();
-            let input = known.ok_or_else(|| PipelineError::value("plan", "inputs", "ids of steps", input))?;
-            self.run(input)?;
+            let input = self.index(input)?;
+            // the patterns to start from are read from their files
+            let of_file = self.unit.is_some() && [step.what, plan.steps[input].what] == [What::Patterns; 2];
+            if !of_file {
+                self.run(input)?;
+            }
         }
         self.context.task.cancel.check()?;
         self.enter(step.part)?;
@@ -135,6 +200,15 @@ impl<'a> Executor<'a> {
         let Some(parent) = of_part.parent else { return Ok(()) };
         self.enter(parent)?;
         if self.context.states[part].owned.is_some() {
+            return Ok(());
+        }
+        if let Some((own, hold)) = self.unit {
+            // finished results of other parts are only read
+            if self.context.plan.is_below(own, part) {
+                let hold = if own == part { hold } else { Hold::Shared };
+                let owned = take_for_unit(&self.context.dir(part), hold, UNIT_LIMIT, self.context.task)?;
+                self.context.states[part].owned = Some(owned);
+            }
             return Ok(());
         }
         let in_sweep = matches!(self.context.plan.parts[0].kind, Kind::Sweep);

@@ -11,7 +11,7 @@
 use lumistack_display::{Display, FieldGeometry};
 
 use super::steps::{Kind, Plan, What};
-use super::still::{add_display, add_field_outputs, add_score};
+use super::still::{TimeBefore, add_display, add_field_outputs, add_score};
 use crate::error::PipelineError;
 use crate::job::{Job, NodeJob, OutputJob};
 use crate::stage::node;
@@ -22,7 +22,7 @@ pub(crate) fn add_displays(
     plan: &mut Plan,
     part: usize,
     field: &str,
-    before: impl Fn(Option<&NodeJob>) -> Option<[String; 2]>,
+    before: impl Fn(Option<&NodeJob>) -> Option<TimeBefore>,
     reports: bool,
 ) -> Vec<String> {
     let score = if reports { add_score(plan, part, field) } else { Vec::new() };

@@ -7,11 +7,12 @@
 //!
 //! A time of a job with nodes is a graph,
 //! t0001/nodes/ID, whose nodes each start from their own patterns of the time before. A time for which those are no start, as after a cut, starts fresh. What a
-//! time is stands in one place, [`Times::job`](super::times::Times::job). Two times are in memory at once, since flicker compares them.
+//! time is stands in one place, [`Times::job`](super::times::Times::job). A sequence in chunks breaks the chain: the first time of a chunk starts from patterns of the
+//! times before it that are solved once more, so machines solve chunks at once. Two times are in memory at once, since flicker compares them.
 
 use super::graph::add_displays;
 use super::steps::{Kind, Plan, What};
-use super::still::add_field;
+use super::still::{Before, TimeBefore, add_field};
 use super::times::{Times, name};
 use crate::error::PipelineError;
 use crate::job::NodeJob;
@@ -35,22 +36,25 @@ pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Resu
     let reports = sequence.reports && !fields_only;
     let (mut fields, mut ends) = (Vec::<String>::new(), Vec::new());
     for time in 0..times.count() {
-        let before = (time > 0).then(|| plan.folder.join(&folder).join(name(time - 1)));
+        let before = times.start(time).map(|before| plan.folder.join(&folder).join(before));
         let of_time = times.job(&job, time, before.as_deref(), None);
         let of_time = plan.add_part(folder.join(name(time)), Kind::Time(time), of_time, Some(part));
-        let mut first: Vec<String> = placed.iter().map(|[_, place]| place.clone()).collect();
-        // its exposure is that of all, and so is its geometry
-        first.extend(fields.first().cloned());
-        let ingested = placed.as_ref().filter(|_| times.shares_scene()).map(|[ingest, _]| ingest.as_str());
-        let field = add_field(plan, of_time, first, ingested);
+        let before = Before {
+            ingested: placed.as_ref().filter(|_| times.shares_scene()).map(|[ingest, _]| ingest.as_str()),
+            placed: placed.as_ref().map(|[_, place]| place.as_str()),
+            first: fields.first().map(String::as_str),
+        };
+        let field = add_field(plan, of_time, before);
         if !fields_only {
             let last = fields.last().cloned();
+            let warm_up: Vec<String> = fields[times.warm_up(time)].to_vec();
             let before = |node: Option<&NodeJob>| {
                 let place = folder.join(name(time.checked_sub(1)?));
                 let place = node.map_or(place.clone(), |node| place.join("nodes").join(&node.id));
                 let stage = if is_factorized(node) { "factorize" } else { "node" };
                 let id: Vec<_> = place.iter().map(|part| part.to_string_lossy()).collect();
-                Some([format!("{}/{stage}", id.join("/")), last.clone()?])
+                let patterns = format!("{}/{stage}", id.join("/"));
+                Some(TimeBefore { patterns, field: last.clone()?, warm_up: warm_up.clone() })
             };
             ends.extend(add_displays(plan, of_time, &field, before, reports));
         }

@@ -2,27 +2,41 @@
 
 use super::steps::{Kind, Plan, What};
 
-/// Adds the steps to a part's light field; gives the last one's id. `first` are steps that must come before the first of them, `ingested` one that has loaded the
-/// scene already.
-pub(crate) fn add_field(plan: &mut Plan, part: usize, first: Vec<String>, ingested: Option<&str>) -> String {
+/// The steps that a part's light field takes from other parts.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Before<'a> {
+    /// Has loaded the scene already.
+    pub(crate) ingested: Option<&'a str>,
+    /// Has placed the window at the first time.
+    pub(crate) placed: Option<&'a str>,
+    /// The light field of the first time, whose exposure and geometry are those of all.
+    pub(crate) first: Option<&'a str>,
+}
+
+/// Adds the steps to a part's light field; gives the last one's id.
+pub(crate) fn add_field(plan: &mut Plan, part: usize, before: Before<'_>) -> String {
     let job = &plan.parts[part].job;
     let denoised = job.render.denoise.filters();
+    let ids = |id: Option<&str>| id.map(str::to_owned).into_iter().collect::<Vec<_>>();
     if job.scene.is_none() {
         let what = if job.light_field.is_some() { What::Read } else { What::Source };
-        return plan.add_step(part, what, first);
+        return plan.add_step(part, what, ids(before.first));
     }
-    let ingest = match ingested {
+    let ingest = match before.ingested {
         Some(id) => id.to_owned(),
-        None => plan.add_step(part, What::Ingest, first.clone()),
+        None => plan.add_step(part, What::Ingest, ids(before.placed)),
     };
     let mut inputs = vec![ingest];
-    inputs.extend(first);
+    inputs.extend(ids(before.placed));
     let mut last = plan.add_step(part, What::Place, inputs);
     last = plan.add_step(part, What::Trace, vec![last]);
     if denoised {
         last = plan.add_step(part, What::Denoise, vec![last]);
     }
-    plan.add_step(part, What::Expose, vec![last])
+    // the exposure of the first time comes first: it is part of this one's job
+    let mut inputs = ids(before.first);
+    inputs.push(last);
+    plan.add_step(part, What::Expose, inputs)
 }
 
 /// Adds the step to the scene's pictures all over the zone, which reports alone look at.
@@ -33,6 +47,14 @@ pub(crate) fn add_score(plan: &mut Plan, part: usize, field: &str) -> Vec<String
     vec![plan.add_step(part, What::Score, vec![field.to_owned()])]
 }
 
+/// The same display at the time before.
+pub(crate) struct TimeBefore {
+    pub(crate) patterns: String,
+    pub(crate) field: String,
+    /// Light fields that are solved once more instead of starting from those patterns.
+    pub(crate) warm_up: Vec<String>,
+}
+
 /// Adds the steps from the light field to the outputs of a display, with a report or without; gives the ids of patterns and report. Patterns may start from those
 /// of `before`.
 pub(crate) fn add_display(
@@ -40,12 +62,17 @@ pub(crate) fn add_display(
     part: usize,
     field: &str,
     score: &[String],
-    before: Option<[String; 2]>,
+    before: Option<TimeBefore>,
     reports: bool,
 ) -> [String; 2] {
     let field = field.to_owned();
     let mut inputs = vec![field.clone()];
-    inputs.extend(before.iter().map(|[patterns, _]| patterns.clone()));
+    if let Some(before) = &before {
+        match before.warm_up.as_slice() {
+            [] => inputs.push(before.patterns.clone()),
+            fields => inputs.extend_from_slice(fields),
+        }
+    }
     let patterns = plan.add_step(part, What::Patterns, inputs);
     let mut last = vec![patterns.clone(), field.clone()];
     let is_node = matches!(plan.parts[part].kind, Kind::Node(_));
@@ -58,7 +85,7 @@ pub(crate) fn add_display(
     }
     if plan.time(part).is_some() {
         let mut inputs = vec![patterns.clone(), field.clone()];
-        inputs.extend(before.into_iter().flatten());
+        inputs.extend(before.into_iter().flat_map(|before| [before.patterns, before.field]));
         last.push(plan.add_step(part, What::Measure, inputs));
     }
     if reports {

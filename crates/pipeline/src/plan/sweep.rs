@@ -28,7 +28,7 @@ use serde_json::json;
 use super::execute::Executor;
 use super::sequence::add_times;
 use super::steps::{Kind, Plan, What};
-use super::still::{add_field, add_score};
+use super::still::{Before, add_field, add_score};
 use super::times::later;
 use crate::error::PipelineError;
 use crate::job::{Job, SearchJob, SweepJob};
@@ -66,7 +66,41 @@ pub struct SweepSummary {
     pub display: Option<PathBuf>,
 }
 
+/// Solves one design of a sweep, by number from 1, and keeps its row. Its light fields are done.
+///
+/// # Errors
+/// When the sweep has no such design, it cannot be solved, or when cancelled.
+pub(crate) fn execute_design(
+    plan: &Plan,
+    designs: &Designs,
+    job: &Job,
+    number: usize,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    let step = plan.steps.iter().find(|step| step.what == What::Design(number - 1));
+    let known = step.zip(designs.candidates.get(number - 1));
+    let unknown = || PipelineError::value("plan", "unit", "a design of the sweep", number.to_string());
+    let (step, candidate) = known.ok_or_else(unknown)?;
+    let mut executor = Executor::new(plan, registry, None, task);
+    executor.read_back(&step.inputs)?;
+    let mut fields: Vec<Option<Shared>> = designs.fields.iter().map(|_| None).collect();
+    fields[candidate.field] = shared(&mut executor, &designs.fields[candidate.field], job)?;
+    let solver = Solver { job, fields, folder: plan.folder.join("designs"), later: later(job), registry };
+    std::fs::create_dir_all(&solver.folder).map_err(PipelineError::write(&solver.folder))?;
+    solver.solve(candidate, job.factorize.iterations(), task.cancel).map(|_| ())
+}
+
+/// Takes the light fields of parts out of an executor's memory; `None` where there are none.
+fn shared(executor: &mut Executor<'_>, parts: &[usize], job: &Job) -> Result<Option<Shared>, PipelineError> {
+    let states = &mut executor.context.states;
+    let times = parts.iter().filter_map(|part| states[*part].field.take()).collect::<Vec<Arc<_>>>();
+    let references = parts.first().and_then(|part| states[*part].references.take());
+    if times.is_empty() { Ok(None) } else { Shared::new(times, references, job).map(Some) }
+}
+
 /// Designs, and the parts that hold their light fields.
+#[derive(Default)]
 pub(crate) struct Designs {
     candidates: Vec<Candidate>,
     /// By number of the light field the parts of its times.
@@ -93,7 +127,7 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
             let is_sequence = of_field.sequence.is_some();
             let part = plan.add_part(folder, Kind::Run, of_field, Some(root));
             ids =
-                if is_sequence { add_times(plan, part, true)? } else { vec![add_field(plan, part, Vec::new(), None)] };
+                if is_sequence { add_times(plan, part, true)? } else { vec![add_field(plan, part, Before::default())] };
             let steps = plan.steps.iter().filter(|step| ids.contains(&step.id));
             parts = steps.map(|step| step.part).collect();
             if !is_sequence {
@@ -133,10 +167,7 @@ pub(crate) fn execute(
     write_job(job, dir)?;
     let mut fields = Vec::new();
     for parts in &designs.fields {
-        let states = &mut executor.context.states;
-        let times = parts.iter().filter_map(|part| states[*part].field.take()).collect::<Vec<Arc<_>>>();
-        let references = parts.first().and_then(|part| states[*part].references.take());
-        fields.push(if times.is_empty() { None } else { Some(Shared::new(times, references, job)?) });
+        fields.push(shared(&mut executor, parts, job)?);
     }
     let solver = Solver { job, fields, folder: dir.join("designs"), later: later(job), registry };
     let sweep = Sweep { solver, used: Mutex::default(), task };

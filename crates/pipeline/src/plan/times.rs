@@ -21,6 +21,12 @@ use crate::stage::place::Placement;
 /// value times the ratio of the two times' content starts) gains 4 dB at the start and 0.1 to 0.4 dB at the end: not worth a second target in memory.
 const WARM_SOLVER: &str = "block-exact";
 
+/// Below the folder of a sequence: for each time that begins a chunk, patterns of times before it, solved once more.
+pub(crate) const WARM_UP: &str = "cache/warm-up";
+/// Times before a chunk that are solved once more. Measured with a window that turns by 0.4° a time (84 × 52 pixels, three layers and frames, 25 views): at seams one
+/// is as good as two, within 0.01 dB of the chain's error and 0.5 dB below its flicker; content that moves faster has more to catch up.
+const WARM_UP_TIMES: usize = 2;
+
 /// The times of a job.
 #[derive(Clone, Debug)]
 pub(crate) struct Times {
@@ -64,12 +70,29 @@ impl Times {
         self.sequence.duration_s == 0.0
     }
 
+    /// The times before a time that are solved once more for it, in their order: some where a chunk begins, else none.
+    pub(crate) fn warm_up(&self, time: usize) -> std::ops::Range<usize> {
+        let begins = time > 0 && self.sequence.chunk_times.is_some_and(|chunk| time.is_multiple_of(chunk));
+        let count = if begins { self.sequence.warm_up_times.unwrap_or(WARM_UP_TIMES) } else { 0 };
+        time.saturating_sub(count)..time
+    }
+
+    /// The folder whose patterns a time starts from, below that of the sequence; `None` of the first.
+    pub(crate) fn start(&self, time: usize) -> Option<PathBuf> {
+        let before = name(time.checked_sub(1)?);
+        Some(if self.warm_up(time).is_empty() {
+            before.into()
+        } else {
+            Path::new(WARM_UP).join(name(time)).join(before)
+        })
+    }
+
     /// The pose at the first time.
     pub(crate) fn first_pose(&self, job: &Job) -> PoseJob {
         pose_at(job, &self.sequence, 0.0)
     }
 
-    /// The job of a time. After the first one it starts from the patterns in `before`, the folder of the time before, and takes the exposure and the tone curve of the
+    /// The job of a time. After the first one it starts from the patterns in `before`, the folder of [`start`](Self::start), and takes the exposure and the tone curve of the
     /// first. `begun` is not known before the work.
     pub(crate) fn job(&self, job: &Job, time: usize, before: Option<&Path>, begun: Option<Begun>) -> Job {
         let mut of = Job { sequence: None, sweep: None, name: format!("{} {}", job.name, name(time)), ..job.clone() };

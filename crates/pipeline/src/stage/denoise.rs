@@ -27,6 +27,14 @@ use crate::job::Denoise;
 use crate::store::files::{read_json, write_json};
 use crate::store::views::{read_split, read_view, split_path, view_path, write_view};
 
+/// The version of Open Image Denoise that `oidn` would take.
+///
+/// # Errors
+/// When there is none, with where it was looked for.
+pub fn oidn_version() -> Result<String, PipelineError> {
+    Oidn::find().map(|oidn| oidn.version)
+}
+
 /// Rays per pixel that the guides are averaged over.
 pub(crate) const FEATURE_SAMPLES: u32 = 16;
 /// Paths of each render of a checked pixel, over those of a pixel of the views.
@@ -57,12 +65,12 @@ pub(crate) fn check(kind: Denoise) -> Result<(), PipelineError> {
 /// # Errors
 /// When cancelled, when a file cannot be written, or when Open Image Denoise is asked for and fails.
 pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result<bool, PipelineError> {
-    let kind = shot.job.render.denoise;
+    let kind = shot.denoise();
     let mut cached = true;
     for field in fields {
         if !is_finished(field, kind) {
             cached = false;
-            filter(field, kind, shot.ingested.renderer(task)?, shot.window(), task)?;
+            filter(field, kind, &shot.ingested.renderer(task)?.tracer, shot.window(), task)?;
         }
     }
     Ok(cached)

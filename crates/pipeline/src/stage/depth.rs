@@ -4,11 +4,11 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, SeenDepth};
-use lumistack_pathtracer::Renderer;
 use lumistack_report::DepthBudget;
 use lumistack_scene::Window;
 
-use crate::error::{PipelineError, field_error, render_error};
+use crate::error::{PipelineError, field_error};
+use crate::stage::ingest::renderer::SceneRenderer;
 use crate::stage::place::{Placement, probe};
 use crate::store::files::{read_json, write_json};
 use crate::store::key::content_hash;
@@ -47,7 +47,7 @@ impl Depths {
     /// # Errors
     /// When cancelled, or the file cannot be written.
     pub(crate) fn trace(
-        renderer: &Renderer,
+        renderer: &SceneRenderer,
         window: &Window,
         geometry: &FieldGeometry,
         folder: Option<&Path>,
@@ -56,10 +56,11 @@ impl Depths {
         let geometry = probe(geometry, geometry.grid.clone(), MOST_COLS);
         let mut z_mm = Vec::new();
         task.progress.begin("depth", geometry.grid.iter().count() as u64, "views");
-        let traced = geometry.grid.iter().try_for_each(|view| {
-            z_mm.extend_from_slice(renderer.depth(window, &geometry, view, task).map_err(render_error)?.data());
+        let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
+        let traced = renderer.depths(window, &geometry, &views, task, |_, depth| {
+            z_mm.extend_from_slice(depth.data());
             task.progress.advance(1, "");
-            Ok::<_, PipelineError>(())
+            Ok(())
         });
         task.progress.end();
         traced?;

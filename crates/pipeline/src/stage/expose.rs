@@ -11,6 +11,7 @@ use std::borrow::Cow;
 use lumistack_core::Task;
 use lumistack_core::tone::ToneCurve;
 use lumistack_display::{FieldGeometry, LightField};
+use lumistack_splats::Space;
 
 use super::denoise::{self, Denoised};
 use super::depth::Depths;
@@ -20,7 +21,6 @@ use super::trace::Traced;
 use crate::error::PipelineError;
 use crate::job::Background;
 use crate::store::paged::Paged;
-use crate::store::views::{read_view, view_path};
 
 /// Rays that decide about exposure and tone curve, at most.
 const MOST_RAYS: usize = 4_000_000;
@@ -54,11 +54,8 @@ pub(crate) fn run(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>)
 fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Result<Exposed, PipelineError> {
     let Shot { job, ingested, .. } = shot;
     let Traced { fields, depths, views, .. } = traced;
-    let kind = job.render.denoise;
-    let read = |one: &FieldJob, view| {
-        let path = view_path(&one.finished(kind), view, None);
-        read_view(&path, &one.geometry).ok_or_else(PipelineError::replaced(&path, "cached view"))
-    };
+    let kind = shot.denoise();
+    let read = |one: &FieldJob, view| one.radiance(view, shot);
     // what is too large for memory is read twice instead
     let mut radiance = Vec::new();
     for one in fields {
@@ -87,8 +84,8 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
             return Ok(());
         }
         if let Background::Colour(background) = job.light.background {
-            let missed = field.missed(view, kind, || ingested.renderer(task), shot.window(), task)?;
-            expose_over(look, background, &missed, rgb);
+            let missed = field.missed(view, shot, task)?;
+            expose_over(look, background, Space::of(&ingested.scene), &missed, rgb);
         } else {
             look.apply_to(rgb);
         }
@@ -131,8 +128,16 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     Ok(Exposed { target, held_out, outside, look, denoised })
 }
 
-/// Exposes pixels `[..][rgb]` that are black where no surface is, and puts a background there; `missed` holds m of every pixel.
-pub(crate) fn expose_over(look: Look, background: [f32; 3], missed: &[f32], rgb: &mut [f32]) {
+/// Exposes pixels `[..][rgb]` that are black where no surface is, and puts a background there; `missed` holds m of every pixel. Before a
+/// background splats are blended in their own space, as before a surface.
+pub(crate) fn expose_over(look: Look, background: [f32; 3], splats: Option<Space>, missed: &[f32], rgb: &mut [f32]) {
+    if let Some(space) = splats {
+        look.apply_to(rgb);
+        for (pixel, &missed) in rgb.as_chunks_mut::<3>().0.iter_mut().zip(missed) {
+            *pixel = space.before(*pixel, missed, background);
+        }
+        return;
+    }
     for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
         let covered = 1.0 - missed;
         if covered > 0.0 {
@@ -180,7 +185,7 @@ mod tests {
         let look = Look { exposure: 2.0, curve: ToneCurve::Linear };
         // a surface of radiance 0.3 that covers all, a quarter and nothing of a pixel
         let mut rgb: Vec<f32> = [0.3, 0.25 * 0.3, 0.0].iter().flat_map(|value| [*value; 3]).collect();
-        expose_over(look, [1.0, 0.5, 0.0], &[0.0, 0.75, 1.0], &mut rgb);
+        expose_over(look, [1.0, 0.5, 0.0], None, &[0.0, 0.75, 1.0], &mut rgb);
         let expected = [0.6, 0.6, 0.6, 0.15 + 0.75, 0.15 + 0.375, 0.15, 1.0, 0.5, 0.0];
         for (found, expected) in rgb.iter().zip(expected) {
             assert!((found - expected).abs() < 1e-6, "{rgb:?}");

@@ -5,16 +5,17 @@ use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, ViewGrid};
-use lumistack_pathtracer::{Renderer, Settings};
-use lumistack_scene::Window;
+use lumistack_pathtracer::Settings;
+use lumistack_splats::Space;
 
 use super::ingest::Ingested;
+use super::ingest::renderer::put_before;
 use super::place::Placement;
 use crate::error::{PipelineError, field_error, render_error};
 use crate::job::{AngularFilter, Background, Denoise, Job};
 use crate::store::code;
 use crate::store::key::KeyBuilder;
-use crate::store::views::{read_view, variance_path};
+use crate::store::views::{read_splats, read_view, splats_path, variance_path, view_path};
 
 /// A scene in front of a display, as a job wants it seen.
 #[derive(Clone, Copy)]
@@ -29,7 +30,7 @@ pub(crate) struct Shot<'a> {
 }
 
 impl Shot<'_> {
-    pub(crate) fn window(&self) -> &Window {
+    pub(crate) fn window(&self) -> &lumistack_scene::Window {
         &self.placement.window
     }
 
@@ -47,6 +48,11 @@ impl Shot<'_> {
         key.add_json("light", &(light.environment_strength, light.automatic, light.environment_rotation_deg))
             .add("window", format!("{:?}", self.window()).as_bytes());
         key
+    }
+
+    /// What takes noise out of the views: nothing where no paths are traced.
+    pub(crate) fn denoise(&self) -> Denoise {
+        if self.ingested.is_traced() { self.job.render.denoise } else { Denoise::Off }
     }
 
     fn settings(&self) -> Settings {
@@ -88,7 +94,7 @@ impl Shot<'_> {
         let mut key = self.key();
         key.add_json("render", &(&job.render.max_bounces, settings.samples, job.seed));
         key.add("settings", format!("{settings:?}").as_bytes());
-        match job.render.denoise {
+        match self.denoise() {
             Denoise::Auto | Denoise::Off => {}
             Denoise::Shared => {
                 key.add("parts", b"split");
@@ -116,6 +122,33 @@ impl Shot<'_> {
             Some(FieldJob { name, stream: stream as u64, geometry, traced, settings: of_field, folder })
         });
         fields.collect()
+    }
+}
+
+/// A part of a list of pictures to trace: of COUNT parts the one with this number, from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Block {
+    number: usize,
+    count: usize,
+}
+
+impl Block {
+    /// The whole list.
+    pub(crate) const ALL: Self = Self { number: 0, count: 1 };
+
+    /// A block by its number from 1; `None` where the numbers make no sense.
+    pub(crate) fn new([number, count]: [usize; 2]) -> Option<Self> {
+        (1..=count).contains(&number).then(|| Self { number: number - 1, count })
+    }
+
+    pub(crate) fn is_first(self) -> bool {
+        self.number == 0
+    }
+
+    /// The block's part of a list. Each element belongs to one block.
+    pub(crate) fn of<T>(self, list: Vec<T>) -> Vec<T> {
+        let [from, to] = [self.number, self.number + 1].map(|number| list.len() * number / self.count);
+        list.into_iter().skip(from).take(to - from).collect()
     }
 }
 
@@ -174,18 +207,51 @@ impl FieldJob {
         }
     }
 
-    /// Share of the samples of every pixel of a view that meet no surface, `[row][col]`; kept beside the view.
+    /// Share of every pixel of a view through which is seen what stands behind all of the scene, `[row][col]`.
     ///
     /// # Errors
-    /// When the scene cannot be rendered, the file cannot be written, or when cancelled.
-    pub(crate) fn missed<'a>(
-        &self,
-        view: [usize; 2],
-        kind: Denoise,
-        renderer: impl Fn() -> Result<&'a Renderer, PipelineError>,
-        window: &Window,
-        task: Task<'_>,
-    ) -> Result<Vec<f32>, PipelineError> {
+    /// When the scene cannot be rendered, a file is gone or cannot be written, or when cancelled.
+    pub(crate) fn missed(&self, view: [usize; 2], shot: Shot<'_>, task: Task<'_>) -> Result<Vec<f32>, PipelineError> {
+        let mut missed = if shot.ingested.scene.instances.is_empty() {
+            vec![1.0; self.traced.rows * self.traced.cols]
+        } else {
+            self.missed_by_surfaces(view, shot, task)?
+        };
+        if let Some(splats) = self.splats(view, shot.ingested)? {
+            missed.iter_mut().zip(splats.chunks_exact(4)).for_each(|(missed, pixel)| *missed *= pixel[3]);
+        }
+        Ok(missed)
+    }
+
+    /// What a view sees of the splats, `[row][col][r, g, b, T]`; `None` where the scene has none.
+    fn splats(&self, view: [usize; 2], ingested: &Ingested) -> Result<Option<Vec<f32>>, PipelineError> {
+        if ingested.scene.placed_clouds.is_empty() {
+            return Ok(None);
+        }
+        let path = splats_path(&self.folder, view);
+        read_splats(&path, &self.traced).ok_or_else(PipelineError::replaced(&path, "cached view of splats")).map(Some)
+    }
+
+    /// A finished view, `[row][col][rgb]` in scene-linear radiance before black: what was traced and denoised, behind its splats.
+    ///
+    /// # Errors
+    /// When a file is gone.
+    pub(crate) fn radiance(&self, view: [usize; 2], shot: Shot<'_>) -> Result<Vec<f32>, PipelineError> {
+        let mut picture = if shot.ingested.is_traced() {
+            let path = view_path(&self.finished(shot.denoise()), view, None);
+            read_view(&path, &self.geometry).ok_or_else(PipelineError::replaced(&path, "cached view"))?
+        } else {
+            vec![0.0; 3 * self.traced.rows * self.traced.cols]
+        };
+        if let (Some(splats), Some(space)) = (self.splats(view, shot.ingested)?, Space::of(&shot.ingested.scene)) {
+            put_before(space, &splats, &mut picture);
+        }
+        Ok(picture)
+    }
+
+    /// Share of the samples of every pixel of a view that meet no surface, `[row][col]`; kept beside the view.
+    fn missed_by_surfaces(&self, view: [usize; 2], shot: Shot<'_>, task: Task<'_>) -> Result<Vec<f32>, PipelineError> {
+        let (kind, window) = (shot.denoise(), shot.window());
         let path = self.folder.join(format!("missed_{:02}_{:02}.npy", view[0], view[1]));
         let shape = [self.traced.rows, self.traced.cols];
         if let Ok((found, missed)) = lumistack_field_io::npy::read(&path)
@@ -197,8 +263,8 @@ impl FieldJob {
         let mut missed = vec![0.0; shape[0] * shape[1]];
         for &half in parts {
             let settings = self.settings_of(half);
-            let of_part =
-                renderer()?.render_misses(window, &self.traced, view, &settings, task).map_err(render_error)?;
+            let tracer = &shot.ingested.renderer(task)?.tracer;
+            let of_part = tracer.render_misses(window, &self.traced, view, &settings, task).map_err(render_error)?;
             missed.iter_mut().zip(of_part.data()).for_each(|(sum, part)| *sum += part / parts.len() as f32);
         }
         lumistack_field_io::npy::write(&path, &shape, &missed).map_err(field_error)?;
@@ -233,6 +299,17 @@ impl FieldJob {
 mod tests {
     use super::*;
     use lumistack_display::Projection;
+
+    #[test]
+    fn every_picture_belongs_to_one_block() {
+        for count in [1, 2, 3, 7, 12] {
+            let blocks = (1..=count).map(|number| Block::new([number, count]).unwrap());
+            let all: Vec<usize> = blocks.flat_map(|block| block.of((0..10).collect())).collect();
+            assert_eq!(all, (0..10).collect::<Vec<_>>(), "{count} blocks");
+        }
+        assert_eq!(Block::ALL.of(vec![1, 2]), [1, 2]);
+        assert!([[0, 3], [4, 3], [1, 0]].map(Block::new).iter().all(Option::is_none));
+    }
 
     #[test]
     fn held_out_views_lie_between_target_views() {

@@ -1,6 +1,7 @@
 //! Scene file to a lit [`Scene`] and the [`Window`] through which the display looks at it.
 
 pub(crate) mod light;
+pub(crate) mod renderer;
 mod surround;
 
 use std::path::{Path, PathBuf};
@@ -10,14 +11,14 @@ use glam::Vec3;
 use lumistack_core::Task;
 use lumistack_files::{Folder, MAX_FILE_BYTES, Refusal};
 use lumistack_gltf::{AssetResolver, LoadOptions};
-use lumistack_pathtracer::Renderer;
 use lumistack_plugin_host::{PluginError, Registry};
 use lumistack_scene::{Lamp, Scene};
 use lumistack_usd::{BlendContents, HandedOver};
 
-use crate::error::{PipelineError, host_error, read, render_error};
+use crate::error::{PipelineError, host_error, read};
 use crate::job::{ImporterJob, LightJob, PoseJob};
 use crate::reader::{Reader, reader_of};
+use crate::stage::ingest::renderer::SceneRenderer;
 use crate::store::handover;
 use crate::store::key::{KeyBuilder, hash};
 use crate::store::plugin_files::plugin_key;
@@ -34,7 +35,7 @@ pub struct Ingested {
     pub(crate) studio: bool,
     /// What it offers to choose from, where that came with it.
     known: Option<SceneContents>,
-    renderer: OnceLock<Renderer>,
+    renderer: OnceLock<SceneRenderer>,
 }
 
 impl Ingested {
@@ -42,15 +43,20 @@ impl Ingested {
     ///
     /// # Errors
     /// When it cannot be rendered, or when cancelled.
-    pub(crate) fn renderer(&self, task: Task<'_>) -> Result<&Renderer, PipelineError> {
+    pub(crate) fn renderer(&self, task: Task<'_>) -> Result<&SceneRenderer, PipelineError> {
         if let Some(renderer) = self.renderer.get() {
             return Ok(renderer);
         }
         task.progress.begin("prepare scene", 1, "scene");
-        let renderer = Renderer::new(self.scene.clone(), task).map_err(render_error);
+        let renderer = SceneRenderer::new(self.scene.clone(), task);
         task.progress.end();
         let renderer = renderer?;
         Ok(self.renderer.get_or_init(|| renderer))
+    }
+
+    /// Whether paths are traced for its views: it has surfaces, or something is seen past its splats.
+    pub(crate) fn is_traced(&self) -> bool {
+        !self.scene.instances.is_empty() || self.scene.environment.is_some() || self.scene.backdrop.is_some()
     }
 
     /// What its `.blend` file offers and what of it is lost, where it comes from one.
@@ -236,9 +242,11 @@ fn lit(
     if has_environment {
         scene = surround::turned(scene, light_job, task)?;
     }
-    let mut studio = light_job.automatic && !scene.is_lit();
+    // splats bring their light with them
+    let automatic = light_job.automatic && !scene.instances.is_empty();
+    let mut studio = automatic && !scene.is_lit();
     let mut scene = Arc::new(scene);
-    if light_job.automatic
+    if automatic
         && !studio
         && let Some(message) = light::probe(&scene, task)?
     {

@@ -33,7 +33,7 @@ pub(crate) fn write_layers(
     let has = |layer| options.layers.contains(&layer);
     let Shot { ingested, placement, .. } = shot;
     let target = &rendered.fields[0];
-    let (window, traced, kind) = (shot.window(), &target.traced, shot.job.render.denoise);
+    let (window, traced, kind) = (shot.window(), &target.traced, shot.denoise());
     let (settings, projection) = (target.settings, target.geometry.grid.projection);
     lumistack_field_io::atomic::create_folder(folder).map_err(field_error)?;
     let renderer = ingested.renderer(task)?;
@@ -41,13 +41,13 @@ pub(crate) fn write_layers(
     let of_view = |view: [usize; 2]| -> Result<(), PipelineError> {
         let mut channels: Vec<(&str, Vec<f32>)> = Vec::new();
         if has(ViewLayer::Depth) {
-            let depth = renderer.depth(window, traced, view, task).map_err(render_error)?;
+            let depth = renderer.depth(window, traced, view, task)?;
             let shown = |z: &f32| projection.scaled_depth(f64::from(*z), placement.depth_scale) as f32;
             channels.push((ViewLayer::Depth.channels()[0], depth.data().iter().map(shown).collect()));
         }
         if has(ViewLayer::Normal) || has(ViewLayer::Albedo) {
             let filter = settings.angular_filter;
-            let features = renderer.render_features(window, traced, view, FEATURE_SAMPLES, filter, task);
+            let features = renderer.tracer.render_features(window, traced, view, FEATURE_SAMPLES, filter, task);
             let features = features.map_err(render_error)?;
             let [rows, cols] = [traced.rows, traced.cols];
             let pixels = || (0..rows).flat_map(move |row| (0..cols).map(move |col| (row, col)));
@@ -69,7 +69,7 @@ pub(crate) fn write_layers(
             }
         }
         if has(ViewLayer::Coverage) {
-            let missed = target.missed(view, kind, || Ok(renderer), window, task)?;
+            let missed = target.missed(view, shot, task)?;
             channels.push((ViewLayer::Coverage.channels()[0], missed.iter().map(|missed| 1.0 - missed).collect()));
         }
         let views = target.geometry.grid.views();

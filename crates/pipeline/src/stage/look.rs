@@ -33,11 +33,14 @@ pub(crate) struct Look {
 }
 
 impl Look {
+    /// Radiance as it is.
+    pub(crate) const NONE: Self = Self { exposure: 1.0, curve: ToneCurve::Linear };
+
     /// The look of a shot. `brightest` holds the brightest channel of rays from all views, and whether the ray meets a surface.
     pub(crate) fn choose(job: &LightJob, scene: &Scene, brightest: &[(f32, bool)]) -> Self {
         let stops = 2f64.powf(job.exposure_ev);
         let exposure = |curve| {
-            if !job.automatic_exposure || is_unlit(scene) {
+            if !job.automatic_exposure || is_display_referred(scene) {
                 stops
             } else {
                 stops * exposure_of(brightest, scene.backdrop.is_some(), curve)
@@ -50,6 +53,10 @@ impl Look {
             Tone::Agx => fixed(ToneCurve::Agx),
             Tone::Auto => {
                 let linear = fixed(ToneCurve::Linear);
+                if !scene.placed_clouds.is_empty() {
+                    // captures are what a camera made of the light
+                    return linear;
+                }
                 let clipped = brightest.iter().filter(|(value, _)| f64::from(*value) * linear.exposure > 1.0).count();
                 if clipped as f64 > HIGHLIGHTS * brightest.len() as f64 {
                     fixed(ToneCurve::KhronosNeutral)
@@ -97,8 +104,11 @@ pub fn automatic_look(scene: &Scene, brightest: &[(f32, bool)]) -> (f64, ToneCur
     (exposure, curve)
 }
 
-/// Whether every surface shows its base colour whatever the light: then radiance is display-referred as it is.
-fn is_unlit(scene: &Scene) -> bool {
+/// Whether radiance is display-referred as it is: every surface shows its base colour whatever the light, or splats bring their light with them.
+fn is_display_referred(scene: &Scene) -> bool {
+    if !scene.placed_clouds.is_empty() {
+        return true;
+    }
     let material = |mesh: usize| &scene.materials[scene.meshes[mesh].material];
     !scene.instances.is_empty() && scene.instances.iter().all(|instance| material(instance.mesh).unlit)
 }

@@ -24,7 +24,7 @@ use lumistack_display::{Display, FieldGeometry, Projection, ViewGrid};
 use lumistack_scene::Window;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{PipelineError, render_error};
+use crate::error::PipelineError;
 use crate::job::{FitDepth, Near, WindowFrom, WindowJob};
 use crate::stage::ingest::Ingested;
 use crate::stage::place::window::{Found, find_window};
@@ -127,7 +127,7 @@ pub(crate) fn place(
     key.add("window", format!("{window:?} {projection:?} {low} {high} {means:?} {}", job.depth_scale).as_bytes());
     let fit: Fit = remembered(cache_dir, &format!("fit-{}.json", &key.finish()[..16]), || {
         let probe = probe(geometry, ViewGrid::single(projection, [0.0, 0.0]), PROBE_COLS);
-        let depth = ingested.renderer(task)?.depth(&window, &probe, [0, 0], task).map_err(render_error)?;
+        let depth = ingested.renderer(task)?.depth(&window, &probe, [0, 0], task)?;
         let mut depths: Vec<f64> = depth.data().iter().filter(|z| z.is_finite()).map(|z| f64::from(*z)).collect();
         depths.sort_by(f64::total_cmp);
         Ok(best_fit(&depths, [low, high], projection, job.depth_scale, means))

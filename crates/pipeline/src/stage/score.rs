@@ -7,19 +7,21 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use lumistack_core::{Task, seed};
+use lumistack_core::{Task, Tensor, seed};
 use lumistack_display::{
     DirectionScore, Display, FieldGeometry, LayerStack, LightField, SeenView, Simulator, ViewGrid, Zone, ZoneScore,
 };
 use lumistack_field_io::{LeftOut, npy};
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 use lumistack_report::{ZoneFigures, ZoneView};
+use lumistack_splats::Space;
 use rayon::prelude::*;
 
 use crate::error::{PipelineError, field_error, render_error};
 use crate::job::{Background, Engine, Job};
 use crate::stage::expose::expose_over;
-use crate::stage::fields::Shot;
+use crate::stage::fields::{Block, Shot};
+use crate::stage::ingest::renderer::put_before;
 use crate::stage::look::Look;
 use crate::store::code;
 use crate::store::key::KeyBuilder;
@@ -46,7 +48,7 @@ pub struct References {
 /// Where they are.
 enum Pictures {
     /// In a folder of the cache, two per direction.
-    Rendered { folder: PathBuf, look: Look, background: Background },
+    Rendered { folder: PathBuf, look: Look, background: Background, space: Option<Space> },
     /// In memory, display-referred; both are one where there is no noise of ours.
     Held { pictures: Vec<[Arc<Vec<f32>>; 2]>, left_out: bool },
 }
@@ -60,7 +62,7 @@ pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) ->
 }
 
 impl References {
-    /// Traces the pictures that the cache does not hold. `None` where the job wants no score, or
+    /// Traces the pictures of a block that the cache does not hold; none depends on the look. `None` where the job wants no score, or
     /// where Blender renders: its seeds are not ours to choose.
     ///
     /// # Errors
@@ -70,6 +72,7 @@ impl References {
         zone: &Zone,
         (look, engine): (Look, Engine),
         cache_dir: &Path,
+        block: Block,
         task: Task<'_>,
     ) -> Result<Option<Self>, PipelineError> {
         let Shot { job, ingested, geometry, .. } = shot;
@@ -87,19 +90,28 @@ impl References {
         let traced = key.finish();
         let folder = cache_dir.join(format!("zone-{}", &traced[..16]));
         std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
-        let background = job.light.background;
+        let (background, space) = (job.light.background, Space::of(&ingested.scene));
         let mut key = KeyBuilder::new("zone", code::VIEWS);
         key.add("traced", traced.as_bytes()).add("look", format!("{look:?} {background:?}").as_bytes());
         let key = key.finish();
-        let pictures = Pictures::Rendered { folder: folder.clone(), look, background };
+        let pictures = Pictures::Rendered { folder: folder.clone(), look, background, space };
         let references = Self { geometry: geometry.clone(), directions, pictures, key, cached: false };
-        let all = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]).collect();
+        let all: Vec<(usize, usize)> = (0..references.directions.len()).flat_map(|i| [(i, 0), (i, 1)]).collect();
         let is_kept = |&(i, half): &(usize, usize)| references.one(i, half).is_some();
-        let todo = missing(all, |&(i, half)| path(&folder, i, half), is_kept, task);
+        let todo = missing(block.of(all), |&(i, half)| path(&folder, i, half), is_kept, task);
         if todo.is_empty() {
             return Ok(Some(Self { cached: true, ..references }));
         }
         let renderer = ingested.renderer(task)?;
+        let tracer = &renderer.tracer;
+        // of all directions in one go
+        let mut splats = Vec::new();
+        let grids: Vec<ViewGrid> = references.directions.iter().map(|grid| grid.scaled(depth_scale)).collect();
+        let slopes: Vec<[f64; 2]> = grids.iter().map(|grid| [grid.slope_x[0], grid.slope_y[0]]).collect();
+        renderer.splat_views(window, geometry, &slopes, task, |_, view| {
+            splats.push(view.light);
+            Ok(())
+        })?;
         let steps = todo.len() as u64 * Renderer::steps_per_view(&pixels(&references.directions[0]));
         task.progress.begin("render for the score", steps, "tiles");
         let result = todo.iter().try_for_each(|&(i, half)| -> Result<(), PipelineError> {
@@ -114,11 +126,27 @@ impl References {
                 ..Settings::default()
             };
             let traced = pixels(&references.directions[i].scaled(depth_scale));
-            let picture = renderer.render_view(window, &traced, [0, 0], &settings, task).map_err(render_error)?;
+            let mut picture = if ingested.is_traced() {
+                tracer.render_view(window, &traced, [0, 0], &settings, task).map_err(render_error)?
+            } else {
+                Tensor::zeros(["row", "col", "rgb"], [geometry.rows, geometry.cols, 3])
+            };
+            if let (Some(splats), Some(space)) = (splats.get(i), space) {
+                put_before(space, splats.data(), picture.data_mut());
+            }
             if background != Background::Environment {
-                let missed = renderer.render_misses(window, &traced, [0, 0], &settings, task).map_err(render_error)?;
                 let shape = [geometry.rows, geometry.cols];
-                npy::write(&missed_path(&folder, i, half), &shape, missed.data()).map_err(field_error)?;
+                let mut missed = if ingested.scene.instances.is_empty() {
+                    vec![1.0; geometry.rows * geometry.cols]
+                } else {
+                    let missed = tracer.render_misses(window, &traced, [0, 0], &settings, task);
+                    missed.map_err(render_error)?.data().to_vec()
+                };
+                if let Some(splats) = splats.get(i) {
+                    let pixels = splats.data().chunks_exact(4);
+                    missed.iter_mut().zip(pixels).for_each(|(missed, pixel)| *missed *= pixel[3]);
+                }
+                npy::write(&missed_path(&folder, i, half), &shape, &missed).map_err(field_error)?;
             }
             write_view(&path(&folder, i, half), &picture)
         });
@@ -241,8 +269,8 @@ impl References {
 
     /// One of them; `None` where it, or what is known of its background, is not there as it was written.
     fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
-        let (folder, look, background) = match &self.pictures {
-            Pictures::Rendered { folder, look, background } => (folder, *look, *background),
+        let (folder, look, background, space) = match &self.pictures {
+            Pictures::Rendered { folder, look, background, space } => (folder, *look, *background, *space),
             Pictures::Held { pictures, .. } => return pictures.get(i).map(|pair| Vec::clone(&pair[half])),
         };
         let mut picture = read_view(&path(folder, i, half), &self.geometry)?;
@@ -251,7 +279,7 @@ impl References {
             Background::Colour(colour) => {
                 let (shape, missed) = npy::read(&missed_path(folder, i, half)).ok()?;
                 (shape == [self.geometry.rows, self.geometry.cols]).then_some(())?;
-                expose_over(look, colour, &missed, &mut picture);
+                expose_over(look, colour, space, &missed, &mut picture);
             }
         }
         Some(picture)

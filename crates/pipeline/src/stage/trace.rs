@@ -10,11 +10,14 @@ use lumistack_scene::Window;
 
 use super::denoise;
 use super::depth::Depths;
-use super::fields::{FieldJob, Shot, parts};
+use super::fields::{Block, FieldJob, Shot, parts};
+use super::ingest::Ingested;
+use super::ingest::renderer::{SceneRenderer, slopes};
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Engine};
 use crate::store::views::{
-    missing, read_split, read_view, split_path, variance_path, view_path, write_split, write_view,
+    missing, read_splats, read_split, read_view, splats_path, split_path, variance_path, view_path, write_splats,
+    write_split, write_view,
 };
 use crate::view_options::ViewOptions;
 
@@ -28,6 +31,11 @@ pub(crate) struct Traced {
     pub(crate) views: Vec<[usize; 2]>,
     /// Who rendered them.
     pub(crate) engine: Engine,
+}
+
+/// Who renders a shot's views.
+pub(crate) fn engine(shot: Shot<'_>, options: &ViewOptions, task: Task<'_>) -> Engine {
+    blender::engine(shot.job, shot.ingested, options.variance(), task)
 }
 
 /// A picture to trace.
@@ -51,17 +59,49 @@ pub(crate) fn run(
     cache_dir: &Path,
     task: Task<'_>,
 ) -> Result<(Traced, bool), PipelineError> {
+    let Views { fields, views, engine, cached } = trace_views(shot, options, cache_dir, Block::ALL, task)?;
+    let (depths, known) = depths(shot, &fields[0], task)?;
+    Ok((Traced { fields, depths, views, engine }, cached && known))
+}
+
+/// Traces the views of a block that the cache does not hold, and depths with the first block; says whether it held them. Others may trace other blocks meanwhile.
+///
+/// # Errors
+/// As [`run`].
+pub(crate) fn run_block(shot: Shot<'_>, cache_dir: &Path, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
+    let Views { fields, cached, .. } = trace_views(shot, &ViewOptions::default(), cache_dir, block, task)?;
+    let known = !block.is_first() || depths(shot, &fields[0], task)?.1;
+    Ok(cached && known)
+}
+
+/// Views of a shot in the cache, or a block of them.
+struct Views {
+    fields: Vec<FieldJob>,
+    views: Vec<[usize; 2]>,
+    engine: Engine,
+    /// Whether none had to be traced.
+    cached: bool,
+}
+
+fn trace_views(
+    shot: Shot<'_>,
+    options: &ViewOptions,
+    cache_dir: &Path,
+    block: Block,
+    task: Task<'_>,
+) -> Result<Views, PipelineError> {
     let Shot { job, ingested, .. } = shot;
     options.check(job, shot.geometry.grid.iter().count())?;
     let views = options.chosen(shot.geometry.grid.views())?;
-    let (window, kind) = (shot.window(), job.render.denoise);
-    let engine = blender::engine(job, ingested, options.variance(), task);
+    let (window, kind) = (shot.window(), shot.denoise());
+    let engine = engine(shot, options, task);
     let fields = shot.fields(cache_dir, engine == Engine::Blender);
     let mut all = Vec::new();
     for (number, field) in fields.iter().enumerate() {
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
         let variance = options.variance() && field.is_target();
-        for view in field.wanted(&views) {
+        let traced = if ingested.is_traced() { field.wanted(&views) } else { Vec::new() };
+        for view in traced {
             for &half in parts(kind) {
                 let shared = kind == Denoise::Shared;
                 let path = if shared { split_path(&field.folder, view) } else { view_path(&field.folder, view, half) };
@@ -83,13 +123,9 @@ pub(crate) fn run(
         };
         traced && variance.as_ref().is_none_or(is_there)
     };
-    let todo = missing(all, |todo| todo.path.clone(), is_kept, task);
-    let kept = Depths::read(&fields[0].folder, &fields[0].traced);
-    let cached = todo.is_empty() && kept.is_some();
-    let depths = match kept {
-        Some(depths) => depths,
-        None => Depths::trace(ingested.renderer(task)?, window, &fields[0].traced, Some(&fields[0].folder), task)?,
-    };
+    let todo = missing(block.of(all), |todo| todo.path.clone(), is_kept, task);
+    let splats = missing_splats(ingested, &fields, &views, block, task);
+    let cached = todo.is_empty() && splats.iter().all(Vec::is_empty);
     if !(cached && fields.iter().all(|field| denoise::is_finished(field, kind))) {
         // before an hour of rendering, not after
         denoise::check(kind)?;
@@ -103,9 +139,60 @@ pub(crate) fn run(
             }
         }
     } else if !todo.is_empty() {
-        trace(ingested.renderer(task)?, &todo, &fields, window, kind, task)?;
+        trace(&ingested.renderer(task)?.tracer, &todo, &fields, window, kind, task)?;
     }
-    Ok((Traced { fields, depths, views, engine }, cached))
+    for (field, views) in fields.iter().zip(&splats) {
+        if !views.is_empty() {
+            render_splats(ingested.renderer(task)?, field, views, window, task)?;
+        }
+    }
+    Ok(Views { fields, views, engine, cached })
+}
+
+/// How deep the views of the target see, and whether the cache held that.
+fn depths(shot: Shot<'_>, target: &FieldJob, task: Task<'_>) -> Result<(Depths, bool), PipelineError> {
+    if let Some(kept) = Depths::read(&target.folder, &target.traced) {
+        return Ok((kept, true));
+    }
+    let renderer = shot.ingested.renderer(task)?;
+    Ok((Depths::trace(renderer, shot.window(), &target.traced, Some(&target.folder), task)?, false))
+}
+
+/// The views of a block of every field whose splats the cache does not hold.
+fn missing_splats(
+    ingested: &Ingested,
+    fields: &[FieldJob],
+    views: &[[usize; 2]],
+    block: Block,
+    task: Task<'_>,
+) -> Vec<Vec<[usize; 2]>> {
+    let of_field = |field: &FieldJob| {
+        if ingested.scene.placed_clouds.is_empty() {
+            return Vec::new();
+        }
+        let path = |view: &[usize; 2]| splats_path(&field.folder, *view);
+        missing(block.of(field.wanted(views)), path, |view| read_splats(&path(view), &field.traced).is_some(), task)
+    };
+    fields.iter().map(of_field).collect()
+}
+
+/// Renders what the views of a field see of the splats.
+fn render_splats(
+    renderer: &SceneRenderer,
+    field: &FieldJob,
+    views: &[[usize; 2]],
+    window: &Window,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    let slopes = slopes(&field.traced, views);
+    task.progress.begin("render splats", views.len() as u64, "views");
+    let result = renderer.splat_views(window, &field.traced, &slopes, task, |number, view| {
+        write_splats(&splats_path(&field.folder, views[number]), &view.light)?;
+        task.progress.advance(1, "");
+        Ok(())
+    });
+    task.progress.end();
+    result
 }
 
 fn trace(

@@ -133,6 +133,8 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
     if all {
         let placed = placed.into_iter().filter(|(name, _)| of_kind(name, &PLACED));
         kinds.push(("places of the window", placed.map(|(_, path)| path).collect()));
+        let warm_up = cache.join("warm-up");
+        kinds.push(("warm-ups of chunks", if is_folder(&warm_up) { vec![warm_up] } else { Vec::new() }));
     }
     if dir.join("sweep.json").is_file()
         && let Some(used) = &known

@@ -11,8 +11,15 @@ const FIELD_IO: &str = lumistack_field_io::FINGERPRINT;
 const SIMD: &str = lumistack_simd::FINGERPRINT;
 
 /// From scene files to a lit scene.
-pub(crate) const SCENE: Code =
-    &[PIPELINE, CORE, FIELD_IO, lumistack_scene::FINGERPRINT, lumistack_gltf::FINGERPRINT, lumistack_usd::FINGERPRINT];
+pub(crate) const SCENE: Code = &[
+    PIPELINE,
+    CORE,
+    FIELD_IO,
+    lumistack_scene::FINGERPRINT,
+    lumistack_gltf::FINGERPRINT,
+    lumistack_usd::FINGERPRINT,
+    lumistack_splats::FINGERPRINT,
+];
 
 /// From scene files to radiance: whatever is traced, depths and the window's place among it.
 pub(crate) const VIEWS: Code = &[
@@ -22,6 +29,7 @@ pub(crate) const VIEWS: Code = &[
     lumistack_scene::FINGERPRINT,
     lumistack_gltf::FINGERPRINT,
     lumistack_usd::FINGERPRINT,
+    lumistack_splats::FINGERPRINT,
     DISPLAY,
     SIMD,
     lumistack_pathtracer::FINGERPRINT,
@@ -83,7 +91,7 @@ mod tests {
     /// What made pictures stale: the sources of a crate had changed, and its version, which somebody raises by hand, had not.
     #[test]
     fn keys_hold_the_sources_of_all_that_makes_a_result() {
-        let scene = ["pipeline", "core", "scene", "gltf", "usd", "field-io"];
+        let scene = ["pipeline", "core", "scene", "gltf", "usd", "splats", "field-io"];
         holds(SCENE, &scene);
         holds(VIEWS, &scene);
         holds(VIEWS, &["display", "simd", "pathtracer"]);

@@ -4,10 +4,12 @@
 //! cache/lumistack.lock     locked by the operating system while a run works here, so that a dead owner holds nothing; also what marks a folder as ours
 //! cache/owner.json         process and host of the owner, for messages alone
 //! ```
+//!
+//! Units of work on several machines hold a folder together: each publishes files that no other writes, and a run of the whole waits until they have ended.
 
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use lumistack_core::Task;
 use serde::{Deserialize, Serialize};
@@ -23,12 +25,28 @@ const PREVIEW_LOCK: &str = "preview.lock";
 /// How often the owner's name is looked for: it is written a moment after the lock is taken.
 const LOOKS: u32 = 25;
 
+/// How often a unit of work looks whether a folder is free.
+const UNIT_LOOKS: Duration = Duration::from_millis(100);
+
+/// How long a unit of work waits for a folder.
+pub(crate) const UNIT_LIMIT: Duration = Duration::from_secs(600);
+
+/// How a unit of work holds a folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Hold {
+    /// Beside other units.
+    Shared,
+    /// Alone.
+    Alone,
+}
+
 /// A run folder that belongs to this process until it is dropped.
 #[derive(Debug)]
 pub(crate) struct Owned {
     lock: Option<File>,
     cache: PathBuf,
     file: &'static str,
+    hold: Hold,
     /// Folders that were not there before, outermost first.
     made: Vec<PathBuf>,
 }
@@ -44,6 +62,23 @@ pub(crate) fn take_known(dir: &Path, task: Task<'_>) -> Result<Owned, PipelineEr
     Owned::lock(dir, LOCK, task)
 }
 
+/// Takes a folder for a unit of work. Waits for others up to a limit: work may be done twice where a machine seemed to be gone.
+///
+/// # Errors
+/// When others hold the folder for longer, or when cancelled.
+pub(crate) fn take_for_unit(dir: &Path, hold: Hold, limit: Duration, task: Task<'_>) -> Result<Owned, PipelineError> {
+    let start = Instant::now();
+    loop {
+        match Owned::lock_as(dir, LOCK, hold, task) {
+            Err(PipelineError::InUse { .. }) if start.elapsed() < limit => {
+                task.cancel.check()?;
+                std::thread::sleep(UNIT_LOOKS);
+            }
+            taken => return taken,
+        }
+    }
+}
+
 /// Takes the place of a run's preview, which does not disturb the run.
 pub(crate) fn take_preview(dir: &Path, task: Task<'_>) -> Result<Owned, PipelineError> {
     Owned::lock(dir, PREVIEW_LOCK, task)
@@ -51,15 +86,22 @@ pub(crate) fn take_preview(dir: &Path, task: Task<'_>) -> Result<Owned, Pipeline
 
 impl Owned {
     fn lock(dir: &Path, file: &'static str, task: Task<'_>) -> Result<Self, PipelineError> {
+        Self::lock_as(dir, file, Hold::Alone, task)
+    }
+
+    fn lock_as(dir: &Path, file: &'static str, hold: Hold, task: Task<'_>) -> Result<Self, PipelineError> {
         let cache = dir.join("cache");
         let made: Vec<PathBuf> = cache.ancestors().take_while(|path| !path.exists()).map(Path::to_path_buf).collect();
-        let mut owned = Self { lock: None, cache: cache.clone(), file, made: made.into_iter().rev().collect() };
+        // what several made together is no one's to remove
+        let made = if hold == Hold::Shared { Vec::new() } else { made.into_iter().rev().collect() };
+        let mut owned = Self { lock: None, cache: cache.clone(), file, hold, made };
         let path = cache.join(file);
         loop {
             lumistack_field_io::atomic::create_folder(&cache).map_err(field_error)?;
             let lock = File::options().read(true).write(true).create(true).truncate(false).open(&path);
             let lock = lock.map_err(PipelineError::write(&path))?;
-            match lock.try_lock() {
+            let taken = if hold == Hold::Shared { lock.try_lock_shared() } else { lock.try_lock() };
+            match taken {
                 Ok(()) if is_at(&lock, &path) => owned.lock = Some(lock),
                 // the one before removed it with its folder
                 Ok(()) => continue,
@@ -74,7 +116,7 @@ impl Owned {
             }
             break;
         }
-        if file == LOCK {
+        if file == LOCK && hold == Hold::Alone {
             let host = gethostname::gethostname().to_string_lossy().into_owned();
             let owner = Owner { process: std::process::id(), host };
             let owner = serde_json::to_vec(&owner).expect("a number and a text serialize");
@@ -102,7 +144,7 @@ impl Owned {
 impl Drop for Owned {
     fn drop(&mut self) {
         // somebody else's, or of a file system without locks
-        if self.lock.is_none() {
+        if self.lock.is_none() || self.hold == Hold::Shared {
             return;
         }
         if self.file == LOCK {

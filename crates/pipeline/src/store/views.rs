@@ -32,6 +32,34 @@ pub(crate) fn split_path(folder: &Path, view: [usize; 2]) -> PathBuf {
     folder.join(format!("split_{:02}_{:02}.exr", view[0], view[1]))
 }
 
+/// The file of what a view sees of the splats.
+pub(crate) fn splats_path(folder: &Path, view: [usize; 2]) -> PathBuf {
+    folder.join(format!("splats_{:02}_{:02}.exr", view[0], view[1]))
+}
+
+/// Reads what a view sees of the splats, `[row][col][r, g, b, T]`; `None` where it is not there as it was written.
+pub(crate) fn read_splats(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
+    let values = 4 * geometry.rows * geometry.cols;
+    let mut read = read_picture(path, [geometry.cols, splat_rows(geometry.rows)])?;
+    read.truncate(values);
+    Some(read)
+}
+
+/// Writes it: values of four in the pixels of three of a picture that is a third higher.
+///
+/// # Errors
+/// When the file cannot be written.
+pub(crate) fn write_splats(path: &Path, light: &Tensor<3>) -> Result<(), PipelineError> {
+    let [rows, cols, _] = light.shape();
+    let mut values = light.data().to_vec();
+    values.resize(3 * cols * splat_rows(rows), 0.0);
+    write_picture(path, [cols, splat_rows(rows)], &values)
+}
+
+fn splat_rows(rows: usize) -> usize {
+    (4 * rows).div_ceil(3)
+}
+
 /// Reads a view in parts; `None` where it is not there as it was written.
 pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry) -> Option<SplitView> {
     let [rows, cols] = [geometry.rows, geometry.cols];

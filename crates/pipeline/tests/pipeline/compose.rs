@@ -13,22 +13,22 @@ const AGREEMENT_DB: f64 = 1e-9;
 const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [24, 15]\nviews = [3, 3]\nframes = 2\n";
 const NODES: &str = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\n[nodes.display]\npreset = \"fig4-two-layer\"\nframes = 1\n\
                      [[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"light_field\"\n";
-const SOURCE: &str = "[source]\nplugin = \"test_views\"\nparams = { pattern = \"numbers\" }\n";
-const TIMES: &str = "[sequence]\ntimes = 2\niterations = 3\nduration_s = 0.5\n";
+pub(crate) const SOURCE: &str = "[source]\nplugin = \"test_views\"\nparams = { pattern = \"numbers\" }\n";
+pub(crate) const TIMES: &str = "[sequence]\ntimes = 2\niterations = 3\nduration_s = 0.5\n";
 
-fn with_task<T>(work: impl FnOnce(Task<'_>) -> T) -> T {
+pub(crate) fn with_task<T>(work: impl FnOnce(Task<'_>) -> T) -> T {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     work(Task::quiet(&warnings, &cancel))
 }
 
-fn job(folder: &Path, head: &str, tables: &[&str]) -> Job {
+pub(crate) fn job(folder: &Path, head: &str, tables: &[&str]) -> Job {
     let path = folder.join("job.toml");
     std::fs::write(&path, format!("{head}\n{}[factorize]\niterations = 6\n", tables.concat())).unwrap();
     Job::load(&path).unwrap()
 }
 
 /// Files below a folder, those of the cache and reports, which tell times, left out.
-fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+pub(crate) fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     fn walk(folder: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
@@ -45,7 +45,7 @@ fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-fn json(path: &Path) -> Value {
+pub(crate) fn json(path: &Path) -> Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 

@@ -38,7 +38,7 @@ impl Launcher {
     }
 
     /// What was set for this process.
-    pub(crate) fn of_process() -> Option<Self> {
+    pub fn of_process() -> Option<Self> {
         OF_PROCESS.get().cloned()
     }
 }

@@ -118,7 +118,7 @@ impl<'a> Context<'a> {
         let job = match (&of_part.kind, of_part.parent) {
             (Kind::Time(time), Some(sequence)) => match &plan.parts[sequence].kind {
                 Kind::Sequence(times) => {
-                    let before = time.checked_sub(1).map(|before| self.dir(sequence).join(name(before)));
+                    let before = times.start(*time).map(|before| self.dir(sequence).join(before));
                     let state = &self.states[sequence];
                     let look = plan.at_time(part, 0).and_then(|first| self.states[first].look);
                     let begun = state.placement.zip(state.ingested.as_ref());

@@ -12,8 +12,9 @@ use crate::error::{PipelineError, display_error};
 use crate::job::Job;
 use crate::plan::steps::Kind;
 use crate::stage::field::{Field, check_geometry};
-use crate::stage::fields::Shot;
+use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
+use crate::stage::look::Look;
 use crate::stage::place::Placement;
 use crate::stage::score::References;
 use crate::stage::{denoise, expose, ingest, place, read, score, source, trace};
@@ -56,6 +57,23 @@ impl Context<'_> {
         Ok(cached)
     }
 
+    /// Renders a block of the views, while others may render other blocks.
+    pub(super) fn trace_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
+        let of = self.shot(part)?;
+        let views = self.dir(part).join("cache/views");
+        trace::run_block(of.shot(), &views, block, task)
+    }
+
+    /// Renders a block of the pictures for the zone score, which need no exposure yet.
+    pub(super) fn score_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
+        let of = self.shot(part)?;
+        let zone = score::zone_of(&of.job, &of.display, &of.geometry);
+        let views = self.dir(part).join("cache/views");
+        let engine = trace::engine(of.shot(), &ViewOptions::default(), task);
+        let made = References::render(of.shot(), &zone, (Look::NONE, engine), &views, block, task)?;
+        Ok(made.is_none_or(|references| references.cached))
+    }
+
     /// Filters the views.
     pub(super) fn denoise(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let (of, traced) = (self.shot(part)?, self.of(part, "views", |state| state.traced.clone())?);
@@ -79,7 +97,7 @@ impl Context<'_> {
         let look = self.of(part, "an exposure", |state| state.look)?;
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);
         let views = self.dir(part).join("cache/views");
-        let made = References::render(of.shot(), &zone, (look, traced.engine), &views, task)?;
+        let made = References::render(of.shot(), &zone, (look, traced.engine), &views, Block::ALL, task)?;
         let cached = made.as_ref().is_none_or(|references| references.cached);
         let state = &mut self.states[part];
         state.views.extend(made.as_ref().and_then(|references| references.folder()).map(Path::to_owned));

@@ -1,18 +1,22 @@
 //! The step from a light field to the patterns of a display, by the factorizer or a node plugin.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use lumistack_core::Task;
+use lumistack_display::Display;
 
 use super::context::{Context, Patterns};
 use crate::error::PipelineError;
 use crate::job::{FactorizeJob, Job};
 use crate::plan::steps::Kind;
+use crate::plan::times::{WARM_UP, name};
 use crate::stage::factorize::Solve;
 use crate::stage::node::Given;
 use crate::stage::{factorize, field, node};
 use crate::store::files::remove_reports;
 use crate::store::settings::{write_display, write_job};
+use crate::store::stamps::Stamps;
 
 impl Context<'_> {
     pub(super) fn patterns(&mut self, part: usize, task: Task<'_>) -> Result<bool, PipelineError> {
@@ -41,6 +45,7 @@ impl Context<'_> {
                 node::run(given, &stamps, self.registry, task)?
             }
             None => {
+                self.warm_up(part, &display, task)?;
                 let solve = Solve { job: &job.factorize, seed: job.seed, display: &display, target, weights: &weights };
                 let afresh = match self.fresh(part) {
                     Some(fresh) if factorize::prefers_fresh(solve, &fresh, &stamps, task)? => Some(fresh),
@@ -68,6 +73,34 @@ impl Context<'_> {
         self.states[part].brightness = solved.stack.brightness;
         self.states[part].patterns = Some(Arc::new(Patterns { display, weights, solved, cached }));
         Ok(cached)
+    }
+
+    /// Solves the times before a chunk once more, the first of them from nothing. They are kept as patterns of times are.
+    fn warm_up(&mut self, part: usize, display: &Display, task: Task<'_>) -> Result<(), PipelineError> {
+        let plan = self.plan;
+        let Some((time, sequence)) = plan.time(part) else { return Ok(()) };
+        let Kind::Sequence(times) = &plan.parts[sequence].kind else { return Ok(()) };
+        let (of_field, node) = (plan.field_part(part), plan.node(part));
+        let all = &plan.parts[sequence].job;
+        let of_node = node.and_then(|node| all.nodes.iter().find(|other| other.id == node.id)?.factorize.as_ref());
+        let first = FactorizeJob { warm_start: None, ..of_node.unwrap_or(&all.factorize).clone() };
+        let mut before: Option<PathBuf> = None;
+        for earlier in times.warm_up(time) {
+            let of_earlier = plan.at_time(of_field, earlier).unwrap_or(of_field);
+            let target = &self.field(of_earlier)?.target;
+            let job = match before {
+                None => first.clone(),
+                Some(before) => times.warm(&first, Some(before.join("layers"))),
+            };
+            let place = self.dir(sequence).join(WARM_UP).join(name(time)).join(name(earlier));
+            let place = node.map_or(place.clone(), |node| place.join("nodes").join(&node.id));
+            std::fs::create_dir_all(place.join("cache")).map_err(PipelineError::write(&place))?;
+            let weights = field::weights(&job, target)?;
+            let solve = Solve { job: &job, seed: all.seed, display, target, weights: &weights };
+            factorize::run(solve, &Stamps::new(&place), task)?;
+            before = Some(place);
+        }
+        Ok(())
     }
 
     /// How a time is factorized for which the patterns of the time before are no start.

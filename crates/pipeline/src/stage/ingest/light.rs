@@ -7,10 +7,11 @@ use glam::{Quat, Vec3};
 use lumistack_core::{NoProgress, Task};
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_field_io::picture::Picture;
-use lumistack_pathtracer::{Renderer, Settings};
+use lumistack_pathtracer::Settings;
 use lumistack_scene::{AlphaMode, Environment, Image, Lamp, Material, Pixels, Scene, SceneError, SceneParts, Window};
 
 use crate::error::{PipelineError, field_error, read, render_error};
+use crate::stage::ingest::renderer::SceneRenderer;
 use crate::stage::look::automatic_look;
 use crate::stage::place::side;
 
@@ -46,7 +47,7 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
     let size_mm = geometry.size_mm();
     let quiet = Task { progress: &NoProgress, ..task };
-    let renderer = Renderer::new(scene.clone(), quiet).map_err(render_error)?;
+    let renderer = SceneRenderer::new(scene.clone(), quiet)?;
     let seen_by = |camera| Window::from_camera(camera, scene.seen_bounds(), size_mm).ok();
     let window = match scene.cameras.first().and_then(seen_by) {
         Some(window) => window,
@@ -54,8 +55,9 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
             .map_err(|source| PipelineError::Window { name: scene.name.clone(), source })?,
     };
     let settings = Settings { samples: PROBE_SAMPLES, ..Settings::default() };
-    let radiance = renderer.render_view(&window, &geometry, [0, 0], &settings, quiet).map_err(render_error)?;
-    let mask = renderer.hit_mask(&window, &geometry, [0, 0], quiet).map_err(render_error)?;
+    let tracer = &renderer.tracer;
+    let radiance = tracer.render_view(&window, &geometry, [0, 0], &settings, quiet).map_err(render_error)?;
+    let mask = tracer.hit_mask(&window, &geometry, [0, 0], quiet).map_err(render_error)?;
     let brightest = radiance.data().chunks_exact(3).map(|rgb| rgb[0].max(rgb[1]).max(rgb[2]));
     let rays: Vec<(f32, bool)> = brightest.zip(mask.data().iter().map(|&hit| hit > 0.5)).collect();
     let (exposure, curve) = automatic_look(scene, &rays);

@@ -14,10 +14,10 @@
 use glam::{DVec3, Vec3};
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
-use lumistack_pathtracer::Renderer;
 use lumistack_scene::{Bounds, Instance, Scene, Window, WindowError};
 
-use crate::error::{PipelineError, render_error};
+use crate::error::PipelineError;
+use crate::stage::ingest::renderer::SceneRenderer;
 
 /// Azimuth and elevation of the front, degrees.
 pub(crate) const FRONT: [f64; 2] = [0.0; 2];
@@ -26,6 +26,8 @@ const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0]
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
 /// The front stays where it shows this share of the largest area.
 const FRONT_SHARE: f64 = 0.125;
+/// The same of captures, whose axes are those of a trainer: nobody said that +z is their front.
+const CAPTURE_SHARE: f64 = 0.5;
 /// Another direction is good enough from this share of the largest area on: a board is seen from 40° (sin 40° / sin 55° = 0.78), and a card face
 /// on rather than from 45° (0.71).
 const ENOUGH: f64 = 0.745;
@@ -53,7 +55,13 @@ pub(crate) fn framed(scene: &Scene, from_deg: [f64; 2], size_mm: [f64; 2]) -> Re
         let indices = mesh.triangles.iter().flatten();
         indices.map(|&index| instance.scene_from_mesh.transform_point3(mesh.positions[index as usize]).as_dvec3())
     });
-    Window::framing_points(points, forward, up, size_mm)
+    Window::framing_points(points.chain(seen_splats(scene)), forward, up, size_mm)
+}
+
+/// Centres of splats but floaters.
+fn seen_splats(scene: &Scene) -> impl Iterator<Item = DVec3> {
+    let bounds = scene.seen_bounds();
+    scene.splat_positions().filter(move |at| bounds.contains(*at)).map(|at| at.as_dvec3())
 }
 
 /// Azimuth and elevation from which the scene is seen well, degrees.
@@ -61,7 +69,7 @@ pub(crate) fn framed(scene: &Scene, from_deg: [f64; 2], size_mm: [f64; 2]) -> Re
 /// # Errors
 /// When the scene has no extent, or when cancelled.
 pub(crate) fn choose(
-    renderer: &Renderer,
+    renderer: &SceneRenderer,
     scene: &Scene,
     size_mm: [f64; 2],
     task: Task<'_>,
@@ -79,6 +87,8 @@ pub(crate) fn choose(
     let corners: Vec<Vec3> = seen(scene)
         .flat_map(|instance| boxes[instance.mesh].corners().map(|at| instance.scene_from_mesh.transform_point3(at)))
         .collect();
+    let splats = (!scene.placed_clouds.is_empty()).then(|| scene.seen_bounds().corners());
+    let corners: Vec<Vec3> = corners.into_iter().chain(splats.into_iter().flatten()).collect();
     let area = |from_deg: [f64; 2]| -> Result<f64, PipelineError> {
         let [forward, up] = directions(from_deg);
         let points = corners.iter().map(|corner| corner.as_dvec3());
@@ -88,7 +98,7 @@ pub(crate) fn choose(
         let pitch_mm = (size_mm[0] / cols as f64).max(size_mm[1] / rows as f64);
         let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
         let mask = renderer.hit_mask(&window, &FieldGeometry { rows, cols, pitch_mm, grid }, [0, 0], task);
-        let hits: f64 = mask.map_err(render_error)?.data().iter().map(|&hit| f64::from(hit)).sum();
+        let hits: f64 = mask?.data().iter().map(|&hit| f64::from(hit)).sum();
         Ok(hits * (pitch_mm * window.scene_from_display.scale).powi(2))
     };
     let mut tried = Vec::new();
@@ -97,14 +107,15 @@ pub(crate) fn choose(
             tried.push(([azimuth, elevation], area([azimuth, elevation])?));
         }
     }
-    Ok(best(&tried))
+    let is_capture = scene.instances.is_empty();
+    Ok(best(&tried, if is_capture { CAPTURE_SHARE } else { FRONT_SHARE }))
 }
 
-/// The first of the directions, the front before all, that shows enough.
-fn best(tried: &[([f64; 2], f64)]) -> [f64; 2] {
+/// The first of the directions that shows enough, the front before all where it shows `front_share` of the most.
+fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     let most = tried.iter().fold(0.0f64, |most, (_, area)| most.max(*area));
     let Some((front, area)) = tried.first() else { return FRONT };
-    if *area >= FRONT_SHARE * most {
+    if *area >= front_share * most {
         return *front;
     }
     tried.iter().find(|(_, area)| *area >= ENOUGH * most).map_or(*front, |(from_deg, _)| *from_deg)
@@ -169,7 +180,7 @@ mod tests {
     fn chosen(scene: &Arc<Scene>) -> [f64; 2] {
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let task = Task::quiet(&warnings, &cancel);
-        let renderer = Renderer::new(scene.clone(), task).unwrap();
+        let renderer = SceneRenderer::new(scene.clone(), task).unwrap();
         choose(&renderer, scene, SIZE_MM, task).unwrap()
     }
 
@@ -262,9 +273,10 @@ mod tests {
     #[test]
     fn the_front_is_left_for_much_more_alone() {
         let tried = |areas: [f64; 3]| [([0.0, 0.0], areas[0]), ([0.0, 20.0], areas[1]), ([0.0, 40.0], areas[2])];
-        assert_eq!(best(&tried([0.2, 0.9, 1.0])), FRONT);
-        assert_eq!(best(&tried([0.1, 0.9, 1.0])), [0.0, 20.0]);
-        assert_eq!(best(&tried([0.1, 0.5, 1.0])), [0.0, 40.0]);
-        assert_eq!(best(&tried([0.0; 3])), FRONT, "nothing to see anywhere");
+        assert_eq!(best(&tried([0.2, 0.9, 1.0]), FRONT_SHARE), FRONT);
+        assert_eq!(best(&tried([0.1, 0.9, 1.0]), FRONT_SHARE), [0.0, 20.0]);
+        assert_eq!(best(&tried([0.2, 0.9, 1.0]), CAPTURE_SHARE), [0.0, 20.0]);
+        assert_eq!(best(&tried([0.1, 0.5, 1.0]), FRONT_SHARE), [0.0, 40.0]);
+        assert_eq!(best(&tried([0.0; 3]), FRONT_SHARE), FRONT, "nothing to see anywhere");
     }
 }

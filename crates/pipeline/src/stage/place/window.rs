@@ -8,7 +8,7 @@ use lumistack_display::{FieldGeometry, ViewGrid};
 use lumistack_scene::{Camera, Scene, Window};
 
 use super::side;
-use crate::error::{PipelineError, render_error};
+use crate::error::PipelineError;
 use crate::job::{Near, WindowFrom, WindowJob};
 use crate::stage::ingest::Ingested;
 use crate::store::code;
@@ -151,7 +151,7 @@ fn close_up(
         let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
         let grid = ViewGrid::single(geometry.grid.projection, [0.0, 0.0]);
         let probe = FieldGeometry { rows, cols, pitch_mm, grid };
-        let mask = renderer.hit_mask(&window, &probe, [0, 0], task).map_err(render_error)?;
+        let mask = renderer.hit_mask(&window, &probe, [0, 0], task)?;
         let (factor, [row, col]) = if recentre { whole(&mask) } else { closer(&mask) };
         let half = 0.5 * pitch_mm;
         Ok(([probe.x_mm(0) - half + col * pitch_mm, probe.y_mm(0) + half - row * pitch_mm], factor))

@@ -1,0 +1,218 @@
+//! What this machine has of all that Lumistack can use, and how to get the rest.
+
+use std::path::Path;
+
+use lumistack_core::Cancel;
+use lumistack_pipeline::{PipelineError, Registry, oidn_version};
+use lumistack_simd::Backend;
+use lumistack_usd::{There, UsdError};
+use serde_json::json;
+
+use crate::console::say;
+use crate::program;
+
+pub(crate) const EXAMPLES: &str = "Nothing that is missing here keeps the program from its main job: a glTF scene to patterns, pictures and a page.\n\n\
+    Examples:\n  lumistack doctor\n  lumistack --json doctor      one object";
+
+/// Below so much a run of the paper's size may not fit, MiB.
+const ENOUGH_MIB: u64 = 4096;
+
+/// One thing that was looked for.
+struct Finding {
+    what: &'static str,
+    found: Found,
+}
+
+enum Found {
+    Good(String),
+    /// It works, worse than it could.
+    Poor(String, String),
+    /// It is not there; how to get it.
+    Missing(String, String),
+}
+
+/// Looks, and says what it has found.
+pub(crate) fn run(registry: &Registry, json: bool, cancel: &Cancel) -> Result<(), PipelineError> {
+    let findings = look(registry, cancel)?;
+    if json {
+        let of = |finding: &Finding| {
+            let (state, found, help) = parts(&finding.found);
+            json!({ "what": finding.what, "state": state, "found": found, "help": help })
+        };
+        let findings: Vec<_> = findings.iter().map(of).collect();
+        say!("{}", json!({ "event": "doctor", "version": env!("CARGO_PKG_VERSION"), "findings": findings }));
+        return Ok(());
+    }
+    let width = findings.iter().map(|finding| finding.what.len()).max().unwrap_or(0);
+    for finding in &findings {
+        let (state, found, help) = parts(&finding.found);
+        let mut lines = found.lines();
+        say!("{state:>7}  {:width$}  {}", finding.what, lines.next().unwrap_or_default());
+        lines.for_each(|line| say!("{:>7}  {:width$}  {line}", "", ""));
+        if let Some(help) = help {
+            say!("{:>7}  {:width$}  {}", "", "", program::hinted(help));
+        }
+    }
+    Ok(())
+}
+
+fn parts(found: &Found) -> (&'static str, &str, Option<&str>) {
+    match found {
+        Found::Good(found) => ("good", found, None),
+        Found::Poor(found, help) => ("poor", found, Some(help)),
+        Found::Missing(found, help) => ("missing", found, Some(help)),
+    }
+}
+
+fn look(registry: &Registry, cancel: &Cancel) -> Result<Vec<Finding>, PipelineError> {
+    let python =
+        "`lumistack setup usd` installs OpenUSD, or name a Python that has it in LUMISTACK_PYTHON: docs/USD.md";
+    let blender =
+        "install Blender 4.2 or newer from blender.org, or name its program in LUMISTACK_BLENDER: docs/BLENDER.md";
+    let found = [
+        ("program", program_itself()),
+        ("processor", processor()),
+        ("memory", memory()),
+        ("disk", disk(Path::new("."))),
+        ("plugins", plugins(registry)),
+        ("USD files", reader(lumistack_usd::openusd(cancel), python)?),
+        (".blend files", reader(lumistack_usd::blender(cancel), blender)?),
+        ("denoiser oidn", denoiser()),
+        ("panels", panels()),
+    ];
+    Ok(found.into_iter().map(|(what, found)| Finding { what, found }).collect())
+}
+
+fn program_itself() -> Found {
+    let version = env!("CARGO_PKG_VERSION");
+    let place = std::env::current_exe().map_or_else(|_| String::new(), |place| format!(", {}", place.display()));
+    let found = format!("version {version}{place}");
+    if cfg!(debug_assertions) {
+        return Found::Poor(
+            found,
+            "this is a development build, some two times slower: `cargo build --release`".into(),
+        );
+    }
+    Found::Good(found)
+}
+
+fn processor() -> Found {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let best = Backend::best().to_string();
+    let found = format!("{threads} threads, {best}");
+    if best == "portable" && cfg!(target_arch = "x86_64") {
+        let help = "a processor with AVX2 (since 2013) renders and solves several times faster";
+        return Found::Poor(found, help.into());
+    }
+    Found::Good(found)
+}
+
+/// Memory that programs can still get.
+fn memory() -> Found {
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let mib = |key: &str| {
+        let line = text.lines().find_map(|line| line.strip_prefix(key))?;
+        line.trim_start_matches(':').split_whitespace().next()?.parse::<u64>().ok().map(|kib| kib >> 10)
+    };
+    let (Some(free), Some(all)) = (mib("MemAvailable"), mib("MemTotal")) else {
+        return Found::Good("not known on this system; `lumistack run --plan` says what a job takes".into());
+    };
+    rated(
+        free,
+        format!("{free} MiB free of {all}"),
+        "`render.field_mib` in a job bounds what a light field takes: docs/JOB.md",
+    )
+}
+
+/// Space for runs in the working folder.
+fn disk(folder: &Path) -> Found {
+    match free_mib(folder) {
+        Some(free) => {
+            rated(free, format!("{free} MiB free in this folder"), "`lumistack clean runs/*` frees what is cached")
+        }
+        None => Found::Good("not known on this system".into()),
+    }
+}
+
+fn rated(mib: u64, found: String, help: &str) -> Found {
+    if mib < ENOUGH_MIB { Found::Poor(found, help.into()) } else { Found::Good(found) }
+}
+
+#[cfg(unix)]
+fn free_mib(folder: &Path) -> Option<u64> {
+    let space = rustix::fs::statvfs(folder).ok()?;
+    Some(space.f_bavail.saturating_mul(space.f_frsize) >> 20)
+}
+
+#[cfg(not(unix))]
+fn free_mib(_folder: &Path) -> Option<u64> {
+    None
+}
+
+fn plugins(registry: &Registry) -> Found {
+    let failed = registry.failed();
+    let count = registry.infos().count();
+    if failed.is_empty() {
+        return Found::Good(format!("{count}"));
+    }
+    let reasons: Vec<String> = failed.iter().map(ToString::to_string).collect();
+    Found::Poor(format!("{count}, and {} that cannot be used", failed.len()), reasons.join("; "))
+}
+
+fn reader(there: Result<There, UsdError>, help: &str) -> Result<Found, PipelineError> {
+    Ok(match there? {
+        Ok((program, version)) => Found::Good(format!("{version}, by {program}")),
+        Err(tried) => Found::Missing(tried.join("\n"), help.into()),
+    })
+}
+
+fn denoiser() -> Found {
+    match oidn_version() {
+        Ok(version) => Found::Good(version),
+        Err(_) => {
+            let help = "`pip install pyoidn`, or name the program `oidnDenoise` in LUMISTACK_OIDN; the other filters need nothing";
+            Found::Missing("Open Image Denoise is not on PATH".into(), help.into())
+        }
+    }
+}
+
+/// Screens that `lumistack show` could drive.
+fn panels() -> Found {
+    match crate::show::outputs() {
+        Ok(outputs) if outputs.is_empty() => {
+            Found::Missing("no output".into(), "docs/PANELS.md says how panels are connected".into())
+        }
+        Ok(outputs) => Found::Good(format!("{} outputs: {}", outputs.len(), outputs.join(", "))),
+        Err(found) => Found::Missing(found, "`lumistack preview RUN` shows a display in the browser instead".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn little_room_is_told_with_what_helps() {
+        let (state, found, help) = {
+            let found = rated(100, "100 MiB free".into(), "clean up");
+            let (state, text, help) = parts(&found);
+            (state, text.to_owned(), help.map(str::to_owned))
+        };
+        assert_eq!((state, found.as_str(), help.as_deref()), ("poor", "100 MiB free", Some("clean up")));
+        assert_eq!(parts(&rated(ENOUGH_MIB, String::new(), "")).0, "good");
+    }
+
+    #[test]
+    fn what_is_not_there_is_named_with_every_try() {
+        let found = reader(Ok(Err(vec!["a from PATH: no".into(), "b from PATH: neither".into()])), "get one").unwrap();
+        assert_eq!(parts(&found), ("missing", "a from PATH: no\nb from PATH: neither", Some("get one")));
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn memory_and_disk_are_known_here() {
+        for found in [memory(), disk(Path::new("/"))] {
+            assert!(parts(&found).1.contains(" MiB free"), "{}", parts(&found).1);
+        }
+    }
+}

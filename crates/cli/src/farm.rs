@@ -1,0 +1,517 @@
+//! `lumistack farm`: a run on many machines.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::str::FromStr;
+use std::time::Duration;
+
+use clap::builder::PossibleValue;
+use lumistack_core::Task;
+use lumistack_farm::{Format, Graph, Prediction, paths, predict};
+use lumistack_pipeline::{Cut, FarmPlan, Job, PipelineError, Registry, code, farm_plan, farm_unit};
+use serde_json::{Value, json};
+
+use crate::console::say;
+use crate::groups::{JobArgs, in_place, job_of};
+use crate::values::{duration_text, size_text};
+
+pub(crate) const EXAMPLES: &str = "\
+Examples:
+  lumistack farm job.toml -o runs/shot                                two workers on this machine, through dask.distributed
+  lumistack farm job.toml -o /mnt/shots/one --dask tls://head:8786    on the workers of a Dask scheduler, which share the folder
+  lumistack farm plan job.toml -o runs/shot                           the units of work: what each takes, its time and memory
+  lumistack farm export makefile job.toml -o runs/shot --to Makefile  and then make -j8
+  lumistack farm export openjd job.toml -o /mnt/shots/one --to jobs   for a farm manager
+
+Results are those of `lumistack run`, byte for byte. A run that was stopped or killed goes on when the same command is given again. docs/FARM.md has recipes.";
+
+/// Seconds that starting a unit takes beside its work, as the prediction has it.
+const OVERHEAD_SECONDS: f64 = 0.1;
+
+#[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub(crate) struct Farm {
+    #[command(subcommand)]
+    what: Option<What>,
+    /// Job file (.toml), with a table [sweep] or without, or a scene
+    #[arg(required = true)]
+    input: Option<PathBuf>,
+    #[command(flatten)]
+    job: JobArgs,
+    #[command(flatten)]
+    cut: CutArgs,
+    #[command(flatten)]
+    engine: EngineArgs,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// Cuts a run into units of work, writes them into its folder, and prints them
+    Plan {
+        /// Job file (.toml), with a table [sweep] or without, or a scene
+        input: PathBuf,
+        #[command(flatten)]
+        job: JobArgs,
+        #[command(flatten)]
+        cut: CutArgs,
+        /// Numbers of workers for which the time of the whole is predicted
+        #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
+        workers: Vec<usize>,
+    },
+    /// The units of a run that was planned, and which are done
+    Show {
+        /// The run folder
+        dir: PathBuf,
+        /// Numbers of workers for which the time of the whole is predicted; of units that are done by the time that they took
+        #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
+        workers: Vec<usize>,
+    },
+    /// Executes one unit of work; this is what farms call
+    Unit {
+        /// The run folder
+        dir: PathBuf,
+        /// Id of the unit
+        id: String,
+        /// Paths of the job lie elsewhere on this machine; may be given several times
+        #[arg(long, value_name = "/THERE=/HERE")]
+        map: Vec<Map>,
+        /// How long to wait for the units that it takes, seconds: a network's file system may show files late
+        #[arg(long, value_name = "SECONDS", default_value_t = 60)]
+        patience: u64,
+        /// End when standard input ends, so that no unit outlives its worker
+        #[arg(long)]
+        attached: bool,
+    },
+    /// Writes the units of a run as a job for a farm manager
+    Export {
+        /// Format
+        format: FormatArg,
+        /// Job file (.toml), with a table [sweep] or without, or a scene
+        input: PathBuf,
+        #[command(flatten)]
+        job: JobArgs,
+        #[command(flatten)]
+        cut: CutArgs,
+        /// File or folder to write: a folder, unless the format is one file and the name is its own
+        #[arg(long, value_name = "FILE|DIR", default_value = ".")]
+        to: PathBuf,
+        /// Words that start the program on a worker, between spaces [default: this program for make and shell, else lumistack]
+        #[arg(long, value_name = "WORDS")]
+        program: Option<String>,
+        /// Paths of this machine lie elsewhere on the workers; may be given several times
+        #[arg(long, value_name = "/HERE=/THERE")]
+        map: Vec<Map>,
+    },
+    /// Version and code of this program; all workers of a run have the same
+    Code,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Farm")]
+struct EngineArgs {
+    /// A running Dask scheduler, such as tls://host:8786 [default: workers of this machine]
+    #[arg(long, value_name = "ADDRESS")]
+    dask: Option<String>,
+    /// Workers of this machine, where no scheduler is named [default: 2]
+    #[arg(long, value_name = "N")]
+    workers: Option<usize>,
+    /// Paths of this machine lie elsewhere on the workers; may be given several times
+    #[arg(long, value_name = "/HERE=/THERE")]
+    map: Vec<Map>,
+    /// Certificate of the authority that signed the scheduler's and the workers' certificates, PEM
+    #[arg(long, value_name = "FILE", requires_all = ["tls_cert", "tls_key"])]
+    tls_ca: Option<PathBuf>,
+    /// Own certificate, PEM
+    #[arg(long, value_name = "FILE", requires = "tls_ca")]
+    tls_cert: Option<PathBuf>,
+    /// Key of the own certificate, PEM
+    #[arg(long, value_name = "FILE", requires = "tls_ca")]
+    tls_key: Option<PathBuf>,
+    /// Talk to a scheduler on another machine without TLS: whoever reaches it can run anything on its workers
+    #[arg(long)]
+    insecure: bool,
+}
+
+#[derive(Debug, Default, clap::Args)]
+#[command(next_help_heading = "Units of work")]
+struct CutArgs {
+    /// Expected time of a block of views
+    #[arg(long, value_name = "SECONDS")]
+    block_seconds: Option<f64>,
+    /// Number of blocks of every light field, whatever they take
+    #[arg(long, value_name = "N", conflicts_with = "block_seconds")]
+    blocks: Option<usize>,
+}
+
+impl CutArgs {
+    fn cut(&self) -> Result<Cut, PipelineError> {
+        let default = Cut::default();
+        let block_seconds = self.block_seconds.unwrap_or(default.block_seconds);
+        if !(block_seconds > 0.0 && block_seconds.is_finite()) {
+            let found = block_seconds.to_string();
+            return Err(PipelineError::option("--block-seconds", "SECONDS", "a time above 0", found));
+        }
+        Ok(Cut { block_seconds, blocks: self.blocks })
+    }
+}
+
+/// A folder here, and the same folder there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Map([PathBuf; 2]);
+
+impl FromStr for Map {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let pair = text.split_once('=').map(|(from, to)| [PathBuf::from(from), PathBuf::from(to)]);
+        let absolute = pair.filter(|pair| pair.iter().all(|path| path.has_root()));
+        absolute.map(Self).ok_or_else(|| format!("expected two absolute folders such as /here=/there, found `{text}`"))
+    }
+}
+
+impl Map {
+    fn word(&self) -> String {
+        let [from, to] = &self.0;
+        format!("{}={}", from.display(), to.display())
+    }
+
+    fn of(&self, path: &str) -> Option<String> {
+        let [from, to] = &self.0;
+        Path::new(path).strip_prefix(from).ok().map(|rest| to.join(rest).to_string_lossy().into_owned())
+    }
+}
+
+/// A format by its name.
+#[derive(Clone, Copy, Debug)]
+struct FormatArg(Format);
+
+impl clap::ValueEnum for FormatArg {
+    fn value_variants<'a>() -> &'a [Self] {
+        const ALL: [FormatArg; Format::ALL.len()] = {
+            let mut all = [FormatArg(Format::Makefile); Format::ALL.len()];
+            let mut i = 0;
+            while i < all.len() {
+                all[i] = FormatArg(Format::ALL[i]);
+                i += 1;
+            }
+            all
+        };
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.0.name()))
+    }
+}
+
+pub(crate) fn run(
+    args: &Farm,
+    threads: Option<usize>,
+    registry: &Registry,
+    json: bool,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    match (&args.what, &args.input) {
+        (Some(What::Plan { input, job, cut, workers }), _) => {
+            let (plan, dir) = planned(input, job, cut, registry, task)?;
+            print(&plan, &dir, workers, json);
+            Ok(())
+        }
+        (Some(What::Show { dir, workers }), _) => {
+            print(&FarmPlan::load(dir)?, dir, workers, json);
+            Ok(())
+        }
+        (Some(What::Unit { dir, id, map, patience, attached }), _) => {
+            if *attached {
+                end_with_input();
+            }
+            unit(dir, id, map, *patience, registry, json, task)
+        }
+        (Some(What::Export { format, input, job, cut, to, program, map }), _) => {
+            let (plan, dir) = planned(input, job, cut, registry, task)?;
+            export(format.0, &plan, &dir, to, program.as_deref(), map, json)
+        }
+        (Some(What::Code), _) => {
+            let version = env!("CARGO_PKG_VERSION");
+            match json {
+                true => say!("{}", json!({ "event": "code", "version": version, "code": code() })),
+                false => say!("{version} {}", code()),
+            }
+            Ok(())
+        }
+        (None, Some(input)) => {
+            // before a minute of planning
+            let python = python()?;
+            let (_, dir) = planned(input, &args.job, &args.cut, registry, task)?;
+            engine(&args.engine, &python, &dir, threads, json, task)
+        }
+        (None, None) => Err(PipelineError::value("command line", "JOB", "a job, a scene or a subcommand", "none")),
+    }
+}
+
+/// Plans a job into its folder.
+fn planned(
+    input: &Path,
+    args: &JobArgs,
+    cut: &CutArgs,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<(FarmPlan, PathBuf), PipelineError> {
+    let cut = cut.cut()?;
+    let (job, dir): (Job, PathBuf) = job_of(input, args)?;
+    let plan = farm_plan(&job, &dir, registry, cut, task).map_err(|error| in_place(error, input))?;
+    Ok((plan, dir))
+}
+
+/// Words that start this very program.
+fn own_words() -> Vec<String> {
+    let program = std::env::current_exe().map_or("lumistack".into(), |path| path.to_string_lossy().into_owned());
+    let stem = Path::new(&program).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    // the Python package runs the command inside the interpreter
+    if !stem.starts_with("python") {
+        return vec![program];
+    }
+    // the Python of a virtual environment is a link, which leads out of it
+    #[cfg(feature = "dynamic")]
+    let program = lumistack_pipeline::Launcher::of_process()
+        .map_or(program, |launcher| launcher.program.to_string_lossy().into_owned());
+    vec![program, "-m".into(), "lumistack".into()]
+}
+
+fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
+    let graph = plan.graph(dir, Vec::new());
+    let to_end = paths(&graph, OVERHEAD_SECONDS);
+    let predictions: Vec<Prediction> = workers.iter().map(|&count| predict(&graph, count, OVERHEAD_SECONDS)).collect();
+    let done: Vec<bool> = graph.units.iter().map(|unit| plan.done(dir, &unit.id).is_some()).collect();
+    if json {
+        let units = graph.units.iter().zip(&to_end).zip(&done).map(|((unit, to_end), done)| {
+            let mut value = serde_json::to_value(unit).expect("units serialize");
+            (value["to_end_seconds"], value["done"]) = ((*to_end).into(), (*done).into());
+            value
+        });
+        let units: Vec<Value> = units.collect();
+        say!(
+            "{}",
+            json!({
+                "event": "farm_plan",
+                "id": plan.id,
+                "name": plan.name,
+                "folder": graph.folder,
+                "version": plan.version,
+                "code": plan.code,
+                "units": units,
+                "predictions": predictions,
+            })
+        );
+        return;
+    }
+    let width = graph.units.iter().map(|unit| unit.id.chars().count()).max().unwrap_or(0).max(4);
+    say!("{:width$}  {:8}  {:4}  {:>8}  {:>8}  takes", "unit", "kind", "done", "time", "memory");
+    for (unit, done) in graph.units.iter().zip(&done) {
+        let done = if *done { "yes" } else { "no" };
+        let (time, memory) = (duration_text(unit.seconds), size_text(unit.memory_bytes));
+        let inputs = match unit.inputs.as_slice() {
+            [a, .., b] if unit.inputs.len() > 4 => format!("{a} ... {b} ({} units)", unit.inputs.len()),
+            inputs => inputs.join(", "),
+        };
+        say!("{:width$}  {:8}  {done:4}  {time:>8}  {memory:>8}  {inputs}", unit.id, unit.kind.name());
+    }
+    let told = |p: &Prediction| format!("{} on {}", duration_text(p.makespan_seconds), p.workers);
+    let count = graph.units.len();
+    let folder = dir.display();
+    let predicted = predictions.iter().map(told).collect::<Vec<_>>().join(", ");
+    say!("{count} units in {folder}; predicted with so many workers: {predicted}");
+}
+
+/// Ends the process when standard input ends: whoever started it is gone. All files are written whole or not at all.
+fn end_with_input() {
+    std::thread::spawn(|| {
+        let mut rest = [0; 64];
+        while matches!(std::io::stdin().read(&mut rest), Ok(1..)) {}
+        std::process::exit(130);
+    });
+}
+
+fn unit(
+    dir: &Path,
+    id: &str,
+    maps: &[Map],
+    patience: u64,
+    registry: &Registry,
+    json: bool,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    let maps: Vec<(PathBuf, PathBuf)> = maps.iter().map(|Map([from, to])| (from.clone(), to.clone())).collect();
+    let done = farm_unit(dir, id, &maps, Duration::from_secs(patience), registry, task);
+    if json {
+        let event = match &done {
+            Ok(done) => json!({
+                "event": "unit", "id": id, "outcome": "done", "seconds": done.seconds, "cached": done.cached,
+            }),
+            Err(error) => {
+                let outcome = match error {
+                    error if error.is_of_machine() => "refused",
+                    error if error.is_of_store() => "store",
+                    PipelineError::Cancelled => "cancelled",
+                    _ => "failed",
+                };
+                json!({ "event": "unit", "id": id, "outcome": outcome, "message": error.to_string() })
+            }
+        };
+        say!("{event}");
+    } else if let Ok(done) = &done {
+        let before = if done.cached { ", done before" } else { "" };
+        say!("{id}: {}{before}", duration_text(done.seconds));
+    }
+    done.map(|_| ())
+}
+
+fn export(
+    format: Format,
+    plan: &FarmPlan,
+    dir: &Path,
+    to: &Path,
+    program: Option<&str>,
+    maps: &[Map],
+    json: bool,
+) -> Result<(), PipelineError> {
+    let is_local = matches!(format, Format::Makefile | Format::Shell);
+    let mut command = match program {
+        Some(words) => words.split_whitespace().map(str::to_owned).collect(),
+        None if is_local => own_words(),
+        None => vec!["lumistack".into()],
+    };
+    command.extend(["farm", "unit"].map(String::from));
+    command.extend(maps.iter().flat_map(|map| ["--map".to_owned(), map.word()]));
+    let graph = plan.graph(dir, command);
+    let folder = maps.iter().find_map(|map| map.of(&graph.folder)).unwrap_or_else(|| graph.folder.clone());
+    let files = format.export(&Graph { folder, ..graph });
+    let single = match files.as_slice() {
+        [file] => to.file_name().is_some_and(|name| name == file.name.as_str()) || to.extension().is_some(),
+        _ => false,
+    };
+    let folder = if single { to.parent().unwrap_or(Path::new("")) } else { to };
+    lumistack_field_io::atomic::create_folder(folder).map_err(PipelineError::command)?;
+    for file in &files {
+        let path = if single { to.to_owned() } else { folder.join(&file.name) };
+        lumistack_field_io::atomic::write_bytes(&path, file.text.as_bytes()).map_err(PipelineError::command)?;
+        #[cfg(unix)]
+        if file.executable {
+            use std::os::unix::fs::PermissionsExt;
+            let all = std::fs::Permissions::from_mode(0o755);
+            std::fs::set_permissions(&path, all).map_err(PipelineError::write(&path))?;
+        }
+        if !json {
+            say!("{}", path.display());
+        }
+    }
+    if json {
+        let names: Vec<&str> = files.iter().map(|file| file.name.as_str()).collect();
+        say!(
+            "{}",
+            json!({ "event": "done", "format": format.name(), "folder": folder.to_string_lossy(), "files": names })
+        );
+    }
+    Ok(())
+}
+
+/// Hands a planned run to the Python module that drives Dask.
+fn engine(
+    args: &EngineArgs,
+    python: &Path,
+    dir: &Path,
+    threads: Option<usize>,
+    json: bool,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    let mut command = Command::new(python);
+    command.args(["-m", "lumistack.farm"]).arg(dir);
+    let program = serde_json::to_string(&own_words()).expect("words serialize");
+    command.args(["--program", &program]);
+    let mut add = |name: &str, value: Option<String>| {
+        if let Some(value) = value {
+            command.args([name, &value]);
+        }
+    };
+    let text = |path: &Option<PathBuf>| path.as_ref().map(|path| path.to_string_lossy().into_owned());
+    add("--dask", args.dask.clone());
+    add("--workers", args.workers.map(|count| count.to_string()));
+    add("--threads", threads.map(|count| count.to_string()));
+    add("--tls-ca", text(&args.tls_ca));
+    add("--tls-cert", text(&args.tls_cert));
+    add("--tls-key", text(&args.tls_key));
+    args.map.iter().for_each(|map| add("--map", Some(map.word())));
+    if args.insecure {
+        command.arg("--insecure");
+    }
+    if json {
+        command.arg("--json");
+    }
+    // it gets Ctrl-C as this process does, and ends cleanly
+    let status = command.status().map_err(PipelineError::command)?;
+    task.cancel.check()?;
+    match status.success() {
+        true => Ok(()),
+        false => Err(PipelineError::value("farm", "run", "all units done", "some that are not, see above")),
+    }
+}
+
+/// A Python that has this package and Dask.
+fn python() -> Result<PathBuf, PipelineError> {
+    let own = own_words();
+    let own = (own.len() > 1).then(|| (PathBuf::from(&own[0]), "this Python"));
+    let all = own.into_iter().chain(lumistack_usd::pythons());
+    let mut tried = Vec::new();
+    for (program, from) in all {
+        let mut look = Command::new(&program);
+        look.args(["-c", "import lumistack.farm, distributed"]).stdin(Stdio::null());
+        match look.output() {
+            Ok(found) if found.status.success() => return Ok(program),
+            Ok(found) => {
+                let said = String::from_utf8_lossy(&found.stderr);
+                let last = said.trim().lines().last().unwrap_or("it failed").to_owned();
+                tried.push(format!("{} ({from}): {last}", program.display()));
+            }
+            Err(error) => tried.push(format!("{} ({from}): {error}", program.display())),
+        }
+    }
+    let expected = "one with the packages `lumistack` and `distributed` (pip install 'lumistack[farm]')";
+    Err(PipelineError::value("farm", "Python", expected, tried.join("; ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::args::{Args, Command};
+
+    #[test]
+    fn a_job_alone_is_run_and_words_are_commands() {
+        let farm = |words: &[&str]| match Args::parse_from(["lumistack", "farm"].iter().chain(words)).command {
+            Command::Farm(farm) => farm,
+            other => panic!("{other:?}"),
+        };
+        let run = farm(&["a.toml", "-o", "runs/a", "--times", "3", "--blocks", "2", "--dask", "tls://a:1"]);
+        assert_eq!(
+            (run.input.as_deref(), run.job.output.as_deref()),
+            (Some(Path::new("a.toml")), Some(Path::new("runs/a")))
+        );
+        assert_eq!((run.cut.blocks, run.engine.dask.as_deref()), (Some(2), Some("tls://a:1")));
+        assert!(run.what.is_none() && farm(&["a.toml"]).input.is_some());
+        assert!(matches!(farm(&["plan", "a.toml"]).what, Some(What::Plan { .. })));
+        assert!(matches!(farm(&["export", "openjd", "a.toml"]).what, Some(What::Export { .. })));
+    }
+
+    #[test]
+    fn maps_are_two_absolute_folders() {
+        let map: Map = "/mnt/a=/srv/b".parse().unwrap();
+        assert_eq!(map.of("/mnt/a/shot/one"), Some("/srv/b/shot/one".into()));
+        assert_eq!(map.of("/mnt/ab"), None);
+        assert_eq!(map.word(), "/mnt/a=/srv/b");
+        for text in ["/a", "a=/b", "/a=b", ""] {
+            assert!(text.parse::<Map>().unwrap_err().contains("/here=/there"), "{text}");
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! Flamenco 3: a job type for the manager's folder `scripts`, and a job to post to it.
+
+use serde_json::json;
+
+use crate::file::{File, limit_seconds};
+use crate::graph::Graph;
+
+/// The job type. The manager compiles a job with it into tasks: one per unit, with the dependencies of the graph.
+const JOB_TYPE: &str = include_str!("flamenco.js");
+
+pub(crate) fn export(graph: &Graph) -> Vec<File> {
+    let units: Vec<_> = graph
+        .units
+        .iter()
+        .map(|unit| {
+            json!({
+                "id": unit.id,
+                "inputs": unit.inputs,
+                "command": graph.command(&unit.id),
+                "kind": unit.kind.name(),
+                "limit": limit_seconds(unit.seconds),
+            })
+        })
+        .collect();
+    let job = json!({
+        "name": graph.name,
+        "type": "lumistack",
+        "priority": 50,
+        "submitter_platform": "linux",
+        "settings": {
+            "folder": graph.folder,
+            "units": serde_json::to_string(&units).expect("units serialize"),
+        },
+        "metadata": { "project": graph.name },
+    });
+    let text = serde_json::to_string_pretty(&job).expect("jobs serialize");
+    vec![File::new("lumistack.js", JOB_TYPE), File::new("job.json", text + "\n")]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::tests::sample;
+
+    #[test]
+    fn a_job_carries_its_units() {
+        let job: serde_json::Value = serde_json::from_str(&export(&sample())[1].text).unwrap();
+        let units: serde_json::Value = serde_json::from_str(job["settings"]["units"].as_str().unwrap()).unwrap();
+        assert_eq!(units[1]["command"][4], "t0001/trace/1-of-2");
+        assert_eq!(units[6]["inputs"], json!(["place"]));
+    }
+}

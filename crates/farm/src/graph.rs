@@ -1,0 +1,218 @@
+//! Graphs of units.
+
+use std::collections::HashMap;
+
+use serde::{Deserialize, Serialize};
+
+/// Kinds of units.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// The display's place in the scene.
+    Place,
+    /// A block of views of a light field.
+    Views,
+    /// A block of the scene's pictures for the score of the zone.
+    Score,
+    /// A light field from its views, a file or a source.
+    Field,
+    /// The patterns of a display at a time.
+    Patterns,
+    /// Outputs, figures and report of a display at a time.
+    Results,
+    /// A design of a sweep.
+    Design,
+    /// All that is left, and a check of everything.
+    Finish,
+}
+
+impl Kind {
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Place => "place",
+            Self::Views => "views",
+            Self::Score => "score",
+            Self::Field => "field",
+            Self::Patterns => "patterns",
+            Self::Results => "results",
+            Self::Design => "design",
+            Self::Finish => "finish",
+        }
+    }
+}
+
+/// A unit of work.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Unit {
+    /// Unique in the graph. A unit of a block ends with `N-of-COUNT`, N from 1.
+    pub id: String,
+    /// Kind of work.
+    pub kind: Kind,
+    /// Ids of the units whose results it takes.
+    pub inputs: Vec<String>,
+    /// Ids of the steps of the plan that it executes.
+    pub steps: Vec<String>,
+    /// Number of the block from 1 and their count, where the step is cut into blocks.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub block: Option<[usize; 2]>,
+    /// Files and folders that it publishes, relative to the run folder.
+    pub writes: Vec<String>,
+    /// Expected time on one worker, seconds.
+    pub seconds: f64,
+    /// Expected memory, bytes.
+    pub memory_bytes: u64,
+}
+
+/// Units and how they are executed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Graph {
+    /// Name of the job.
+    pub name: String,
+    /// The run folder, absolute.
+    pub folder: String,
+    /// Words before the folder and the id of a unit, on a worker: `lumistack farm unit`.
+    pub command: Vec<String>,
+    /// In an order in which they can be executed.
+    pub units: Vec<Unit>,
+}
+
+/// Units that differ in the number of their block alone; a single unit is a group of its own.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Group<'a> {
+    /// The common part of the ids.
+    pub(crate) name: &'a str,
+    /// In the order of their blocks.
+    pub(crate) units: Vec<&'a Unit>,
+    /// Numbers of the groups whose results it takes, ascending.
+    pub(crate) inputs: Vec<usize>,
+}
+
+impl Group<'_> {
+    /// Expected time of the longest unit, seconds.
+    pub(crate) fn seconds(&self) -> f64 {
+        self.units.iter().map(|unit| unit.seconds).fold(0.0, f64::max)
+    }
+
+    /// Expected memory of the largest unit, bytes.
+    pub(crate) fn memory_bytes(&self) -> u64 {
+        self.units.iter().map(|unit| unit.memory_bytes).max().unwrap_or(0)
+    }
+
+    /// Id of a unit with a placeholder for the number of the block.
+    pub(crate) fn id_with(&self, number: &str) -> String {
+        match self.units[0].block {
+            Some([_, count]) => format!("{}/{number}-of-{count}", self.name),
+            None => self.units[0].id.clone(),
+        }
+    }
+}
+
+impl Graph {
+    /// The command line of a unit.
+    pub fn command(&self, id: &str) -> Vec<String> {
+        self.command.iter().cloned().chain([self.folder.clone(), id.to_owned()]).collect()
+    }
+
+    /// Numbers of the units by their ids.
+    pub(crate) fn indices(&self) -> HashMap<&str, usize> {
+        self.units.iter().enumerate().map(|(index, unit)| (unit.id.as_str(), index)).collect()
+    }
+
+    /// Numbers of the inputs of each unit.
+    pub(crate) fn inputs(&self) -> Vec<Vec<usize>> {
+        let indices = self.indices();
+        let of = |unit: &Unit| unit.inputs.iter().filter_map(|id| indices.get(id.as_str()).copied()).collect();
+        self.units.iter().map(of).collect()
+    }
+
+    /// The groups, in an order in which they can be executed.
+    pub(crate) fn groups(&self) -> Vec<Group<'_>> {
+        let mut groups: Vec<Group<'_>> = Vec::new();
+        let mut of_unit = Vec::new();
+        for (unit, inputs) in self.units.iter().zip(self.inputs()) {
+            let name = match unit.block {
+                Some(_) => unit.id.rsplit_once('/').map_or(unit.id.as_str(), |(name, _)| name),
+                None => &unit.id,
+            };
+            let number = match groups.iter().rposition(|group| group.name == name) {
+                Some(number) => number,
+                None => {
+                    groups.push(Group { name, units: Vec::new(), inputs: Vec::new() });
+                    groups.len() - 1
+                }
+            };
+            groups[number].units.push(unit);
+            for input in inputs {
+                let input = of_unit[input];
+                if input != number && !groups[number].inputs.contains(&input) {
+                    groups[number].inputs.push(input);
+                }
+            }
+            of_unit.push(number);
+        }
+        groups.iter_mut().for_each(|group| group.inputs.sort_unstable());
+        groups
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// Two times of two blocks of views each.
+    pub(crate) fn sample() -> Graph {
+        let unit = |id: &str, kind, inputs: &[&str], seconds| Unit {
+            id: id.into(),
+            kind,
+            inputs: inputs.iter().map(|id| id.to_string()).collect(),
+            steps: vec![id.into()],
+            block: id.ends_with("-of-2").then(|| [usize::from(id.ends_with("2-of-2")) + 1, 2]),
+            writes: Vec::new(),
+            seconds,
+            memory_bytes: 100 << 20,
+        };
+        let mut units = vec![unit("place", Kind::Place, &[], 1.0)];
+        for time in ["t0001", "t0002"] {
+            let views = [1, 2].map(|block| format!("{time}/trace/{block}-of-2"));
+            units.extend(views.iter().map(|id| unit(id, Kind::Views, &["place"], 8.0)));
+            let views = views.each_ref().map(String::as_str);
+            units.push(unit(&format!("{time}/expose"), Kind::Field, &views, 1.0));
+            let field = format!("{time}/expose");
+            let mut inputs = vec![field.as_str()];
+            inputs.extend((time == "t0002").then_some("t0001/factorize"));
+            units.push(unit(&format!("{time}/factorize"), Kind::Patterns, &inputs, 2.0));
+        }
+        units.push(unit("finish", Kind::Finish, &["t0002/factorize"], 1.0));
+        Graph {
+            name: "it's a \"walk\" $1".into(),
+            folder: "/shots/a b".into(),
+            command: ["lumistack", "farm", "unit"].map(String::from).to_vec(),
+            units,
+        }
+    }
+
+    #[test]
+    fn blocks_are_one_group() {
+        let graph = sample();
+        let groups = graph.groups();
+        let names: Vec<&str> = groups.iter().map(|group| group.name).collect();
+        assert_eq!(
+            names,
+            [
+                "place",
+                "t0001/trace",
+                "t0001/expose",
+                "t0001/factorize",
+                "t0002/trace",
+                "t0002/expose",
+                "t0002/factorize",
+                "finish"
+            ]
+        );
+        assert_eq!(groups[1].units.len(), 2);
+        assert_eq!(groups[1].id_with("#"), "t0001/trace/#-of-2");
+        assert_eq!((groups[2].inputs.clone(), groups[6].inputs.clone()), (vec![1], vec![3, 5]));
+        assert_eq!(groups[2].id_with("#"), "t0001/expose");
+    }
+}

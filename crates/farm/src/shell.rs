@@ -1,0 +1,44 @@
+//! A POSIX shell script: level after level, the units of a level at once.
+
+use std::fmt::Write;
+
+use crate::file::{File, line, quoted};
+use crate::graph::Graph;
+
+pub(crate) fn export(graph: &Graph) -> Vec<File> {
+    let mut depth = vec![0usize; graph.units.len()];
+    for (index, inputs) in graph.inputs().into_iter().enumerate() {
+        depth[index] = inputs.into_iter().map(|input| depth[input] + 1).max().unwrap_or(0);
+    }
+    let mut text = String::from("#!/bin/sh\n");
+    let _ = writeln!(text, "# {}", graph.name.replace('\n', " "));
+    text.push_str(
+        "# JOBS=N executes N units at once; a run that was stopped goes on when the script is called again\nset -e\n",
+    );
+    let _ = writeln!(
+        text,
+        "units() {{ xargs -P \"${{JOBS:-1}}\" -I ID {} {} ID; }}\n",
+        line(&graph.command),
+        quoted(&graph.folder)
+    );
+    for level in 0..=depth.iter().copied().max().unwrap_or(0) {
+        let ids = graph.units.iter().zip(&depth).filter(|(_, at)| **at == level).map(|(unit, _)| quoted(&unit.id));
+        let _ = writeln!(text, "printf '%s\\n' {} | units", ids.collect::<Vec<_>>().join(" "));
+    }
+    vec![File::script("run.sh", text)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::tests::sample;
+
+    #[test]
+    fn a_level_holds_what_needs_nothing_of_it() {
+        let text = &export(&sample())[0].text;
+        let levels: Vec<&str> = text.lines().filter(|line| line.ends_with("| units")).collect();
+        assert_eq!(levels[0], "printf '%s\\n' place | units");
+        assert!(levels[1].contains("t0001/trace/1-of-2") && levels[1].contains("t0002/trace/2-of-2"));
+        assert_eq!(levels.len(), 6);
+    }
+}

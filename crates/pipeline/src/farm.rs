@@ -1,0 +1,242 @@
+//! A run on many machines: units of work in one run folder that all of them share.
+//!
+//! ```text
+//! cache/farm/plan.json           the job, the code that it was planned by, and its units
+//! cache/farm/done/ID.json        units that are finished: written last, and only saves time
+//! ```
+//!
+//! A unit checks that it runs the code of the plan, waits until the units that it takes are done, executes its steps and notes that. Units of one folder hold its lock
+//! together; those that write a part's light field, patterns or results hold the part's lock alone. A run of the whole takes the folder alone as ever.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use lumistack_core::Task;
+use lumistack_core::config;
+use lumistack_farm::{Graph, Unit};
+use lumistack_plugin_host::Registry;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{PipelineError, field_error};
+use crate::job::Job;
+use crate::plan::execute::Executor;
+use crate::plan::steps::Kind;
+use crate::plan::sweep;
+use crate::plan::units::{Cut, FINISH, units};
+use crate::run::{of_run, of_sweep, plan as plan_of, run_finished, work_of};
+use crate::stage::fields::Block;
+use crate::store::code;
+use crate::store::farm::{done_file, forget, plan_file};
+use crate::store::files::{read_json, write_json};
+use crate::store::folder;
+use crate::store::key::hash;
+use crate::store::lock::{Hold, UNIT_LIMIT, take_for_unit};
+use crate::store::names::Work;
+use crate::store::plugin_files;
+
+/// Digits of a hash that are shown.
+const DIGITS: usize = 16;
+/// How often a unit looks for the units that it takes.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// A hash of the code of this program that results pass through. Workers of one run have one.
+pub fn code() -> String {
+    let lists = [code::SCENE, code::VIEWS, code::FIELDS, code::PATTERNS, code::DESIGNS, code::PLUGINS, code::REPORTS];
+    hash(lists.concat().concat().as_bytes())[..DIGITS].to_owned()
+}
+
+/// A run's units, as its folder keeps them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FarmPlan {
+    /// Hash of all below: results of another plan are not taken for this one's.
+    pub id: String,
+    /// Name of the job.
+    pub name: String,
+    /// Version of the program.
+    pub version: String,
+    /// [`code`] of the program.
+    pub code: String,
+    /// The units, in an order in which they can be executed.
+    pub units: Vec<Unit>,
+    /// The job as a file, its paths absolute.
+    job: String,
+    /// Folder to which files in parameters of plugins are relative.
+    #[serde(default, with = "crate::path_text::optional")]
+    folder: Option<PathBuf>,
+}
+
+/// How a unit ended that did not fail.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct UnitDone {
+    /// Of the plan.
+    plan: String,
+    /// Id of the unit.
+    pub id: String,
+    /// Time of the work, seconds.
+    pub seconds: f64,
+    /// Whether it was done before.
+    pub cached: bool,
+}
+
+impl FarmPlan {
+    /// Reads the plan of a run folder.
+    ///
+    /// # Errors
+    /// When the folder holds none: it is not the run's, or is not shared with this machine.
+    pub fn load(dir: &Path) -> Result<Self, PipelineError> {
+        let missing = || PipelineError::NoFarmPlan { folder: dir.to_owned() };
+        read_json(&plan_file(dir)).ok_or_else(missing)
+    }
+
+    /// The graph of its units in a run folder, which `command` and the folder and an id execute. Units that are done have the time that they took.
+    pub fn graph(&self, dir: &Path, command: Vec<String>) -> Graph {
+        let folder = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()).to_string_lossy().into_owned();
+        let mut units = self.units.clone();
+        for unit in &mut units {
+            unit.seconds = self.done(dir, &unit.id).map_or(unit.seconds, |done| done.seconds);
+        }
+        Graph { name: self.name.clone(), folder, command, units }
+    }
+
+    /// How a unit ended, where it is done.
+    pub fn done(&self, dir: &Path, id: &str) -> Option<UnitDone> {
+        read_json(&done_file(dir, id)).filter(|done: &UnitDone| done.plan == self.id)
+    }
+
+    fn job(&self, maps: &[(PathBuf, PathBuf)]) -> Result<Job, PipelineError> {
+        let damaged = |_| PipelineError::value("farm plan", "job", "the job as it was planned", "another text");
+        let mut job: Job = config::parse(&self.job).map_err(damaged)?;
+        for path in job.paths_mut() {
+            *path = mapped(path, maps);
+        }
+        job.folder = self.folder.as_deref().map_or_else(PathBuf::new, |folder| mapped(folder, maps));
+        Ok(job)
+    }
+}
+
+/// A path on this machine: the first map whose first folder the path lies in leads to its second.
+fn mapped(path: &Path, maps: &[(PathBuf, PathBuf)]) -> PathBuf {
+    let found = maps.iter().find_map(|(there, here)| Some(here.join(path.strip_prefix(there).ok()?)));
+    found.unwrap_or_else(|| path.to_owned())
+}
+
+/// Plans a job for many machines into its run folder, which is checked and taken as for a run. Units of the same plan that are done stay done.
+///
+/// # Errors
+/// As of a run before its work.
+pub fn farm_plan(
+    job: &Job,
+    dir: &Path,
+    registry: &Registry,
+    cut: Cut,
+    task: Task<'_>,
+) -> Result<FarmPlan, PipelineError> {
+    let mut job = job.clone();
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    job.folder = absolute(&job.folder);
+    let mut job = plugin_files::resolved(&job, registry)?;
+    job.paths_mut().for_each(|path| *path = absolute(path));
+    let plan = plan_of(&job, dir, registry)?;
+    let owned = folder::take(dir, work_of(&job), &job, registry, task)?;
+    Executor::new(&plan, registry, None, task).check()?;
+    for part in &plan.parts {
+        // nothing foreign lies where a time will
+        if matches!(part.kind, Kind::Time(_)) && job.sweep.is_none() {
+            drop(folder::take(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
+        }
+    }
+    let mut made = FarmPlan {
+        id: String::new(),
+        name: job.name.clone(),
+        version: env!("CARGO_PKG_VERSION").into(),
+        code: code(),
+        units: units(&plan, cut),
+        job: job.to_toml(),
+        folder: Some(job.folder.clone()),
+    };
+    // estimates change from machine to machine, and results do not depend on them
+    let ids: Vec<_> = made.units.iter().map(|unit| (&unit.id, &unit.inputs, &unit.steps)).collect();
+    let all = serde_json::to_string(&(&made.job, &made.code, ids)).expect("plans serialize");
+    made.id = hash(all.as_bytes())[..DIGITS].to_owned();
+    if FarmPlan::load(dir).is_ok_and(|old| old.id != made.id) {
+        forget(dir);
+    }
+    let place = plan_file(dir);
+    lumistack_field_io::atomic::create_folder(place.parent().unwrap_or(dir)).map_err(field_error)?;
+    write_json(&place, &made)?;
+    drop(owned);
+    Ok(made)
+}
+
+/// Executes a unit of the plan in a run folder. One that is done is not executed again, but for the last, which checks everything. Paths of the job are those of the machine
+/// that planned it; `maps` lead from there to here. A unit waits up to `patience` for the units that it takes, since a network's file system may show files late.
+///
+/// # Errors
+/// When the plan was made by other code, the units that it takes are not done, others hold the folder, or the work fails or is cancelled.
+pub fn farm_unit(
+    dir: &Path,
+    id: &str,
+    maps: &[(PathBuf, PathBuf)],
+    patience: Duration,
+    registry: &Registry,
+    task: Task<'_>,
+) -> Result<UnitDone, PipelineError> {
+    let start = Instant::now();
+    let farm = FarmPlan::load(dir)?;
+    if farm.code != code() {
+        let plan = format!("{}, {}", farm.version, farm.code);
+        let worker = format!("{}, {}", env!("CARGO_PKG_VERSION"), code());
+        return Err(PipelineError::OtherCode { folder: dir.to_owned(), plan, worker });
+    }
+    let Some(unit) = farm.units.iter().find(|unit| unit.id == id) else {
+        return Err(PipelineError::value(dir, "unit", "the id of a unit of the plan", format!("`{id}`")));
+    };
+    let is_last = unit.id == FINISH;
+    let before = || farm.done(dir, id).filter(|_| !is_last).map(|done| UnitDone { cached: true, ..done });
+    if let Some(done) = before() {
+        return Ok(done);
+    }
+    wait_for_inputs(&farm, dir, unit, patience, task)?;
+    let job = farm.job(maps)?;
+    if is_last {
+        run_finished(&job, dir, registry, task)?;
+    } else {
+        let _owned = take_for_unit(dir, Hold::Shared, UNIT_LIMIT, task)?;
+        let is_sweep = job.sweep.is_some();
+        let (plan, designs) = if is_sweep { of_sweep(&job, dir)? } else { (of_run(&job, dir)?, Default::default()) };
+        let design = unit.kind == lumistack_farm::Kind::Design;
+        match unit.block {
+            Some([number, _]) if design => sweep::execute_design(&plan, &designs, &job, number, registry, task)?,
+            block => {
+                let block = block.and_then(Block::new);
+                Executor::new(&plan, registry, None, task).execute_unit(&unit.steps, block)?;
+            }
+        }
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    let done = UnitDone { plan: farm.id.clone(), id: id.to_owned(), seconds, cached: false };
+    let path = done_file(dir, id);
+    lumistack_field_io::atomic::create_folder(path.parent().unwrap_or(dir)).map_err(field_error)?;
+    write_json(&path, &done)?;
+    Ok(done)
+}
+
+fn wait_for_inputs(
+    farm: &FarmPlan,
+    dir: &Path,
+    unit: &Unit,
+    patience: Duration,
+    task: Task<'_>,
+) -> Result<(), PipelineError> {
+    let start = Instant::now();
+    loop {
+        let missing: Vec<&String> = unit.inputs.iter().filter(|input| farm.done(dir, input).is_none()).collect();
+        let [first, ..] = missing.as_slice() else { return Ok(()) };
+        task.cancel.check()?;
+        if start.elapsed() >= patience {
+            let (unit, expected) = (format!("unit `{}`", unit.id), "the units that it takes, done");
+            return Err(PipelineError::value(dir, unit, expected, format!("`{first}` not done")));
+        }
+        std::thread::sleep(LOOK);
+    }
+}

@@ -1,0 +1,195 @@
+//! A plan as units of work, which many machines execute in one run folder.
+//!
+//! ```text
+//! place ─▶ trace 1-of-N ... ─▶ expose ─▶ factorize ─▶ results        of every time and node
+//!     └──▶ score 1-of-N ... ────────────────────────▶ results
+//! expose ─▶ designs 1-of-N ...                                        of a sweep
+//! finish: what is left, after all others
+//! ```
+//!
+//! Blocks of pictures are finer than steps, since tracing is most of the work and pictures are published one by one. Other units hold several steps, since each step
+//! alone reads its inputs anew. The last unit is the plain run, which takes up everything and makes again what is not as it was written. So bytes never depend on
+//! the cut.
+
+use std::collections::{BTreeSet, HashMap};
+
+use lumistack_farm::{Kind as UnitKind, Unit};
+
+use super::steps::{Kind, Plan, Step, What};
+
+/// The id of the last unit.
+pub(crate) const FINISH: &str = "finish";
+
+/// How a plan is cut.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cut {
+    /// Expected time of a block of pictures, seconds.
+    pub block_seconds: f64,
+    /// Number of blocks of each light field, whatever they take.
+    pub blocks: Option<usize>,
+}
+
+impl Default for Cut {
+    fn default() -> Self {
+        Self { block_seconds: 20.0, blocks: None }
+    }
+}
+
+/// Cuts a plan whose estimates are known.
+pub(crate) fn units(plan: &Plan, cut: Cut) -> Vec<Unit> {
+    let mut cutter = Cutter { plan, cut, units: Vec::new(), made_by: HashMap::new() };
+    for step in &plan.steps {
+        cutter.add(step);
+    }
+    cutter.finish()
+}
+
+struct Cutter<'a> {
+    plan: &'a Plan,
+    cut: Cut,
+    units: Vec<Unit>,
+    /// Units after which the result of a step is there.
+    made_by: HashMap<&'a str, BTreeSet<usize>>,
+}
+
+impl<'a> Cutter<'a> {
+    fn add(&mut self, step: &'a Step) {
+        let kind = match step.what {
+            What::Place if !matches!(self.plan.parts[step.part].kind, Kind::Time(_)) => UnitKind::Place,
+            What::Trace => return self.add_blocks(step, UnitKind::Views, step.inputs.clone()),
+            What::Score => {
+                // directions are those of the display, not of the light field
+                let place = self.plan.steps.iter().filter(|other| other.part == step.part && other.what == What::Place);
+                return self.add_blocks(step, UnitKind::Score, place.map(|step| step.id.clone()).collect());
+            }
+            What::Read | What::Source | What::Expose => UnitKind::Field,
+            What::Patterns => UnitKind::Patterns,
+            What::FieldOutput(_) | What::StackOutput(_) | What::Measure => return self.add_result(step),
+            What::Report if self.is_report_of_time(step) => return self.add_result(step),
+            What::Design(number) => return self.add_design(step, number),
+            // made with what takes them
+            What::Ingest | What::Place | What::Denoise => return self.pass(step),
+            // the last unit's
+            What::Report | What::Search => return,
+        };
+        let inputs = self.inputs(&step.inputs);
+        let mut unit = self.unit(step, step.id.clone(), kind, inputs);
+        for taken in self.taken_along(step) {
+            (unit.seconds, unit.memory_bytes) =
+                (unit.seconds + taken.seconds, unit.memory_bytes.max(taken.memory_bytes));
+        }
+        self.push(step, unit);
+    }
+
+    /// A step without a unit: those who take it wait for its inputs.
+    fn pass(&mut self, step: &'a Step) {
+        let inputs = self.inputs(&step.inputs);
+        self.made_by.insert(&step.id, inputs);
+    }
+
+    fn unit(&self, step: &Step, id: String, kind: UnitKind, inputs: BTreeSet<usize>) -> Unit {
+        let folder = step.folder.to_string_lossy().replace('\\', "/");
+        let place = |name: &&str| if folder.is_empty() { name.to_string() } else { format!("{folder}/{name}") };
+        Unit {
+            id,
+            kind,
+            inputs: inputs.iter().map(|&input| self.units[input].id.clone()).collect(),
+            steps: vec![step.id.clone()],
+            block: None,
+            writes: step.writes.iter().map(place).collect(),
+            seconds: step.seconds,
+            memory_bytes: step.memory_bytes,
+        }
+    }
+
+    fn push(&mut self, step: &'a Step, unit: Unit) {
+        self.made_by.entry(&step.id).or_default().insert(self.units.len());
+        self.units.push(unit);
+    }
+
+    fn inputs(&self, steps: &[String]) -> BTreeSet<usize> {
+        steps.iter().filter_map(|id| self.made_by.get(id.as_str())).flatten().copied().collect()
+    }
+
+    fn add_blocks(&mut self, step: &'a Step, kind: UnitKind, inputs: Vec<String>) {
+        let inputs = self.inputs(&inputs);
+        let views =
+            self.plan.parts[step.part].job.resolve_display().map_or(1, |display| display.views().iter().product());
+        let wanted = self.cut.blocks.unwrap_or((step.seconds / self.cut.block_seconds).ceil() as usize);
+        let count = wanted.clamp(1, views.max(1));
+        for number in 1..=count {
+            let unit = self.unit(step, format!("{}/{number}-of-{count}", step.id), kind, inputs.clone());
+            let seconds = step.seconds / count as f64;
+            self.push(step, Unit { block: Some([number, count]), seconds, ..unit });
+        }
+    }
+
+    fn add_design(&mut self, step: &'a Step, number: usize) {
+        let count = self.plan.steps.iter().filter(|step| matches!(step.what, What::Design(_))).count();
+        let inputs = self.inputs(&step.inputs);
+        let unit = self.unit(step, format!("designs/{}-of-{count}", number + 1), UnitKind::Design, inputs);
+        self.push(step, Unit { block: Some([number + 1, count]), ..unit });
+    }
+
+    /// Adds a step to the results of its part, but for a still, whose results are made last.
+    fn add_result(&mut self, step: &'a Step) {
+        if step.part == 0 {
+            return;
+        }
+        let folder = step.folder.iter().map(|part| part.to_string_lossy());
+        let id = folder.chain(["results".into()]).collect::<Vec<_>>().join("/");
+        let known = self.units.iter().position(|unit| unit.id == id);
+        let mut inputs = self.inputs(&step.inputs);
+        inputs.retain(|input| Some(*input) != known);
+        let unit = self.unit(step, id, UnitKind::Results, inputs);
+        let Some(known) = known else { return self.push(step, unit) };
+        self.made_by.entry(&step.id).or_default().insert(known);
+        let all = &mut self.units[known];
+        all.steps.extend(unit.steps);
+        all.seconds += unit.seconds;
+        all.memory_bytes = all.memory_bytes.max(unit.memory_bytes);
+        for input in unit.inputs {
+            if !all.inputs.contains(&input) {
+                all.inputs.push(input);
+            }
+        }
+        for name in unit.writes {
+            if !all.writes.contains(&name) {
+                all.writes.push(name);
+            }
+        }
+    }
+
+    /// Whether a step is the report of a time with one display, which is kept; those of nodes and of the whole are made of figures in memory.
+    fn is_report_of_time(&self, step: &Step) -> bool {
+        let part = &self.plan.parts[step.part];
+        matches!(part.kind, Kind::Time(_)) && part.job.nodes.is_empty()
+    }
+
+    /// Steps without a unit that a unit of a step executes on its way.
+    fn taken_along(&self, step: &Step) -> Vec<&'a Step> {
+        let alike = |other: &&Step| other.part == step.part && step.what == What::Expose && other.what == What::Denoise;
+        self.plan.steps.iter().filter(alike).collect()
+    }
+
+    fn finish(mut self) -> Vec<Unit> {
+        let taken: BTreeSet<&String> = self.units.iter().flat_map(|unit| &unit.inputs).collect();
+        let ends = self.units.iter().map(|unit| &unit.id).filter(|id| !taken.contains(id)).cloned().collect();
+        let left = self.plan.steps.iter().filter(|step| !self.units.iter().any(|unit| unit.steps.contains(&step.id)));
+        let left = left.filter(|step| step.what != What::Denoise).map(|step| (step.seconds, step.memory_bytes));
+        let (seconds, memory_bytes) = left.fold((0.0, 0), |(s, m), (seconds, memory)| (s + seconds, memory.max(m)));
+        let writes = ["job.toml", "report.html", "report.json", "outputs"].map(String::from).to_vec();
+        let (id, steps) = (FINISH.to_owned(), Vec::new());
+        self.units.push(Unit {
+            id,
+            kind: UnitKind::Finish,
+            inputs: ends,
+            steps,
+            block: None,
+            writes,
+            seconds,
+            memory_bytes,
+        });
+        self.units
+    }
+}

@@ -1,0 +1,172 @@
+//! A scene prepared for rendering: its triangles by the path tracer, its splats before them.
+//!
+//! ```text
+//! view = splats.over(traced view)        blended in the space of the splats; what stands behind a surface is not seen
+//! ```
+//!
+//! Splats have no noise, so they join the views after denoising; until then they lie beside them in the cache.
+
+use std::sync::Arc;
+
+use lumistack_core::{Collector, Task, Tensor};
+use lumistack_display::{FieldGeometry, ViewGrid};
+use lumistack_pathtracer::Renderer;
+use lumistack_scene::{Scene, Window};
+use lumistack_splats::{Renderer as Splats, Space, SplatView, Surfaces, Wanted};
+use rayon::prelude::*;
+
+use crate::error::{PipelineError, render_error};
+
+/// Rays per pixel and axis by which surfaces cut splats off.
+const CUTS: usize = 2;
+
+/// A scene prepared for rendering.
+pub(crate) struct SceneRenderer {
+    /// Of its triangles and its light.
+    pub(crate) tracer: Renderer,
+    /// Of its splats, where it has any.
+    pub(crate) splats: Option<Splats>,
+    has_surfaces: bool,
+}
+
+impl SceneRenderer {
+    /// Prepares a scene.
+    ///
+    /// # Errors
+    /// When it cannot be rendered, or when cancelled.
+    pub(crate) fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, PipelineError> {
+        let has_surfaces = !scene.instances.is_empty();
+        // captures bring their light with them
+        let unheard = Collector::default();
+        let quiet = if has_surfaces { task } else { Task { warnings: &unheard, ..task } };
+        let tracer = Renderer::new(scene.clone(), quiet).map_err(render_error)?;
+        Ok(Self { tracer, splats: Splats::new(scene), has_surfaces })
+    }
+
+    /// z in display space of what the central ray of every pixel of a view sees first, millimetres, `[row][col]`; NaN where it sees nothing.
+    ///
+    /// # Errors
+    /// When the geometry or the view is out of range, or when cancelled.
+    pub(crate) fn depth(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        view: [usize; 2],
+        task: Task<'_>,
+    ) -> Result<Tensor<2>, PipelineError> {
+        let mut found = Tensor::zeros(["row", "col"], [geometry.rows, geometry.cols]);
+        self.depths(window, geometry, &[view], task, |_, depth| {
+            found = depth;
+            Ok(())
+        })?;
+        Ok(found)
+    }
+
+    /// [`depth`](Self::depth) of several views, given to `done` with their numbers, in order.
+    ///
+    /// # Errors
+    /// As there, and when `done` fails.
+    pub(crate) fn depths(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        views: &[[usize; 2]],
+        task: Task<'_>,
+        mut done: impl FnMut(usize, Tensor<2>) -> Result<(), PipelineError>,
+    ) -> Result<(), PipelineError> {
+        let Some(splats) = &self.splats else {
+            return views.iter().enumerate().try_for_each(|(number, view)| {
+                done(number, self.tracer.depth(window, geometry, *view, task).map_err(render_error)?)
+            });
+        };
+        let slopes = slopes(geometry, views);
+        let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], 1, task);
+        splats.render(window, geometry, &slopes, &surfaces, Wanted::Depth, task, |number, view| {
+            let mut z_mm = view.z_mm;
+            if let Some(behind) = surfaces(number)? {
+                let both = z_mm.data_mut().iter_mut().zip(behind.z_mm.data());
+                both.filter(|(z, _)| z.is_nan()).for_each(|(z, behind)| *z = *behind);
+            }
+            done(number, z_mm)
+        })
+    }
+
+    /// 1 for every pixel of a view whose central ray meets a surface or ends in splats, else 0: `[row][col]`.
+    ///
+    /// # Errors
+    /// When the geometry or the view is out of range, or when cancelled.
+    pub(crate) fn hit_mask(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        view: [usize; 2],
+        task: Task<'_>,
+    ) -> Result<Tensor<2>, PipelineError> {
+        if self.splats.is_none() {
+            return self.tracer.hit_mask(window, geometry, view, task).map_err(render_error);
+        }
+        let mut mask = self.depth(window, geometry, view, task)?;
+        mask.data_mut().iter_mut().for_each(|z| *z = f32::from(u8::from(z.is_finite())));
+        Ok(mask)
+    }
+
+    /// What views of these slopes see of the splats, given to `done` with their numbers, in order; nothing where there are none. The slopes
+    /// of the geometry's grid do not count.
+    ///
+    /// # Errors
+    /// When the geometry is out of range, when cancelled, and when `done` fails.
+    pub(crate) fn splat_views(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        slopes: &[[f64; 2]],
+        task: Task<'_>,
+        done: impl FnMut(usize, SplatView) -> Result<(), PipelineError>,
+    ) -> Result<(), PipelineError> {
+        let Some(splats) = &self.splats else { return Ok(()) };
+        let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], CUTS, task);
+        splats.render(window, geometry, slopes, &surfaces, Wanted::Light, task, done)
+    }
+
+    /// Depths of the first surfaces on `per_axis`² rays of every pixel; `None` where there are no surfaces.
+    fn surfaces(
+        &self,
+        window: &Window,
+        geometry: &FieldGeometry,
+        slope: [f64; 2],
+        per_axis: usize,
+        task: Task<'_>,
+    ) -> Result<Option<Surfaces>, PipelineError> {
+        if !self.has_surfaces {
+            return Ok(None);
+        }
+        let (rows, cols, pitch_mm) = (geometry.rows, geometry.cols, geometry.pitch_mm / per_axis as f64);
+        let grid = ViewGrid::single(geometry.grid.projection, slope);
+        let finer = FieldGeometry { rows: rows * per_axis, cols: cols * per_axis, pitch_mm, grid };
+        let depth = self.tracer.depth(window, &finer, [0, 0], task).map_err(render_error)?;
+        let mut z_mm = Tensor::zeros(["row", "col", "sample"], [rows, cols, per_axis * per_axis]);
+        for (pixel, samples) in z_mm.data_mut().chunks_exact_mut(per_axis * per_axis).enumerate() {
+            for (sample, z) in samples.iter_mut().enumerate() {
+                let row = pixel / cols * per_axis + sample / per_axis;
+                *z = depth.get([row, pixel % cols * per_axis + sample % per_axis]);
+            }
+        }
+        Ok(Some(Surfaces { z_mm }))
+    }
+}
+
+/// Slopes (s_x, s_y) of views [y, x] of the geometry's grid.
+pub(crate) fn slopes(geometry: &FieldGeometry, views: &[[usize; 2]]) -> Vec<[f64; 2]> {
+    let grid = &geometry.grid;
+    views.iter().map(|[y, x]| [grid.slope_x[*x], grid.slope_y[*y]]).collect()
+}
+
+/// Puts the splats of a view, `[..][r, g, b, T]`, before radiance `[..][rgb]`.
+pub(crate) fn put_before(space: Space, splats: &[f32], radiance: &mut [f32]) {
+    let pixels = radiance.par_chunks_mut(3 * 4096).zip(splats.par_chunks(4 * 4096));
+    pixels.for_each(|(radiance, splats)| {
+        for (behind, pixel) in radiance.as_chunks_mut::<3>().0.iter_mut().zip(splats.as_chunks::<4>().0) {
+            *behind = space.over(*pixel, *behind);
+        }
+    });
+}

@@ -1,0 +1,22 @@
+//! Why a scene is refused.
+
+use thiserror::Error;
+
+/// A scene that cannot be used.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{place}: expected {expected}, found {found}")]
+pub struct SceneError {
+    /// Place in the file.
+    pub place: String,
+    /// What was needed.
+    pub expected: String,
+    /// What was there.
+    pub found: String,
+}
+
+impl SceneError {
+    /// An error at a place in the file.
+    pub fn new(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { place: place.into(), expected: expected.into(), found: found.into() }
+    }
+}

@@ -1,0 +1,245 @@
+//! Clouds of 3D Gaussians ("splats"), as captures of the real world are kept.
+//!
+//! ```text
+//! G(x) = exp(−½ (x − μ)ᵀ Σ⁻¹ (x − μ)),   Σ = M R diag(s²) Rᵀ Mᵀ        M: the linear part of scene_from_cloud
+//! colour = max(0, ½ + Σ_lm c_lm Y_lm(direction from the viewer to μ))
+//! ```
+//!
+//! Source: Kerbl et al., *3D Gaussian Splatting for Real-Time Radiance Field Rendering*, SIGGRAPH 2023, as KHR_gaussian_splatting states it.
+
+use glam::{Affine3A, Quat, Vec3};
+use lumistack_core::Task;
+
+use crate::{Bounds, SceneError};
+
+/// The highest degree of spherical harmonics that a cloud may have.
+pub const MAX_DEGREE: usize = 3;
+
+/// Splats in a space of their own. All arrays have one entry per splat; the validator may change their order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cloud {
+    /// Place in the file ("/meshes/3/primitives/0"), for messages.
+    pub place: String,
+    /// Centres μ.
+    pub positions: Vec<Vec3>,
+    /// From a splat's own axes to those of the cloud; the validator makes them unit quaternions.
+    pub rotations: Vec<Quat>,
+    /// Standard deviations along a splat's own axes, ≥ 0.
+    pub scales: Vec<Vec3>,
+    /// Opacity at the centre, 0..1.
+    pub opacities: Vec<f32>,
+    /// Degree of the harmonics, 0..=[`MAX_DEGREE`].
+    pub degree: usize,
+    /// Coefficients c_lm, `[splat][coefficient][rgb]` with (degree + 1)² coefficients by degree l, then order m, in the cloud's axes.
+    pub harmonics: Vec<f32>,
+    /// What colours are, and in which space they are blended.
+    pub encoding: Encoding,
+}
+
+/// The space of a cloud's colours. Both are display-referred with the primaries of BT.709: 1 is white.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Encoding {
+    /// sRGB code values, as captures are trained.
+    #[default]
+    Srgb,
+    /// Linear light.
+    Linear,
+}
+
+/// A cloud placed in the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacedCloud {
+    /// Index into [`SceneParts::clouds`](crate::SceneParts::clouds).
+    pub cloud: usize,
+    /// Any invertible affine map.
+    pub scene_from_cloud: Affine3A,
+}
+
+/// Larger clouds are sorted by place, since renderers read splats that are seen together.
+const UNSORTED: usize = 1 << 13;
+/// Weighted quantiles between which the bulk of a cloud lies.
+const BULK: [f64; 2] = [0.02, 0.98];
+/// A splat further from the bulk than this share of its size is a floater.
+const REACH: f32 = 0.5;
+/// Splats of less opacity do not widen the bounds.
+const LEAST_OPACITY: f32 = 0.1;
+
+impl Cloud {
+    /// Number of splats.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Coefficients per splat and channel.
+    pub fn coefficients(&self) -> usize {
+        (self.degree + 1).pow(2)
+    }
+
+    /// Bytes of its arrays.
+    pub fn bytes(&self) -> usize {
+        self.len() * (size_of::<Vec3>() * 2 + size_of::<Quat>() + size_of::<f32>() * (1 + 3 * self.coefficients()))
+    }
+
+    /// Keeps the splats whose centres satisfy `wanted`.
+    pub fn retain(&mut self, wanted: impl Fn(Vec3) -> bool) {
+        let kept: Vec<bool> = self.positions.iter().map(|at| wanted(*at)).collect();
+        self.keep(&kept);
+    }
+
+    fn keep(&mut self, kept: &[bool]) {
+        fn chosen<T: Copy>(values: &mut Vec<T>, size: usize, kept: &[bool]) {
+            let mut next = 0;
+            for i in (0..kept.len()).filter(|i| kept[*i]) {
+                values.copy_within(i * size..(i + 1) * size, next * size);
+                next += 1;
+            }
+            values.truncate(next * size);
+        }
+        let values = 3 * self.coefficients();
+        chosen(&mut self.positions, 1, kept);
+        chosen(&mut self.rotations, 1, kept);
+        chosen(&mut self.scales, 1, kept);
+        chosen(&mut self.opacities, 1, kept);
+        chosen(&mut self.harmonics, values, kept);
+    }
+
+    /// Why a splat is no Gaussian.
+    fn fault(&self, i: usize) -> Option<&'static str> {
+        let (scale, rotation, values) = (self.scales[i], self.rotations[i], 3 * self.coefficients());
+        if !self.positions[i].is_finite() {
+            Some("a position that is not finite")
+        } else if !(scale.is_finite() && scale.min_element() >= 0.0) {
+            Some("a scale that is negative or not finite")
+        } else if !(rotation.is_finite() && rotation.length_squared().is_normal()) {
+            Some("a rotation without direction")
+        } else if !(0.0..=1.0).contains(&self.opacities[i]) {
+            Some("an opacity outside 0..1")
+        } else if !self.harmonics[i * values..(i + 1) * values].iter().all(|value| value.is_finite()) {
+            Some("a colour that is not finite")
+        } else {
+            None
+        }
+    }
+
+    /// Checks lengths, normalizes rotations, and drops splats that are no Gaussians: trainers write some.
+    pub(crate) fn check(&mut self, task: Task<'_>) -> Result<(), SceneError> {
+        if self.degree > MAX_DEGREE {
+            let expected = format!("a degree of harmonics up to {MAX_DEGREE}");
+            return Err(SceneError::new(&self.place, expected, self.degree.to_string()));
+        }
+        let count = self.len();
+        let lengths = [
+            ("rotations", self.rotations.len(), count),
+            ("scales", self.scales.len(), count),
+            ("opacities", self.opacities.len(), count),
+            ("harmonics", self.harmonics.len(), 3 * self.coefficients() * count),
+        ];
+        if let Some((name, found, expected)) = lengths.into_iter().find(|(_, found, expected)| found != expected) {
+            return Err(SceneError::new(&self.place, format!("{expected} values of {name}"), found.to_string()));
+        }
+        let mut first_fault = None;
+        let kept: Vec<bool> = (0..count)
+            .map(|i| {
+                let fault = self.fault(i);
+                if let Some(fault) = fault {
+                    first_fault.get_or_insert((i, fault));
+                }
+                fault.is_none()
+            })
+            .collect();
+        if let Some((i, fault)) = first_fault {
+            self.keep(&kept);
+            let dropped = count - self.len();
+            let message = format!("{dropped} of {count} splats are left out; the first is splat {i}: {fault}");
+            task.warn(&self.place, message);
+        }
+        self.rotations.iter_mut().for_each(|rotation| *rotation = rotation.normalize());
+        if self.len() > UNSORTED {
+            self.sort_by_place();
+        }
+        Ok(())
+    }
+
+    /// Puts splats that lie together next to one another: along Morton's curve through the cloud.
+    fn sort_by_place(&mut self) {
+        let mut bounds = Bounds::EMPTY;
+        self.positions.iter().for_each(|at| bounds.include(*at));
+        let steps = (1u32 << 21) as f32 / bounds.size().max_element().max(f32::MIN_POSITIVE);
+        // the bits of a number, two places apart
+        let spread = |value: f32| {
+            let mut bits = u64::from((value * steps) as u32).min((1 << 21) - 1);
+            for (shift, mask) in [
+                (32, 0x1f_0000_0000_ffff),
+                (16, 0x1f_0000_ff00_00ff),
+                (8, 0x100f_00f0_0f00_f00f),
+                (4, 0x10c3_0c30_c30c_30c3),
+                (2, 0x1249_2492_4924_9249),
+            ] {
+                bits = (bits | bits << shift) & mask;
+            }
+            bits
+        };
+        let key = |at: Vec3| {
+            let [x, y, z] = (at - bounds.min).to_array();
+            spread(x) | spread(y) << 1 | spread(z) << 2
+        };
+        let mut order: Vec<(u64, u32)> = self.positions.iter().zip(0..).map(|(at, i)| (key(*at), i)).collect();
+        order.sort_unstable();
+        fn turned<T: Copy>(values: &mut Vec<T>, size: usize, order: &[(u64, u32)]) {
+            let of_one = |i: u32| &values[i as usize * size..(i as usize + 1) * size];
+            *values = order.iter().flat_map(|(_, i)| of_one(*i)).copied().collect();
+        }
+        let values = 3 * self.coefficients();
+        turned(&mut self.positions, 1, &order);
+        turned(&mut self.rotations, 1, &order);
+        turned(&mut self.scales, 1, &order);
+        turned(&mut self.opacities, 1, &order);
+        turned(&mut self.harmonics, values, &order);
+    }
+
+    /// Bounds of the placed cloud without its floaters: the bulk by opacity times size on every axis, and what stands near it.
+    pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
+        let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
+        // what a splat covers; the largest, which are sky and haze, count no more than the large ones
+        let mut areas: Vec<f32> = self.scales.iter().map(|s| (s.x * s.y).max(s.y * s.z).max(s.z * s.x)).collect();
+        let mut sorted = areas.clone();
+        sorted.sort_by(f32::total_cmp);
+        let Some(&most) = sorted.get(sorted.len() * 9 / 10) else { return Bounds::EMPTY };
+        areas.iter_mut().zip(&self.opacities).for_each(|(area, opacity)| *area = area.min(most) * opacity);
+        let all: f64 = areas.iter().map(|area| f64::from(*area)).sum();
+        let mut fence = Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY };
+        if all > 0.0 {
+            let mut order: Vec<u32> = (0..points.len() as u32).collect();
+            for axis in 0..3 {
+                order.sort_by(|a, b| points[*a as usize][axis].total_cmp(&points[*b as usize][axis]));
+                let quantile = |share: f64| {
+                    let mut sum = 0.0;
+                    let at = order.iter().find(|i| {
+                        sum += f64::from(areas[**i as usize]);
+                        sum >= share * all
+                    });
+                    points[*at.unwrap_or(&order[order.len() - 1]) as usize][axis]
+                };
+                let [low, high] = BULK.map(quantile);
+                fence.min[axis] = low - REACH * (high - low);
+                fence.max[axis] = high + REACH * (high - low);
+            }
+        }
+        let mut bounds = Bounds::EMPTY;
+        for (point, opacity) in points.iter().zip(&self.opacities) {
+            if *opacity >= LEAST_OPACITY && fence.contains(*point) {
+                bounds.include(*point);
+            }
+        }
+        if bounds.is_empty() {
+            // all of them are faint
+            points.iter().filter(|point| fence.contains(**point)).for_each(|point| bounds.include(*point));
+        }
+        bounds
+    }
+}

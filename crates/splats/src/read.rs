@@ -1,0 +1,32 @@
+//! Files of splats to [`Cloud`](lumistack_scene::Cloud)s, from bytes. Counts are checked against what is there before anything is allocated.
+//!
+//! | file | by | axes |
+//! |---|---|---|
+//! | `.ply` | the reference trainers, and PlayCanvas' compressed form | right, down, front |
+//! | `.spz` | Niantic, versions 1 to 4 | right, up, back |
+//! | SOG | PlayCanvas: `meta.json` with WebP pictures beside it, or all in one zip (`.sog`) | those of its `.ply` |
+
+mod found;
+mod ply;
+mod sog;
+mod spz;
+
+pub use found::{Axes, Found, MAX_BYTES, ReadError};
+pub use spz::read_spz;
+
+/// Reads a file by its content. `beside` reads a file that a SOG's `meta.json` names.
+///
+/// # Errors
+/// When it is no file of splats, or broken.
+pub fn read(bytes: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>) -> Result<Found, ReadError> {
+    match bytes {
+        [b'p', b'l', b'y', b'\n' | b'\r', ..] => ply::read(bytes),
+        [b'N', b'G', b'S', b'P', ..] | [0x1f, 0x8b, ..] => read_spz(bytes, MAX_BYTES),
+        [b'P', b'K', ..] => sog::read_bundle(bytes),
+        [b'{' | b' ' | b'\n' | b'\r' | b'\t', ..] => sog::read(bytes, beside),
+        _ => {
+            let start = &bytes[..bytes.len().min(4)];
+            Err(ReadError::new("start", "a .ply, .spz or .sog file, or a SOG's meta.json", format!("{start:02x?}")))
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! The kernel: one splat as all views of a block see it, a view in every lane.
+//!
+//! Views differ in a slope or an eye alone, so a splat and its harmonics are read once for all of them, and the loops over
+//! [`VIEWS`] values become vectors.
+
+use lumistack_simd::{Kernel, Lanes};
+
+use super::harmonics::{MOST, basis};
+use super::prepare::{CUTOFF, Eye, NEAREST, PIXEL_VARIANCE, Splat, TILE};
+
+/// Views of a block: more save sorting, fewer save memory and splats that only some of them see.
+pub(crate) const VIEWS: usize = 16;
+/// A value of every view.
+pub(crate) type Lane = [f32; VIEWS];
+
+/// The eyes of a block, the last of them repeated where there are fewer than [`VIEWS`].
+#[derive(Clone, Debug)]
+pub(crate) struct Eyes {
+    /// Slopes, or columns and rows of eyes.
+    pub(crate) x: Lane,
+    pub(crate) y: Lane,
+    /// Of the eyes from the window; `None` of parallel rays.
+    pub(crate) distance: Option<f32>,
+}
+
+impl Eyes {
+    /// Of up to [`VIEWS`] eyes of one kind, at least one.
+    pub(crate) fn new(eyes: &[Eye]) -> Self {
+        let of = |i: usize| match eyes[i.min(eyes.len() - 1)] {
+            Eye::Slope(slope) => (slope, None),
+            Eye::At(at, distance) => (at, Some(distance)),
+        };
+        Self { x: std::array::from_fn(|i| of(i).0[0]), y: std::array::from_fn(|i| of(i).0[1]), distance: of(0).1 }
+    }
+}
+
+/// A splat in all views.
+#[derive(Clone, Debug)]
+pub(crate) struct Projected {
+    /// Column and row.
+    pub(crate) at: [Lane; 2],
+    /// Of a dx² + b dx dy + c dy² = u/16.
+    pub(crate) conic: [Lane; 3],
+    /// Distance along the axes within which it is seen.
+    pub(crate) reach: [Lane; 2],
+    pub(crate) opacity: Lane,
+    pub(crate) colour: [Lane; 3],
+    /// What splats are sorted by, nearest first.
+    pub(crate) distance: Lane,
+    /// One bit for every view that sees it in the tile.
+    pub(crate) seen: u32,
+}
+
+impl Projected {
+    pub(crate) const NONE: Self = Self {
+        at: [[0.0; VIEWS]; 2],
+        conic: [[0.0; VIEWS]; 3],
+        reach: [[0.0; VIEWS]; 2],
+        opacity: [0.0; VIEWS],
+        colour: [[0.0; VIEWS]; 3],
+        distance: [0.0; VIEWS],
+        seen: 0,
+    };
+}
+
+/// A splat, the views, and where it is put.
+pub(crate) struct Args<'a> {
+    pub(crate) splat: &'a Splat,
+    pub(crate) eyes: &'a Eyes,
+    /// Column and row of the first pixel of the tile.
+    pub(crate) origin: [f32; 2],
+    /// `[coefficient][rgb]`; empty where colours are not wanted.
+    pub(crate) harmonics: &'a [f32],
+    /// Of parallel rays the harmonics of every view's direction.
+    pub(crate) bases: &'a [Lane; MOST],
+    /// Directions of pixels to those of the cloud, by columns.
+    pub(crate) cloud_from_pixels: &'a [[f32; 3]; 3],
+    pub(crate) to: &'a mut Projected,
+}
+
+/// Projects a splat and finds its colours.
+pub(crate) struct Project;
+
+impl Kernel for Project {
+    type Args<'a> = Args<'a>;
+    type Output = ();
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>(args: Self::Args<'_>) {
+        let Args { splat, eyes, origin, harmonics, bases, cloud_from_pixels, to } = args;
+        let [x, y, z] = splat.centre;
+        let [xx, xy, xz, yy, yz, zz] = splat.covariance;
+        // the slope of the ray through the centre, and the magnification
+        let (mut slope_x, mut slope_y, mut m) = (eyes.x, eyes.y, 1.0);
+        match eyes.distance {
+            None => {
+                for v in 0..VIEWS {
+                    to.distance[v] = -(slope_x[v] * x + slope_y[v] * y + z);
+                }
+            }
+            Some(distance) => {
+                let before = distance - z;
+                if before <= NEAREST * distance {
+                    to.seen = 0;
+                    return;
+                }
+                m = distance / before;
+                let share = 1.0 / before;
+                for v in 0..VIEWS {
+                    let (dx, dy) = (eyes.x[v] - x, eyes.y[v] - y);
+                    to.distance[v] = dx * dx + dy * dy + before * before;
+                    (slope_x[v], slope_y[v]) = (dx * share, dy * share);
+                }
+            }
+        }
+        let square = m * m;
+        let last = TILE as f32 - 1.0;
+        let mut seen = [0.0f32; VIEWS];
+        for v in 0..VIEWS {
+            let (sx, sy) = (slope_x[v], slope_y[v]);
+            let wide = square * (xx - 2.0 * sx * xz + sx * sx * zz);
+            let both = square * (xy - sx * yz - sy * xz + sx * sy * zz);
+            let high = square * (yy - 2.0 * sy * yz + sy * sy * zz);
+            let sharp = (wide * high - both * both).max(0.0);
+            let (wide, high) = (wide.max(0.0) + PIXEL_VARIANCE, high.max(0.0) + PIXEL_VARIANCE);
+            let determinant = wide * high - both * both;
+            let share = 1.0 / determinant;
+            let scale = 0.5 / 16.0 * share;
+            to.conic[0][v] = scale * high;
+            to.conic[1][v] = -2.0 * scale * both;
+            to.conic[2][v] = scale * wide;
+            // the filter spreads a splat and so lowers it
+            let opacity = splat.opacity * (sharp * share).sqrt();
+            to.opacity[v] = opacity;
+            let (reach_x, reach_y) = (CUTOFF * wide.sqrt(), CUTOFF * high.sqrt());
+            (to.reach[0][v], to.reach[1][v]) = (reach_x, reach_y);
+            let (col, row) = (x - z * sx, y - z * sy);
+            (to.at[0][v], to.at[1][v]) = (col, row);
+            let (left, top) = (col - origin[0], row - origin[1]);
+            let inside = (left + reach_x >= 0.0)
+                & (left - reach_x <= last)
+                & (top + reach_y >= 0.0)
+                & (top - reach_y <= last)
+                & (opacity > 0.0)
+                & (determinant > 0.0);
+            seen[v] = f32::from(u8::from(inside));
+        }
+        to.seen = seen.iter().enumerate().fold(0, |bits, (v, seen)| bits | u32::from(*seen > 0.0) << v);
+        if to.seen == 0 || harmonics.is_empty() {
+            return;
+        }
+        let mut own = [[0.0; VIEWS]; MOST];
+        let bases = match eyes.distance {
+            None => bases,
+            Some(distance) => {
+                directions(eyes, [x, y, z - distance], cloud_from_pixels, harmonics.len(), &mut own);
+                &own
+            }
+        };
+        let coefficients = harmonics.as_chunks::<3>().0;
+        let mut v = 0;
+        while v < VIEWS {
+            // SAFETY: the caller's machine has V; every lane has VIEWS values, of which COUNT from `v` on are read and written, and COUNT divides VIEWS
+            unsafe {
+                let half = V::splat(0.5);
+                let (mut red, mut green, mut blue) = (half, half, half);
+                for (rgb, basis) in coefficients.iter().zip(bases) {
+                    let basis = V::load(basis.as_ptr().add(v));
+                    red = basis.mul_add(V::splat(rgb[0]), red);
+                    green = basis.mul_add(V::splat(rgb[1]), green);
+                    blue = basis.mul_add(V::splat(rgb[2]), blue);
+                }
+                for (to, sum) in to.colour.iter_mut().zip([red, green, blue]) {
+                    sum.max(V::splat(0.0)).store(to.as_mut_ptr().add(v));
+                }
+            }
+            v += V::COUNT;
+        }
+    }
+}
+
+/// Harmonics of the directions from the eyes to a point, which is given with its depth from them.
+#[inline(always)]
+fn directions(eyes: &Eyes, [x, y, z]: [f32; 3], map: &[[f32; 3]; 3], values: usize, to: &mut [Lane; MOST]) {
+    let mut of_axis = [[0.0; VIEWS]; 3];
+    for v in 0..VIEWS {
+        let (dx, dy) = (x - eyes.x[v], y - eyes.y[v]);
+        let turned = [0, 1, 2].map(|axis: usize| map[0][axis] * dx + map[1][axis] * dy + map[2][axis] * z);
+        let length = (turned[0] * turned[0] + turned[1] * turned[1] + turned[2] * turned[2]).sqrt();
+        let share = 1.0 / length.max(f32::MIN_POSITIVE);
+        (0..3).for_each(|axis| of_axis[axis][v] = share * turned[axis]);
+    }
+    if values <= 3 {
+        to[0] = [basis([0.0; 3])[0]; VIEWS];
+        return;
+    }
+    for v in 0..VIEWS {
+        let of_view = basis([of_axis[0][v], of_axis[1][v], of_axis[2][v]]);
+        (0..MOST).for_each(|k| to[k][v] = of_view[k]);
+    }
+}

@@ -1,0 +1,197 @@
+//! Splats before a window: what all views share.
+//!
+//! Everything is in pixels of the light field: x is the column, y the row, both of pixel centres, and z points to the viewer from the window. A ray of slope
+//! s = (s_x, s_y) with y downwards is p + z s, so the projection of a splat onto z = 0 along it is linear,
+//!
+//! ```text
+//! p = (x − z s_x, y − z s_y),   Σ' = J Σ Jᵀ,   J = m (1 0 −s_x; 0 1 −s_y),   m = 1
+//! ```
+//!
+//! and exact. In front of an eye at e the ray through the centre has s = (e − μ)/(D − z) and m = D/(D − z): rays are parallel across one splat, which is the affine
+//! approximation that KHR_gaussian_splatting prescribes, for the sheared frustum of the window itself.
+
+use glam::{DMat3, DVec3, Mat3, Vec3};
+use lumistack_display::{FieldGeometry, Projection};
+use lumistack_scene::{Scene, Window};
+#[cfg(feature = "parallel")]
+use rayon::prelude::*;
+
+/// Edge of a tile in pixels.
+pub(crate) const TILE: usize = 16;
+/// Variance of a box as wide as a pixel, pixels².
+pub(crate) const PIXEL_VARIANCE: f32 = 1.0 / 12.0;
+/// Splats end at this Mahalanobis distance.
+pub(crate) const CUTOFF: f32 = 3.0;
+/// Splats nearer to the eye than this share of its distance are not seen.
+pub(crate) const NEAREST: f32 = 0.05;
+
+/// A splat before the window, in pixels.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Splat {
+    /// Column, row and depth of the centre.
+    pub(crate) centre: [f32; 3],
+    /// xx, xy, xz, yy, yz, zz.
+    pub(crate) covariance: [f32; 6],
+    pub(crate) opacity: f32,
+    /// Index into the placed clouds, and the splat in its cloud.
+    pub(crate) placed: u32,
+    pub(crate) index: u32,
+}
+
+/// A view: parallel rays, or an eye, in pixels with y downwards.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Eye {
+    Slope([f32; 2]),
+    /// Column and row of the eye, and its distance from the window.
+    At([f32; 2], f32),
+}
+
+/// Where a splat is seen.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    pub(crate) at: [f32; 2],
+    /// xx, xy, yy, without the pixel's own.
+    pub(crate) covariance: [f32; 3],
+}
+
+impl Eye {
+    pub(crate) fn new(geometry: &FieldGeometry, slope: [f64; 2]) -> Self {
+        let down = [slope[0], -slope[1]];
+        match geometry.grid.projection {
+            Projection::Oblique => Self::Slope(down.map(|s| s as f32)),
+            Projection::Perspective { distance_mm } => {
+                let distance = distance_mm / geometry.pitch_mm;
+                let middle = middle(geometry);
+                Self::At([0, 1].map(|axis| (middle[axis] + distance * down[axis]) as f32), distance as f32)
+            }
+        }
+    }
+
+    /// Slopes of the ray through a splat's centre, and the magnification m; `None` behind the eye.
+    #[inline]
+    fn ray(&self, [x, y, z]: [f32; 3]) -> Option<([f32; 2], f32)> {
+        match *self {
+            Self::Slope(slope) => Some((slope, 1.0)),
+            Self::At(eye, distance) => {
+                let before = distance - z;
+                (before > NEAREST * distance)
+                    .then(|| ([(eye[0] - x) / before, (eye[1] - y) / before], distance / before))
+            }
+        }
+    }
+
+    /// Projects a splat onto the window.
+    #[inline]
+    pub(crate) fn project(&self, splat: &Splat) -> Option<Seen> {
+        let ([sx, sy], m) = self.ray(splat.centre)?;
+        let [x, y, z] = splat.centre;
+        let [xx, xy, xz, yy, yz, zz] = splat.covariance;
+        let square = m * m;
+        Some(Seen {
+            at: [x - z * sx, y - z * sy],
+            covariance: [
+                square * (xx - 2.0 * sx * xz + sx * sx * zz),
+                square * (xy - sx * yz - sy * xz + sx * sy * zz),
+                square * (yy - 2.0 * sy * yz + sy * sy * zz),
+            ],
+        })
+    }
+
+    /// From the viewer to a point, not of unit length, y downwards.
+    #[inline]
+    pub(crate) fn direction(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
+        match *self {
+            Self::Slope([sx, sy]) => [-sx, -sy, -1.0],
+            Self::At(eye, distance) => [x - eye[0], y - eye[1], z - distance],
+        }
+    }
+}
+
+/// Column and row of the middle of the field.
+fn middle(geometry: &FieldGeometry) -> [f64; 2] {
+    [geometry.cols, geometry.rows].map(|count| 0.5 * (count as f64 - 1.0))
+}
+
+/// The eyes with the least and the largest coordinates of all views. The ends of a projected splat are a linear and a convex function of each, so what both see holds
+/// what all see.
+pub(crate) fn ends(eyes: &[Eye]) -> Vec<Eye> {
+    let both = |of: fn(f32, f32) -> f32| {
+        eyes.iter().copied().reduce(|a, b| match (a, b) {
+            (Eye::Slope(a), Eye::Slope(b)) => Eye::Slope([of(a[0], b[0]), of(a[1], b[1])]),
+            (Eye::At(a, distance), Eye::At(b, _)) => Eye::At([of(a[0], b[0]), of(a[1], b[1])], distance),
+            (a, _) => a,
+        })
+    };
+    [both(f32::min), both(f32::max)].into_iter().flatten().collect()
+}
+
+/// All splats that a window can show.
+pub(crate) struct Prepared {
+    /// In the order of their clouds, in which those that lie together are neighbours.
+    pub(crate) splats: Vec<Splat>,
+    /// Their numbers, nearest to the viewer first.
+    pub(crate) by_depth: Vec<u32>,
+    /// Of every placed cloud: directions of pixels to those of the cloud, without scale.
+    pub(crate) cloud_from_pixels: Vec<Mat3>,
+}
+
+impl Prepared {
+    pub(crate) fn new(scene: &Scene, window: &Window, geometry: &FieldGeometry) -> Self {
+        let map = window.scene_from_display;
+        let per_pixel = map.scale * geometry.pitch_mm;
+        let display_from_scene = DMat3::from_quat(map.rotation.inverse());
+        let flip = DMat3::from_diagonal(DVec3::new(1.0, -1.0, 1.0));
+        let middle = middle(geometry);
+        let near = window.near_mm.map_or(f32::INFINITY, |near| (near / geometry.pitch_mm) as f32);
+        let mut splats = Vec::new();
+        let mut cloud_from_pixels = Vec::new();
+        for (number, placed) in scene.placed_clouds.iter().enumerate() {
+            let cloud = &scene.clouds[placed.cloud];
+            let axes = DMat3::from_cols_array(&placed.scene_from_cloud.matrix3.to_cols_array().map(f64::from));
+            let linear = flip * display_from_scene * axes * (1.0 / per_pixel);
+            let moved = placed.scene_from_cloud.translation.as_dvec3() - map.translation;
+            let moved = flip * display_from_scene * moved / per_pixel + DVec3::new(middle[0], middle[1], 0.0);
+            let unit = DMat3::from_cols(
+                axes.x_axis.normalize_or_zero(),
+                axes.y_axis.normalize_or_zero(),
+                axes.z_axis.normalize_or_zero(),
+            );
+            cloud_from_pixels.push((unit.transpose() * display_from_scene.transpose() * flip).as_mat3());
+            let one = |i: usize| {
+                let centre = (linear * cloud.positions[i].as_dvec3() + moved).as_vec3();
+                let opacity = cloud.opacities[i];
+                let own = Mat3::from_quat(cloud.rotations[i]) * Mat3::from_diagonal(cloud.scales[i]);
+                let axes = linear.as_mat3() * own;
+                let [x, y, z]: [Vec3; 3] = [axes.row(0), axes.row(1), axes.row(2)];
+                let covariance = [x.dot(x), x.dot(y), x.dot(z), y.dot(y), y.dot(z), z.dot(z)];
+                let seen = opacity > 0.0 && centre.z <= near && centre.is_finite();
+                (seen && covariance.iter().all(|value| value.is_finite())).then_some(Splat {
+                    centre: centre.to_array(),
+                    covariance,
+                    opacity,
+                    placed: number as u32,
+                    index: i as u32,
+                })
+            };
+            #[cfg(feature = "parallel")]
+            splats.par_extend((0..cloud.len()).into_par_iter().filter_map(one));
+            #[cfg(not(feature = "parallel"))]
+            splats.extend((0..cloud.len()).filter_map(one));
+        }
+        // equal depths stay in the order of the cloud, so that the order never depends on chance
+        let mut order: Vec<u64> =
+            splats.iter().zip(0u64..).map(|(splat, i)| u64::from(!sortable(splat.centre[2])) << 32 | i).collect();
+        #[cfg(feature = "parallel")]
+        order.par_sort_unstable();
+        #[cfg(not(feature = "parallel"))]
+        order.sort_unstable();
+        let by_depth = order.into_iter().map(|key| key as u32).collect();
+        Self { splats, by_depth, cloud_from_pixels }
+    }
+}
+
+/// Bits of a number in the order of numbers.
+pub(crate) fn sortable(value: f32) -> u32 {
+    let bits = value.to_bits();
+    if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
+}

@@ -1,0 +1,99 @@
+//! Which programs are there for files that we do not read ourselves, without reading any.
+
+use std::process::Command;
+
+use lumistack_core::Cancel;
+
+use crate::python::{Candidate, Surroundings};
+use crate::setup::{CHECK, run};
+use crate::{UsdError, blend};
+
+/// How a Python with bpy says which it is.
+const BPY: &str = "import sys\ntry: import bpy\nexcept ImportError as error: sys.exit(str(error))\n\
+    print('Blender', bpy.app.version_string, 'as a module')";
+
+/// The program that would read a kind of files, and what it says of its version; else what was tried, each with its reason.
+pub type There = Result<(String, String), Vec<String>>;
+
+/// The Python that would read USD files.
+///
+/// # Errors
+/// When cancelled.
+pub fn openusd(cancel: &Cancel) -> Result<There, UsdError> {
+    first_of(
+        &Surroundings::of_system().candidates(),
+        |candidate| {
+            let mut command = Command::new(&candidate.program);
+            command.args(["-c", CHECK]).env("PYTHONSAFEPATH", "1");
+            command
+        },
+        cancel,
+    )
+}
+
+/// The Blender that would read `.blend` files.
+///
+/// # Errors
+/// When cancelled.
+pub fn blender(cancel: &Cancel) -> Result<There, UsdError> {
+    first_of(
+        &blend::candidates(),
+        |candidate| {
+            let mut command = Command::new(&candidate.program);
+            match blend::is_python(&candidate.program) {
+                true => command.args(["-c", BPY]).env("PYTHONSAFEPATH", "1"),
+                false => command.arg("--version"),
+            };
+            command
+        },
+        cancel,
+    )
+}
+
+fn first_of(
+    candidates: &[Candidate],
+    question: impl Fn(&Candidate) -> Command,
+    cancel: &Cancel,
+) -> Result<There, UsdError> {
+    let mut tried = Vec::new();
+    for candidate in candidates {
+        let program = candidate.program.display().to_string();
+        match run(&mut question(candidate), &mut |_| {}, cancel)? {
+            // Blender goes on about its build
+            Ok(said) => return Ok(Ok((program, said.lines().next().unwrap_or_default().trim().to_owned()))),
+            Err(found) => tried.push(format!("{program} from {}: {found}", candidate.from)),
+        }
+    }
+    Ok(Err(tried))
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+    use std::path::Path;
+
+    use super::*;
+
+    fn program(folder: &Path, name: &str, script: &str) -> Candidate {
+        let program = folder.join(name);
+        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+        Candidate { program, from: "PATH", given: false }
+    }
+
+    #[test]
+    fn the_first_that_answers_is_named_and_those_before_it_are_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let broken = program(folder.path(), "broken", "echo no module >&2; exit 1");
+        let good = program(folder.path(), "good", "echo Version 7; echo built on a Monday");
+        let ask = |candidates: &[Candidate]| {
+            first_of(candidates, |candidate| Command::new(&candidate.program), &Cancel::default()).unwrap()
+        };
+        let (found, version) = ask(&[broken.clone(), good]).unwrap();
+        assert!(found.ends_with("good") && version == "Version 7", "{found}: {version}");
+        let missing = Candidate { program: folder.path().join("nowhere"), from: "PATH", given: false };
+        let tried = ask(&[broken, missing]).unwrap_err();
+        assert!(tried[0].contains("broken from PATH") && tried[0].contains("no module"), "{tried:?}");
+        assert!(tried[1].contains("nowhere from PATH: cannot be started"), "{tried:?}");
+    }
+}
