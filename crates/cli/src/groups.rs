@@ -41,9 +41,9 @@ pub(crate) struct RenderArgs {
     /// Views that sample the zone: auto, as many as make the display right between them, or columns and rows
     #[arg(long, value_name = "auto|CxR")]
     pub(crate) views: Option<Views>,
-    /// Paths per pixel of all views together, which are spread over them [default: 800]
-    #[arg(long, value_name = "N")]
-    pub(crate) zone_samples: Option<u32>,
+    /// Paths per pixel of all views together, which are spread over them; auto: as many as the display profits from [default: auto]
+    #[arg(long, value_name = "auto|N")]
+    pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
     /// Paths per pixel and view, instead of --zone-samples
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,

@@ -25,7 +25,7 @@ pub use self::display::DisplayJob;
 pub use self::factorize::{EyeJob, FactorizeJob};
 pub use self::graph::{ImporterJob, NodeJob, OutputJob, SourceJob};
 pub use self::light::{LightJob, Tone};
-pub use self::render::{AngularFilter, Denoise, Engine, RenderJob};
+pub use self::render::{AngularFilter, Denoise, Engine, RenderJob, ZoneSamples};
 pub use self::sequence::SequenceJob;
 pub use self::sweep::{SearchJob, SweepJob};
 pub use self::window::{FitDepth, Near, WindowFrom, WindowJob};

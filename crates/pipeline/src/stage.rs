@@ -19,6 +19,7 @@ pub(crate) mod output;
 pub(crate) mod place;
 pub(crate) mod read;
 pub(crate) mod report;
+pub(crate) mod samples;
 pub(crate) mod score;
 pub(crate) mod source;
 pub(crate) mod trace;
@@ -188,7 +189,7 @@ fn display(job: &Job) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::DisplayJob;
+    use crate::{DisplayJob, ZoneSamples};
 
     /// All of them.
     const STAGES: [&StageInfo; 14] = [
@@ -214,7 +215,7 @@ mod tests {
             let names = STAGES.iter().filter(|stage| (stage.reads)(&job) != (stage.reads)(&other));
             names.map(|stage| stage.name).filter(|name| *name != "report").collect::<Vec<_>>()
         };
-        assert_eq!(changed(|job| job.render.zone_samples += 1), ["trace"]);
+        assert_eq!(changed(|job| job.render.zone_samples = ZoneSamples::Count(7)), ["trace"]);
         assert_eq!(changed(|job| job.light.exposure_ev += 1.0), ["expose", "read"]);
         assert_eq!(changed(|job| job.factorize.iterations = Some(7)), ["factorize", "design"]);
         assert_eq!(changed(|job| job.pose.time_s = Some(1.0)), ["ingest"]);

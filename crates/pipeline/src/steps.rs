@@ -20,7 +20,7 @@ use crate::stage::ingest::Ingested;
 use crate::stage::look::Look;
 use crate::stage::read::{self, Beyond};
 use crate::stage::score::{self, References};
-use crate::stage::{denoise, expose, place, trace};
+use crate::stage::{denoise, expose, place, samples, trace};
 use crate::store::files::{check_folder, write_report};
 use crate::view_options::ViewOptions;
 
@@ -56,8 +56,9 @@ pub fn render_field(
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     job.render.denoise = job.denoise_for(display);
+    let samples = samples::measured(&job, ingested, &placement, display, cache_dir, task)?;
     let footprint = display.angular_footprint();
-    let shot = Shot { job: &job, ingested, placement: &placement, geometry: &geometry, footprint };
+    let shot = Shot { job: &job, ingested, placement: &placement, geometry: &geometry, footprint, samples };
     let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let rendered = expose::run(shot, &traced, false, task)?;

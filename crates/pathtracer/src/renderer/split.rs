@@ -68,6 +68,11 @@ impl SplitView {
         radiance
     }
 
+    /// Whether a sample of each pixel hits a surface, row by row.
+    pub fn surfaces(&self) -> impl Iterator<Item = bool> {
+        self.values.data().chunks_exact(VALUES).map(|values| values[9..12].iter().any(|normal| *normal != 0.0))
+    }
+
     pub(crate) fn at(&self, row: usize, col: usize) -> SplitPixel {
         let v = self.values.block([row, col]);
         let vector = |first: usize| Vec3::from_slice(&v[first..first + 3]);

@@ -1,7 +1,10 @@
 //! `[render]`: settings of the path tracer.
 
+use std::fmt;
+
 use lumistack_display::FieldGeometry;
-use serde::{Deserialize, Serialize};
+use serde::de::{Error, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::error::PipelineError;
 
@@ -15,7 +18,7 @@ pub struct RenderJob {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub samples: Option<u32>,
     /// Paths per pixel of all views together: the solver averages over all rays that meet a layer's pixel, so more views need fewer each.
-    pub zone_samples: u32,
+    pub zone_samples: ZoneSamples,
     /// Memory that the light field may take while it is rendered and solved for, MiB: fewer views are chosen where `views = "auto"` would take more, and a
     /// light field of fixed views that is larger lies in a file meanwhile.
     pub field_mib: u64,
@@ -34,6 +37,81 @@ pub struct RenderJob {
     pub held_out: usize,
     /// Views on either side beyond the outermost ones, one view spacing apart, that are rendered for the report only; 0 for none.
     pub outside: usize,
+}
+
+/// Paths per pixel of all views together. In files `"auto"` or a number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ZoneSamples {
+    /// As many as the display profits from, measured on small parts of the picture.
+    #[default]
+    Auto,
+    /// So many, 1 to 2²⁴.
+    Count(u32),
+}
+
+impl ZoneSamples {
+    /// Paths where nothing is measured: filters that compare halves, views by Blender, estimates before the work.
+    const UNMEASURED: u32 = 800;
+    /// The most paths.
+    const MOST: u32 = 1 << 24;
+
+    fn count(self) -> u32 {
+        match self {
+            Self::Auto => Self::UNMEASURED,
+            Self::Count(count) => count,
+        }
+    }
+}
+
+impl std::str::FromStr for ZoneSamples {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            _ => text.parse().map(Self::Count).map_err(|_| "expected auto or a number of paths".into()),
+        }
+    }
+}
+
+impl Serialize for ZoneSamples {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Auto => serializer.serialize_str("auto"),
+            Self::Count(count) => serializer.serialize_u32(*count),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for ZoneSamples {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(ZoneSamplesForm)
+    }
+}
+
+/// Both forms, so that an error names them.
+struct ZoneSamplesForm;
+
+impl Visitor<'_> for ZoneSamplesForm {
+    type Value = ZoneSamples;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "\"auto\" or a number from 1 to {}", ZoneSamples::MOST)
+    }
+
+    fn visit_str<E: Error>(self, name: &str) -> Result<ZoneSamples, E> {
+        if name == "auto" { Ok(ZoneSamples::Auto) } else { Err(E::invalid_value(Unexpected::Str(name), &self)) }
+    }
+
+    fn visit_u64<E: Error>(self, count: u64) -> Result<ZoneSamples, E> {
+        let found = || E::invalid_value(Unexpected::Unsigned(count), &self);
+        u32::try_from(count).map(ZoneSamples::Count).map_err(|_| found())
+    }
+
+    fn visit_i64<E: Error>(self, count: i64) -> Result<ZoneSamples, E> {
+        let found = || E::invalid_value(Unexpected::Signed(count), &self);
+        u64::try_from(count).map_err(|_| found()).and_then(|count| self.visit_u64(count))
+    }
 }
 
 /// What renders the views.
@@ -132,7 +210,7 @@ impl Default for RenderJob {
         Self {
             engine: Engine::Auto,
             samples: None,
-            zone_samples: 800,
+            zone_samples: ZoneSamples::Auto,
             field_mib: 4096,
             max_bounces: 6,
             clamp: None,
@@ -157,11 +235,16 @@ impl RenderJob {
         Self::BYTES_WHILE_SOLVING * rays as u64 <= self.field_mib << 20
     }
 
-    /// Paths per pixel of one of so many views.
+    /// Paths per pixel of one of so many views, as far as the job says it.
     pub fn samples_of_view(&self, views: usize) -> u32 {
-        let spread = (f64::from(self.zone_samples) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
+        let spread = (f64::from(self.zone_samples.count()) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
         // a filter compares two halves
         self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
+    }
+
+    /// Whether the number of paths is to be found by what the display profits from: filters that compare halves take too much away for that to be told.
+    pub(crate) fn samples_are_measured(&self) -> bool {
+        self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }
 
     /// Whether nothing is asked for that our path tracer alone does.
@@ -176,8 +259,8 @@ impl RenderJob {
         if let Some(samples) = self.samples.filter(|samples| !(1..=65536).contains(samples)) {
             return fail("render.samples", "1 to 65536", samples.to_string());
         }
-        if !(1..=1 << 24).contains(&self.zone_samples) {
-            return fail("render.zone_samples", "1 to 16777216", self.zone_samples.to_string());
+        if !(1..=ZoneSamples::MOST).contains(&self.zone_samples.count()) {
+            return fail("render.zone_samples", "1 to 16777216", self.zone_samples.count().to_string());
         }
         if !(1..=1 << 24).contains(&self.field_mib) {
             return fail("render.field_mib", "1 to 16777216", self.field_mib.to_string());
@@ -211,6 +294,22 @@ impl RenderJob {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn paths_of_the_zone_are_auto_or_a_number() {
+        let read = |text: &str| lumistack_core::config::parse::<RenderJob>(text).map(|job| job.zone_samples);
+        assert_eq!(read("").ok(), Some(ZoneSamples::Auto));
+        assert_eq!(read("zone_samples = \"auto\"").ok(), Some(ZoneSamples::Auto));
+        assert_eq!(read("zone_samples = 338").ok(), Some(ZoneSamples::Count(338)));
+        for wrong in ["\"some\"", "-1", "5000000000", "1.5", "[3]"] {
+            let error = read(&format!("zone_samples = {wrong}")).unwrap_err().to_string();
+            assert!(error.contains("\"auto\" or a number"), "{error}");
+        }
+        assert!(RenderJob { zone_samples: ZoneSamples::Count(0), ..RenderJob::default() }.check().is_err());
+        assert_eq!("auto".parse(), Ok(ZoneSamples::Auto));
+        assert_eq!("7".parse(), Ok(ZoneSamples::Count(7)));
+        assert!("many".parse::<ZoneSamples>().is_err());
+    }
 
     #[test]
     fn denoisers_have_one_name_everywhere() {

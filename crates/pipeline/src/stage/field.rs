@@ -186,6 +186,8 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
         "near limit before the window (mm)": placement.window.near_mm,
         "exposure": exposed.look.exposure,
         "tone curve": exposed.look.curve.name(),
+        "paths per pixel and view": shot.samples_per_view(),
+        "paths chosen because": shot.samples.map(|samples| samples.reason()),
         // shares of the window and of the range 0..1: whether framing, light and exposure fit the scene
         "coverage": traced.depths.coverage(geometry.grid.views().map(|count| count / 2)),
         "target span": span,

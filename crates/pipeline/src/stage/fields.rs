@@ -11,6 +11,7 @@ use lumistack_splats::Space;
 use super::ingest::Ingested;
 use super::ingest::renderer::put_before;
 use super::place::Placement;
+use super::samples::Samples;
 use crate::error::{PipelineError, field_error, render_error};
 use crate::job::{AngularFilter, Background, Denoise, Job};
 use crate::store::code;
@@ -27,6 +28,8 @@ pub(crate) struct Shot<'a> {
     pub(crate) geometry: &'a FieldGeometry,
     /// Width of slopes of the display's own prefilter.
     pub(crate) footprint: [f64; 2],
+    /// The measured number of paths, where the job leaves it open.
+    pub(crate) samples: Option<Samples>,
 }
 
 impl Shot<'_> {
@@ -55,10 +58,16 @@ impl Shot<'_> {
         if self.ingested.is_traced() { self.job.render.denoise } else { Denoise::Off }
     }
 
+    /// Paths per pixel and view.
+    pub(crate) fn samples_per_view(&self) -> u32 {
+        let by_job = || self.job.render.samples_of_view(self.geometry.grid.iter().count());
+        self.samples.map_or_else(by_job, |samples| samples.per_view)
+    }
+
     fn settings(&self) -> Settings {
         let (job, depth_scale) = (self.job, self.placement.depth_scale);
         Settings {
-            samples: job.render.samples_of_view(self.geometry.grid.iter().count()),
+            samples: self.samples_per_view(),
             max_bounces: job.render.max_bounces,
             seed: job.seed,
             clamp: job.render.clamp,

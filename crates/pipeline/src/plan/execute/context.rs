@@ -19,6 +19,7 @@ use crate::stage::flicker::TimeError;
 use crate::stage::ingest::Ingested;
 use crate::stage::look::Look;
 use crate::stage::place::Placement;
+use crate::stage::samples::Samples;
 use crate::stage::score::References;
 use crate::stage::trace::Traced;
 use crate::store::lock::Owned;
@@ -45,6 +46,7 @@ pub(crate) struct State {
     pub(super) owned: Option<Owned>,
     pub(super) ingested: Option<Arc<Ingested>>,
     pub(super) placement: Option<Placement>,
+    pub(super) samples: Option<Samples>,
     pub(super) traced: Option<Arc<Traced>>,
     pub(crate) field: Option<Arc<Field>>,
     /// Of the field, once it is dropped.

@@ -16,8 +16,9 @@ use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
 use crate::stage::look::Look;
 use crate::stage::place::Placement;
+use crate::stage::samples::Samples;
 use crate::stage::score::References;
-use crate::stage::{denoise, expose, ingest, place, read, score, source, trace};
+use crate::stage::{denoise, expose, ingest, place, read, samples, score, source, trace};
 use crate::store::settings::{write_display, write_job};
 use crate::view_options::ViewOptions;
 
@@ -44,7 +45,13 @@ impl Context<'_> {
         let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
         let cache = self.cache(part);
         let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
-        self.states[part].placement = Some(placement);
+        let samples = match self.plan.time(part) {
+            // all times are rendered alike
+            Some((_, sequence)) => self.states[sequence].samples,
+            None => samples::measured(&job, &ingested, &placement, &display, &cache, task)?,
+        };
+        let state = &mut self.states[part];
+        (state.placement, state.samples) = (Some(placement), samples);
         Ok(false)
     }
 
@@ -141,7 +148,8 @@ impl Context<'_> {
         let placement = self.of(part, "a window", |state| state.placement)?;
         let display = job.resolve_display()?;
         let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
-        Ok(OwnShot { job, ingested, placement, display, geometry })
+        let samples = self.states[part].samples;
+        Ok(OwnShot { job, ingested, placement, display, geometry, samples })
     }
 
     fn check_geometry(&self, part: usize, path: &Path, found: &FieldGeometry) -> Result<(), PipelineError> {
@@ -177,11 +185,12 @@ struct OwnShot {
     placement: Placement,
     display: Display,
     geometry: FieldGeometry,
+    samples: Option<Samples>,
 }
 
 impl OwnShot {
     fn shot(&self) -> Shot<'_> {
-        let Self { job, ingested, placement, display, geometry } = self;
-        Shot { job, ingested, placement, geometry, footprint: display.angular_footprint() }
+        let Self { job, ingested, placement, display, geometry, samples } = self;
+        Shot { job, ingested, placement, geometry, footprint: display.angular_footprint(), samples: *samples }
     }
 }

@@ -1,0 +1,389 @@
+//! The number of paths per pixel and view from which a display profits, measured on small parts
+//! of the picture before all of it is rendered.
+//!
+//! ```text
+//! MSE(n) = D + V / n        D: squared error of the seen pictures of a solve without noise
+//!                           V: what the noise of one path per pixel and view adds to it
+//! n = V / (η D)             η: share of the error that noise may add
+//! ```
+//!
+//! Every part is rendered twice with one path per pixel and view, from independent seeds a and b.
+//! Both are solved for; S_a and S_b are seen pictures in directions that no solver saw, R_a and R_b
+//! renders of the scene from there, with seeds of their own:
+//!
+//! ```text
+//! V = E[(S_a − S_b)²] / 2        D = E[(S_a − R_a)(S_b − R_b)]
+//! ```
+//!
+//! D is free of all noises, since they are independent. Noise counts as far as it reaches the eye:
+//! a layer's pixel averages over all rays that cross it, so noise of the views says little.
+
+use std::path::Path;
+
+use glam::DVec3;
+use lumistack_core::{NoProgress, Task, seed};
+use lumistack_display::{Backlight, Display, FieldGeometry, LightField, Projection, Simulator, ViewGrid, Weights};
+use lumistack_pathtracer::denoise::SharedLight;
+use lumistack_pathtracer::{AngularFilter, Settings, SplitView};
+use lumistack_scene::Window;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::factorize::Solve;
+use super::fields::Shot;
+use super::look::Look;
+use super::score;
+use crate::error::{PipelineError, display_error, render_error};
+use crate::job::{Background, Denoise, Engine, FactorizeJob, Job};
+use crate::stage::ingest::Ingested;
+use crate::stage::place::Placement;
+use crate::store::code;
+use crate::store::stamps::remembered;
+
+/// Share of a display's squared error that noise may add: 0.25 dB.
+const NOISE_SHARE: f64 = 0.06;
+/// Squared errors below this one are not worth a path: 50 dB.
+const LEAST_ERROR: f64 = 1e-5;
+/// Paths per pixel of all views together, at most.
+const MOST_PATHS: usize = 3200;
+/// Numbers of paths that are chosen. Few numbers keep rendered views valid when a display changes
+/// a little.
+const CHOICES: [u32; 12] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64];
+/// Parts of the picture, at most, and the share of its area that they cover, at most.
+const PARTS: usize = 6;
+const MOST_AREA: f64 = 0.25;
+/// Edge of the middle of a part in pixels. Around it lies a margin in which rays leave the layers.
+const MIDDLE: usize = 40;
+/// Iterations of the solver. Noise and error stand in their final ratio after a few.
+const ITERATIONS: u32 = 8;
+/// Directions in which a part is seen.
+const DIRECTIONS: usize = 4;
+/// Paths per pixel of each of the two renders of such a direction.
+const REFERENCE_PATHS: u32 = 4;
+/// Share of a pixel's area that counts as all of it.
+const WHOLE: f32 = 0.999;
+/// Stream of random numbers that no view's radiance uses.
+const STREAM: u64 = 0x5a3b_0001;
+
+/// What was measured, and the choice that follows.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Samples {
+    /// Paths per pixel and view, ≥ 1.
+    pub(crate) per_view: u32,
+    /// V: mean squared error in the seen pictures from the noise of one path per pixel and view.
+    pub(crate) noise: f64,
+    /// D: mean squared error of the seen pictures without noise.
+    pub(crate) error: f64,
+    /// Whether more paths were needed than are allowed.
+    pub(crate) limited: bool,
+}
+
+impl Samples {
+    fn new(noise: f64, error: f64, views: usize) -> Self {
+        let needed = noise / (NOISE_SHARE * error.max(LEAST_ERROR));
+        let most = ((MOST_PATHS / views.max(1)) as u32).max(1);
+        let enough = CHOICES.into_iter().find(|&choice| f64::from(choice) >= needed);
+        let choice = enough.unwrap_or(CHOICES[CHOICES.len() - 1]);
+        Self { per_view: choice.min(most), noise, error, limited: enough.is_none_or(|enough| enough > most) }
+    }
+
+    /// For the report: why the number was chosen.
+    pub(crate) fn reason(&self) -> String {
+        let share = 100.0 * self.noise / f64::from(self.per_view) / self.error.max(LEAST_ERROR);
+        let limit =
+            if self.limited { format!("; more than {MOST_PATHS} of all views are not taken") } else { String::new() };
+        format!("noise adds about {share:.1} % to the display's own squared error{limit}")
+    }
+}
+
+/// The number of paths per pixel and view, where the job leaves it open. It is measured once and
+/// kept in a folder of the cache.
+///
+/// # Errors
+/// When rendering or solving fails or is cancelled, or the folder cannot be written.
+pub(crate) fn measured(
+    job: &Job,
+    ingested: &Ingested,
+    placement: &Placement,
+    display: &Display,
+    cache_dir: &Path,
+    task: Task<'_>,
+) -> Result<Option<Samples>, PipelineError> {
+    let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    let views = geometry.grid.iter().count();
+    let is_ours = job.render.engine != Engine::Blender && ingested.blend().is_none();
+    if !job.render.samples_are_measured() || views < 2 || !ingested.is_traced() || !is_ours {
+        return Ok(None);
+    }
+    let footprint = display.angular_footprint();
+    let shot = Shot { job, ingested, placement, geometry: &geometry, footprint, samples: None };
+    let mut key = shot.key();
+    key.add_json("settings", &(&job.render, job.seed, &job.light))
+        .add("display", display.without_panels().to_toml().as_bytes())
+        .add("traced", format!("{geometry:?} {}", placement.depth_scale).as_bytes())
+        .add_json("solver", &code::PATTERNS);
+    let file = format!("samples-{}.json", &key.finish()[..16]);
+    remembered(Some(cache_dir), &file, || measure(shot, display, task)).map(Some)
+}
+
+/// A part of the picture: a small display, and its window in the scene.
+struct Part {
+    display: Display,
+    geometry: FieldGeometry,
+    window: Window,
+    /// Of its centre against that of the display, millimetres.
+    centre_mm: [f64; 2],
+    margin: usize,
+}
+
+/// One of the two renders of a part.
+struct Half {
+    field: LightField,
+    /// Which pixels show a surface, in the order of the radiance.
+    is_surface: Vec<bool>,
+}
+
+fn measure(shot: Shot<'_>, display: &Display, task: Task<'_>) -> Result<Samples, PipelineError> {
+    let Shot { job, ingested, geometry, .. } = shot;
+    let parts = parts(display, geometry, shot.window());
+    let quiet = Task { progress: &NoProgress, ..task };
+    task.progress.begin("choose samples", 2 * parts.len() as u64, "parts");
+
+    // Both renders of every part, linear.
+    let mut halves: Vec<[Half; 2]> = Vec::with_capacity(parts.len());
+    for (number, part) in parts.iter().enumerate() {
+        let [a, b] = [0, 1].map(|half| render(shot, part, [number as u64, half], quiet));
+        halves.push([a?, b?]);
+        task.progress.advance(1, "");
+    }
+
+    // One exposure and one tone curve, chosen as for the whole picture.
+    let brightest = halves.iter().flat_map(|[half, _]| {
+        let pixels = half.field.radiance().data().chunks_exact(3).zip(&half.is_surface);
+        pixels.map(|(rgb, &is_surface)| (rgb[0].max(rgb[1]).max(rgb[2]), is_surface))
+    });
+    let look = Look::choose(&job.light, &ingested.scene, &brightest.collect::<Vec<_>>());
+    halves.iter_mut().flatten().for_each(|half| look.apply(&mut half.field));
+
+    let zone = score::zone_of(job, display, geometry);
+    let directions = zone.directions(parts.len() * DIRECTIONS);
+    let measured = parts.par_iter().zip(&halves).enumerate().map(|(number, (part, halves))| {
+        let directions: Vec<&ViewGrid> = directions.iter().skip(number).step_by(parts.len()).collect();
+        let sums = compare(shot, part, halves, look, &directions, number as u64, quiet);
+        task.progress.advance(1, "");
+        sums
+    });
+    let measured: Result<Vec<Sums>, PipelineError> = measured.collect();
+    task.progress.end();
+    let all = measured?.into_iter().fold(Sums::default(), Sums::merged);
+    let count = all.count.max(1.0);
+    Ok(Samples::new(all.noise / count, all.error / count, geometry.grid.iter().count()))
+}
+
+/// Sums over values of seen pictures.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    noise: f64,
+    error: f64,
+    count: f64,
+}
+
+impl Sums {
+    fn merged(self, other: Self) -> Self {
+        Self { noise: self.noise + other.noise, error: self.error + other.error, count: self.count + other.count }
+    }
+}
+
+/// Solves for both renders of a part and compares the seen pictures with the scene and with each other.
+fn compare(
+    shot: Shot<'_>,
+    part: &Part,
+    halves: &[Half; 2],
+    look: Look,
+    directions: &[&ViewGrid],
+    number: u64,
+    task: Task<'_>,
+) -> Result<Sums, PipelineError> {
+    let Shot { job, ingested, placement, .. } = shot;
+    let of_solver = FactorizeJob { iterations: Some(ITERATIONS), ..FactorizeJob::default() };
+    let solve = |half: &Half| {
+        let target = &half.field;
+        let solve =
+            Solve { job: &of_solver, seed: job.seed, display: &part.display, target, weights: &Weights::Uniform };
+        solve.factorize(None, task, &mut |_| ()).map(|factorization| factorization.stack)
+    };
+    let stacks = [solve(&halves[0])?, solve(&halves[1])?];
+    let simulators = stacks.each_ref().map(|stack| Simulator::new(&part.display, stack));
+    let tracer = &ingested.renderer(task)?.tracer;
+
+    let mut sums = Sums::default();
+    for (index, direction) in directions.iter().enumerate() {
+        let geometry = part.geometry.with_grid(part.moved(direction));
+        let traced = part.geometry.with_grid(part.moved(&direction.scaled(placement.depth_scale)));
+        let seen = simulators.each_ref().map(|simulator| simulator.seen(&geometry, [0, 0]));
+        let reference = |half: u64| {
+            let settings = Settings {
+                samples: REFERENCE_PATHS,
+                clamp: None,
+                seed: seed::derive(job.seed, &[STREAM, number, 2 + half, index as u64]),
+                angular_filter: AngularFilter::Point,
+                ..settings(shot)
+            };
+            let mut picture =
+                tracer.render_view(&part.window, &traced, [0, 0], &settings, task).map_err(render_error)?;
+            look.apply_to(picture.data_mut());
+            Ok::<_, PipelineError>(picture)
+        };
+        let references = [reference(0)?, reference(1)?];
+        for (row, col) in part.middle() {
+            let pixel = row * part.geometry.cols + col;
+            if seen.iter().any(|seen| seen.share[pixel] < WHOLE) {
+                continue;
+            }
+            for value in 3 * pixel..3 * pixel + 3 {
+                let shown = [0, 1].map(|i| f64::from(seen[i].radiance.data()[value]) / stacks[i].brightness);
+                let wrong = [0, 1].map(|i| shown[i] - f64::from(references[i].data()[value]));
+                sums.noise += 0.5 * (shown[0] - shown[1]).powi(2);
+                sums.error += wrong[0] * wrong[1];
+                sums.count += 1.0;
+            }
+        }
+    }
+    Ok(sums)
+}
+
+/// Renders a part with one path per pixel and view, without noise that views can share where the job shares it.
+fn render(shot: Shot<'_>, part: &Part, stream: [u64; 2], task: Task<'_>) -> Result<Half, PipelineError> {
+    let Shot { job, ingested, placement, .. } = shot;
+    let traced = part.geometry.with_grid(part.traced_grid(&shot.geometry.grid, placement.depth_scale));
+    let seed = seed::derive(job.seed, &[STREAM, stream[0], stream[1]]);
+    let settings = Settings { samples: 1, seed, ..settings(shot) };
+    let tracer = &ingested.renderer(task)?.tracer;
+    let splits: Result<Vec<SplitView>, _> =
+        traced.grid.iter().map(|view| tracer.render_split(&part.window, &traced, view, &settings, task)).collect();
+    let splits = splits.map_err(render_error)?;
+    let light = if shot.denoise() == Denoise::Shared {
+        let mut light = SharedLight::new(&traced);
+        splits.iter().for_each(|split| light.add(split));
+        Some(light.averaged(task)?)
+    } else {
+        None
+    };
+    let mut field = LightField::black(part.geometry.clone())?;
+    let mut is_surface = Vec::with_capacity(field.radiance().data().len() / 3);
+    for ((number, view), split) in traced.grid.iter().enumerate().zip(&splits) {
+        let picture = light.as_ref().map_or_else(|| split.radiance(), |light| light[number].on(split));
+        field.view_mut(view).copy_from_slice(picture.data());
+        is_surface.extend(split.surfaces());
+    }
+    Ok(Half { field, is_surface })
+}
+
+/// Settings of the views, whatever their number of paths.
+fn settings(shot: Shot<'_>) -> Settings {
+    let hide_environment = shot.job.light.background != Background::Environment;
+    Settings {
+        max_bounces: shot.job.render.max_bounces,
+        clamp: shot.job.render.clamp,
+        hide_environment,
+        ..Settings::default()
+    }
+}
+
+/// Parts spread over the picture by the additive recurrence that also spreads [directions](lumistack_display::Zone::directions).
+fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Part> {
+    let margin = margin(display, geometry);
+    let edge = MIDDLE + 2 * margin;
+    let [rows, cols] = [edge.min(geometry.rows), edge.min(geometry.cols)];
+    let area = (geometry.rows * geometry.cols) as f64 / (rows * cols) as f64;
+    let count = ((MOST_AREA * area) as usize).clamp(1, PARTS);
+    // alone in the middle, or all over
+    let places = spread(count);
+    let [free_rows, free_cols] = [geometry.rows - rows, geometry.cols - cols].map(|free| free as f64);
+    places
+        .into_iter()
+        .map(|[x, y]| {
+            let from = |place: f64, free: f64| (place * (free + 1.0)).floor().min(free);
+            let shift = |from: f64, free: f64| (from - 0.5 * free) * geometry.pitch_mm;
+            let centre_mm = [shift(from(x, free_cols), free_cols), -shift(from(y, free_rows), free_rows)];
+            part(display, geometry, window, [rows, cols], centre_mm, margin)
+        })
+        .collect()
+}
+
+/// `count` points of the unit square; one is in its middle.
+fn spread(count: usize) -> Vec<[f64; 2]> {
+    // the real root of x³ = x + 1: Roberts' R₂
+    const RATIO: f64 = 1.324_717_957_244_746;
+    (0..count).map(|i| [1.0, 2.0].map(|power| (0.5 + i as f64 * RATIO.powf(-power)).fract())).collect()
+}
+
+/// Pixels over which rays of the zone spread from the display's plane to its farthest layer.
+fn margin(display: &Display, geometry: &FieldGeometry) -> usize {
+    let most = |slopes: &[f64]| slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
+    let slope = most(&geometry.grid.slope_x).max(most(&geometry.grid.slope_y));
+    let of_layers = display.layers.iter().map(|layer| layer.d_mm.abs());
+    let reach_mm = of_layers.fold(0.0f64, f64::max) * slope;
+    // more would leave no part in a display whose rays cross it from side to side
+    ((reach_mm / geometry.pitch_mm).ceil() as usize + 1).min(MIDDLE)
+}
+
+fn part(
+    display: &Display,
+    geometry: &FieldGeometry,
+    window: &Window,
+    [rows, cols]: [usize; 2],
+    centre_mm: [f64; 2],
+    margin: usize,
+) -> Part {
+    let shares = [cols as f64 / geometry.cols as f64, rows as f64 / geometry.rows as f64];
+    let cut =
+        |resolution: [usize; 2]| [0, 1].map(|axis| ((resolution[axis] as f64 * shares[axis]).ceil() as usize).max(1));
+    let mut small = display.without_panels();
+    small.field.resolution = [cols, rows];
+    for layer in &mut small.layers {
+        layer.resolution = cut(layer.resolution);
+    }
+    if let Backlight::Lenslets(lenslets) = &mut small.backlight {
+        lenslets.lenslets = cut(lenslets.lenslets);
+    }
+    let map = window.scene_from_display;
+    let translation = map.point(DVec3::new(centre_mm[0], centre_mm[1], 0.0));
+    let size_mm = [cols, rows].map(|count| count as f64 * geometry.pitch_mm);
+    let window = Window {
+        scene_from_display: lumistack_scene::Similarity { translation, ..map },
+        size_mm,
+        near_mm: window.near_mm,
+    };
+    let mut part =
+        Part { display: small, geometry: FieldGeometry { rows, cols, ..geometry.clone() }, window, centre_mm, margin };
+    part.geometry.grid = part.moved(&geometry.grid);
+    part
+}
+
+impl Part {
+    /// The same eyes or parallel views, as slopes about the part's centre.
+    fn moved(&self, grid: &ViewGrid) -> ViewGrid {
+        let Projection::Perspective { distance_mm } = grid.projection else { return grid.clone() };
+        let moved = |slopes: &[f64], axis: usize| {
+            slopes.iter().map(|slope| slope - self.centre_mm[axis] / distance_mm).collect::<Vec<f64>>()
+        };
+        ViewGrid { projection: grid.projection, slope_x: moved(&grid.slope_x, 0), slope_y: moved(&grid.slope_y, 1) }
+    }
+
+    /// Views of the whole display as they are traced.
+    fn traced_grid(&self, grid: &ViewGrid, depth_scale: f64) -> ViewGrid {
+        self.moved(&grid.scaled(depth_scale))
+    }
+
+    /// Pixels from which no ray of the zone leaves the part, or all where the part is the picture.
+    fn middle(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let FieldGeometry { rows, cols, .. } = self.geometry;
+        let inside = |count: usize, margin: usize| {
+            let margin = margin.min(count.saturating_sub(1) / 2);
+            margin..count - margin
+        };
+        let [across, down] = [inside(cols, self.margin), inside(rows, self.margin)];
+        down.flat_map(move |row| across.clone().map(move |col| (row, col)))
+    }
+}
