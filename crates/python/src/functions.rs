@@ -31,7 +31,7 @@ use crate::work::{command, long};
 /// scene: a Scene, or the path of one; display: a Display, or what makes one ("paper-three-layer" without it). The rest is optional and means what it means
 /// in a job file (docs/JOB.md; defaults() has the defaults):
 ///
-/// * samples: paths per pixel and view, 1 to 65536, or zone_samples: of all views together; max_bounces: bounces after the first hit, 0 to 1024; clamp: largest value of a single path
+/// * samples: paths per pixel and view, 1 to 65536, or zone_samples: of all views together, "auto" for as many as the display profits from; max_bounces: bounces after the first hit, 0 to 1024; clamp: largest value of a single path
 /// * denoise: "auto", "off", "shared", "guided" or "oidn"; angular_filter: "point", "bin" or "display"; lens_deg: angle of a lens, degrees, 0 to 90
 /// * camera: name or number of the camera whose plane of focus the display takes; look_from: (azimuth, elevation) from which a scene is framed, degrees;
 ///   fit_depth: "auto", "off", "move" or "compress"; depth_scale: factor on parallax,
@@ -396,8 +396,8 @@ pub(crate) fn displays() -> Vec<&'static str> {
 
 /// Every setting of a job that has a default, with that.
 ///
-/// >>> defaults()["render"]["zone_samples"]
-/// 800
+/// >>> defaults()["render"]["max_bounces"]
+/// 6
 #[pyfunction]
 pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &serde_json::to_value(Job::new(Default::default())).expect("jobs serialize"))

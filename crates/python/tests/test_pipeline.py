@@ -239,7 +239,7 @@ def test_a_report_measures_patterns(light_field: LightField, tmp_path: Path) -> 
 
 def test_defaults_are_those_of_jobs_and_docstrings_say_them_right() -> None:
     defaults = lumistack.defaults()
-    assert defaults["render"]["zone_samples"] == 800 and defaults["factorize"]["solver"] == "auto"
+    assert defaults["render"]["zone_samples"] == "auto" and defaults["factorize"]["solver"] == "auto"
     assert lumistack.run.__doc__ and lumistack.render.__doc__ and "1 to 65536" in lumistack.render.__doc__
 
 

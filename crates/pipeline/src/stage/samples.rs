@@ -22,7 +22,9 @@ use std::path::Path;
 
 use glam::DVec3;
 use lumistack_core::{NoProgress, Task, seed};
-use lumistack_display::{Backlight, Display, FieldGeometry, LightField, Projection, Simulator, ViewGrid, Weights};
+use lumistack_display::{
+    Backlight, Display, FieldGeometry, LightField, Projection, Simulator, ViewGrid, Views, Weights,
+};
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{AngularFilter, Settings, SplitView};
 use lumistack_scene::Window;
@@ -112,7 +114,9 @@ pub(crate) fn measured(
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let views = geometry.grid.iter().count();
     let is_ours = job.render.engine != Engine::Blender && ingested.blend().is_none();
-    if !job.render.samples_are_measured() || views < 2 || !ingested.is_traced() || !is_ours {
+    // views that are fixed are right at themselves alone, where noise counts more than between them
+    let is_chosen = !matches!(display.field.views, Views::Fixed(_));
+    if !(job.render.samples_are_measured() && is_chosen && views > 1 && ingested.is_traced() && is_ours) {
         return Ok(None);
     }
     let footprint = display.angular_footprint();
@@ -385,5 +389,60 @@ impl Part {
         };
         let [across, down] = [inside(cols, self.margin), inside(rows, self.margin)];
         down.flat_map(move |row| across.clone().map(move |col| (row, col)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+    use lumistack_scene::Similarity;
+
+    use super::*;
+
+    #[test]
+    fn paths_follow_from_noise_and_error_within_limits() {
+        let choose = |noise, error, views| Samples::new(noise, error, views);
+        // without noise one path is enough, however good the display is
+        assert_eq!((choose(0.0, 1e-3, 169).per_view, choose(0.0, 0.0, 169).limited), (1, false));
+        // n = V / (η D) = 5, and the next number that is chosen
+        assert_eq!(choose(4.9 * NOISE_SHARE * 2e-3, 2e-3, 169).per_view, 6);
+        // errors that nobody sees ask for nothing
+        assert_eq!(choose(2.9 * NOISE_SHARE * LEAST_ERROR, -1e-7, 169).per_view, 3);
+        let limited = choose(1.0, 1e-3, 169);
+        assert_eq!((limited.per_view, limited.limited), (18, true));
+        assert_eq!(choose(1.0, 1e-3, 4000).per_view, 1);
+        assert!(limited.reason().contains("3200"), "{}", limited.reason());
+    }
+
+    #[test]
+    fn rays_of_parts_are_rays_of_the_picture() {
+        let display = Display::uniform([300, 220], 1.5, [5, 5], [20.0, 20.0], &[-30.0, 0.0, 30.0], 2);
+        let map =
+            Similarity { rotation: DQuat::from_rotation_y(0.3), scale: 0.01, translation: DVec3::new(1.0, -2.0, 3.0) };
+        for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 500.0 }] {
+            let grid = ViewGrid::uniform(projection, [5, 3], [20.0, 10.0]).unwrap();
+            let geometry = FieldGeometry { rows: 220, cols: 300, pitch_mm: 1.5, grid };
+            let window = Window { scene_from_display: map, size_mm: geometry.size_mm(), near_mm: None };
+            let parts = parts(&display, &geometry, &window);
+            assert_eq!(parts.len(), PARTS);
+            for part in &parts {
+                assert!(part.middle().count() >= MIDDLE * MIDDLE);
+                let (rows, cols) = (part.geometry.rows, part.geometry.cols);
+                for (row, col) in [(0, 0), (rows - 1, cols - 1), (3, 7)] {
+                    let own = [part.geometry.x_mm(col), part.geometry.y_mm(row)];
+                    let whole = [0, 1].map(|axis| own[axis] + part.centre_mm[axis]);
+                    // it is the centre of a pixel of the picture
+                    let place = (whole[0] / 1.5 + 149.5, 109.5 - whole[1] / 1.5);
+                    assert!((place.0 - place.0.round()).abs() < 1e-9 && (-0.1..299.1).contains(&place.0), "{place:?}");
+                    assert!((place.1 - place.1.round()).abs() < 1e-9 && (-0.1..219.1).contains(&place.1), "{place:?}");
+                    let seen = part.window.scene_from_display.point(DVec3::new(own[0], own[1], 0.0));
+                    assert!(seen.distance(map.point(DVec3::new(whole[0], whole[1], 0.0))) < 1e-12);
+                    for view in geometry.grid.iter() {
+                        let [a, b] = [part.geometry.grid.slope_at(view, own), geometry.grid.slope_at(view, whole)];
+                        assert!((a[0] - b[0]).abs().max((a[1] - b[1]).abs()) < 1e-12, "{a:?} {b:?}");
+                    }
+                }
+            }
+        }
     }
 }

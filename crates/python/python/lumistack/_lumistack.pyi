@@ -241,7 +241,7 @@ def render(
     display: _DisplayLike | None = None,
     *,
     samples: int | None = None,
-    zone_samples: int | None = None,
+    zone_samples: int | Literal["auto"] | None = None,
     max_bounces: int | None = None,
     clamp: float | None = None,
     denoise: Literal["auto", "off", "shared", "guided", "oidn"] | None = None,
