@@ -1,12 +1,13 @@
 //! `[render]`: settings of the path tracer.
 
 use lumistack_display::FieldGeometry;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
 
 /// How views are rendered.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderJob {
     /// Who renders them.
@@ -37,7 +38,7 @@ pub struct RenderJob {
 }
 
 /// What renders the views.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Engine {
     /// Our path tracer, unless the scene is a `.blend` file with what it cannot show.
@@ -63,7 +64,7 @@ impl std::str::FromStr for Engine {
 }
 
 /// Angular extent of a view.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum AngularFilter {
     /// One slope per view.
@@ -76,7 +77,7 @@ pub enum AngularFilter {
 }
 
 /// What takes noise out of finished views.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Denoise {
     /// [`Shared`](Self::Shared) where the display chooses the views and our path tracer renders them, else nothing.
