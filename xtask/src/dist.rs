@@ -90,7 +90,8 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
             let wheels: Vec<&str> = wheels.iter().filter_map(|wheel| wheel.to_str()).collect();
             blender::build(&wheels)?;
             for zip in files_of(&tools::root().join("target/blender"), ".zip")? {
-                let name = zip.file_name().unwrap_or_default().to_string_lossy().replacen("lumistack", "lumistack-blender", 1);
+                let name =
+                    zip.file_name().unwrap_or_default().to_string_lossy().replacen("lumistack", "lumistack-blender", 1);
                 std::fs::copy(&zip, dist.join(name)).map_err(|error| format!("{}: {error}", zip.display()))?;
             }
         }

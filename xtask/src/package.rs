@@ -12,8 +12,9 @@ pub fn check() -> Outcome {
     let metadata: Value =
         serde_json::from_str(&said.ok_or("cargo metadata failed")?).map_err(|error| error.to_string())?;
     let packages = metadata["packages"].as_array().ok_or("cargo metadata lists no packages")?;
-    let (published, kept): (Vec<&Value>, Vec<&Value>) =
-        packages.iter().partition(|package| package["publish"].as_array().is_none_or(|registries| !registries.is_empty()));
+    let (published, kept): (Vec<&Value>, Vec<&Value>) = packages
+        .iter()
+        .partition(|package| package["publish"].as_array().is_none_or(|registries| !registries.is_empty()));
     let mut problems = Vec::new();
     for package in &published {
         let name = package["name"].as_str().unwrap_or_default();
@@ -48,7 +49,8 @@ fn outside(folder: &Path, problems: &mut Vec<String>) -> Outcome {
         } else if path.extension().is_some_and(|end| end == "rs") {
             let text = std::fs::read_to_string(&path).map_err(failed)?;
             let code = text.split("#[cfg(test)]").next().unwrap_or_default();
-            let lines = code.lines().enumerate().filter(|(_, line)| line.contains("include_") && line.contains("\"../../.."));
+            let lines =
+                code.lines().enumerate().filter(|(_, line)| line.contains("include_") && line.contains("\"../../.."));
             problems.extend(lines.map(|(number, _)| {
                 format!("{}:{}: includes a file from outside the crate", path.display(), number + 1)
             }));

@@ -384,6 +384,8 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
 
 #[cfg(test)]
 mod tests {
+    use std::io::BufRead;
+
     use super::*;
     use clap::Parser;
     use lumistack_display::{Backlight, Display};
@@ -399,7 +401,8 @@ mod tests {
         let _ = std::fs::remove_file(&file);
         let line = Line::parse_from([&["new", file.to_str().unwrap()], words].concat());
         let mut input = answers.map(str::as_bytes);
-        let mut questions = Questions { command: "display new", input: input.as_mut().map(|input| input as &mut dyn BufRead) };
+        let mut questions =
+            Questions { command: "display new", input: input.as_mut().map(|input| input as &mut dyn BufRead) };
         new_display(&line.new, outputs, &mut questions, true)?;
         Ok(Display::from_toml(&std::fs::read_to_string(file).unwrap()).unwrap())
     }

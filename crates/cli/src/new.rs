@@ -232,10 +232,15 @@ mod tests {
         assert_eq!(job.display.preset.as_deref(), Some("fig7-uniform"));
         assert_eq!(job.outputs.iter().map(|output| &output.plugin).collect::<Vec<_>>(), ["images", "quilt"]);
         let keys = text.lines().filter(|line| line.starts_with('#') && line.contains(" = ")).count();
-        let all = loaded(&text.lines().map(|line| match line.strip_prefix('#') {
-            Some(key) if !key.starts_with([' ', ':']) => format!("{key}\n"),
-            _ => format!("{line}\n"),
-        }).collect::<String>());
+        let all = loaded(
+            &text
+                .lines()
+                .map(|line| match line.strip_prefix('#') {
+                    Some(key) if !key.starts_with([' ', ':']) => format!("{key}\n"),
+                    _ => format!("{line}\n"),
+                })
+                .collect::<String>(),
+        );
         assert_eq!((keys, all.factorize.iterations, all.display.frames), (8, Some(16), Some(6)));
     }
 

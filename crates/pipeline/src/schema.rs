@@ -120,7 +120,10 @@ mod tests {
 
     #[test]
     fn links_of_rust_are_no_part_of_a_description() {
-        assert_eq!(plain("As [`Compress`](Self::Compress), [x, y] of `a`, or [`B`]."), "As `Compress`, [x, y] of `a`, or `B`.");
+        assert_eq!(
+            plain("As [`Compress`](Self::Compress), [x, y] of `a`, or [`B`]."),
+            "As `Compress`, [x, y] of `a`, or `B`."
+        );
     }
 
     #[test]

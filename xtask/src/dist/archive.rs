@@ -45,7 +45,8 @@ pub fn deb(architecture: &str, files: &[File]) -> Outcome<Vec<u8>> {
 
 /// Our own licences, then those of all parts.
 fn copyright(files: &[File], parts: &File) -> Vec<u8> {
-    let own = ["LICENSE-MIT", "LICENSE-APACHE"].iter().filter_map(|name| files.iter().find(|file| file.path.ends_with(name)));
+    let own =
+        ["LICENSE-MIT", "LICENSE-APACHE"].iter().filter_map(|name| files.iter().find(|file| file.path.ends_with(name)));
     let mut text = b"Lumistack: MIT OR Apache-2.0\n\n".to_vec();
     for file in own.chain([parts]) {
         text.extend_from_slice(&file.bytes);
@@ -83,10 +84,8 @@ fn packed(entries: &[(String, File)]) -> Outcome<Vec<u8>> {
         header
     };
     // installers want every folder before what is in it
-    let folders: BTreeSet<String> = entries
-        .iter()
-        .flat_map(|(path, _)| path.match_indices('/').map(|(end, _)| path[..=end].to_owned()))
-        .collect();
+    let folders: BTreeSet<String> =
+        entries.iter().flat_map(|(path, _)| path.match_indices('/').map(|(end, _)| path[..=end].to_owned())).collect();
     for folder in folders {
         archive.append_data(&mut header(tar::EntryType::Directory, 0o755, 0), folder, &[][..]).map_err(failed)?;
     }
@@ -147,10 +146,18 @@ mod tests {
             members.push((std::str::from_utf8(&rest[..16]).unwrap().trim().to_owned(), rest[60..60 + size].to_vec()));
             rest = &rest[60 + size.next_multiple_of(2)..];
         }
-        assert_eq!(members.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["debian-binary", "control.tar.gz", "data.tar.gz"]);
+        assert_eq!(
+            members.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(),
+            ["debian-binary", "control.tar.gz", "data.tar.gz"]
+        );
         let names = names(&members[2].1);
-        for name in ["./usr/bin/lumistack", "./usr/share/man/man1/lumistack.1.gz", "./usr/share/doc/lumistack/copyright"] {
-            assert!(names.iter().any(|(known, _)| known.trim_start_matches("./") == name.trim_start_matches("./")), "{names:?}");
+        for name in
+            ["./usr/bin/lumistack", "./usr/share/man/man1/lumistack.1.gz", "./usr/share/doc/lumistack/copyright"]
+        {
+            assert!(
+                names.iter().any(|(known, _)| known.trim_start_matches("./") == name.trim_start_matches("./")),
+                "{names:?}"
+            );
         }
         let mut control = String::new();
         let mut archive = tar::Archive::new(flate2::read::GzDecoder::new(members[1].1.as_slice()));

@@ -123,7 +123,8 @@ pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf>
     std::fs::write(&text, licences).map_err(|error| format!("{}: {error}", text.display()))?;
     // the name is what maturin made of version and platform
     let wheels = std::fs::read_dir(&out).map_err(|error| format!("{}: {error}", out.display()))?;
-    let wheel = wheels.flatten().map(|entry| entry.path()).find(|path| path.extension().is_some_and(|end| end == "whl"));
+    let wheel =
+        wheels.flatten().map(|entry| entry.path()).find(|path| path.extension().is_some_and(|end| end == "whl"));
     let wheel = wheel.ok_or_else(|| format!("maturin left no wheel in {}", out.display()))?;
     run(command(&python).arg("xtask/python/licences.py").arg(&wheel).arg(&text))?;
     let place = folder.join(wheel.file_name().unwrap_or_default());

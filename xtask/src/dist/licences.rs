@@ -73,7 +73,15 @@ fn in_target(target: &Target) -> Outcome<Vec<String>> {
     let mut ids = Vec::new();
     for words in RELEASED {
         let mut tree = command("cargo");
-        tree.arg("tree").args(words).args(["--locked", "--edges", "normal", "--prefix", "none", "--target", target.triple]);
+        tree.arg("tree").args(words).args([
+            "--locked",
+            "--edges",
+            "normal",
+            "--prefix",
+            "none",
+            "--target",
+            target.triple,
+        ]);
         let said = output_of(&mut tree).ok_or("cargo tree failed")?;
         ids.extend(said.lines().filter_map(|line| {
             let (name, rest) = line.split_once(" v")?;
@@ -101,13 +109,15 @@ fn sums(lock: &str) -> HashMap<String, String> {
 impl Licences {
     /// Every part must say its licence.
     fn check(&self) -> Outcome {
-        let silent: Vec<_> = self.0.iter().filter(|(_, part)| part.licence.is_empty()).map(|(id, _)| id.as_str()).collect();
+        let silent: Vec<_> =
+            self.0.iter().filter(|(_, part)| part.licence.is_empty()).map(|(id, _)| id.as_str()).collect();
         if silent.is_empty() { Ok(()) } else { Err(format!("no licence is said by {}", silent.join(", "))) }
     }
 
     /// All parts with their licences, then every text with the parts that carry it.
     pub fn text(&self) -> String {
-        let mut text = String::from("Lumistack is made of these packages of Rust, each under the licence beside it.\n\n");
+        let mut text =
+            String::from("Lumistack is made of these packages of Rust, each under the licence beside it.\n\n");
         let mut texts: BTreeMap<String, Vec<&str>> = BTreeMap::new();
         let foreign = self.0.iter().filter(|(_, part)| part.sum.is_some());
         for (id, part) in foreign {
@@ -139,9 +149,9 @@ impl Licences {
             }
             component
         });
-        let uses = self.0.iter().map(|(id, part)| {
-            json!({ "ref": url(id), "dependsOn": part.uses.iter().map(|on| url(on)).collect::<Vec<_>>() })
-        });
+        let uses = self.0.iter().map(
+            |(id, part)| json!({ "ref": url(id), "dependsOn": part.uses.iter().map(|on| url(on)).collect::<Vec<_>>() }),
+        );
         json!({
             "bomFormat": "CycloneDX", "specVersion": "1.6", "version": 1,
             "metadata": { "component": {
@@ -205,7 +215,9 @@ mod tests {
         let parts = [("a 1.0", part("a", Some("12ab"))), ("own 1.0", part("own", None))];
         let licences = Licences(parts.into_iter().map(|(id, part)| (id.to_owned(), part)).collect());
         let text = licences.text();
-        assert!(text.contains("  a 1.0: MIT\n") && text.contains("Copyright (c) A. Author") && !text.contains("own 1.0"));
+        assert!(
+            text.contains("  a 1.0: MIT\n") && text.contains("Copyright (c) A. Author") && !text.contains("own 1.0")
+        );
         assert!(text.contains("Permission is hereby granted"));
         let sbom = licences.sbom();
         assert_eq!(sbom["components"][0]["purl"], "pkg:cargo/a@1.0");
