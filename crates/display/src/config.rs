@@ -14,7 +14,7 @@ use crate::{
 #[serde(deny_unknown_fields)]
 pub struct Display {
     /// Format of the file.
-    #[serde(default = "schema")]
+    #[serde(default = "format")]
     pub schema: String,
     /// Version of the format.
     #[serde(default = "version")]
@@ -53,7 +53,7 @@ pub struct Display {
     pub layers: Vec<Layer>,
 }
 
-fn schema() -> String {
+fn format() -> String {
     Display::SCHEMA.into()
 }
 
@@ -123,7 +123,7 @@ impl Display {
         frames: usize,
     ) -> Self {
         Self {
-            schema: schema(),
+            schema: format(),
             version: version(),
             name: format!("{} layers, {frames} frames", d_mm.len()),
             frames,

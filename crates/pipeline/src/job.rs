@@ -44,7 +44,7 @@ const MOST_OF_BLENDER: usize = 25;
 #[serde(deny_unknown_fields)]
 pub struct Job {
     /// Format of the file.
-    #[serde(default = "schema")]
+    #[serde(default = "format")]
     pub schema: String,
     /// Version of the format.
     #[serde(default = "version")]
@@ -141,7 +141,7 @@ pub struct ReportJob {
     pub zone_directions: usize,
 }
 
-fn schema() -> String {
+fn format() -> String {
     Job::SCHEMA.into()
 }
 
@@ -172,7 +172,7 @@ impl Job {
     /// A job with nothing set but its display.
     pub fn new(display: DisplayJob) -> Self {
         Self {
-            schema: schema(),
+            schema: format(),
             version: version(),
             name: String::new(),
             scene: None,

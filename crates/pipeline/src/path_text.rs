@@ -119,13 +119,12 @@ fn from_bytes(bytes: Vec<u8>) -> PathBuf {
 
 /// Either form of a path, for schemas.
 #[derive(JsonSchema)]
-#[serde(untagged)]
+#[serde(untagged, deny_unknown_fields)]
 #[allow(dead_code, reason = "describes what `Text` writes and `Read` reads")]
 pub(crate) enum PathText {
     /// A path, relative to the file that names it.
     Text(String),
     /// A path that is not UTF-8.
-    #[serde(deny_unknown_fields)]
     Bytes {
         /// The path, in which `%` and two hexadecimal digits stand for a byte.
         percent: String,
