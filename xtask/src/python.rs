@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
 /// What builds and checks the package, as pip takes it.
-const TOOLS: [&str; 7] = [
+const TOOLS: [&str; 8] = [
     "--only-binary=:all:",
     "maturin==1.16.*",
     "pytest==9.*",
@@ -13,6 +13,7 @@ const TOOLS: [&str; 7] = [
     "distributed==2026.*",
     "openjd-cli==0.8.*",
     "opencue-pyoutline==1.*",
+    "jsonschema==4.*",
 ];
 
 /// What notebooks have, as pip takes them: the package's arrays and plots go there.
@@ -46,7 +47,7 @@ pub fn fetch(python: &Path) -> Outcome {
         return Err(format!("the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1));
     }
     let needed = [
-        ("maturin, pytest, mypy, distributed, openjd.cli, outline", &TOOLS[..]),
+        ("maturin, pytest, mypy, distributed, openjd.cli, outline, jsonschema", &TOOLS[..]),
         ("matplotlib, xarray, PIL", &NOTEBOOKS),
     ];
     for (modules, packages) in needed {

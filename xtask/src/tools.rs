@@ -216,15 +216,24 @@ pub fn poppler() {
 
 /// Whether rustc can compile to wasm32; asks rustup for the target where it cannot.
 pub fn wasm_target() -> bool {
+    rust_target("wasm32-unknown-unknown").is_ok()
+}
+
+/// Makes sure that rustc can compile to a target; asks rustup for it where it cannot.
+///
+/// # Errors
+/// Where the target cannot be had.
+pub fn rust_target(triple: &str) -> Outcome {
     let installed = || {
-        output_of(command("rustc").args(["--print", "target-libdir", "--target", "wasm32-unknown-unknown"]))
+        output_of(command("rustc").args(["--print", "target-libdir", "--target", triple]))
             .is_some_and(|folder| Path::new(folder.trim()).is_dir())
     };
     if installed() {
-        return true;
+        return Ok(());
     }
-    println!("\nfetching: the Rust target wasm32-unknown-unknown");
-    run(command("rustup").args(["target", "add", "wasm32-unknown-unknown"])).is_ok() && installed()
+    println!("\nfetching: the Rust target {triple}");
+    run(command("rustup").args(["target", "add", triple]))?;
+    if installed() { Ok(()) } else { Err(format!("rustup gave no Rust target {triple}")) }
 }
 
 /// Runs an example of a package as a release build.

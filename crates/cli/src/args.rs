@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 use std::path::PathBuf;
 
-use clap::{Args as ClapArgs, Parser, Subcommand};
+use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 
 use crate::groups::{
     DisplayArgs, FactorizeArgs, FactorizeDisplayArgs, FieldLookArgs, FileArgs, GeometryArgs, JobArgs, RenderArgs,
@@ -40,6 +40,9 @@ pub(crate) enum Command {
         after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan        its steps, what of them is cached, estimated time and memory\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: one run folder per time, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA scene without a job file gets pictures and the browser simulator as outputs. A run that was stopped goes on from what is finished when the same command is given again."
     )]
     Run(Run),
+    /// A commented job file, by three questions: scene, display, outputs
+    #[command(after_help = crate::new::EXAMPLES)]
+    New(crate::new::New),
     /// The views of a scene only, as a light-field folder
     #[command(
         after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with what the views see\n  lumistack render model.glb --only-views 3,* -o row                     the middle row of 7 × 7 views\n\nViews are OpenEXR pictures; lightfield.json says where their rays lie. `lumistack factorize DIR -o RUN` takes the folder."
@@ -108,11 +111,33 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Setup,
     },
+    /// The JSON Schema of job or display files on standard output, by which editors complete and check them
+    #[command(
+        after_help = "Example:\n  lumistack schema display > display.schema.json\n\nEditors that know taplo (Even Better TOML and others) take it from a first line `#:schema ./display.schema.json`. The schema of jobs has the\nparameters of all plugins that are there."
+    )]
+    Schema {
+        /// Which files
+        what: Schema,
+    },
     /// Shell completions on standard output
     Completions {
         /// The shell
         shell: clap_complete::Shell,
     },
+    /// Manual pages of all commands into a folder
+    Man {
+        /// The folder, made where it is not there
+        folder: PathBuf,
+    },
+}
+
+/// Files that have a schema.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Schema {
+    /// Job files
+    Job,
+    /// Display files
+    Display,
 }
 
 /// What can be set up.

@@ -6,11 +6,11 @@ use clap::CommandFactory;
 use lumistack_core::{Cancel, Task};
 use lumistack_pipeline::{
     Freed, Job, PipelineError, Registry, RunFolder, SequenceJob, ViewOptions, Viewpoint, clean, plugins, render_only,
-    run as run_job, set_threads, simulate_to_file,
+    run as run_job, schema, set_threads, simulate_to_file,
 };
 use serde_json::json;
 
-use crate::args::{Args, Clean, Command, Factorize, Render, Run, Setup, Simulate};
+use crate::args::{Args, Clean, Command, Factorize, Render, Run, Schema, Setup, Simulate};
 use crate::console::{Console, say};
 use crate::groups::{
     change_display, change_factorize, change_render, geometry, in_place, job_of, job_or_scene, stem, tone_of,
@@ -64,6 +64,20 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
                 false => say!("{line}"),
             };
             setup.run(&mut tell, cancel).map(|_| ()).map_err(PipelineError::from)
+        }
+        Command::New(new) => crate::new::new_command(&new, &registry_for_work()?, args.json),
+        Command::Schema { what } => {
+            let schema = match what {
+                Schema::Job => schema::job(&registry_for_work()?),
+                Schema::Display => schema::display(),
+            };
+            say!("{}", serde_json::to_string_pretty(&schema).expect("a schema is JSON"));
+            Ok(())
+        }
+        Command::Man { folder } => {
+            let failed = |source| PipelineError::Write { path: folder.clone(), source };
+            std::fs::create_dir_all(&folder).map_err(failed)?;
+            clap_mangen::generate_to(Args::command(), &folder).map_err(failed)
         }
         Command::Completions { shell } => {
             let mut script = Vec::new();

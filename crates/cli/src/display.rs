@@ -1,6 +1,5 @@
 //! `lumistack display`: a display file for one's own panels, and its calibration from photographs.
 
-use std::io::{BufRead, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use clap::{Args as ClapArgs, Subcommand};
@@ -11,6 +10,7 @@ use lumistack_plugin_panels::keep_panels;
 use serde_json::json;
 
 use crate::console::{say, tell};
+use crate::questions::{Questions, asks};
 use crate::values::{Angles, Numbers, Size};
 
 /// What can be done with displays.
@@ -115,9 +115,9 @@ pub(crate) struct Calibrate {
 pub(crate) fn display_command(command: &DisplayCommand, json: bool) -> Result<(), PipelineError> {
     match command {
         DisplayCommand::New(new) => {
-            let asks = new.questions || (!new.no_questions && std::io::stdin().is_terminal());
+            let asks = asks(new.questions, new.no_questions);
             let mut stdin = std::io::stdin().lock();
-            let mut questions = Questions { input: if asks { Some(&mut stdin) } else { None } };
+            let mut questions = Questions { command: "display new", input: if asks { Some(&mut stdin) } else { None } };
             let outputs = system_outputs().unwrap_or_else(|reason| {
                 if asks {
                     tell!("{reason}");
@@ -138,49 +138,6 @@ fn system_outputs() -> Result<Vec<Known>, String> {
     let outputs = lumistack_plugin_panels::window::outputs().map_err(|error| error.to_string())?;
     let known: Vec<Known> = outputs.into_iter().map(|output| (output.name, output.size, output.refresh_hz)).collect();
     if known.is_empty() { Err("found no outputs: no monitor is on".into()) } else { Ok(known) }
-}
-
-/// Asks where an option is missing.
-struct Questions<'a> {
-    input: Option<&'a mut dyn BufRead>,
-}
-
-impl Questions<'_> {
-    /// The option, else the answer, else the default; `flag` is what would have said it.
-    fn value<T>(
-        &mut self,
-        flag: &str,
-        question: &str,
-        given: Option<T>,
-        default: Option<(String, T)>,
-        read: impl Fn(&str) -> Option<T>,
-    ) -> Result<T, PipelineError> {
-        if let Some(given) = given {
-            return Ok(given);
-        }
-        let Some(input) = &mut self.input else {
-            let missing = || PipelineError::value("display new", flag, question, "nothing, and no terminal to ask");
-            return default.map(|(_, value)| value).ok_or_else(missing);
-        };
-        loop {
-            let hint = default.as_ref().map_or(String::new(), |(text, _)| format!(" [{text}]"));
-            eprint!("{question}{hint}: ");
-            let _ = std::io::stderr().flush();
-            let mut line = String::new();
-            let ended = input.read_line(&mut line).map_or(true, |count| count == 0);
-            let answer = line.trim();
-            if answer.is_empty()
-                && let Some((_, default)) = default
-            {
-                return Ok(default);
-            }
-            match read(answer) {
-                Some(value) if !answer.is_empty() => return Ok(value),
-                _ if ended => return Err(PipelineError::value("display new", flag, question, "no answer")),
-                _ => tell!("  that is not one; try again"),
-            }
-        }
-    }
 }
 
 fn positive(text: &str) -> Option<f64> {
@@ -427,6 +384,8 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
 
 #[cfg(test)]
 mod tests {
+    use std::io::BufRead;
+
     use super::*;
     use clap::Parser;
     use lumistack_display::{Backlight, Display};
@@ -442,7 +401,8 @@ mod tests {
         let _ = std::fs::remove_file(&file);
         let line = Line::parse_from([&["new", file.to_str().unwrap()], words].concat());
         let mut input = answers.map(str::as_bytes);
-        let mut questions = Questions { input: input.as_mut().map(|input| input as &mut dyn BufRead) };
+        let mut questions =
+            Questions { command: "display new", input: input.as_mut().map(|input| input as &mut dyn BufRead) };
         new_display(&line.new, outputs, &mut questions, true)?;
         Ok(Display::from_toml(&std::fs::read_to_string(file).unwrap()).unwrap())
     }

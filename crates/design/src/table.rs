@@ -1,6 +1,7 @@
 //! Results of many designs: a table as CSV, and plots of it like the paper's Figures 7 and 8.
 
 use lumistack_display::{Backlight, Display};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use lumistack_plot::{self as plot, Axes, COLOURS, Curve, Map, PlotError};
@@ -268,7 +269,7 @@ const FEW_PLOTS: usize = 6;
 const GOOD_DB: f64 = 40.0;
 
 /// How many plots of a table.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Plots {
     /// None.

@@ -1,11 +1,12 @@
 //! What lights the layers.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Lens, Panel, Transfer};
 
 /// What lights the layers.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase", tag = "kind")]
 #[allow(clippy::large_enum_variant, reason = "a display has one")]
 pub enum Backlight {
@@ -17,7 +18,7 @@ pub enum Backlight {
 }
 
 /// A lenslet grid in front of a panel: a light field emitter of low resolution (section 3.3).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LensletBacklight {
     /// Signed distance of the lenslets from z = 0, millimetres; behind every layer.
@@ -91,7 +92,7 @@ impl LensletBacklight {
 }
 
 /// What a ray reads beyond a lenslet's angular bins.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum OutsideBins {
     /// Nothing: 0.

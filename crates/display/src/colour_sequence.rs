@@ -1,9 +1,10 @@
 //! Colours that are shown together, or one after another and in which order.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Whether the colours of a frame are shown together or one after another.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ColourSequence {
     /// Colour filters beside one another: one refresh per frame.
@@ -25,8 +26,9 @@ impl ColourSequence {
 }
 
 /// Which colour each of a frame's three refreshes shows where colours follow one another: a text such as `"rgb"`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
+#[schemars(extend("enum" = ["rgb", "rbg", "grb", "gbr", "brg", "bgr"]))]
 pub struct ColourOrder(pub [usize; 3]);
 
 impl Default for ColourOrder {

@@ -1,6 +1,7 @@
 //! The display's description: a TOML file, millimetres and degrees.
 
 use lumistack_core::config;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -9,11 +10,11 @@ use crate::{
 };
 
 /// A tensor display and the light field that it is made for.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Display {
     /// Format of the file.
-    #[serde(default = "schema")]
+    #[serde(default = "format")]
     pub schema: String,
     /// Version of the format.
     #[serde(default = "version")]
@@ -52,7 +53,7 @@ pub struct Display {
     pub layers: Vec<Layer>,
 }
 
-fn schema() -> String {
+fn format() -> String {
     Display::SCHEMA.into()
 }
 
@@ -69,7 +70,7 @@ fn default_brightness() -> f64 {
 }
 
 /// Sampling of the target light field.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FieldConfig {
     /// [columns, rows] of pixels on z = 0.
@@ -90,7 +91,7 @@ pub struct FieldConfig {
 }
 
 /// Kind of view grid.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ProjectionKind {
     /// Parallel projections (the paper's).
@@ -122,7 +123,7 @@ impl Display {
         frames: usize,
     ) -> Self {
         Self {
-            schema: schema(),
+            schema: format(),
             version: version(),
             name: format!("{} layers, {frames} frames", d_mm.len()),
             frames,

@@ -8,10 +8,11 @@
 //! polarization   L̃ = (1/M) Σ_m b_m sin²(π/2 · Σ_n v_n)   (Lanman et al., "Polarization Fields", SIGGRAPH Asia 2011)
 //! ```
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How the layers of one frame form an image.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Formation {
     /// Layers absorb: the product of their transmittances.

@@ -8,12 +8,13 @@
 //!
 //! so f lies in the box [black · peak, peak]. What rays then meet is [`Layer::response`] of the stored values.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Panel, Transfer};
 
 /// One layer.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Layer {
     /// Signed distance from z = 0, millimetres; rear is negative.
@@ -66,7 +67,7 @@ fn default_peak() -> f64 {
 }
 
 /// Whether a mask pixel has three values or one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LayerColour {
     /// A value per channel.

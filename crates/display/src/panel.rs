@@ -8,12 +8,13 @@
 //!
 //! Patterns do not depend on any of this: it is what an output does with them.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Sampling;
 
 /// One physical panel. In a browser nothing looks at its numbers, and to read them would take a twentieth of the page: there all is default.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Panel {
     /// Name of the output that drives it, as `lumistack show --list` prints it; without it the outputs that nobody names, from left to right.
@@ -44,7 +45,7 @@ pub struct Panel {
 }
 
 /// Mirrored how.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Flip {
     /// Not.
@@ -57,7 +58,7 @@ pub enum Flip {
 }
 
 /// A lens array as built, where it differs from what the patterns were made for. In a browser all is default, as in [`Panel`].
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Lens {
     /// Distance of lens axes, millimetres; default: the backlight's `pitch_mm`.

@@ -1,9 +1,10 @@
 //! How a ray reads a layer.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How a ray reads a layer between pixel centres.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Sampling {
     /// The pixel it meets: floor(ξ + ½).
@@ -14,7 +15,7 @@ pub enum Sampling {
 }
 
 /// What a ray reads that leaves a layer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Missing {
     /// The ray has weight 0.

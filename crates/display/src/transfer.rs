@@ -9,10 +9,11 @@
 //! with straight lines in between. How bright the darkest state is, is said by `black_level` and `peak`, not here.
 
 use lumistack_core::colour::{srgb_decode, srgb_encode};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A panel's transfer function.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Transfer {
     /// IEC 61966-2-1.
@@ -27,7 +28,7 @@ pub enum Transfer {
 }
 
 /// One thing for red, green and blue together, or one for each.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "one for all channels, or three: red, green, blue")]
 pub enum Channels<T> {
     /// The same for all channels.

@@ -1,7 +1,9 @@
 //! How densely views sample the zone.
 
+use std::borrow::Cow;
 use std::fmt;
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{Error, MapAccess, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -69,15 +71,31 @@ impl Serialize for Views {
     }
 }
 
-#[derive(Serialize, Deserialize)]
+/// At all multiples of these slopes.
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Steps {
+    /// [x, y] tangents of the angles between neighbouring views.
     step: [f64; 2],
 }
 
 impl<'de> Deserialize<'de> for Views {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_any(Form)
+    }
+}
+
+/// The three forms.
+impl JsonSchema for Views {
+    fn schema_name() -> Cow<'static, str> {
+        "Views".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "description": "Which views sample the zone: as many as make the display right between them, a number of columns and rows, or a step of slopes.",
+            "anyOf": [{ "const": "auto" }, <[usize; 2]>::json_schema(generator), Steps::json_schema(generator)],
+        })
     }
 }
 

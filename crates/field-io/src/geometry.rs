@@ -6,12 +6,13 @@ use std::path::Path;
 
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, Projection, ProjectionKind, ViewGrid};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::FieldError;
 
 /// What a user says about a light field. Everything is optional and wins over the files.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GeometryFlags {
     /// How the rays of one view relate. `distance_mm` alone implies perspective where the files do not say.

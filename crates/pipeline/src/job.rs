@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 use lumistack_core::config;
 use lumistack_display::{Display, LEAST_DIRECTIONS, Views};
 use lumistack_field_io::GeometryFlags;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::background::Background;
@@ -30,7 +31,7 @@ pub use self::sequence::SequenceJob;
 pub use self::sweep::{SearchJob, SweepJob};
 pub use self::window::{FitDepth, Near, WindowFrom, WindowJob};
 use crate::error::{PipelineError, read_to_string};
-use crate::path_text::is_default;
+use crate::path_text::{PathText, is_default};
 use crate::reader::is_blend;
 
 /// Full updates of a light field all over the zone.
@@ -39,11 +40,11 @@ const ZONE_ITERATIONS: u32 = 16;
 const MOST_OF_BLENDER: usize = 25;
 
 /// A job, as its file says.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Job {
     /// Format of the file.
-    #[serde(default = "schema")]
+    #[serde(default = "format")]
     pub schema: String,
     /// Version of the format.
     #[serde(default = "version")]
@@ -53,9 +54,11 @@ pub struct Job {
     pub name: String,
     /// Scene to render: `.gltf`, `.glb`, USD, or what an importer takes. Either this, `light_field` or `source`.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[schemars(with = "Option<PathText>")]
     pub scene: Option<PathBuf>,
     /// Light field that somebody else rendered: a folder, `.npy`, a quilt.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[schemars(with = "Option<PathText>")]
     pub light_field: Option<PathBuf>,
     /// Seed of all random streams.
     #[serde(default = "default_seed")]
@@ -110,7 +113,7 @@ pub struct Job {
 }
 
 /// What to take of a scene that has a choice.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseJob {
     /// Time at which animations are sampled, seconds; they hold beyond their ends. Without it the scene as its nodes stand, or, with
@@ -129,7 +132,7 @@ pub struct PoseJob {
 }
 
 /// Report.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReportJob {
     /// Pixels of a view per degree of visual angle, for FLIP.
@@ -138,7 +141,7 @@ pub struct ReportJob {
     pub zone_directions: usize,
 }
 
-fn schema() -> String {
+fn format() -> String {
     Job::SCHEMA.into()
 }
 
@@ -169,7 +172,7 @@ impl Job {
     /// A job with nothing set but its display.
     pub fn new(display: DisplayJob) -> Self {
         Self {
-            schema: schema(),
+            schema: format(),
             version: version(),
             name: String::new(),
             scene: None,

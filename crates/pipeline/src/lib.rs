@@ -23,6 +23,7 @@ pub mod presets;
 mod reader;
 mod refused;
 mod run;
+pub mod schema;
 mod simulate;
 mod stage;
 mod steps;

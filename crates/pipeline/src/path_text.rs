@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use percent_encoding::{AsciiSet, CONTROLS};
+use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 const ENCODED: &AsciiSet = &CONTROLS.add(b'%');
@@ -114,6 +115,20 @@ fn from_bytes(bytes: Vec<u8>) -> PathBuf {
 #[cfg(not(unix))]
 fn from_bytes(bytes: Vec<u8>) -> PathBuf {
     String::from_utf8_lossy(&bytes).into_owned().into()
+}
+
+/// Either form of a path, for schemas.
+#[derive(JsonSchema)]
+#[serde(untagged, deny_unknown_fields)]
+#[allow(dead_code, reason = "describes what `Text` writes and `Read` reads")]
+pub(crate) enum PathText {
+    /// A path, relative to the file that names it.
+    Text(String),
+    /// A path that is not UTF-8.
+    Bytes {
+        /// The path, in which `%` and two hexadecimal digits stand for a byte.
+        percent: String,
+    },
 }
 
 /// Whether a value is the default, so that it needs not be written.

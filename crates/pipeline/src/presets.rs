@@ -11,7 +11,7 @@ macro_rules! presets {
     ($($name:literal),* $(,)?) => {
         /// Name and text of every preset.
         pub const PRESETS: &[(&str, &str)] =
-            &[$(($name, include_str!(concat!("../../../scenes/displays/", $name, ".toml")))),*];
+            &[$(($name, include_str!(concat!("../displays/", $name, ".toml")))),*];
     };
 }
 
@@ -31,6 +31,11 @@ presets!(
     "fig9-directional",
 );
 
+/// Their names.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    PRESETS.iter().map(|(name, _)| *name)
+}
+
 /// The preset called `name`.
 ///
 /// # Errors
@@ -39,7 +44,7 @@ pub fn load(name: &str) -> Result<Display, PipelineError> {
     let Some((_, text)) = PRESETS.iter().find(|(preset, _)| *preset == name) else {
         return Err(PipelineError::UnknownDisplay {
             name: name.into(),
-            nearest: nearest(name, PRESETS.iter().map(|(preset, _)| *preset)).map(String::from),
+            nearest: nearest(name, names()).map(String::from),
         });
     };
     parse(Path::new(name), text)

@@ -33,8 +33,7 @@ use poster::{AROUND, POSTER, Poster};
 pub use page::PREVIEW_JSON;
 
 /// Hash of this crate's sources and of those of the page that it writes. It belongs into the keys of all kept results that this code has a part in.
-pub const FINGERPRINT: &str =
-    concat!(env!("LUMISTACK_FINGERPRINT"), " ", include_str!("../../../web/dist/sources.blake3"));
+pub const FINGERPRINT: &str = concat!(env!("LUMISTACK_FINGERPRINT"), " ", include_str!("../dist/sources.blake3"));
 
 /// Views of the target per axis that the page has to compare with, at most: of a display that chooses hundreds they would be most of the site.
 const MOST_TARGETS: usize = 7;

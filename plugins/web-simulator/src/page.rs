@@ -10,9 +10,9 @@ use crate::poster::{POSTER, Poster};
 
 /// What the page reads first.
 pub const PREVIEW_JSON: &str = "stack/preview.json";
-const INDEX: &str = include_str!("../../../web/dist/index.html");
-const SCRIPT: &str = include_str!("../../../web/dist/viewer.js");
-const MODULE: &[u8] = include_bytes!("../../../web/dist/lumistack_web_bg.wasm");
+const INDEX: &str = include_str!("../dist/index.html");
+const SCRIPT: &str = include_str!("../dist/viewer.js");
+const MODULE: &[u8] = include_bytes!("../dist/lumistack_web_bg.wasm");
 
 /// What of the page is replaced in the single file.
 const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>"#;

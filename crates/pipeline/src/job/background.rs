@@ -1,8 +1,10 @@
 //! `light.background`: what is seen where no surface is.
 
+use std::borrow::Cow;
 use std::str::FromStr;
 
 use lumistack_core::colour::{srgb_code, srgb_decode};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -32,6 +34,23 @@ impl FromStr for Background {
             }
             _ => Err(format!("expected {EXPECTED}")),
         }
+    }
+}
+
+impl JsonSchema for Background {
+    fn schema_name() -> Cow<'static, str> {
+        "Background".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "description": "`environment`, a colour such as `#202028`, or [r, g, b] of linear light.",
+            "anyOf": [
+                { "const": "environment" },
+                { "type": "string", "pattern": "^#[0-9a-fA-F]{6}$" },
+                { "type": "array", "items": { "type": "number", "minimum": 0, "maximum": 1 }, "minItems": 3, "maxItems": 3 },
+            ],
+        })
     }
 }
 

@@ -4,20 +4,24 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use lumistack_display::{Display, Missing, Sampling, Views};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
+use crate::path_text::PathText;
 use crate::presets;
 
 /// Which display, and what to change about it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DisplayJob {
     /// Name of a preset; see `lumistack displays`. Either this or `file`.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("enum" = presets::names().collect::<Vec<_>>()))]
     pub preset: Option<String>,
     /// A display file. Either this or `preset`.
     #[serde(skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[schemars(with = "Option<PathText>")]
     pub file: Option<PathBuf>,
     /// [columns, rows] of the light field; masks scale along, the width in millimetres stays.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -3,19 +3,25 @@
 use std::path::PathBuf;
 
 use lumistack_display::EyeBox;
+use lumistack_factorizer::{StartKind, solver_names};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::path_text::PathText;
+
 /// Factorizer settings.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FactorizeJob {
     /// Name of the solver.
+    #[schemars(extend("enum" = solver_names().collect::<Vec<_>>()))]
     pub solver: String,
     /// Full updates. Without it 16 of as many views as the display wants: the score over the zone stands still before that (still life, 13 × 13 views: within
     /// 0.03 dB of 50 from the 12th on). 50 of views that a display or job fixes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<u32>,
     /// Starting values: `auto`, `random`, `smooth` or `content`.
+    #[schemars(extend("enum" = StartKind::names().collect::<Vec<_>>()))]
     pub start: String,
     /// Levels of half the resolution to begin at; without it what suits the solver.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -26,9 +32,11 @@ pub struct FactorizeJob {
     pub levels: bool,
     /// A `layers` folder to start from instead.
     #[serde(skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[schemars(with = "Option<PathText>")]
     pub warm_start: Option<PathBuf>,
     /// `.npy` of weights, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
     #[serde(skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[schemars(with = "Option<PathText>")]
     pub weights: Option<PathBuf>,
     /// Weight of rays far from every eye of `eyes`.
     pub eye_floor: f64,
@@ -38,7 +46,7 @@ pub struct FactorizeJob {
 }
 
 /// A Gaussian around an expected eye.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EyeJob {
     /// [x, y, z] in display space, millimetres; z > 0.

@@ -1,5 +1,6 @@
 //! `[importer]`, `[source]`, `[[nodes]]` and `[[outputs]]`: the plugins of a job and what joins them.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::display::DisplayJob;
@@ -7,7 +8,7 @@ use super::factorize::FactorizeJob;
 use crate::path_text::is_default;
 
 /// How the scene's files are read.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ImporterJob {
     /// Whether glTF and OBJ files may name files outside of their own folder.
@@ -35,7 +36,7 @@ fn default_picture_mib() -> u64 {
 }
 
 /// Which plugin makes the light field.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SourceJob {
     /// Id of a source plugin.
@@ -52,7 +53,7 @@ pub struct SourceJob {
 }
 
 /// What makes a layer stack from the light field.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeJob {
     /// Name, unique in the job; also that of its folder.
@@ -81,7 +82,7 @@ fn default_node() -> String {
 }
 
 /// One output plugin.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct OutputJob {
     /// Id of the plugin; see `lumistack plugins`.

@@ -3,17 +3,20 @@
 use std::path::PathBuf;
 
 use lumistack_core::tone::ToneCurve;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::background::Background;
 use crate::error::PipelineError;
+use crate::path_text::PathText;
 
 /// Light and exposure.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LightJob {
     /// Radiance HDR or EXR environment map that replaces the scene's.
     #[serde(skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[schemars(with = "Option<PathText>")]
     pub environment: Option<PathBuf>,
     /// Factor on the environment's radiance.
     pub environment_strength: f32,
@@ -35,7 +38,7 @@ pub struct LightJob {
 }
 
 /// Tone curve of all views.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tone {
     /// `linear` where next to nothing is brighter than white, else `khronos-neutral`.

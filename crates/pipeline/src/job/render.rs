@@ -1,15 +1,17 @@
 //! `[render]`: settings of the path tracer.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use lumistack_display::FieldGeometry;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Error, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::error::PipelineError;
 
 /// How views are rendered.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenderJob {
     /// Who renders them.
@@ -89,6 +91,19 @@ impl<'de> Deserialize<'de> for ZoneSamples {
     }
 }
 
+impl JsonSchema for ZoneSamples {
+    fn schema_name() -> Cow<'static, str> {
+        "ZoneSamples".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "description": "Paths per pixel of all views together: as many as the display profits from, or a number.",
+            "anyOf": [{ "const": "auto" }, { "type": "integer", "minimum": 1, "maximum": Self::MOST }],
+        })
+    }
+}
+
 /// Both forms, so that an error names them.
 struct ZoneSamplesForm;
 
@@ -115,7 +130,7 @@ impl Visitor<'_> for ZoneSamplesForm {
 }
 
 /// What renders the views.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Engine {
     /// Our path tracer, unless the scene is a `.blend` file with what it cannot show.
@@ -141,7 +156,7 @@ impl std::str::FromStr for Engine {
 }
 
 /// Angular extent of a view.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum AngularFilter {
     /// One slope per view.
@@ -154,7 +169,7 @@ pub enum AngularFilter {
 }
 
 /// What takes noise out of finished views.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Denoise {
     /// [`Shared`](Self::Shared) where the display chooses the views and our path tracer renders them, else nothing.

@@ -1,11 +1,12 @@
 //! `[sequence]`: times instead of a still.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
 
 /// A sequence: light fields of one geometry, or a window that moves through the scene.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SequenceJob {
     /// Number of times; without it one for every light field in the folder.

@@ -1,13 +1,14 @@
 //! `[sweep]`: designs to compare on one light field.
 
 use lumistack_design::table::Plots;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
 use crate::path_text::is_default;
 
 /// Axes along which designs differ; every combination is one. An axis without values stays as the display has it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SweepJob {
     /// Presets, or display files relative to the job, that are varied; without any the job's own.
@@ -40,7 +41,7 @@ pub struct SweepJob {
 }
 
 /// Constraints of a search.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SearchJob {
     /// Most depth from the rearmost part to the frontmost, millimetres.

@@ -1,11 +1,14 @@
 //! `[window]`: where the display stands in the scene.
 
+use std::borrow::Cow;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
 
 /// Where the display stands in the scene.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WindowJob {
     /// `auto`: the first camera's plane of focus, or framed on the bounds when there is none; `camera`; `bounds`; `given`.
@@ -40,7 +43,7 @@ pub struct WindowJob {
 }
 
 /// How the scene is brought into the display's depth of field.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
     /// Nothing where the scene fits. Else as [`Compress`](Self::Compress), but a window whose place somebody chose stays there and depth is compressed about it;
@@ -67,11 +70,25 @@ pub enum Near {
     At(f64),
 }
 
-#[derive(Serialize, Deserialize)]
+/// How files write it.
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 enum NearText {
+    /// This far before the window, scene units; below 0 behind it.
     At(f64),
+    /// `auto` or `off`.
+    #[schemars(extend("enum" = ["auto", "off"]))]
     Word(String),
+}
+
+impl JsonSchema for Near {
+    fn schema_name() -> Cow<'static, str> {
+        "Near".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        NearText::json_schema(generator)
+    }
 }
 
 impl std::str::FromStr for Near {
@@ -109,7 +126,7 @@ impl<'de> Deserialize<'de> for Near {
 }
 
 /// How the window is found.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum WindowFrom {
     /// A camera where the file has one, otherwise the bounds.

@@ -1,0 +1,270 @@
+//! `lumistack new`: a commented job file, by three questions.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use clap::Args as ClapArgs;
+use lumistack_pipeline::{DisplayJob, PipelineError, Registry, presets, schema};
+use serde_json::json;
+
+use crate::console::{say, tell};
+use crate::groups::DEFAULT_DISPLAY;
+use crate::questions::{Questions, asks};
+
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new                                                   asks, and writes job.toml here\n  lumistack new figurine/job.toml --scene figurine.glb --display paper-three-layer --outputs images,web_simulator\n\n\
+    Beside the job it writes job.schema.json, by which editors of TOML complete its keys and check them. Neither replaces a file.";
+
+/// Outputs when nobody names any.
+const OUTPUTS: &str = "images,web_simulator";
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct New {
+    /// The file to write
+    #[arg(default_value = "job.toml")]
+    pub(crate) file: PathBuf,
+    /// Scene that the job renders: .gltf, .glb, USD, .blend, .ply, .spz, .obj
+    #[arg(long, value_name = "FILE")]
+    pub(crate) scene: Option<PathBuf>,
+    /// Display: a name that `lumistack displays` lists, or a display file [default: paper-three-layer]
+    #[arg(long, value_name = "NAME|FILE")]
+    pub(crate) display: Option<String>,
+    /// Output plugins [default: images,web_simulator]
+    #[arg(long, value_name = "ID,...", value_delimiter = ',')]
+    pub(crate) outputs: Option<Vec<String>>,
+    /// Take defaults instead of asking; the scene must be given
+    #[arg(long, conflicts_with = "questions")]
+    pub(crate) no_questions: bool,
+    /// Ask although standard input is no terminal
+    #[arg(long)]
+    pub(crate) questions: bool,
+}
+
+pub(crate) fn new_command(args: &New, registry: &Registry, json: bool) -> Result<(), PipelineError> {
+    let asks = asks(args.questions, args.no_questions);
+    let mut stdin = std::io::stdin().lock();
+    let mut questions = Questions { command: "new", input: if asks { Some(&mut stdin) } else { None } };
+    let text = job_text(args, registry, &mut questions)?;
+    create(&args.file, &text)?.then_some(()).ok_or_else(|| taken(&args.file))?;
+    let schema = args.file.with_file_name(SCHEMA);
+    let rules = serde_json::to_string_pretty(&schema::job(registry)).expect("a schema is JSON");
+    create(&schema, &format!("{rules}\n"))?;
+    if json {
+        say!("{}", json!({ "event": "done", "job": args.file.to_string_lossy() }));
+    } else {
+        say!("{}", args.file.display());
+        tell!("next: {} run {}", crate::program::name(), args.file.display());
+    }
+    Ok(())
+}
+
+/// What editors check the job by, beside it.
+const SCHEMA: &str = "job.schema.json";
+
+/// Writes a file unless one of its name is there; whether it did.
+fn create(path: &Path, text: &str) -> Result<bool, PipelineError> {
+    let failed = |source| PipelineError::Write { path: path.to_owned(), source };
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(failed)?;
+    }
+    match std::fs::File::create_new(path) {
+        Ok(mut file) => file.write_all(text.as_bytes()).map(|()| true).map_err(failed),
+        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(false),
+        Err(source) => Err(failed(source)),
+    }
+}
+
+fn taken(file: &Path) -> PipelineError {
+    PipelineError::value(file, "file", "a name that is free", "a file")
+}
+
+/// The job as a file, of options and answers.
+fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<String, PipelineError> {
+    // before anybody answers in vain
+    if args.file.exists() {
+        return Err(taken(&args.file));
+    }
+    let is_scene = |path: &Path| path.is_file() && path.to_str().is_some();
+    let scene = ask.value("--scene", "Scene file", args.scene.clone(), None, |text| {
+        Some(PathBuf::from(text)).filter(|path| is_scene(path))
+    })?;
+    if !is_scene(&scene) {
+        let found = if scene.is_dir() { "a folder" } else { "no file of such a name" };
+        return Err(PipelineError::value(&scene, "--scene", "a scene file whose name is UTF-8", found));
+    }
+    let known = |text: &str| DisplayJob::by_name_or_path(text).resolve();
+    let question = format!("Display, one of {}, or a display file", presets::names().collect::<Vec<_>>().join(", "));
+    let default = Some((DEFAULT_DISPLAY.into(), DEFAULT_DISPLAY.to_owned()));
+    let display = ask.value("--display", &question, args.display.clone(), default, |text| {
+        known(text).is_ok().then(|| text.to_owned())
+    })?;
+    known(&display)?;
+    let is_output = |id: &str| writers(registry).any(|(known, _)| known == id);
+    let list = |text: &str| text.split(',').map(|id| id.trim().to_owned()).collect::<Vec<_>>();
+    let question = format!("Outputs, of {}", writers(registry).map(|(id, _)| id).collect::<Vec<_>>().join(", "));
+    let default = Some((OUTPUTS.into(), list(OUTPUTS)));
+    let outputs = ask.value("--outputs", &question, args.outputs.clone(), default, |text| {
+        Some(list(text)).filter(|ids| ids.iter().all(|id| is_output(id)))
+    })?;
+    if let Some(other) = outputs.iter().find(|id| !is_output(id)) {
+        let expected = writers(registry).map(|(id, _)| id).collect::<Vec<_>>().join(", ");
+        return Err(PipelineError::value("new", "--outputs", format!("some of {expected}"), format!("`{other}`")));
+    }
+    let folder = args.file.parent().unwrap_or(Path::new(""));
+    let display = match DisplayJob::by_name_or_path(&display) {
+        DisplayJob { preset: Some(name), .. } => format!("preset = {}", quoted(&name)),
+        _ => format!("file = {}", quoted(&seen_from(folder, Path::new(&display)))),
+    };
+    let mut text = TEMPLATE.replace("{scene}", &quoted(&seen_from(folder, &scene))).replace("{display}", &display);
+    for (id, doc) in outputs.iter().filter_map(|id| writers(registry).find(|(known, _)| known == id)) {
+        let first = doc.split_inclusive(". ").next().unwrap_or(doc).trim();
+        let _ = write!(text, "\n# {first}\n[[outputs]]\nplugin = {}\n", quoted(id));
+        if id == "web_simulator" {
+            // `lumistack preview` looks for this name first
+            text.push_str("name = \"preview\"\n");
+        }
+    }
+    Ok(text)
+}
+
+/// Outputs that write files: id and description.
+fn writers(registry: &Registry) -> impl Iterator<Item = (&str, &str)> {
+    let outputs = registry.infos().filter(|info| json!(info.kind) == "output" && !info.presents);
+    outputs.map(|info| (info.id.as_str(), info.doc.as_str()))
+}
+
+/// A path as a job in `folder` has it: relative where it lies below, absolute elsewhere.
+fn seen_from(folder: &Path, path: &Path) -> String {
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let seen = match (folder.as_os_str().is_empty(), absolute(path).strip_prefix(absolute(folder))) {
+        (true, _) => path.to_owned(),
+        (false, Ok(below)) => below.to_owned(),
+        (false, Err(_)) => absolute(path),
+    };
+    seen.to_string_lossy().into_owned()
+}
+
+fn quoted(text: &str) -> String {
+    // JSON's escapes are TOML's
+    json!(text).to_string()
+}
+
+/// A line that begins with `#` and a key is a key that has its default.
+const TEMPLATE: &str = "#:schema ./job.schema.json
+# Made by `lumistack new`. `lumistack run` on this file renders the scene and solves for the display's patterns; the same command goes on after a stop.
+# Paths are relative to this file. docs/JOB.md explains every key; those below with `#` before them are at their defaults.
+scene = {scene}
+
+[display]
+{display}
+# pixels of the light field, columns and rows: fewer are faster, and the display stays as large
+#resolution = [420, 262]
+# time-multiplexed frames
+#frames = 6
+
+[window]
+# from where the scene is seen, degrees to the right and up; without it the file's camera, or the side that shows most
+#look_from = [20.0, 10.0]
+# \"off\" leaves a scene that is deeper than the display can show as it is
+#fit_depth = \"auto\"
+
+[light]
+# stops brighter or darker
+#exposure_ev = 0.0
+#tone = \"auto\"
+
+[render]
+# paths per pixel of all views together: more is less grain, and takes longer
+#zone_samples = 800
+
+[factorize]
+# updates of all patterns
+#iterations = 16
+";
+
+#[cfg(test)]
+mod tests {
+    use std::io::BufRead;
+
+    use clap::Parser;
+    use lumistack_pipeline::Job;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        new: New,
+    }
+
+    fn text_of(words: &[&str], answers: Option<&str>) -> Result<String, PipelineError> {
+        let line = Line::parse_from([&["new"], words].concat());
+        let mut input = answers.map(str::as_bytes);
+        let mut ask = Questions { command: "new", input: input.as_mut().map(|input| input as &mut dyn BufRead) };
+        job_text(&line.new, &Registry::built_in().unwrap(), &mut ask)
+    }
+
+    fn loaded(text: &str) -> Job {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("job.toml");
+        std::fs::write(&file, text).unwrap();
+        let job = Job::load(&file).unwrap();
+        job.check().unwrap();
+        job.resolve_display().unwrap();
+        job
+    }
+
+    fn scene() -> (tempfile::TempDir, String) {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("a \"b\".glb");
+        std::fs::write(&scene, "").unwrap();
+        let text = scene.to_str().unwrap().to_owned();
+        (folder, text)
+    }
+
+    #[test]
+    fn answers_make_a_job_whose_commented_keys_are_keys_too() {
+        let (_folder, scene) = scene();
+        let answers = format!("nowhere.glb\n{scene}\nfig7-uniform\nimages, quilt\n");
+        let text = text_of(&["no-such-job.toml"], Some(&answers)).unwrap();
+        let job = loaded(&text);
+        assert_eq!(job.scene.as_deref(), Some(Path::new(&scene)));
+        assert_eq!(job.display.preset.as_deref(), Some("fig7-uniform"));
+        assert_eq!(job.outputs.iter().map(|output| &output.plugin).collect::<Vec<_>>(), ["images", "quilt"]);
+        let keys = text.lines().filter(|line| line.starts_with('#') && line.contains(" = ")).count();
+        let all = loaded(
+            &text
+                .lines()
+                .map(|line| match line.strip_prefix('#') {
+                    Some(key) if !key.starts_with([' ', ':']) => format!("{key}\n"),
+                    _ => format!("{line}\n"),
+                })
+                .collect::<String>(),
+        );
+        assert_eq!((keys, all.factorize.iterations, all.display.frames), (8, Some(16), Some(6)));
+    }
+
+    #[test]
+    fn a_script_gives_the_scene_and_may_give_the_rest() {
+        let (folder, scene) = scene();
+        let file = folder.path().join("job.toml");
+        let words = [file.to_str().unwrap(), "--scene", &scene, "--no-questions"];
+        let text = text_of(&words, None).unwrap();
+        assert!(text.contains("scene = \"a \\\"b\\\".glb\"\n"), "{text}");
+        let names: Vec<_> = loaded(&text).outputs.iter().map(|output| output.name().to_owned()).collect();
+        assert_eq!(names, ["images", "preview"]);
+        for (words, message) in [
+            (&["no-such-job.toml"][..], "--scene: expected Scene file"),
+            (&["no-such-job.toml", "--scene", "no.glb"], "found no file of such a name"),
+            (&["no-such-job.toml", "--scene", &scene, "--display", "paper-tree-layer"], "paper-three-layer"),
+            (&["no-such-job.toml", "--scene", &scene, "--outputs", "panels"], "found `panels`"),
+        ] {
+            let error = text_of(words, None).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+        std::fs::write(&file, "mine").unwrap();
+        assert!(text_of(&words, None).unwrap_err().to_string().contains("a name that is free"));
+        assert!(!create(&file, "other").unwrap());
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
+    }
+}

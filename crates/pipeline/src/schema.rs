@@ -1,0 +1,160 @@
+//! JSON Schemas of job and display files, by which editors complete and check them.
+//!
+//! Structure, defaults and descriptions come from the types that read the files, the parameters of plugins from their own declarations. Ranges that
+//! depend on other keys stay with the program.
+
+use lumistack_display::Display;
+use lumistack_plugin_host::{Kind, Param, PluginInfo, Registry};
+use schemars::generate::SchemaSettings;
+use schemars::transform::{Transform, transform_subschemas};
+use schemars::{JsonSchema, Schema};
+use serde_json::{Map, Value, json};
+
+use crate::job::Job;
+
+/// Draft 7 is what editors of TOML know.
+fn made<T: JsonSchema>(title: &str) -> Schema {
+    let mut schema = SchemaSettings::draft07().into_generator().into_root_schema_for::<T>();
+    let _ = schema.insert("title".into(), title.into());
+    Editors.transform(&mut schema);
+    schema
+}
+
+/// The schema of display files.
+pub fn display() -> Schema {
+    made::<Display>("Lumistack display")
+}
+
+/// The schema of job files, with the parameters of the plugins that are there.
+pub fn job(registry: &Registry) -> Schema {
+    let mut schema = made::<Job>("Lumistack job");
+    for definition in ["ImporterJob", "SourceJob", "NodeJob", "OutputJob"] {
+        let kind = definition.trim_end_matches("Job").to_lowercase();
+        let of_kind = registry.infos().filter(|info| json!(info.kind) == kind).map(parameters).collect::<Vec<_>>();
+        if let Some(table) = schema.pointer_mut(&format!("/definitions/{definition}")) {
+            table["allOf"] = of_kind.into();
+        }
+    }
+    schema
+}
+
+/// Where a table names the plugin, its `params` are the plugin's.
+fn parameters(info: &PluginInfo) -> Value {
+    let properties: Map<String, Value> =
+        info.schema.params.iter().map(|param| (param.name.clone(), parameter(param))).collect();
+    json!({
+        "if": { "required": ["plugin"], "properties": { "plugin": { "const": info.id } } },
+        "then": { "properties": { "params": { "properties": properties, "additionalProperties": false } } },
+    })
+}
+
+fn parameter(param: &Param) -> Value {
+    let mut schema = match &param.kind {
+        Kind::Bool { .. } => json!({ "type": "boolean" }),
+        Kind::Int { min, max, .. } => json!({ "type": "integer", "minimum": min, "maximum": max }),
+        Kind::Float { min, max, .. } => json!({ "type": "number", "minimum": min, "maximum": max }),
+        Kind::Choice { options, .. } => {
+            json!({ "enum": options.iter().map(|option| &option.value).collect::<Vec<_>>() })
+        }
+        Kind::Text { .. } | Kind::File => json!({ "type": "string" }),
+    };
+    let unit = param.unit.as_ref().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" Unit: {unit}."));
+    schema["description"] = format!("{}{unit}", param.help).into();
+    schema["default"] = param.default_value();
+    schema
+}
+
+/// What the types say for Rust, said for files.
+struct Editors;
+
+impl Transform for Editors {
+    fn transform(&mut self, schema: &mut Schema) {
+        if let Some(text) = schema.get("description").and_then(Value::as_str).map(plain) {
+            let _ = schema.insert("description".into(), text.into());
+        }
+        // sizes of machine integers tell a writer nothing
+        let _ = schema.remove("format");
+        // TOML has no null: a key that may be left out is left out
+        if let Some(kinds) = schema.get_mut("type").and_then(Value::as_array_mut) {
+            kinds.retain(|kind| kind != "null");
+            if let [kind] = kinds.as_slice() {
+                let kind = kind.clone();
+                let _ = schema.insert("type".into(), kind);
+            }
+        }
+        if let Some(forms) = schema.get_mut("anyOf").and_then(Value::as_array_mut) {
+            forms.retain(|form| form["type"] != "null");
+        }
+        if schema.get("default").is_some_and(Value::is_null) {
+            let _ = schema.remove("default");
+        }
+        transform_subschemas(self, schema);
+    }
+}
+
+/// Markdown without the links of Rust's documentation: ``[`Shared`](Self::Shared)`` becomes `` `Shared` ``.
+fn plain(text: &str) -> String {
+    let mut plain = String::new();
+    let mut rest = text;
+    while let Some(start) = rest.find("[`") {
+        let (before, link) = rest.split_at(start);
+        plain.push_str(before);
+        let Some(end) = link.find("`]") else {
+            rest = link;
+            break;
+        };
+        plain.push_str(&link[1..=end]);
+        rest = &link[end + 2..];
+        if let Some(target) = rest.strip_prefix('(') {
+            rest = target.split_once(')').map_or(rest, |(_, after)| after);
+        }
+    }
+    plain + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn links_of_rust_are_no_part_of_a_description() {
+        assert_eq!(
+            plain("As [`Compress`](Self::Compress), [x, y] of `a`, or [`B`]."),
+            "As `Compress`, [x, y] of `a`, or `B`."
+        );
+    }
+
+    #[test]
+    fn committed_schemas_are_those_of_the_types() {
+        let registry = Registry::built_in().unwrap();
+        for (name, schema) in [("job", job(&registry)), ("display", display())] {
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../docs/schema/{name}.json"));
+            let made = format!("{}\n", serde_json::to_string_pretty(&schema).unwrap());
+            if std::env::var_os("LUMISTACK_WRITE").is_some() {
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(&path, &made).unwrap();
+            }
+            let committed = std::fs::read_to_string(&path).unwrap_or_default();
+            assert!(
+                committed == made,
+                "docs/schema/{name}.json is not that of the types: LUMISTACK_WRITE=1 cargo test -p lumistack-pipeline schema:: writes it"
+            );
+        }
+    }
+
+    /// Other tests cannot tell a schema that allows everything from one that checks.
+    #[test]
+    fn a_table_of_a_job_knows_its_keys_and_its_plugins() {
+        let schema = job(&Registry::built_in().unwrap());
+        let at = |pointer: &str| schema.pointer(pointer).unwrap_or_else(|| panic!("{pointer}"));
+        assert_eq!(at("/additionalProperties"), false);
+        assert_eq!(at("/definitions/RenderJob/properties/zone_samples/default"), 800);
+        assert!(at("/definitions/DisplayJob/properties/preset/enum").as_array().unwrap().len() > 10);
+        assert_eq!(at("/required"), &json!(["display"]));
+        let outputs = at("/definitions/OutputJob/allOf").as_array().unwrap();
+        let images = outputs.iter().find(|form| form["if"]["properties"]["plugin"]["const"] == "images").unwrap();
+        assert_eq!(images["then"]["properties"]["params"]["properties"]["png8"]["type"], "boolean");
+    }
+}

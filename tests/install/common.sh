@@ -1,0 +1,40 @@
+# For the other scripts: what is in $DIST, and the first job in little. CLEAN is set where the whole machine is the test's own.
+set -eu
+: "${DIST:?names the folder target/dist}"
+HERE=$(cd "$(dirname "$0")" && pwd)
+WORK=$(mktemp -d)
+trap 'rm -rf "$WORK"' EXIT
+cd "$WORK"
+
+# the one file of target/dist that fits a pattern
+one() {
+    # shellcheck disable=SC2086
+    set -- "$DIST"/$1
+    [ -f "$1" ] || { echo "$DIST has no $1" >&2; exit 1; }
+    [ $# -eq 1 ] || { echo "$DIST has several: $*" >&2; exit 1; }
+    echo "$1"
+}
+
+packages() {
+    if [ -n "${CLEAN:-}" ]; then
+        apt-get update -q
+        DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends "$@"
+    fi
+}
+
+no_rust() {
+    if command -v cargo >/dev/null; then echo "cargo is on PATH: this is no clean machine" >&2; exit 1; fi
+}
+
+# README's first job, small: first_job PROGRAM SCENES
+first_job() {
+    "$1" --version
+    "$1" doctor
+    "$1" run "$2/still-life/job.toml" --resolution 96x60 --views 3x3 --iterations 4 -o "$WORK/run"
+    for file in report.html layers/stack.json outputs/tensor-display/preview/preview.html; do
+        [ -s "$WORK/run/$file" ] || { echo "the run left no $file" >&2; exit 1; }
+    done
+    "$1" simulate "$WORK/run" --view 4,-2 -o "$WORK/view.png"
+    [ -s "$WORK/view.png" ]
+    "$1" run "$2/still-life/job.toml" --resolution 96x60 --views 3x3 --iterations 4 -o "$WORK/run" | grep PSNR
+}

@@ -1,0 +1,14 @@
+#!/bin/sh
+# Debian's package: installed, used and removed where the machine is the test's own, else unpacked.
+. "$(dirname "$0")/common.sh"
+no_rust
+deb=$(one "lumistack_*_$(dpkg --print-architecture).deb")
+if [ -n "${CLEAN:-}" ]; then
+    packages "$deb"
+    first_job lumistack /usr/share/lumistack/scenes
+    apt-get remove -q -y lumistack
+    [ ! -e /usr/bin/lumistack ]
+else
+    dpkg-deb -x "$deb" "$HOME/root"
+    first_job "$HOME/root/usr/bin/lumistack" "$HOME/root/usr/share/lumistack/scenes"
+fi

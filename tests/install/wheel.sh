@@ -1,0 +1,21 @@
+#!/bin/sh
+# The wheel, into a Python environment of its own.
+. "$(dirname "$0")/common.sh"
+no_rust
+packages python3 python3-venv python3-numpy
+python3 -m venv --system-site-packages "$HOME/venv"
+"$HOME/venv/bin/pip" install --no-index --no-deps "$(one "lumistack-*-manylinux*_$(uname -m).whl")"
+tar xzf "$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")" --strip-components=3 --wildcards '*/share/lumistack/scenes'
+first_job "$HOME/venv/bin/lumistack" "$WORK/scenes"
+"$HOME/venv/bin/python" - "$WORK/run" <<'PYTHON'
+import sys
+
+import lumistack
+import numpy
+
+print(lumistack.__version__, lumistack.defaults()["render"]["zone_samples"])
+stack = lumistack.LayerStack.open(sys.argv[1])
+picture = numpy.asarray(stack.simulate((0.05, 0.0)))
+assert picture.shape[2] == 3 and picture.std() > 0.01, picture
+print(stack, picture.shape)
+PYTHON

@@ -1,0 +1,142 @@
+//! Releases: everything that one downloads, made into `target/dist`, and tried out as its users will.
+
+mod archive;
+mod build;
+mod install;
+mod licences;
+mod tree;
+
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use self::build::Target;
+use crate::blender;
+use crate::tools::{self, Outcome, command, run};
+
+/// What `cargo xtask dist --help` says.
+pub const USAGE: &str = "\
+cargo xtask dist [PART...] [--target TRIPLE]...
+cargo xtask dist test [WAY...]
+cargo xtask dist sums
+
+  tarball   the program with manual pages, completions, documents and the first scene
+  deb       the same as a package of Debian's
+  wheel     the Python package, for any Python from 3.11 on
+  npm       the viewer for web pages
+  blender   the extension of Blender, a zip for every wheel
+  sbom      all parts with their licences, as CycloneDX
+  test      installs what is there in a clean Debian, or where that cannot be had into an empty prefix, and runs the first job;
+            WAY is tarball, deb, wheel, npm, blender, or pages: every command of the documentation's first pages
+  sums      the checksums alone
+
+Without a PART all. On Linux for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
+Licences of all parts go into each of them, and SHA256SUMS holds the checksums of what is in target/dist.
+";
+
+/// What can be made, in this order: extensions hold wheels.
+const PARTS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "sbom"];
+
+/// Makes what is asked for; `None` where the words make no sense.
+pub fn dist(words: &[&str]) -> Option<Outcome> {
+    if let ["test", ways @ ..] = words {
+        return ways.iter().all(|way| install::WAYS.contains(way)).then(|| install::test(ways, &folder()));
+    }
+    if words == ["sums"] {
+        return Some(sums(&folder()));
+    }
+    let (mut parts, mut targets) = (Vec::new(), Vec::new());
+    let mut words = words.iter();
+    while let Some(word) = words.next() {
+        match *word {
+            "--target" => targets.push(Target::of(words.next()?)?),
+            part if PARTS.contains(&part) => parts.push(part),
+            _ => return None,
+        }
+    }
+    Some(make(&parts, targets))
+}
+
+fn folder() -> PathBuf {
+    tools::root().join("target/dist")
+}
+
+fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
+    if targets.is_empty() {
+        targets = Target::of_this_machine()?;
+    }
+    let wanted = |part: &str| parts.is_empty() || parts.contains(&part);
+    let dist = folder();
+    std::fs::create_dir_all(&dist).map_err(|error| format!("{}: {error}", dist.display()))?;
+    let licences = licences::collect(&targets)?;
+    if wanted("tarball") || wanted("deb") {
+        let shared = tree::shared(&build::own_program()?, &licences.text())?;
+        for target in &targets {
+            let files = tree::with_program(&shared, &build::program(target)?, target)?;
+            if wanted("tarball") {
+                let name = format!("lumistack-{VERSION}-{}", target.triple);
+                write(&dist, &format!("{name}.tar.gz"), &archive::tarball(&name, &files)?)?;
+            }
+            if let (true, Some(architecture)) = (wanted("deb"), target.debian) {
+                let name = format!("lumistack_{VERSION}_{architecture}.deb");
+                write(&dist, &name, &archive::deb(architecture, &files)?)?;
+            }
+        }
+    }
+    if wanted("wheel") || wanted("blender") {
+        let wheels =
+            targets.iter().map(|target| build::wheel(target, &dist, &licences.text())).collect::<Outcome<Vec<_>>>()?;
+        if wanted("blender") {
+            let wheels: Vec<&str> = wheels.iter().filter_map(|wheel| wheel.to_str()).collect();
+            blender::build(&wheels)?;
+            for zip in files_of(&tools::root().join("target/blender"), ".zip")? {
+                let name =
+                    zip.file_name().unwrap_or_default().to_string_lossy().replacen("lumistack", "lumistack-blender", 1);
+                std::fs::copy(&zip, dist.join(name)).map_err(|error| format!("{}: {error}", zip.display()))?;
+            }
+        }
+    }
+    if wanted("npm") {
+        run(command("npm").args(["pack", "./web", "--pack-destination"]).arg(&dist))?;
+    }
+    if wanted("sbom") {
+        let text = serde_json::to_string_pretty(&licences.sbom()).expect("JSON");
+        write(&dist, &format!("lumistack-{VERSION}.cdx.json"), format!("{text}\n").as_bytes())?;
+        write(&dist, "THIRD-PARTY.txt", licences.text().as_bytes())?;
+    }
+    sums(&dist)
+}
+
+/// The workspace's version.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+fn write(folder: &Path, name: &str, bytes: &[u8]) -> Outcome {
+    let path = folder.join(name);
+    std::fs::write(&path, bytes).map_err(|error| format!("{}: {error}", path.display()))?;
+    println!("{:8.1} MB  {}", bytes.len() as f64 / 1e6, path.display());
+    Ok(())
+}
+
+/// Files of a folder whose names end so, by name.
+fn files_of(folder: &Path, ending: &str) -> Outcome<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).filter(|path| path.is_file()).collect();
+    files.retain(|path| path.to_string_lossy().ends_with(ending));
+    files.sort();
+    Ok(files)
+}
+
+/// Checksums of all that is there, in the form that `sha256sum --check` reads.
+fn sums(folder: &Path) -> Outcome {
+    let mut lines = String::new();
+    for path in files_of(folder, "")?.iter().filter(|path| !path.ends_with(SUMS)) {
+        let bytes = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        let sum: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        lines += &format!("{sum}  {}\n", path.file_name().unwrap_or_default().to_string_lossy());
+    }
+    std::fs::write(folder.join(SUMS), &lines).map_err(|error| format!("{SUMS}: {error}"))?;
+    print!("\n{lines}");
+    Ok(())
+}
+
+const SUMS: &str = "SHA256SUMS";

