@@ -7,6 +7,7 @@
 use serde::Deserialize;
 
 use crate::error::Fault;
+use crate::splats::SplatsEntry;
 
 /// First bytes of a file.
 const MAGIC: &[u8; 8] = b"LUMIPKG1";
@@ -127,6 +128,7 @@ pub(crate) enum Shape {
     Solid(SolidEntry),
     Curves(CurvesEntry),
     Points(PointsEntry),
+    Splats(SplatsEntry),
 }
 
 impl Shape {
@@ -136,6 +138,7 @@ impl Shape {
             Self::Solid(solid) => &solid.place,
             Self::Curves(curves) => &curves.place,
             Self::Points(points) => &points.place,
+            Self::Splats(splats) => &splats.place,
         }
     }
 }
