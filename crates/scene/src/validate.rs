@@ -177,7 +177,8 @@ impl SceneParts {
             }
             keep && !clouds[placed.cloud].is_empty()
         });
-        let count = self.placed_clouds.iter().try_fold(0usize, |sum, placed| sum.checked_add(clouds[placed.cloud].len()));
+        let count =
+            self.placed_clouds.iter().try_fold(0usize, |sum, placed| sum.checked_add(clouds[placed.cloud].len()));
         if count.is_none_or(|count| count > MOST_SPLATS) {
             let found = format!("{} copies of clouds that make more", self.placed_clouds.len());
             return Err(SceneError::new(&self.name, format!("at most {MOST_SPLATS} placed splats"), found));

@@ -187,7 +187,8 @@ def "two" (
     let scene = scene.unwrap();
     assert!(warnings.is_empty(), "{warnings:?}");
     assert_eq!((scene.clouds.len(), scene.placed_clouds.len()), (2, 5));
-    let mut of_trees: Vec<Vec3> = scene.placed_clouds.iter().map(|placed| placed.scene_from_cloud.translation.into()).collect();
+    let mut of_trees: Vec<Vec3> =
+        scene.placed_clouds.iter().map(|placed| placed.scene_from_cloud.translation.into()).collect();
     of_trees.retain(|at| at.y == 1.0);
     assert_eq!(of_trees, [0.0, 10.0, 20.0].map(|x| Vec3::new(x, 1.0, 0.0)));
 }
