@@ -122,10 +122,15 @@ impl Scene {
 
     /// A scene of Gaussian splats that lie in arrays: one mapping, or a sequence of mappings, as `splats` gives them.
     ///
-    /// splats: positions [splat, xyz] in a scene whose y points up; rotations [splat, xyzw], quaternions from a splat's own axes (without them there is no turn);
-    /// scales [splat, xyz], standard deviations, not their logarithms; opacities [splat], 0 to 1; harmonics [splat, coefficient, rgb] with 1, 4, 9 or 16 coefficients, by
-    /// degree and then order, a colour is ½ and their sum; encoding: "srgb" (as captures are trained, the default) or "linear"; scene_from_cloud [4, 4]: where the cloud
-    /// stands, a matrix of column vectors. light: as of a file; name: for messages.
+    /// * positions [splat, xyz], in a scene whose y points up
+    /// * rotations [splat, xyzw], quaternions from a splat's own axes; without them there is no turn
+    /// * scales [splat, xyz], standard deviations, not their logarithms
+    /// * opacities [splat], 0 to 1
+    /// * harmonics [splat, coefficient, rgb], 1, 4, 9 or 16 coefficients by degree and then order; a colour is ½ and their sum
+    /// * encoding, "srgb" (the default, as captures are trained) or "linear"
+    /// * scene_from_cloud [4, 4], a matrix of column vectors that places the cloud
+    ///
+    /// light: as of a file; name: for messages.
     ///
     /// >>> import numpy as np
     /// >>> red = [[[1.77, -1.77, -1.77]]]
@@ -146,14 +151,15 @@ impl Scene {
             let content = splats::content(&parts);
             let named = |source| PipelineError::Scene { name: name.into(), source };
             let scene = parts.validate(task).map_err(named)?;
-            take_scene(scene, &[], &[&content], &PoseJob::default(), &light, task)
+            take_scene(scene, &[], &[content.as_slice()], &PoseJob::default(), &light, task)
         })?;
         let (animations, variants, duration) = (Vec::new(), Vec::new(), None);
         Ok(Self { path: name.into(), light, ingested, animations, variants, duration })
     }
 
-    /// The splats: of every cloud that stands in the scene a dict of arrays, as `from_splats` takes it. Those that are no Gaussians are gone, and large clouds are in another
-    /// order than in their file.
+    /// The splats: a dict of arrays for every cloud that stands in the scene, as `from_splats` takes it.
+    ///
+    /// Splats that are no Gaussians are gone, and large clouds are in another order than in their file.
     #[getter]
     fn splats<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         splats::to_python(py, &self.ingested.scene)

@@ -54,8 +54,7 @@ pub(crate) fn from_python(name: &str, splats: &Bound<'_, PyAny>) -> PyResult<Sce
     Ok(parts)
 }
 
-const KEYS: [&str; 7] =
-    ["positions", "rotations", "scales", "opacities", "harmonics", "encoding", "scene_from_cloud"];
+const KEYS: [&str; 7] = ["positions", "rotations", "scales", "opacities", "harmonics", "encoding", "scene_from_cloud"];
 
 fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud, Affine3A)> {
     for key in one.call_method0("keys")?.try_iter()? {
@@ -73,12 +72,13 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
         let what = format!("{place}[\"{key}\"]");
         given(key)?.map(|value| Values::read(&value, &what).map(Values::into_parts)).transpose()
     };
-    let needed = |key: &str| {
-        read(key)?.ok_or_else(|| setting(py, format!("{place}: expected an array `{key}`, found none")))
-    };
+    let needed =
+        |key: &str| read(key)?.ok_or_else(|| setting(py, format!("{place}: expected an array `{key}`, found none")));
     let checked = |key: &str, shape: &[usize], expected: &[usize]| match shape == expected {
         true => Ok(()),
-        false => Err(setting(py, format!("{place}[\"{key}\"]: expected an array of shape {expected:?}, found {shape:?}"))),
+        false => {
+            Err(setting(py, format!("{place}[\"{key}\"]: expected an array of shape {expected:?}, found {shape:?}")))
+        }
     };
     let (shape, positions) = needed("positions")?;
     let count = shape.first().copied().unwrap_or(0);
@@ -90,7 +90,9 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
     let (shape, harmonics) = needed("harmonics")?;
     let degree = shape.get(1).and_then(|values| (0..=3).find(|degree: &usize| (degree + 1).pow(2) == *values));
     let Some(degree) = degree else {
-        let message = format!("{place}[\"harmonics\"]: expected an array [splat, 1, 4, 9 or 16 coefficients, rgb], found shape {shape:?}");
+        let message = format!(
+            "{place}[\"harmonics\"]: expected an array [splat, 1, 4, 9 or 16 coefficients, rgb], found shape {shape:?}"
+        );
         return Err(setting(py, message));
     };
     checked("harmonics", &shape, &[count, (degree + 1).pow(2), 3])?;
@@ -116,10 +118,10 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
             return Err(setting(py, format!("{place}[\"encoding\"]: expected srgb or linear, found {other}")));
         }
     };
-    let vectors = |values: Vec<f32>| values.as_chunks::<3>().0.iter().copied().map(Vec3::from).collect();
+    let vectors =
+        |values: Vec<f32>| -> Vec<Vec3> { values.as_chunks::<3>().0.iter().copied().map(Vec3::from).collect() };
     let (positions, scales) = (vectors(positions), vectors(scales));
-    let cloud =
-        Cloud { place: place.to_owned(), positions, rotations, scales, opacities, degree, harmonics, encoding };
+    let cloud = Cloud { place: place.to_owned(), positions, rotations, scales, opacities, degree, harmonics, encoding };
     Ok((cloud, scene_from_cloud))
 }
 

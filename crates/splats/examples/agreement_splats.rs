@@ -4,8 +4,8 @@
 //! cargo run --release -p lumistack-splats --example agreement_splats FOLDER
 //! ```
 //!
-//! Everything is in millimetres of display space. `apart` holds few wide splats one behind another, so that any order of splats is the same and none is narrower than a pixel;
-//! `capture` thousands that overlap, as captures have them.
+//! Everything is in millimetres of display space. `apart` holds few wide splats one behind another: any order of them is the same, and none is narrower
+//! than a pixel. `capture` holds thousands that overlap, as captures have them.
 
 use std::path::Path;
 use std::sync::Arc;

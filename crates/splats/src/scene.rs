@@ -28,7 +28,7 @@ pub enum LoadError {
     },
 }
 
-/// The scene of a `.ply`, `.spz` or SOG file, upright as its format says; `beside` reads a file that a SOG's `meta.json` names. What is left out is told.
+/// The scene of a `.ply`, `.spz` or SOG file, upright as its format says. `beside` reads a file that a SOG's `meta.json` names. Warns of what is left out.
 ///
 /// # Errors
 /// When the file is broken, or nothing in it can be rendered.

@@ -33,7 +33,9 @@ pub(crate) struct SplatsEntry {
     colour_space: String,
 }
 
-/// The cloud of a field; empty without positions. As the schema has it, of arrays that are too long the end is left out, and arrays that are too short count as absent.
+/// The cloud of a field; empty without positions.
+///
+/// As the schema has it, arrays that are too long are cut, and arrays that are too short count as absent.
 pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) -> Result<Cloud, Fault> {
     let SplatsEntry { place, .. } = entry;
     let positions = entry.positions.as_ref().map_or(Ok(Vec::new()), |array| package.reals::<3>(array, place))?;

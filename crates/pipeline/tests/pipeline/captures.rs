@@ -1,4 +1,6 @@
-//! One cloud gives the same picture from every file that is read. USD needs `LUMISTACK_PYTHON` to name a Python with usd-core, and is skipped without.
+//! One cloud gives the same picture from every file that is read.
+//!
+//! USD needs `LUMISTACK_PYTHON` to name a Python with usd-core, and is skipped without.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -166,7 +166,8 @@ fn splats_light_meshes_only_if_asked() {
         "extensions": {"KHR_materials_specular": {"specularFactor": 0.0}},
     });
     std::fs::write(folder.path().join("a.glb"), with_wall(&bytes, diffuse)).unwrap();
-    let window = "[window]\nfrom = \"given\"\ncentre = [0, 0, 0]\nforward = [0, 0, -1]\nup = [0, 1, 0]\nwidth = 4.0\nnear = 1.0\nfit_depth = \"off\"\n";
+    let window = "[window]\nfrom = \"given\"\ncentre = [0, 0, 0]\nforward = [0, 0, -1]\nup = [0, 1, 0]\nwidth = 4.0\nnear = 1.0\n\
+                  fit_depth = \"off\"\n";
     let lit = |from_splats: bool| {
         let dir = folder.path().join(from_splats.to_string());
         let light = format!("[light]\nautomatic = false\nfrom_splats = {from_splats}\n");

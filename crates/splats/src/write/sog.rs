@@ -10,7 +10,7 @@ use serde_json::json;
 const MOST: usize = 1 << 16;
 const PER_ROW: usize = 64;
 
-/// The files of a SOG of version 2, `meta.json` first, each with its name. Colours and scales have 256 values in all; positions 2¹⁶ along each axis.
+/// The files of a SOG of version 2 with their names, `meta.json` first. Colours and scales have 256 values in all, positions 2¹⁶ along each axis.
 ///
 /// # Errors
 /// When there are no splats, or more than 65,536 with harmonics of their own, or the packer fails.
