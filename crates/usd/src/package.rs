@@ -7,7 +7,6 @@
 use serde::Deserialize;
 
 use crate::error::Fault;
-use crate::splats::SplatsEntry;
 
 /// First bytes of a file.
 const MAGIC: &[u8; 8] = b"LUMIPKG1";
@@ -253,6 +252,31 @@ pub(crate) struct PointsEntry {
     pub(crate) widths: Option<Array>,
     #[serde(default)]
     pub(crate) primvars: Vec<Primvar>,
+}
+
+/// `UsdVolParticleField3DGaussianSplat`, or a `ParticleField` with a Gaussian kernel.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct SplatsEntry {
+    pub(crate) place: String,
+    #[serde(default)]
+    pub(crate) positions: Option<Array>,
+    /// `[n][4]`: i, j, k, real.
+    #[serde(default)]
+    pub(crate) orientations: Option<Array>,
+    #[serde(default)]
+    pub(crate) scales: Option<Array>,
+    #[serde(default)]
+    pub(crate) opacities: Option<Array>,
+    /// `[n · (degree + 1)²][3]`.
+    #[serde(default)]
+    pub(crate) harmonics: Option<Array>,
+    pub(crate) degree: i64,
+    /// Whether the kernel lies in the plane of x and y.
+    #[serde(default)]
+    pub(crate) flat: bool,
+    /// USD's name, empty where the file says nothing.
+    #[serde(default)]
+    pub(crate) colour_space: String,
 }
 
 /// A shape's copies.

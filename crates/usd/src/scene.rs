@@ -16,10 +16,9 @@ use crate::error::Fault;
 use crate::geometry::Geometry;
 use crate::lights::{self, Lights, Shining};
 use crate::material::{self, Loaded};
-use crate::package::{Link, MeshEntry, Package, Placement, Shape};
+use crate::package::{Link, MeshEntry, Package, Placement, Shape, SplatsEntry};
 use crate::placing::{affine, expand};
 use crate::polygons::{self, Corner, Interpolation, Polygons, UvNames};
-use crate::splats::SplatsEntry;
 use crate::texture::Textures;
 use crate::{mesh, refine, shapes, splats};
 

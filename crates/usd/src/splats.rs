@@ -3,35 +3,9 @@
 use glam::{Quat, Vec3};
 use lumistack_core::Task;
 use lumistack_scene::{Cloud, Encoding, MAX_DEGREE};
-use serde::Deserialize;
 
 use crate::error::Fault;
-use crate::package::{Array, Package};
-
-/// `UsdVolParticleField3DGaussianSplat`, or a `ParticleField` with a Gaussian kernel.
-#[derive(Clone, Debug, Deserialize)]
-pub(crate) struct SplatsEntry {
-    pub(crate) place: String,
-    #[serde(default)]
-    positions: Option<Array>,
-    /// `[n][4]`: i, j, k, real.
-    #[serde(default)]
-    orientations: Option<Array>,
-    #[serde(default)]
-    scales: Option<Array>,
-    #[serde(default)]
-    opacities: Option<Array>,
-    /// `[n · (degree + 1)²][3]`.
-    #[serde(default)]
-    harmonics: Option<Array>,
-    degree: i64,
-    /// Whether the kernel lies in the plane of x and y.
-    #[serde(default)]
-    flat: bool,
-    /// USD's name, empty where the file says nothing.
-    #[serde(default)]
-    colour_space: String,
-}
+use crate::package::{Array, Package, SplatsEntry};
 
 /// The cloud of a field; empty without positions.
 ///
