@@ -36,7 +36,9 @@ cargo xtask bench [what]
   big [scene.gltf]      a scene of 1,100 copies, 100 million triangles with FlightHelmet, in the memory of one
   field [scene.gltf]    light fields with the light that views share averaged, beside the same views one by one: processor time at equal
                 squared error, bias included; 5×5 and 13×13 views over 20°, a quilt's 45, many copies. Scenes as for `render` (some minutes)
-  splats        13×13 views of a million Gaussian splats: all together, one by one, and by a naive renderer (some minutes)
+  splats        13×13 views of a million Gaussian splats: all together, one by one, and by a naive renderer (some minutes); then
+                views beside Mitsuba's, which traces rays through the same Gaussians
+      --agreement    those views alone
   agreement     the path tracer against Mitsuba 3 on scenes that both express exactly: a test per pixel over
                 converged renders, a table, and an error where they differ (some minutes); then FlightHelmet and OpenChessSet as diffuse
                 scenes with their textures against Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
@@ -89,7 +91,8 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["render", options @ ..] => bench_render::render(options)?,
         ["big", options @ ..] => bench_render::big(options)?,
         ["field", options @ ..] => bench_render::field(options)?,
-        ["splats"] => example("lumistack-splats", "bench_splats", &[]),
+        ["splats"] => example("lumistack-splats", "bench_splats", &[]).and_then(|()| agreement_of_splats()),
+        ["splats", "--agreement"] => agreement_of_splats(),
         ["design"] => example("lumistack-pipeline", "bench_design", &[]),
         ["farm", options @ ..] => farm(options)?,
         ["zone", options @ ..] => bench_zone::run(options)?,
@@ -169,7 +172,8 @@ fn convergence(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-factorizer", "bench_convergence", &passed))
 }
 
-fn agreement(samples: &str) -> Outcome {
+/// A Python with Mitsuba.
+fn mitsuba() -> Outcome<PathBuf> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));
     let there = || output_of(command(&python).args(["-c", "import mitsuba, numpy"])).is_some();
@@ -177,6 +181,18 @@ fn agreement(samples: &str) -> Outcome {
         tools::make_python(&tools::root().join("target/python-bench"), "to compare our renders with")?;
         tools::install(&python, &["numpy==2.*", "mitsuba==3.*"])?;
     }
+    Ok(python)
+}
+
+fn agreement_of_splats() -> Outcome {
+    let python = mitsuba()?;
+    let folder = tools::root().join("target/agreement-splats");
+    example("lumistack-splats", "agreement_splats", &[text(&folder)])?;
+    tools::run(command(&python).arg(tools::root().join("xtask/bench/splats_mitsuba.py")).arg(&folder))
+}
+
+fn agreement(samples: &str) -> Outcome {
+    let python = mitsuba()?;
     let folder = tools::root().join("target/agreement");
     let words = [text(&folder), "--samples".into(), samples.into()];
     example("lumistack-pathtracer", "agreement", &words)?;

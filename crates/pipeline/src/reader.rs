@@ -25,7 +25,8 @@ pub fn is_usd(path: &Path) -> bool {
 
 /// Whether a file is a capture by its extension: splats alone.
 pub(crate) fn is_capture(path: &Path) -> bool {
-    path.extension().is_some_and(|found| ["ply", "spz", "sog"].iter().any(|known| found.eq_ignore_ascii_case(known)))
+    let has = |known: &&str| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(known));
+    ["ply", "spz", "sog"].iter().any(has) || path.file_name().is_some_and(|name| name == "meta.json")
 }
 
 /// Whether a file is Blender's by its extension.

@@ -49,7 +49,7 @@ pub(crate) const INGEST: StageInfo = StageInfo {
     reads: |job| {
         let light = &job.light;
         let lamps = (light.environment_strength, light.environment_rotation_deg, light.visible, light.automatic);
-        json!([job.pose, job.importer, light.environment, lamps])
+        json!([job.pose, job.importer, light.environment, light.from_splats, lamps])
     },
     writes: &["cache/blend-*"],
     code: code::SCENE,

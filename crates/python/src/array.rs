@@ -216,6 +216,8 @@ pub(crate) enum Part {
     Emission(Arc<LayerStack>),
     Picture(Arc<Tensor<3>>),
     Weights(Arc<Tensor<4>>),
+    /// Of any shape.
+    Values(Vec<usize>, Arc<[f32]>),
 }
 
 impl Part {
@@ -226,6 +228,7 @@ impl Part {
             Self::Emission(stack) => stack.emission.as_ref().map_or(&[], Tensor::data),
             Self::Picture(picture) => picture.data(),
             Self::Weights(weights) => weights.data(),
+            Self::Values(_, values) => values,
         }
     }
 
@@ -236,6 +239,7 @@ impl Part {
             Self::Emission(stack) => stack.emission.as_ref().map_or(vec![0], |emission| emission.shape().to_vec()),
             Self::Picture(picture) => picture.shape().to_vec(),
             Self::Weights(weights) => weights.shape().to_vec(),
+            Self::Values(shape, _) => shape.clone(),
         }
     }
 }

@@ -109,6 +109,7 @@ pub(crate) fn render(
         ("environment", job.light.environment != scene.light.environment),
         ("environment_strength", job.light.environment_strength != scene.light.environment_strength),
         ("environment_rotation_deg", job.light.environment_rotation_deg != scene.light.environment_rotation_deg),
+        ("from_splats", job.light.from_splats != scene.light.from_splats),
         ("automatic", job.light.automatic != scene.light.automatic),
         ("visible", job.light.visible != scene.light.visible),
     ] {

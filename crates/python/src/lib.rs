@@ -18,6 +18,7 @@ mod json;
 mod own;
 mod plugin;
 mod scene;
+mod splats;
 mod stack;
 mod usd;
 mod work;

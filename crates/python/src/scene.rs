@@ -3,11 +3,15 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use lumistack_pipeline::{ImporterJob, Ingested, LightJob, PoseJob, SceneContents, is_usd, load_scene, take_scene};
+use lumistack_pipeline::{
+    ImporterJob, Ingested, LightJob, PipelineError, PoseJob, SceneContents, is_usd, load_scene, take_scene,
+};
 use pyo3::prelude::*;
+use pyo3::types::PyList;
 
 use crate::json::{table, table_of};
 use crate::plugin::registry;
+use crate::splats;
 use crate::usd;
 use crate::work::long;
 
@@ -116,6 +120,51 @@ impl Scene {
         Self::load(py, path, pose, light, importer, callback)
     }
 
+    /// A scene of Gaussian splats that lie in arrays: one mapping, or a sequence of mappings, as `splats` gives them.
+    ///
+    /// * positions [splat, xyz], in a scene whose y points up
+    /// * rotations [splat, xyzw], quaternions from a splat's own axes; without them there is no turn
+    /// * scales [splat, xyz], standard deviations, not their logarithms
+    /// * opacities [splat], 0 to 1
+    /// * harmonics [splat, coefficient, rgb], 1, 4, 9 or 16 coefficients by degree and then order; a colour is ½ and their sum
+    /// * encoding, "srgb" (the default, as captures are trained) or "linear"
+    /// * scene_from_cloud [4, 4], a matrix of column vectors that places the cloud
+    ///
+    /// light: as of a file; name: for messages.
+    ///
+    /// >>> import numpy as np
+    /// >>> red = [[[1.77, -1.77, -1.77]]]
+    /// >>> ball = {"positions": np.zeros((1, 3)), "scales": np.ones((1, 3)), "opacities": np.ones(1), "harmonics": np.array(red)}
+    /// >>> Scene.from_splats(ball).splats[0]["harmonics"].shape
+    /// (1, 1, 3)
+    #[staticmethod]
+    #[pyo3(signature = (splats, *, light=None, name="splats"))]
+    fn from_splats(
+        py: Python<'_>,
+        splats: &Bound<'_, PyAny>,
+        light: Option<&Bound<'_, PyAny>>,
+        name: &str,
+    ) -> PyResult<Self> {
+        let light: LightJob = light.map(|light| table_of("light", light)).transpose()?.unwrap_or_default();
+        let parts = splats::from_python(name, splats)?;
+        let ingested = long(py, None, |task| {
+            let content = splats::content(&parts);
+            let named = |source| PipelineError::Scene { name: name.into(), source };
+            let scene = parts.validate(task).map_err(named)?;
+            take_scene(scene, &[], &[content.as_slice()], &PoseJob::default(), &light, task)
+        })?;
+        let (animations, variants, duration) = (Vec::new(), Vec::new(), None);
+        Ok(Self { path: name.into(), light, ingested, animations, variants, duration })
+    }
+
+    /// The splats: a dict of arrays for every cloud that stands in the scene, as `from_splats` takes it.
+    ///
+    /// Splats that are no Gaussians are gone, and large clouds are in another order than in their file.
+    #[getter]
+    fn splats<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        splats::to_python(py, &self.ingested.scene)
+    }
+
     /// The file that it was read from; of a stage in memory its identifier.
     #[getter]
     fn path(&self) -> PathBuf {
@@ -167,6 +216,10 @@ impl Scene {
     }
 
     fn __repr__(&self) -> String {
-        format!("<lumistack.Scene \"{}\": {} triangles>", self.path.display(), self.triangles())
+        let splats = match self.ingested.scene.splat_count() {
+            0 => String::new(),
+            count => format!(", {count} splats"),
+        };
+        format!("<lumistack.Scene \"{}\": {} triangles{splats}>", self.path.display(), self.triangles())
     }
 }

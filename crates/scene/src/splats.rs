@@ -243,3 +243,76 @@ impl Cloud {
         bounds
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use lumistack_core::{Cancel, Collector};
+
+    use super::*;
+    use crate::{Scene, SceneParts};
+
+    fn cloud(xs: &[f32]) -> Cloud {
+        let count = xs.len();
+        Cloud {
+            place: "/a".into(),
+            positions: xs.iter().map(|x| Vec3::new(*x, 0.0, 0.0)).collect(),
+            rotations: vec![Quat::from_xyzw(0.0, 0.0, 0.0, 2.0); count],
+            scales: vec![Vec3::ONE; count],
+            opacities: vec![1.0; count],
+            harmonics: vec![0.0; 3 * count],
+            ..Cloud::default()
+        }
+    }
+
+    /// The scene of a cloud that is placed by these maps, and its warnings.
+    fn validated(cloud: Cloud, maps: &[Affine3A]) -> (Result<Scene, SceneError>, Vec<String>) {
+        let placed_clouds = maps.iter().map(|map| PlacedCloud { cloud: 0, scene_from_cloud: *map }).collect();
+        let parts = SceneParts { name: "a".into(), clouds: vec![cloud], placed_clouds, ..SceneParts::default() };
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let scene = parts.validate(Task::quiet(&warnings, &cancel));
+        (scene, warnings.take().iter().map(ToString::to_string).collect())
+    }
+
+    #[test]
+    fn what_is_no_gaussian_is_left_out_and_told_once() {
+        let mut broken = cloud(&[0.0, 1.0, f32::NAN, 3.0, 4.0, 5.0, 6.0]);
+        broken.scales[3].y = -1.0;
+        broken.rotations[4] = Quat::from_xyzw(0.0, 0.0, 0.0, 0.0);
+        broken.opacities[5] = 1.5;
+        broken.harmonics[3 * 6 + 1] = f32::INFINITY;
+        let (scene, warnings) = validated(broken, &[Affine3A::IDENTITY]);
+        let scene = scene.unwrap();
+        assert_eq!((scene.splat_count(), scene.bounds().max.x), (2, 1.0));
+        assert_eq!(scene.clouds[0].rotations, [Quat::IDENTITY; 2]);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(warnings[0].contains("5 of 7 splats are left out; the first is splat 2: a position"), "{warnings:?}");
+        let (none, _) = validated(cloud(&[f32::NAN]), &[Affine3A::IDENTITY]);
+        assert!(none.unwrap_err().to_string().contains("at least one splat that is a Gaussian"));
+        let short = Cloud { opacities: vec![], ..cloud(&[0.0]) };
+        assert!(validated(short, &[]).0.unwrap_err().to_string().contains("1 values of opacities"));
+        let high = Cloud { degree: 4, ..cloud(&[0.0]) };
+        assert!(validated(high, &[]).0.unwrap_err().to_string().contains("harmonics up to 3"));
+    }
+
+    #[test]
+    fn copies_without_extent_are_left_out_and_too_many_are_refused() {
+        let flat = Affine3A::from_scale(Vec3::new(1.0, 0.0, 1.0));
+        let (scene, warnings) = validated(cloud(&[0.0]), &[flat, Affine3A::from_translation(Vec3::X)]);
+        assert_eq!(scene.unwrap().placed_clouds.len(), 1);
+        assert!(warnings[0].contains("a scale of zero"), "{warnings:?}");
+        let lost = Affine3A::from_translation(Vec3::splat(f32::NAN));
+        assert!(validated(cloud(&[0.0]), &[lost]).0.unwrap_err().to_string().contains("a finite transform"));
+        let many = vec![Affine3A::IDENTITY; 1 << 18];
+        let error = validated(cloud(&[0.0; 1 << 10]), &many).0.unwrap_err().to_string();
+        assert!(error.contains("at most 134217728 placed splats"), "{error}");
+    }
+
+    #[test]
+    fn floaters_do_not_widen_the_bounds() {
+        let mut xs: Vec<f32> = (0..100).map(|i| i as f32 / 100.0).collect();
+        xs.push(50.0);
+        let (scene, _) = validated(cloud(&xs), &[Affine3A::IDENTITY]);
+        let bounds = scene.unwrap().bounds();
+        assert!(bounds.max.x < 1.0 && bounds.min.x == 0.0, "{bounds:?}");
+    }
+}

@@ -8,6 +8,9 @@ use lumistack_core::Task;
 
 use crate::{AlphaMode, Bounds, Instance, Lamp, LightKind, Material, Mesh, Pixels, SceneError, SceneParts, TextureUse};
 
+/// Splats that a scene may have, copies counted: small files can ask for any number by placing a cloud often.
+const MOST_SPLATS: usize = 1 << 27;
+
 /// A scene whose indices, numbers and transforms have been checked. Read it like [`SceneParts`].
 #[derive(Clone, Debug)]
 pub struct Scene {
@@ -160,15 +163,26 @@ impl SceneParts {
             cloud.check(task)?;
         }
         for (i, placed) in self.placed_clouds.iter().enumerate() {
-            let place = format!("/placed_clouds/{i}");
-            index(&place, placed.cloud, self.clouds.len(), "cloud")?;
-            let map = placed.scene_from_cloud;
-            if !(map.is_finite() && map.matrix3.determinant() != 0.0) {
-                return Err(SceneError::new(place, "an invertible transform", format!("{map:?}")));
+            index(&format!("placed cloud {i}"), placed.cloud, self.clouds.len(), "cloud")?;
+            if !placed.scene_from_cloud.is_finite() {
+                let place = format!("placed cloud {i} of {}", self.clouds[placed.cloud].place);
+                return Err(SceneError::new(place, "a finite transform", "NaN or infinity"));
             }
         }
         let clouds = &self.clouds;
-        self.placed_clouds.retain(|placed| !clouds[placed.cloud].is_empty());
+        self.placed_clouds.retain(|placed| {
+            let keep = is_invertible(&placed.scene_from_cloud);
+            if !keep {
+                task.warn(&clouds[placed.cloud].place, "placed with a scale of zero; this copy is left out");
+            }
+            keep && !clouds[placed.cloud].is_empty()
+        });
+        let count =
+            self.placed_clouds.iter().try_fold(0usize, |sum, placed| sum.checked_add(clouds[placed.cloud].len()));
+        if count.is_none_or(|count| count > MOST_SPLATS) {
+            let found = format!("{} copies of clouds that make more", self.placed_clouds.len());
+            return Err(SceneError::new(&self.name, format!("at most {MOST_SPLATS} placed splats"), found));
+        }
         Ok(())
     }
 
@@ -297,9 +311,7 @@ impl SceneParts {
         }
         let meshes = &self.meshes;
         self.instances.retain(|instance| {
-            let determinant = instance.scene_from_mesh.matrix3.determinant();
-            let inverse = Mat3A::inverse(&instance.scene_from_mesh.matrix3);
-            let keep = determinant != 0.0 && determinant.is_finite() && inverse.is_finite();
+            let keep = is_invertible(&instance.scene_from_mesh);
             if !keep {
                 task.warn(&meshes[instance.mesh].place, "placed with a scale of zero; this copy is left out");
             }
@@ -346,6 +358,12 @@ impl SceneParts {
         }
         Ok(())
     }
+}
+
+/// Whether a placement has an inverse that floats can hold.
+fn is_invertible(map: &Affine3A) -> bool {
+    let determinant = map.matrix3.determinant();
+    determinant != 0.0 && determinant.is_finite() && Mat3A::inverse(&map.matrix3).is_finite()
 }
 
 fn index(place: &str, value: usize, count: usize, what: &str) -> Result<(), SceneError> {

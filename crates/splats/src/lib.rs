@@ -9,11 +9,13 @@
 mod glb;
 pub mod read;
 mod render;
+mod scene;
 pub mod write;
 
 pub use glb::glb;
 pub use lumistack_scene::Cloud;
 pub use render::{Renderer, Space, SplatView, Surfaces, Wanted};
+pub use scene::{LoadError, scene};
 
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

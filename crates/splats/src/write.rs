@@ -1,4 +1,6 @@
-//! Clouds as files: `.ply` as trainers write it, and `.spz`. Both hold sRGB, whatever a cloud's encoding is.
+//! Clouds as files: `.ply` as trainers write it, `.spz` and SOG. All hold sRGB, whatever a cloud's encoding is.
+
+mod sog;
 
 use std::io::Write;
 
@@ -6,6 +8,8 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use glam::{Quat, Vec3};
 use lumistack_scene::Cloud;
+
+pub use sog::sog;
 
 /// A `.ply` file of the cloud as it stands, without a turn of its axes: binary, little endian.
 pub fn ply(cloud: &Cloud) -> Vec<u8> {

@@ -4,7 +4,6 @@ use std::io::Cursor;
 use std::io::Write as _;
 
 use glam::{Quat, Vec3};
-use image::{ImageFormat, RgbaImage};
 use lumistack_scene::Cloud;
 use lumistack_splats::read::{Axes, Found, read, read_spz};
 use lumistack_splats::write;
@@ -247,109 +246,11 @@ fn playcanvas_compressed_ply_is_read() {
     }
 }
 
-/// Pictures and description of a SOG of version 2.
-fn sog(cloud: &Cloud) -> Vec<(String, Vec<u8>)> {
-    let side = (cloud.len() as f64).sqrt().ceil() as u32;
-    let picture = |pixel: &dyn Fn(usize) -> [u8; 4]| {
-        let texel = |x: u32, y: u32| {
-            let i = (y * side + x) as usize;
-            image::Rgba(if i < cloud.len() { pixel(i) } else { [0; 4] })
-        };
-        encoded(&RgbaImage::from_fn(side, side, texel))
-    };
-    let near = |at: f32| at.signum() * at.abs().ln_1p();
-    let means: Vec<[f32; 3]> = cloud.positions.iter().map(|at| at.to_array().map(near)).collect();
-    let (low, high) = ([-2.0f32; 3], [2.0f32; 3]);
-    let steps = |i: usize| [0, 1, 2].map(|axis: usize| ((means[i][axis] + 2.0) / 4.0 * 65535.0).round() as u16);
-    let book =
-        |first: f32, last: f32| -> Vec<f32> { (0..256).map(|i| first + (last - first) * i as f32 / 255.0).collect() };
-    let code = |value: f32, first: f32, last: f32| ((value - first) / (last - first) * 255.0).round() as u8;
-    let values = 3 * cloud.coefficients();
-    let centroid = |label: usize, k: usize| &cloud.harmonics[values * label + 3 * (k + 1)..][..3];
-    let coefficients = cloud.coefficients() - 1;
-    let rows = cloud.len().div_ceil(64) as u32;
-    let of_centroids = RgbaImage::from_fn(64 * coefficients.max(1) as u32, rows, |x, y| {
-        let (x, y) = (x as usize, y as usize);
-        let label = y * 64 + x / coefficients.max(1);
-        if label >= cloud.len() || coefficients == 0 {
-            return image::Rgba([0, 0, 0, 255]);
-        }
-        let rgb = centroid(label, x % coefficients);
-        image::Rgba([code(rgb[0], -0.8, 0.8), code(rgb[1], -0.8, 0.8), code(rgb[2], -0.8, 0.8), 255])
-    });
-    let mut meta = serde_json::json!({
-        "version": 2,
-        "count": cloud.len(),
-        "means": {"mins": low, "maxs": high, "files": ["means_l.webp", "means_u.webp"]},
-        "scales": {"codebook": book(-5.0, -1.0), "files": ["scales.webp"]},
-        "quats": {"files": ["quats.webp"]},
-        "sh0": {"codebook": book(-0.8, 0.8), "files": ["sh0.webp"]},
-    });
-    if cloud.degree > 0 {
-        meta["shN"] = serde_json::json!({"count": cloud.len(), "bands": cloud.degree, "codebook": book(-0.8, 0.8), "files": ["c.webp", "l.webp"]});
-    }
-    let turned = |i: usize| {
-        let [x, y, z, w] = cloud.rotations[i].to_array();
-        let parts = [w, x, y, z];
-        let largest = (0..4).fold(0, |best, k| if parts[k].abs() > parts[best].abs() { k } else { best });
-        let others: Vec<u8> = (0..4)
-            .filter(|k| *k != largest)
-            .map(|k| ((parts[k] * parts[largest].signum() / std::f32::consts::SQRT_2 + 0.5) * 255.0).round() as u8)
-            .collect();
-        [others[0], others[1], others[2], 252 + largest as u8]
-    };
-    vec![
-        ("meta.json".into(), meta.to_string().into_bytes()),
-        (
-            "means_l.webp".into(),
-            picture(&|i| {
-                let [x, y, z] = steps(i).map(|s| s as u8);
-                [x, y, z, 255]
-            }),
-        ),
-        (
-            "means_u.webp".into(),
-            picture(&|i| {
-                let [x, y, z] = steps(i).map(|s| (s >> 8) as u8);
-                [x, y, z, 255]
-            }),
-        ),
-        (
-            "scales.webp".into(),
-            picture(&|i| {
-                let [x, y, z] = cloud.scales[i].to_array().map(|s| code(s.ln(), -5.0, -1.0));
-                [x, y, z, 255]
-            }),
-        ),
-        ("quats.webp".into(), picture(&turned)),
-        (
-            "sh0.webp".into(),
-            picture(&|i| {
-                let h = &cloud.harmonics[values * i..];
-                [
-                    code(h[0], -0.8, 0.8),
-                    code(h[1], -0.8, 0.8),
-                    code(h[2], -0.8, 0.8),
-                    (255.0 * cloud.opacities[i]).round() as u8,
-                ]
-            }),
-        ),
-        ("c.webp".into(), encoded(&of_centroids)),
-        ("l.webp".into(), picture(&|i| [i as u8, (i >> 8) as u8, 0, 255])),
-    ]
-}
-
-fn encoded(picture: &RgbaImage) -> Vec<u8> {
-    let mut bytes = Cursor::new(Vec::new());
-    picture.write_to(&mut bytes, ImageFormat::WebP).unwrap();
-    bytes.into_inner()
-}
-
 #[test]
 fn sog_is_read_from_a_folder_and_from_a_bundle() {
     for degree in [0, 1, 3] {
         let original = cloud(500, degree);
-        let files = sog(&original);
+        let files = write::sog(&original).unwrap();
         let beside = |name: &str| {
             let found = files.iter().find(|(known, _)| known == name);
             found.map(|(_, bytes)| bytes.clone()).ok_or_else(|| "no such file".to_owned())

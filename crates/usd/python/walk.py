@@ -9,7 +9,7 @@ import os
 
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
 
-from lumistack_usd import geometry, lights, materials, mtlx, shapes
+from lumistack_usd import geometry, lights, materials, mtlx, shapes, splats
 from lumistack_usd.skel import Skeletons, source
 from lumistack_usd.writer import Refused, Writer
 
@@ -235,7 +235,7 @@ class Walker:
         while todo:
             prim, above, parent = todo.pop()
             imageable = UsdGeom.Imageable(prim)
-            if not imageable:
+            if not imageable and not splats.is_field(prim):
                 # a prim without type, or a scope of materials: what is below may be shown
                 todo.extend((child, above, parent) for child in reversed(prim.GetFilteredChildren(predicate)))
                 continue
@@ -272,7 +272,7 @@ class Walker:
 
     def matrix(self, prim, above):
         xformable = UsdGeom.Xformable(prim)
-        if not xformable:
+        if not xformable and not splats.is_field(prim):
             return above
         local = xformable.GetLocalTransformation(self.time)
         if xformable.GetResetXformStack():
@@ -283,6 +283,9 @@ class Walker:
 
     def item(self, prim):
         """(kind, payload) of a prim that shows something, lights it or looks at it."""
+        if splats.is_field(prim):
+            # their colours are their own, whatever material is bound
+            return ("geometry", (self.geometry(prim)[0], (None,))) if splats.is_shown(prim, self.writer) else None
         if prim.IsA(UsdGeom.Mesh) or shapes.is_shape(prim, self.writer):
             index, subsets = self.geometry(prim)
             return "geometry", (index, (self.material(prim),) + tuple(self.material(subset) for subset in subsets))
@@ -297,6 +300,8 @@ class Walker:
         if key not in self.geometries:
             if prim.IsA(UsdGeom.Mesh):
                 entry = geometry.mesh(prim, self.writer, self.time, self.skeletons.pose(prim, self.writer))
+            elif splats.is_field(prim):
+                entry = splats.field(prim, self.writer, self.time)
             else:
                 entry = shapes.shape(prim, self.writer, self.time)
             entry["light"] = lights.mesh_light(prim, self.writer, self.time)

@@ -19,12 +19,13 @@ use crate::package::Package;
 use crate::python::{Candidate, Surroundings};
 
 /// The walker's modules; a later one may import those before it.
-pub const MODULES: [(&str, &str); 8] = [
+pub const MODULES: [(&str, &str); 9] = [
     ("writer", include_str!("../python/writer.py")),
     ("geometry", include_str!("../python/geometry.py")),
     ("materials", include_str!("../python/materials.py")),
     ("lights", include_str!("../python/lights.py")),
     ("shapes", include_str!("../python/shapes.py")),
+    ("splats", include_str!("../python/splats.py")),
     ("mtlx", include_str!("../python/mtlx.py")),
     ("skel", include_str!("../python/skel.py")),
     ("walk", include_str!("../python/walk.py")),

@@ -9,6 +9,7 @@
 //! [`scene_from_package`]. What is read of USD is in `docs/USD.md`.
 
 mod blend;
+mod camera;
 mod child;
 mod curves;
 mod error;
@@ -19,6 +20,7 @@ mod material;
 mod mesh;
 mod package;
 mod picture;
+mod placing;
 mod polygons;
 mod preview;
 mod python;
@@ -28,6 +30,7 @@ mod setup;
 mod shapes;
 mod slots;
 mod spacing;
+mod splats;
 mod subdivide;
 mod texture;
 mod there;

@@ -127,6 +127,7 @@ pub(crate) enum Shape {
     Solid(SolidEntry),
     Curves(CurvesEntry),
     Points(PointsEntry),
+    Splats(SplatsEntry),
 }
 
 impl Shape {
@@ -136,6 +137,7 @@ impl Shape {
             Self::Solid(solid) => &solid.place,
             Self::Curves(curves) => &curves.place,
             Self::Points(points) => &points.place,
+            Self::Splats(splats) => &splats.place,
         }
     }
 }
@@ -250,6 +252,31 @@ pub(crate) struct PointsEntry {
     pub(crate) widths: Option<Array>,
     #[serde(default)]
     pub(crate) primvars: Vec<Primvar>,
+}
+
+/// `UsdVolParticleField3DGaussianSplat`, or a `ParticleField` with a Gaussian kernel.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct SplatsEntry {
+    pub(crate) place: String,
+    #[serde(default)]
+    pub(crate) positions: Option<Array>,
+    /// `[n][4]`: i, j, k, real.
+    #[serde(default)]
+    pub(crate) orientations: Option<Array>,
+    #[serde(default)]
+    pub(crate) scales: Option<Array>,
+    #[serde(default)]
+    pub(crate) opacities: Option<Array>,
+    /// `[n · (degree + 1)²][3]`.
+    #[serde(default)]
+    pub(crate) harmonics: Option<Array>,
+    pub(crate) degree: i64,
+    /// Whether the kernel lies in the plane of x and y.
+    #[serde(default)]
+    pub(crate) flat: bool,
+    /// USD's name, empty where the file says nothing.
+    #[serde(default)]
+    pub(crate) colour_space: String,
 }
 
 /// A shape's copies.

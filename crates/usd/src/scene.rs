@@ -6,21 +6,23 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-use glam::{Affine3A, DAffine3, DMat4, Vec4};
+use glam::{DAffine3, Vec4};
 use lumistack_core::{Task, Warning, Warnings};
-use lumistack_scene::{AlphaMode, Camera, Instance, Material, Mesh, Projection, Scene, SceneParts};
+use lumistack_scene::{AlphaMode, Cloud, Instance, Material, Mesh, PlacedCloud, Scene, SceneParts};
 
 use crate::UsdError;
+use crate::camera::camera;
 use crate::error::Fault;
 use crate::geometry::Geometry;
 use crate::lights::{self, Lights, Shining};
 use crate::material::{self, Loaded};
-use crate::package::{CameraEntry, Link, MeshEntry, Package, Placement, Shape};
+use crate::package::{Link, MeshEntry, Package, Placement, Shape, SplatsEntry};
+use crate::placing::{affine, expand};
 use crate::polygons::{self, Corner, Interpolation, Polygons, UvNames};
 use crate::texture::Textures;
-use crate::{mesh, refine, shapes};
+use crate::{mesh, refine, shapes, splats};
 
-/// Copies of meshes that a scene may have: small files can ask for any number by nesting.
+/// Copies of meshes and clouds that a scene may have: small files can ask for any number by nesting.
 const MOST_INSTANCES: usize = 1 << 26;
 /// Reflectance without a material and without a display colour, as UsdPreviewSurface has it.
 const GREY: f32 = 0.18;
@@ -118,7 +120,7 @@ struct Assembly<'a> {
     plain: HashMap<([u32; 4], bool), usize>,
     /// Copies of materials for surfaces of which only the front is seen.
     one_sided: HashMap<usize, usize>,
-    /// Meshes of a shape with these materials.
+    /// Meshes of a shape with these materials, or the cloud of splats.
     shown: HashMap<(usize, Vec<Option<usize>>), Vec<usize>>,
 }
 
@@ -162,7 +164,7 @@ impl<'a> Assembly<'a> {
         let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
         let bound = bound.map(|bound| (bound.material, bound.reads_colors));
         let (mut geometry, primvars) = match shape {
-            Shape::Mesh(_) => return Ok(Vec::new()),
+            Shape::Mesh(_) | Shape::Splats(_) => return Ok(Vec::new()),
             Shape::Solid(entry) => (shapes::solid(entry)?, &entry.primvars),
             Shape::Curves(entry) => {
                 let names = uv_names.each_ref().map(|name| name.as_deref());
@@ -195,7 +197,7 @@ impl<'a> Assembly<'a> {
         Ok(vec![self.mesh(shape.place().to_owned(), geometry, material)])
     }
 
-    /// Makes the meshes of a placement where they are new, and an instance of each for every copy.
+    /// Makes the meshes or the cloud of a placement where they are new, and an instance of each for every copy.
     fn place(&mut self, placement: &Placement, scene_from_stage: &DAffine3) -> Result<(), Fault> {
         let shapes = &self.package.header.geometries;
         let shape = shapes.get(placement.geometry);
@@ -205,40 +207,65 @@ impl<'a> Assembly<'a> {
         if let Some(&material) = placement.materials.iter().flatten().find(|&&index| index >= self.materials.len()) {
             return Err(Fault::new(place, format!("a material below {}", self.materials.len()), material));
         }
-        let meshes = match self.shown.entry((placement.geometry, placement.materials.clone())) {
+        // numbers of the meshes, or of the cloud
+        let shown = match self.shown.entry((placement.geometry, placement.materials.clone())) {
             Entry::Occupied(entry) => entry.into_mut().clone(),
             Entry::Vacant(_) => {
-                let made = self.meshes(shape, &placement.materials)?;
-                let first = self.parts.meshes.len();
-                let indices: Vec<usize> = (first..first + made.len()).collect();
-                self.parts.meshes.extend(made);
-                self.shown.insert((placement.geometry, placement.materials.clone()), indices.clone());
-                indices
+                let numbers: Vec<usize> = if let Shape::Splats(entry) = shape {
+                    let cloud = self.cloud(entry)?;
+                    let first = self.parts.clouds.len();
+                    self.parts.clouds.extend(cloud);
+                    (first..self.parts.clouds.len()).collect()
+                } else {
+                    let made = self.meshes(shape, &placement.materials)?;
+                    let first = self.parts.meshes.len();
+                    self.parts.meshes.extend(made);
+                    (first..self.parts.meshes.len()).collect()
+                };
+                self.shown.insert((placement.geometry, placement.materials.clone()), numbers.clone());
+                numbers
             }
         };
-        if meshes.is_empty() {
+        if shown.is_empty() {
             return Ok(());
         }
         let links = placement.chain.iter().map(|link| self.link(link, place)).collect::<Result<Vec<_>, _>>()?;
         let copies = links.iter().try_fold(1usize, |product, link| product.checked_mul(link.len()));
-        let total = copies.and_then(|copies| copies.checked_mul(meshes.len())?.checked_add(self.parts.instances.len()));
+        let there = self.parts.instances.len() + self.parts.placed_clouds.len();
+        let total = copies.and_then(|copies| copies.checked_mul(shown.len())?.checked_add(there));
         if total.is_none_or(|total| total > MOST_INSTANCES) {
             let found = format!("{} levels of copies that make more", links.len());
-            return Err(Fault::new(place, format!("at most {MOST_INSTANCES} placed meshes in all"), found));
+            return Err(Fault::new(place, format!("at most {MOST_INSTANCES} placed shapes in all"), found));
         }
+        let is_cloud = matches!(shape, Shape::Splats(_));
         let mut left_out = 0;
         expand(scene_from_stage, &links, &mut |scene_from_shape| {
-            if scene_from_shape.is_finite() {
-                let scene_from_mesh = scene_from_shape.as_affine3a();
-                self.parts.instances.extend(meshes.iter().map(|&mesh| Instance { mesh, scene_from_mesh }));
-            } else {
+            let scene_from_mesh = scene_from_shape.as_affine3a();
+            if !scene_from_shape.is_finite() {
                 left_out += 1;
+            } else if is_cloud {
+                let placed = shown.iter().map(|&cloud| PlacedCloud { cloud, scene_from_cloud: scene_from_mesh });
+                self.parts.placed_clouds.extend(placed);
+            } else {
+                self.parts.instances.extend(shown.iter().map(|&mesh| Instance { mesh, scene_from_mesh }));
             }
         });
         if left_out > 0 {
             self.task.warn(place, format!("{left_out} copies have a placement that is not finite and are left out"));
         }
         Ok(())
+    }
+
+    /// The cloud of a field of splats; `None` where it has none, or where its arrays contradict themselves, which is told.
+    fn cloud(&mut self, entry: &SplatsEntry) -> Result<Option<Cloud>, Fault> {
+        match splats::cloud(self.package, entry, self.task) {
+            Ok(cloud) => Ok((!cloud.is_empty()).then_some(cloud)),
+            Err(Fault::Malformed { place, expected, found }) => {
+                self.task.warn(place, format!("expected {expected}, found {found}; the splats are left out"));
+                Ok(None)
+            }
+            Err(other) => Err(other),
+        }
     }
 
     /// Copies of a link that are shown.
@@ -442,82 +469,4 @@ fn part(geometry: &Geometry, takes: impl Fn(u32) -> bool) -> Geometry {
     part.uvs = geometry.uvs.each_ref().map(|uvs| pick(uvs, &taken));
     part.colors = pick(&geometry.colors, &taken);
     part
-}
-
-/// Calls `found` with every product of one matrix per link, the outermost first.
-fn expand(outer: &DAffine3, links: &[Vec<DAffine3>], found: &mut dyn FnMut(DAffine3)) {
-    let Some((last, inner)) = links.split_last() else { return found(*outer) };
-    for matrix in last {
-        expand(&(*outer * *matrix), inner, found);
-    }
-}
-
-/// A matrix of row vectors; its last column is (0, 0, 0, 1) in every placement that USD can make.
-fn affine(matrix: &[f64; 16]) -> DAffine3 {
-    DAffine3::from_mat4(DMat4::from_cols_array(matrix))
-}
-
-fn camera(entry: &CameraEntry, all: &[CameraEntry], scene_from_stage: &DAffine3) -> Result<Camera, String> {
-    let name = entry.place.rsplit('/').next().unwrap_or_default();
-    let is_unique = all.iter().filter(|other| other.place.rsplit('/').next() == Some(name)).count() == 1;
-    let positive = |value: f64, what: &str| match value.is_finite() && value > 0.0 {
-        true => Ok(value as f32),
-        false => Err(format!("{what} {value}")),
-    };
-    let [width, height] = [positive(entry.aperture[0], "the aperture")?, positive(entry.aperture[1], "the aperture")?];
-    let projection = if entry.projection == "orthographic" {
-        // apertures are in tenths of the scene's unit
-        Projection::Orthographic { half_width: 0.05 * width, half_height: 0.05 * height }
-    } else {
-        let focal_length = positive(entry.focal_length, "the focal length")?;
-        Projection::Perspective {
-            vertical_fov_rad: 2.0 * (0.5 * height / focal_length).atan(),
-            aspect: Some(width / height),
-        }
-    };
-    let scene_from_camera: Affine3A = (*scene_from_stage * affine(&entry.matrix)).as_affine3a();
-    let determinant = scene_from_camera.matrix3.determinant();
-    if !scene_from_camera.is_finite() || determinant == 0.0 {
-        return Err("no placement with three independent axes".into());
-    }
-    let focus = entry.focus_distance;
-    Ok(Camera {
-        name: if is_unique { name.to_owned() } else { entry.place.clone() },
-        scene_from_camera,
-        projection,
-        focus_distance: (focus.is_finite() && focus > 0.0).then_some(focus as f32),
-        near: entry.near.map(|near| near as f32),
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn chains_multiply_from_the_inside() {
-        let translate = |x: f64| DAffine3::from_translation(glam::DVec3::new(x, 0.0, 0.0));
-        let scale = |s: f64| DAffine3::from_scale(glam::DVec3::splat(s));
-        // two copies, each of them scaled about the origin afterwards
-        let links = vec![vec![translate(1.0), translate(2.0)], vec![scale(10.0), scale(100.0), scale(1000.0)]];
-        let mut found = Vec::new();
-        expand(&translate(0.5), &links, &mut |matrix| found.push(matrix.translation.x));
-        assert_eq!(found, [10.5, 20.5, 100.5, 200.5, 1000.5, 2000.5]);
-        let mut count = 0;
-        expand(&translate(0.5), &[vec![translate(1.0)], vec![]], &mut |_| count += 1);
-        assert_eq!(count, 0);
-    }
-
-    #[test]
-    fn rows_of_usd_are_columns() {
-        let mut matrix = [0.0; 16];
-        for (i, value) in matrix.iter_mut().enumerate() {
-            *value = if i % 5 == 0 { 1.0 } else { 0.0 };
-        }
-        matrix[12..15].copy_from_slice(&[7.0, 8.0, 9.0]);
-        // x goes to y
-        (matrix[0], matrix[1]) = (0.0, 1.0);
-        let affine = affine(&matrix);
-        assert_eq!(affine.transform_point3(glam::DVec3::X), glam::DVec3::new(7.0, 9.0, 9.0));
-    }
 }

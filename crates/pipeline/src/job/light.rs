@@ -24,6 +24,8 @@ pub struct LightJob {
     pub environment_rotation_deg: f64,
     /// What is seen where no surface is; the light on surfaces does not depend on it.
     pub background: Background,
+    /// Whether the scene's splats light its meshes, in place of an environment.
+    pub from_splats: bool,
     /// Whether a scene without any light gets the built-in studio light.
     pub automatic: bool,
     /// Whether the file's light sources that have a surface are seen as such; without it as the file says, and where it says nothing they are not.
@@ -69,6 +71,7 @@ impl Default for LightJob {
             environment_strength: 1.0,
             environment_rotation_deg: 0.0,
             background: Background::default(),
+            from_splats: false,
             automatic: true,
             visible: None,
             exposure_ev: 0.0,
@@ -91,6 +94,9 @@ impl LightJob {
         if !(self.environment_rotation_deg.is_finite() && self.environment_rotation_deg.abs() <= 360.0) {
             let found = self.environment_rotation_deg.to_string();
             return fail("light.environment_rotation_deg", "-360 to 360", found);
+        }
+        if self.from_splats && self.environment.is_some() {
+            return fail("light.from_splats", "false beside an environment, or no environment", "both".into());
         }
         Ok(())
     }

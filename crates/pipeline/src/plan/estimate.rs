@@ -338,9 +338,10 @@ fn memory(plan: &Plan, index: usize) -> u64 {
     let Some(sizes) = Sizes::of(job) else { return 0 };
     const RGB: f64 = 12.0;
     let field = RGB * sizes.rays();
-    // a tree over the triangles, and textures, take several times the files
+    // a tree over the triangles, and textures, take several times the files; captures are packed more tightly
+    let packed = if job.scene.as_deref().is_some_and(is_capture) { 16.0 } else { 4.0 };
     let scene =
-        4.0 * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
+        packed * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
     let bytes = match step.what {
         What::Ingest | What::Place => scene,
         What::Trace | What::Score => scene + 4.0 * RGB * sizes.pixels,

@@ -48,8 +48,11 @@ impl Shot<'_> {
         let mut key = KeyBuilder::new("render", code::VIEWS);
         self.ingested.add_to(&mut key);
         // of a view before it is exposed
-        key.add_json("light", &(light.environment_strength, light.automatic, light.environment_rotation_deg))
-            .add("window", format!("{:?}", self.window()).as_bytes());
+        key.add_json(
+            "light",
+            &(light.environment_strength, light.automatic, light.environment_rotation_deg, light.from_splats),
+        )
+        .add("window", format!("{:?}", self.window()).as_bytes());
         key
     }
 

@@ -1,5 +1,6 @@
 //! Scene file to a lit [`Scene`] and the [`Window`] through which the display looks at it.
 
+mod from_splats;
 pub(crate) mod light;
 pub(crate) mod renderer;
 mod surround;
@@ -218,6 +219,8 @@ fn lit(
         scene = light::edited(scene, task, |parts| {
             light::load_environment(parts, environment, light_job.environment_strength)
         })?;
+    } else if light_job.from_splats {
+        scene = light::from_splats(scene, light_job.environment_strength, task)?;
     } else if let Some(strength) = scene.environment.map(|environment| environment.strength)
         && light_job.environment_strength != 1.0
     {

@@ -12,8 +12,12 @@ const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [
 const CUT: Cut = Cut { block_seconds: 1.0, blocks: Some(2) };
 
 fn scene() -> String {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let path = root.join("scenes/letters/letters.gltf").canonicalize().unwrap();
+    sample("letters/letters.gltf")
+}
+
+/// The line of a job that names a sample scene.
+fn sample(file: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes").join(file).canonicalize().unwrap();
     format!("scene = {:?}\n", path.to_str().unwrap())
 }
 
@@ -79,6 +83,17 @@ fn units_of_a_still_give_the_bytes_of_a_run() {
     assert!(plan.done(&many, "expose").is_none());
     let error = unit(&many, "factorize", &registry).unwrap_err();
     assert!(error.contains("unit `factorize`") && error.contains("`expose` not done"), "{error}");
+}
+
+#[test]
+fn units_of_a_capture_give_the_bytes_of_a_run() {
+    let (registry, folder) = (Registry::built_in().unwrap(), tempfile::tempdir().unwrap());
+    let job = job(folder.path(), &sample("dandelion/dandelion.spz"), &[DISPLAY, "views = [5, 5]\n"]);
+    let [one, many] = ["one", "many"].map(|name| folder.path().join(name));
+    with_task(|task| run(&job, &one, &registry, None, task)).unwrap();
+    let plan = execute(&job, &many, &registry);
+    assert!(ids(&plan).contains(&"trace/2-of-2"), "{:?}", ids(&plan));
+    assert_eq!(results(&one), results(&many));
 }
 
 #[test]

@@ -137,7 +137,11 @@ fn splats_and_meshes_hide_one_another() {
     balls.opacities.extend(behind.opacities);
     balls.harmonics.extend(behind.harmonics);
     let bytes = glb(&balls, [0.0, 0.0, 0.0, 1.0], 1.0).unwrap();
-    std::fs::write(folder.path().join("a.glb"), with_wall(&bytes)).unwrap();
+    let unlit = serde_json::json!({
+        "pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.5, 0.5, 1.0]},
+        "extensions": {"KHR_materials_unlit": {}},
+    });
+    std::fs::write(folder.path().join("a.glb"), with_wall(&bytes, unlit)).unwrap();
     let window = "[window]\nfrom = \"given\"\ncentre = [0, 0, 0]\nforward = [0, 0, -1]\nup = [0, 1, 0]\nwidth = 4.0\nfit_depth = \"off\"\n";
     for denoise in ["off", "shared"] {
         let dir = folder.path().join(denoise);
@@ -152,8 +156,31 @@ fn splats_and_meshes_hide_one_another() {
     }
 }
 
-/// Adds an unlit wall in the plane z = 0 to a document.
-fn with_wall(document: &[u8]) -> Vec<u8> {
+/// A grey wall inside a ball of splats, of which the part before the wall is cut off by the near plane.
+#[test]
+fn splats_light_meshes_only_if_asked() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = glb(&ball(Vec3::ZERO, 3.0, [0.8, 0.4, 0.2]), [0.0, 0.0, 0.0, 1.0], 1.0).unwrap();
+    let diffuse = serde_json::json!({
+        "pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.5, 0.5, 1.0], "metallicFactor": 0.0},
+        "extensions": {"KHR_materials_specular": {"specularFactor": 0.0}},
+    });
+    std::fs::write(folder.path().join("a.glb"), with_wall(&bytes, diffuse)).unwrap();
+    let window = "[window]\nfrom = \"given\"\ncentre = [0, 0, 0]\nforward = [0, 0, -1]\nup = [0, 1, 0]\nwidth = 4.0\nnear = 1.0\n\
+                  fit_depth = \"off\"\n";
+    let lit = |from_splats: bool| {
+        let dir = folder.path().join(from_splats.to_string());
+        let light = format!("[light]\nautomatic = false\nfrom_splats = {from_splats}\n");
+        run_quietly(&job(folder.path(), "a.glb", &format!("{window}{light}")), &dir);
+        middle(&dir, [15, 24])
+    };
+    assert_near(lit(false), [0.0; 3]);
+    // half of light that is the same from everywhere
+    assert_near(lit(true), [0.8, 0.4, 0.2].map(|value| 0.5 * srgb(value)));
+}
+
+/// Adds a wall of a material in the plane z = 0 to a document.
+fn with_wall(document: &[u8], material: serde_json::Value) -> Vec<u8> {
     let length = u32::from_le_bytes(document[12..16].try_into().unwrap()) as usize;
     let mut json: serde_json::Value = serde_json::from_slice(&document[20..20 + length]).unwrap();
     let mut bin = document[28 + length..].to_vec();
@@ -173,11 +200,9 @@ fn with_wall(document: &[u8]) -> Vec<u8> {
         &mut json["accessors"],
         serde_json::json!({"bufferView": view, "componentType": 5126, "count": 4, "type": "VEC3"}),
     );
-    json["materials"] = serde_json::json!([{
-        "pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.5, 0.5, 1.0]},
-        "extensions": {"KHR_materials_unlit": {}},
-    }]);
-    json["extensionsUsed"] = serde_json::json!(["KHR_gaussian_splatting", "KHR_materials_unlit"]);
+    let extensions = material["extensions"].as_object().unwrap().keys().cloned();
+    json["extensionsUsed"] = std::iter::once("KHR_gaussian_splatting".to_owned()).chain(extensions).collect();
+    json["materials"] = serde_json::json!([material]);
     push(
         &mut json["meshes"],
         serde_json::json!({"primitives": [{"mode": 5, "material": 0, "attributes": {"POSITION": accessor}}]}),

@@ -52,7 +52,7 @@ fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
 }
 
 /// Whether `LUMISTACK_PYTHON` names a Python that reads USD; says so where it does not.
-fn has_usd() -> bool {
+pub(crate) fn has_usd() -> bool {
     let python = std::env::var_os("LUMISTACK_PYTHON").unwrap_or_default();
     let has = Command::new(python).args(["-c", "import pxr"]).output().is_ok_and(|output| output.status.success());
     if !has {

@@ -235,6 +235,15 @@ class Scene:
     def duration(self) -> float | None: ...
     @property
     def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]: ...
+    @staticmethod
+    def from_splats(
+        splats: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+        *,
+        light: Mapping[str, Any] | None = None,
+        name: str = "splats",
+    ) -> Scene: ...
+    @property
+    def splats(self) -> list[dict[str, Any]]: ...
 
 def render(
     scene: Scene | _Path | _Stage,

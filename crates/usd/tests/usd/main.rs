@@ -5,4 +5,5 @@ mod corpus;
 mod looks;
 mod packages;
 mod shading;
+mod splats;
 mod stages;

@@ -11,6 +11,7 @@ use lumistack_pathtracer::Settings;
 use lumistack_scene::{AlphaMode, Environment, Image, Lamp, Material, Pixels, Scene, SceneError, SceneParts, Window};
 
 use crate::error::{PipelineError, field_error, read, render_error};
+use crate::stage::ingest::from_splats;
 use crate::stage::ingest::renderer::SceneRenderer;
 use crate::stage::look::automatic_look;
 use crate::stage::place::side;
@@ -156,6 +157,23 @@ pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> R
 /// quarter from the left towards −z.
 fn as_in_blender() -> Quat {
     Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2)
+}
+
+/// Lets the scene's splats light its meshes; a scene without both stays as it is.
+///
+/// # Errors
+/// When cancelled, or when the scene becomes invalid.
+pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result<Scene, PipelineError> {
+    let scene = Arc::new(scene);
+    let panorama = from_splats::panorama(&scene, task)?;
+    let scene = Arc::unwrap_or_clone(scene);
+    let Some(image) = panorama else { return Ok(scene) };
+    edited(scene, task, |parts| {
+        set_environment(parts, image, Vec3::splat(strength), Quat::IDENTITY);
+        // the splats themselves are seen already
+        parts.backdrop = Some(Vec3::ZERO);
+        Ok(())
+    })
 }
 
 fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, scene_from_environment: Quat) {

@@ -1,0 +1,81 @@
+//! Splats as the light of the meshes among them: what is seen of the splats around the meshes, as an environment map.
+//!
+//! ```text
+//! L(ω) = linear light of the splats in direction ω from the centre of the meshes         six faces of a cube, each a view from there
+//! ```
+//!
+//! Light comes from infinity, so it falls alike on all meshes, and they cast no shadow on splats.
+
+use std::sync::Arc;
+
+use glam::{DMat3, DQuat, DVec3};
+use lumistack_core::{Task, Tensor};
+use lumistack_display::{FieldGeometry, Projection, ViewGrid};
+use lumistack_scene::{Bounds, Image, Pixels, Scene, Similarity, Window};
+use lumistack_splats::{Renderer, Space, Wanted};
+
+use crate::error::PipelineError;
+
+/// Pixels along an edge of a face; width and height of the map.
+const FACE: usize = 96;
+const SIZE: [usize; 2] = [256, 128];
+/// Distance of a face from the eye, as a share of the scene's diagonal: all around the eye counts as distant.
+const NEAR: f64 = 1e-3;
+/// Directions that faces look in, with those that are up.
+const FACES: [[DVec3; 2]; 6] = [
+    [DVec3::X, DVec3::Y],
+    [DVec3::NEG_X, DVec3::Y],
+    [DVec3::Z, DVec3::Y],
+    [DVec3::NEG_Z, DVec3::Y],
+    [DVec3::Y, DVec3::Z],
+    [DVec3::NEG_Y, DVec3::Z],
+];
+
+/// The map of a scene with splats and meshes, in the scene's axes; `None` where one of both is missing.
+///
+/// # Errors
+/// When cancelled.
+pub(crate) fn panorama(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<Image>, PipelineError> {
+    let (Some(renderer), Some(space)) = (Renderer::new(scene.clone()), Space::of(scene)) else { return Ok(None) };
+    let mut meshes = Bounds::EMPTY;
+    for instance in &scene.instances {
+        let points = scene.meshes[instance.mesh].positions.iter();
+        points.for_each(|point| meshes.include(instance.scene_from_mesh.transform_point3(*point)));
+    }
+    if meshes.is_empty() {
+        return Ok(None);
+    }
+    let centre = meshes.centre().as_dvec3();
+    let scale = NEAR * f64::from(scene.bounds().size().length());
+    // a face of 2 × 2 mm, 1 mm before the eye
+    let grid = ViewGrid::single(Projection::Perspective { distance_mm: 1.0 }, [0.0; 2]);
+    let geometry = FieldGeometry { rows: FACE, cols: FACE, pitch_mm: 2.0 / FACE as f64, grid };
+    let turns = FACES.map(|[forward, up]| DMat3::from_cols(forward.cross(up), up, -forward));
+    let mut faces: Vec<Tensor<3>> = Vec::new();
+    for turn in &turns {
+        let scene_from_display =
+            Similarity { rotation: DQuat::from_mat3(turn), scale, translation: centre - scale * turn.z_axis };
+        let window = Window { scene_from_display, size_mm: geometry.size_mm(), near_mm: None };
+        let none = |_: usize| Ok::<_, PipelineError>(None);
+        renderer.render(&window, &geometry, &[[0.0; 2]], &none, Wanted::Light, task, |_, view| {
+            faces.push(view.light);
+            Ok(())
+        })?;
+    }
+    let [width, height] = SIZE;
+    let texel = |i: usize| {
+        let elevation = std::f64::consts::PI * (0.5 - ((i / width) as f64 + 0.5) / height as f64);
+        // the centre column is −z, columns to the right turn towards +x
+        let azimuth = std::f64::consts::TAU * (((i % width) as f64 + 0.5) / width as f64 - 0.5);
+        let to = DVec3::new(elevation.cos() * azimuth.sin(), elevation.sin(), -elevation.cos() * azimuth.cos());
+        let along = |face: &usize| FACES[*face][0].dot(to);
+        let face = (0..6).max_by(|a, b| along(a).total_cmp(&along(b))).unwrap_or_default();
+        let own = turns[face].transpose() * to;
+        let place = |at: f64| (0.5 * FACE as f64 * (1.0 + at / -own.z)) as usize;
+        let (row, col) = (place(-own.y).min(FACE - 1), place(own.x).min(FACE - 1));
+        let [r, g, b, through] = [0, 1, 2, 3].map(|value| faces[face].get([row, col, value]));
+        space.over([r, g, b, through], [0.0; 3])
+    };
+    let texels = (0..width * height).map(texel).collect();
+    Ok(Some(Image { name: "light of the splats".into(), width, height, pixels: Pixels::RgbF32(texels) }))
+}

@@ -1,0 +1,52 @@
+//! A file of splats as a scene of its own.
+
+use glam::{Affine3A, Vec3};
+use lumistack_core::Task;
+use lumistack_scene::{PlacedCloud, Scene, SceneError, SceneParts};
+use thiserror::Error;
+
+use crate::read::{Found, ReadError, read};
+
+/// A file of splats that makes no scene.
+#[derive(Debug, Error)]
+pub enum LoadError {
+    /// It cannot be read.
+    #[error("{name}: {source}")]
+    Read {
+        /// The file as the caller named it.
+        name: String,
+        /// Place and reason.
+        source: ReadError,
+    },
+    /// It has no splats, or none that can be rendered.
+    #[error("{name}: {source}")]
+    Scene {
+        /// The file as the caller named it.
+        name: String,
+        /// Place and reason.
+        source: SceneError,
+    },
+}
+
+/// The scene of a `.ply`, `.spz` or SOG file, upright as its format says. `beside` reads a file that a SOG's `meta.json` names. Warns of what is left out.
+///
+/// # Errors
+/// When the file is broken, or nothing in it can be rendered.
+pub fn scene(
+    name: &str,
+    bytes: &[u8],
+    beside: &dyn Fn(&str) -> Result<Vec<u8>, String>,
+    task: Task<'_>,
+) -> Result<Scene, LoadError> {
+    let found = read(bytes, beside).map_err(|source| LoadError::Read { name: name.to_owned(), source })?;
+    let Found { cloud, axes, left_out } = found;
+    left_out.iter().for_each(|message| task.warn(name, message));
+    let scene_from_cloud = Affine3A::from_rotation_translation(axes.scene_from_file(), Vec3::ZERO);
+    let parts = SceneParts {
+        name: name.to_owned(),
+        clouds: vec![cloud],
+        placed_clouds: vec![PlacedCloud { cloud: 0, scene_from_cloud }],
+        ..SceneParts::default()
+    };
+    parts.validate(task).map_err(|source| LoadError::Scene { name: name.to_owned(), source })
+}

@@ -1,0 +1,86 @@
+"""Particle fields: Gaussian splats, as UsdVol has them since OpenUSD 26.03.
+
+An older OpenUSD does not know the types: it shows such a prim as one without a type, and still gives its attributes by their names.
+"""
+
+from pxr import Usd
+
+from lumistack_usd import geometry
+
+ELLIPSOID, SURFLET = "ParticleFieldKernelGaussianEllipsoidAPI", "ParticleFieldKernelGaussianSurfletAPI"
+SPLAT = "ParticleField3DGaussianSplat"
+HARMONICS = "radiance:sphericalHarmonicsCoefficients"
+
+
+def is_field(prim):
+    """Whether the prim is a particle field, whatever its kernel."""
+    return str(prim.GetTypeName()) in ("ParticleField", SPLAT) or "ParticleField" in known_bases(prim)
+
+
+def known_bases(prim):
+    """Types that this OpenUSD derives the prim's type from."""
+    kind = prim.GetPrimTypeInfo().GetSchemaType()
+    return [Usd.SchemaRegistry.GetSchemaTypeName(base) for base in kind.GetAllAncestorTypes()] if kind else []
+
+
+def is_shown(prim, writer):
+    """Whether a particle field is of splats, and to be rendered; fields of others are reported."""
+    purpose = prim.GetAttribute("purpose")
+    if purpose and purpose.Get() in ("proxy", "guide"):
+        # which an older OpenUSD does not compute of a type that it does not know
+        return False
+    kernels = [kernel for kernel in schemas(prim) if "Kernel" in kernel and not kernel.endswith("BaseAPI")]
+    if str(prim.GetTypeName()) == SPLAT or ELLIPSOID in kernels or SURFLET in kernels:
+        return True
+    found = ", ".join(kernels) or "none"
+    writer.warn(prim.GetPath(), "expected a particle field with a Gaussian kernel, found %s; left out" % found)
+    return False
+
+
+def schemas(prim):
+    """Applied schemas, also those that this OpenUSD does not know."""
+    authored = prim.GetMetadata("apiSchemas")
+    return list(prim.GetAppliedSchemas()) + (list(authored.GetAppliedItems()) if authored else [])
+
+
+def field(prim, writer, time):
+    """The entry of a field of splats."""
+    kernels = schemas(prim)
+    degree = prim.GetAttribute("radiance:sphericalHarmonicsDegree")
+    degree = degree.Get(time) if degree else None
+    return {
+        "kind": "splats",
+        "place": str(prim.GetPath()),
+        "positions": values(prim, "positions", writer, time),
+        "orientations": values(prim, "orientations", writer, time),
+        "scales": values(prim, "scales", writer, time),
+        "opacities": values(prim, "opacities", writer, time),
+        "harmonics": values(prim, HARMONICS, writer, time),
+        "degree": 3 if degree is None else int(degree),
+        "flat": SURFLET in kernels and ELLIPSOID not in kernels,
+        "colour_space": colour_space(prim),
+        "subsets": [],
+    }
+
+
+def values(prim, name, writer, time):
+    """The array of an attribute in float precision, or else in half precision, whose name ends with h."""
+    for name in (name, name + "h"):
+        found = geometry.value(prim.GetAttribute(name), time, writer)
+        if found is not None and found["shape"][0]:
+            return found
+    return None
+
+
+def colour_space(prim):
+    """Name of the space of the colours: that of the attribute, or of the nearest prim that has one; empty where none has."""
+    for name in (HARMONICS, HARMONICS + "h"):
+        attribute = prim.GetAttribute(name)
+        if attribute and attribute.GetColorSpace():
+            return str(attribute.GetColorSpace())
+    while prim and not prim.IsPseudoRoot():
+        attribute = prim.GetAttribute("colorSpace:name")
+        if attribute and attribute.Get():
+            return str(attribute.Get())
+        prim = prim.GetParent()
+    return ""
