@@ -17,6 +17,7 @@ mod preview;
 mod program;
 mod server;
 mod show;
+mod solve_page;
 mod sweep;
 mod usage;
 mod values;

@@ -40,7 +40,8 @@ pub use geometry::{GeometryDefaults, GeometryFlags};
 pub use open::{geometry_of, open, open_for};
 pub use prefilter::Footprint;
 pub use source::Kind;
-pub use stack::{BacklightEntry, LayerEntry, StackIndex, read_stack, read_stack_index, write_stack};
+pub use lumistack_display::{BacklightEntry, LayerEntry, StackIndex};
+pub use stack::{read_stack, read_stack_index, write_stack};
 
 /// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

@@ -4,7 +4,7 @@ use lumistack_design::table::Plots;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
-use crate::path_text::is_default;
+use lumistack_core::path_text::is_default;
 
 /// Axes along which designs differ; every combination is one. An axis without values stays as the display has it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
