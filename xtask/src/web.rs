@@ -16,14 +16,12 @@ struct Module {
     /// Of the files around it, too.
     name: &'static str,
     profile: &'static str,
-    /// Whether it is to be small, or fast.
-    optimize: &'static str,
 }
 
 /// The viewer's module, and that of the page that solves.
 const MODULES: [Module; 2] = [
-    Module { package: "lumistack-web", name: "lumistack_web", profile: "web", optimize: "-Oz" },
-    Module { package: "lumistack-web-solver", name: "lumistack_web_solver", profile: "web-solver", optimize: "-O3" },
+    Module { package: "lumistack-web", name: "lumistack_web", profile: "web" },
+    Module { package: "lumistack-web-solver", name: "lumistack_web_solver", profile: "web-solver" },
 ];
 /// Where the module and its glue go; not committed.
 const PACKAGE: &str = "web/pkg";
@@ -34,7 +32,7 @@ const HASH: &str = "web/dist/sources.blake3";
 /// Files of the viewer, and what the page that solves adds, with what they are compressed to at most, all together, bytes.
 const BUDGETS: [(&str, &[&str], usize); 2] = [
     ("page", &["index.html", "viewer.js", "lumistack_web_bg.wasm"], 150_000),
-    ("solver", &["solve.html", "solve.js", "lumistack_web_solver_bg.wasm"], 500_000),
+    ("solver", &["solve.html", "solve.js", "lumistack_web_solver_bg.wasm"], 900_000),
 ];
 /// Sources of the page, besides the lock entries of what they depend on.
 const SOURCES: [&str; 21] = [
@@ -95,7 +93,7 @@ pub fn modules() -> Outcome {
     MODULES.iter().try_for_each(module)
 }
 
-fn module(&Module { package: name_of_package, name, profile, optimize: level }: &Module) -> Outcome {
+fn module(&Module { package: name_of_package, name, profile }: &Module) -> Outcome {
     if !tools::wasm_target() {
         return Err(
             "web: this machine cannot get the Rust target wasm32-unknown-unknown (`rustup target add` adds it)".into(),
@@ -114,7 +112,7 @@ fn module(&Module { package: name_of_package, name, profile, optimize: level }: 
     npm_packages()?;
     let module = package.join(format!("{name}_bg.wasm"));
     let mut optimize = command(root().join("web/node_modules/.bin/wasm-opt"));
-    optimize.args([level, "--converge", "--strip-debug", "--strip-producers"]).args(FEATURES);
+    optimize.args(["-Oz", "--converge", "--strip-debug", "--strip-producers"]).args(FEATURES);
     tools::run(optimize.arg(&module).arg("-o").arg(&module))
 }
 

@@ -17,6 +17,8 @@ function compile(): Promise<WebAssembly.Module> {
 
 export class Solver {
   private worker: Worker | undefined;
+  /** Settled when the thread has told what it knows. */
+  private ready: Promise<void> = Promise.resolve();
 
   constructor(private readonly told: (what: Tell) => void) {}
 
@@ -25,24 +27,28 @@ export class Solver {
     return this.worker !== undefined;
   }
 
-  /** Starts the thread where there is none. */
+  /** Starts the thread where there is none, and waits until it has told its presets. */
   async start(): Promise<void> {
     const module = await compile();
-    if (this.worker) return;
+    if (this.worker) return this.ready;
     const script = URL.createObjectURL(new Blob([WORKER], { type: "text/javascript" }));
-    const worker = new Worker(script);
-    worker.onmessage = ({ data }: MessageEvent<Tell>) => {
-      URL.revokeObjectURL(script);
-      // Whatever is wrong may have left its memory full.
-      if (data.kind === "error") this.end();
-      this.told(data);
-    };
-    worker.onerror = ({ message }) => {
-      this.end();
-      this.told({ kind: "error", message: message || "A worker does not start: the page may not start any (worker-src blob:)." });
-    };
-    this.worker = worker;
+    const worker = (this.worker = new Worker(script));
+    this.ready = new Promise((resolve, reject) => {
+      worker.onmessage = ({ data }: MessageEvent<Tell>) => {
+        URL.revokeObjectURL(script);
+        // Whatever is wrong may have left its memory full.
+        if (data.kind === "error") this.end();
+        this.told(data);
+        if (data.kind === "presets") resolve();
+      };
+      worker.onerror = ({ message }) => {
+        this.end();
+        reject(new Error(message || "a worker does not start: the page may not start any (worker-src blob:)"));
+        this.told({ kind: "error", message: message || "The solver’s thread does not start." });
+      };
+    });
     this.ask({ kind: "start", module });
+    return this.ready;
   }
 
   ask(what: Ask, handed: Transferable[] = []): void {
