@@ -105,7 +105,7 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
     for (let i = 0; i < ours.length; i++) squares += (ours[i] - theirs[i]) ** 2;
     count += ours.length;
   }
-  const curve = JSON.parse(readFileSync(join(out, "cache/convergence.json"), "utf8"));
+  const { value: curve } = JSON.parse(readFileSync(join(out, "cache/convergence.json"), "utf8"));
   const command = curve.steps.at(-1).psnr_view;
   console.log(`page ${psnr.toFixed(4)} dB, command ${command.toFixed(4)} dB, patterns differ by ${Math.sqrt(squares / count).toExponential(1)}`);
   assert.ok(Math.sqrt(squares / count) < SAME, `${Math.sqrt(squares / count)}`);
@@ -115,9 +115,9 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
 });
 
 test("patterns show while they form, stop, go on, and take another display", async () => {
-  const at = await page("#preset=paper-three-layer&cols=96&frames=2&zone_samples=60&iterations=2");
+  const at = await page("#preset=paper-three-layer&cols=96&frames=2&zone_samples=400&iterations=2");
   await shot(at, "empty");
-  await at.click("text=Dandelion");
+  await at.click("text=Letters");
   await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
   await at.click("#pause");
   assert.match(await at.textContent("#status"), /Stopped/);

@@ -23,12 +23,12 @@ pub use self::factorize::{EyeJob, FactorizeJob};
 pub use self::graph::{ImporterJob, NodeJob, OutputJob, SourceJob};
 pub use self::sequence::SequenceJob;
 pub use self::sweep::{SearchJob, SweepJob};
+use crate::error::{PipelineError, read_to_string};
+use crate::reader::is_blend;
+use lumistack_core::path_text::is_default;
 pub use lumistack_shot::{
     AngularFilter, Background, Denoise, Engine, FitDepth, LightJob, Near, RenderJob, Tone, WindowFrom, WindowJob,
 };
-use crate::error::{PipelineError, read_to_string};
-use lumistack_core::path_text::is_default;
-use crate::reader::is_blend;
 
 /// Views that are chosen where Blender may render them, at most.
 const MOST_OF_BLENDER: usize = 25;

@@ -43,6 +43,7 @@ pub use job::{
 pub use lumistack_plugin_host::{Asked, OutputData, PresentContext, Registry, Told, present};
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};
+pub use lumistack_shot::automatic_look;
 pub use only_views::render_only;
 pub use outlook::{Outlook, outlook, outlook_on};
 pub use plan::steps::{Plan, Step};
@@ -54,7 +55,6 @@ pub use run::{NodeSummary, SequenceSummary, Summary, plan, run, run_step, sweep}
 pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_preview};
 pub use stage::denoise::oidn_version;
 pub use stage::ingest::{Ingested, SceneContents, load_scene, scene_contents, take_scene};
-pub use lumistack_shot::automatic_look;
 pub use stage::place::place_window;
 pub use stage::score::References;
 pub use steps::{

@@ -45,5 +45,9 @@ pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<
     let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
     let depths = Depths::trace(renderer, &placement.window, &traced, task)?;
     let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
-    Ok(Outlook { depth: depth::budget(&depths, display, &geometry, &placement), coverage, memory: renderer.tracer.memory() })
+    Ok(Outlook {
+        depth: depth::budget(&depths, display, &geometry, &placement),
+        coverage,
+        memory: renderer.tracer.memory(),
+    })
 }

@@ -139,7 +139,12 @@ pub fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, sce
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.
-pub fn lit(mut scene: Scene, environment: bool, job: &LightJob, task: Task<'_>) -> Result<(Arc<Scene>, bool), ShotError> {
+pub fn lit(
+    mut scene: Scene,
+    environment: bool,
+    job: &LightJob,
+    task: Task<'_>,
+) -> Result<(Arc<Scene>, bool), ShotError> {
     if !environment
         && let Some(strength) = scene.environment.map(|environment| environment.strength)
         && job.environment_strength != 1.0

@@ -36,11 +36,8 @@ impl Files {
         let bytes = self.0.get(path).ok_or_else(|| Error::value(path, "a readable file", "none"))?;
         let (folder, name) = path.rsplit_once('/').map_or(("", path), |(folder, name)| (folder, name));
         let beside = Beside { files: self, folder };
-        let options = LoadOptions {
-            max_decoded_bytes: MOST_DECODED,
-            max_picture_bytes: MOST_PICTURES,
-            ..LoadOptions::default()
-        };
+        let options =
+            LoadOptions { max_decoded_bytes: MOST_DECODED, max_picture_bytes: MOST_PICTURES, ..LoadOptions::default() };
         let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension).to_ascii_lowercase();
         if !matches!(extension.as_str(), "ply" | "spz" | "sog" | "json") {
             return Ok(lumistack_gltf::load_with(name, bytes, &beside, &options, task)?);

@@ -45,7 +45,9 @@ pub fn preview(display: &Display, title: &str) -> Result<String, Error> {
         if let Backlight::Lenslets(b) = &display.backlight {
             let (rows, cols) = (b.views[1] * b.lenslets[1], b.views[0] * b.lenslets[0]);
             let path = format!("stack/emission_frame{frame}.png");
-            files.push(json!({"path": path, "kind": "emission", "frame": frame, "rows": rows, "cols": cols, "bytes": 0}));
+            files.push(
+                json!({"path": path, "kind": "emission", "frame": frame, "rows": rows, "cols": cols, "bytes": 0}),
+            );
         }
     }
     let (projection, distance_mm) = match geometry.grid.projection {

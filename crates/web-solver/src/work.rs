@@ -43,7 +43,10 @@ enum Piece {
     Read,
     Light,
     Place,
-    Trace { view: [usize; 2], samples: u32 },
+    Trace {
+        view: [usize; 2],
+        samples: u32,
+    },
     Splats(Vec<[usize; 2]>),
     /// Takes the light field of these views, and goes on from the present patterns.
     Begin(Picked),

@@ -85,7 +85,8 @@ fn patterns_are_those_of_the_command() {
 
 #[test]
 fn another_display_takes_the_same_scene() {
-    let quick = |more: &str| Settings::from_json(&format!(r#"{{"cols": 32, "zone_samples": 9, "iterations": 1{more}}}"#));
+    let quick =
+        |more: &str| Settings::from_json(&format!(r#"{{"cols": 32, "zone_samples": 9, "iterations": 1{more}}}"#));
     let mut work = Work::new(files(&scene("letters")), "letters.gltf", quick("").unwrap()).unwrap();
     // in the middle of it
     while work.shown() == 0 {
@@ -96,7 +97,8 @@ fn another_display_takes_the_same_scene() {
     finish(&mut work);
     assert_eq!((work.stack().unwrap().layers.len(), work.stack().unwrap().frames()), (2, 2));
     // and the same as from scratch
-    let mut fresh = Work::new(files(&scene("letters")), "letters.gltf", quick(r#", "layers": 2, "frames": 2"#).unwrap()).unwrap();
+    let mut fresh =
+        Work::new(files(&scene("letters")), "letters.gltf", quick(r#", "layers": 2, "frames": 2"#).unwrap()).unwrap();
     finish(&mut fresh);
     assert_eq!(fresh.stack(), work.stack());
 }
@@ -128,7 +130,8 @@ fn bad_input_is_one_sentence() {
         (r#"{"brightness": 2.0}"#, "brightness"),
         (r#"{"colour": 1}"#, "unknown field `colour`"),
     ] {
-        let error = Settings::from_json(choice).and_then(|settings| settings.display().map(drop)).unwrap_err().to_string();
+        let error =
+            Settings::from_json(choice).and_then(|settings| settings.display().map(drop)).unwrap_err().to_string();
         assert!(error.contains(expected), "{choice}: {error}");
     }
 }

@@ -32,7 +32,6 @@ async function solve(get: () => Promise<Input | undefined>): Promise<void> {
     if (own !== load || !found) return;
     input = found;
     paused = false;
-    at("empty").hidden = true;
     document.title = `${found.title} – Lumistack`;
     performance.mark("lumistack-solve");
     // The files go to the thread; they are kept here in case it ends.
@@ -82,7 +81,10 @@ async function show(): Promise<void> {
       next = undefined;
       await customElements.whenDefined("lumistack-viewer");
       at("drop").classList.remove("idle");
+      at("empty").hidden = true;
       await viewer.showStack(stack.json, stack.codes);
+      // Until a picture is drawn nothing is on show.
+      await viewer.ready;
       if (performance.getEntriesByName("lumistack-first-patterns").length === 0) performance.mark("lumistack-first-patterns");
     }
   } catch (error) {

@@ -9,9 +9,9 @@ use lumistack_pathtracer::Renderer;
 use lumistack_scene::Window;
 use lumistack_shot::{Depths, SceneRenderer, slopes};
 
-use super::{denoise, depth};
 use super::fields::{Block, FieldJob, Shot, parts};
 use super::ingest::Ingested;
+use super::{denoise, depth};
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Engine};
 use crate::store::views::{
