@@ -120,7 +120,7 @@ test("patterns show while they form, stop, go on, and take another display", asy
   await at.click("text=Letters");
   await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
   await at.click("#pause");
-  assert.match(await at.textContent("#status"), /Stopped/);
+  await at.waitForFunction(() => /Stopped/.test(document.querySelector("#status").textContent));
   const share = await at.evaluate(() => document.querySelector("#bar").value);
   await at.waitForTimeout(400);
   assert.equal(await at.evaluate(() => document.querySelector("#bar").value), share, "nothing goes on while it is stopped");

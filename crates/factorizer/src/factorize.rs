@@ -235,10 +235,11 @@ impl Ongoing {
         self.0.download()
     }
 
-    /// Ends the run as [`factorize`] does, and returns its patterns.
-    pub fn finish(mut self) -> LayerStack {
+    /// Ends the run as [`factorize`] does, and returns its patterns and their objective.
+    pub fn finish(mut self) -> (LayerStack, Objective) {
         self.0.settle();
-        self.0.finish().into_stack()
+        let objective = self.0.objective();
+        (self.0.finish().into_stack(), objective)
     }
 }
 

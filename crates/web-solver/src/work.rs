@@ -223,10 +223,10 @@ impl Work {
                 }
             }
             Piece::Finish => {
-                let (Some(mut run), Some(target)) = (self.run.take(), &self.target) else { return Ok(()) };
+                let (Some(run), Some(target)) = (self.run.take(), &self.target) else { return Ok(()) };
                 let problem = Problem { display: &self.display, target, weights: &Weights::Uniform };
-                self.psnr = run.objective().psnr_view;
-                let mut stack = run.finish();
+                let (mut stack, objective) = run.finish();
+                self.psnr = objective.psnr_view;
                 if has_levels(&problem) {
                     stack = reoptimize_on_levels(&problem, stack, task)?;
                 }

@@ -69,6 +69,11 @@ fn difference(folder: &str, file: &str) -> f64 {
     let registry = Registry::built_in().unwrap();
     lumistack_pipeline::run(&job, &out, &registry, None, Task::quiet(&warnings, &cancel)).unwrap();
     let command = lumistack_field_io::read_stack(&out.join("layers")).unwrap();
+    let curve = std::fs::read(out.join("cache/convergence.json")).unwrap();
+    let curve: serde_json::Value = serde_json::from_slice(&curve).unwrap();
+    let last = curve["value"]["steps"].as_array().and_then(|steps| steps.last()).unwrap();
+    let psnr = last["psnr_view"].as_f64().unwrap();
+    assert!((work.psnr() - psnr).abs() < 0.01, "page {} dB, command {psnr} dB", work.psnr());
     let pairs = || stack.layers.iter().zip(&command.layers).flat_map(|(a, b)| a.data().iter().zip(b.data()));
     let squares: f64 = pairs().map(|(a, b)| f64::from(a - b).powi(2)).sum();
     (squares / pairs().count() as f64).sqrt()
