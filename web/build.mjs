@@ -6,16 +6,17 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { gzipSync } from "node:zlib";
 
-const wasm = "pkg/lumistack_web_bg.wasm";
-if (!existsSync(wasm)) {
-  console.error(`web/${wasm} is missing: run \`cargo xtask web\`, which builds it and then this page`);
+const MODULES = ["lumistack_web_bg.wasm", "lumistack_web_solver_bg.wasm"];
+for (const name of MODULES) {
+  if (existsSync(`pkg/${name}`)) continue;
+  console.error(`web/pkg/${name} is missing: run \`cargo xtask web\`, which builds it and then this page`);
   process.exit(1);
 }
 mkdirSync("dist", { recursive: true });
 const BROWSERS = { bundle: true, minify: true, target: ["es2022", "chrome111", "firefox113", "safari16.4"], charset: "utf8", legalComments: "none" };
 await build({
   ...BROWSERS,
-  entryPoints: { viewer: "src/viewer.ts" },
+  entryPoints: { viewer: "src/viewer.ts", solve: "src/solve/main.ts" },
   outdir: "dist",
   format: "esm",
   loader: { ".css": "text" },
@@ -45,16 +46,26 @@ await build({
   ],
 });
 // The page's own few rules stand in it: nothing is fetched before its poster shows.
-const { outputFiles } = await build({ entryPoints: ["src/page.css"], minify: true, write: false });
-writeFileSync("dist/index.html", readFileSync("src/index.html", "utf8").replace("/*page.css*/", () => outputFiles[0].text.trim()));
-copyFileSync(wasm, "dist/lumistack_web_bg.wasm");
+for (const [page, sheet] of [
+  ["index", "page"],
+  ["solve", "solve"],
+]) {
+  const { outputFiles } = await build({ entryPoints: [`src/${sheet}.css`], minify: true, write: false });
+  writeFileSync(`dist/${page}.html`, readFileSync(`src/${page}.html`, "utf8").replace(`/*${sheet}.css*/`, () => outputFiles[0].text.trim()));
+}
+for (const name of MODULES) copyFileSync(`pkg/${name}`, `dist/${name}`);
+// The scenes that come with the page that solves.
+for (const [name, { files }] of Object.entries(JSON.parse(readFileSync("src/solve/scenes.json", "utf8")))) {
+  mkdirSync(`dist/scenes/${name}`, { recursive: true });
+  for (const file of files) copyFileSync(`../scenes/${name}/${file}`, `dist/scenes/${name}/${file}`);
+}
 // What a program that imports the package sees of it; everything else is private.
 const all = mkdtempSync(join(tmpdir(), "lumistack-types-"));
 execFileSync(process.execPath, ["node_modules/typescript/bin/tsc", "--emitDeclarationOnly", "--declaration", "--outDir", all], { stdio: "inherit" });
 mkdirSync("dist/types", { recursive: true });
 for (const name of ["viewer.d.ts", "element.d.ts", "state.d.ts"]) copyFileSync(join(all, name), join("dist/types", name));
 rmSync(all, { recursive: true });
-for (const name of ["index.html", "viewer.js", "lumistack_web_bg.wasm"]) {
+for (const name of ["index.html", "viewer.js", "lumistack_web_bg.wasm", "solve.html", "solve.js", "lumistack_web_solver_bg.wasm"]) {
   const bytes = readFileSync(`dist/${name}`);
   console.log(`dist/${name}  ${(bytes.length / 1000).toFixed(1)} kB, ${(gzipSync(bytes, { level: 9 }).length / 1000).toFixed(1)} kB gzip`);
 }

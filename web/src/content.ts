@@ -36,7 +36,7 @@ export class StackContent implements Content {
   private wanted = "";
 
   /** Throws where the text is no preview. */
-  constructor(private readonly json: string) {
+  constructor(readonly json: string) {
     this.info = infoOf(json);
     this.missing = Array.from({ length: this.info.frames }, (_, frame) => this.info.files.filter((file) => file.frame === frame).length);
   }
@@ -57,6 +57,13 @@ export class StackContent implements Content {
     this.frames.sort((a, b) => a - b);
     this.whole = this.frames.length === this.info.frames;
     return true;
+  }
+
+  /** Takes all pictures at once, in place of those that were there: what is drawn is always of one state. */
+  async exchange(codes: Uint8Array<ArrayBuffer>): Promise<void> {
+    await this.engine?.call("exchange", [codes], [codes.buffer]);
+    if (this.whole) return;
+    for (const file of this.info.files) this.arrived(file);
   }
 
   get targetsReady(): number {

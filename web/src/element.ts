@@ -202,6 +202,18 @@ export class LumistackViewer extends HTMLElement {
     }
   }
 
+  /**
+   * Shows patterns that are being computed: `json` is their preview, `codes` holds all its pictures in the preview's order, [row][col][rgb] each. Those of the
+   * preview on show take the place of the former at once.
+   */
+  async showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void> {
+    const { content } = this;
+    if (!(content instanceof StackContent) || content.json !== json) return this.loader.stack(json, codes, this.module);
+    await content.exchange(codes);
+    this.sheet.forget();
+    this.stateChanged();
+  }
+
   // --- life
 
   connectedCallback(): void {

@@ -85,6 +85,22 @@ export class Loader {
     }
   }
 
+  /** A stack that somebody computes, whole from the start. What is on show stays until the simulator has it. */
+  async stack(json: string, codes: Uint8Array<ArrayBuffer>, module: string | null): Promise<void> {
+    const { events } = this;
+    const { signal } = this.begin();
+    const engine = await Engine.start(module);
+    if (signal.aborted) return engine.stop();
+    const content = new StackContent(json);
+    events.clear();
+    events.shown(content);
+    await content.open(engine, this.stage);
+    await content.exchange(codes);
+    if (signal.aborted) return engine.stop();
+    events.opened(content, engine);
+    events.finished(content, []);
+  }
+
   /** What is on show stays until the pictures of the other are decoded. */
   async field(dropped: Extract<Dropped, { kind: "quilt" | "views" }>, module: string | null): Promise<void> {
     const { events } = this;

@@ -58,6 +58,11 @@ export class Painter {
     else this.tell({ path: "cpu" });
   }
 
+  /** Masks are other ones from now on. */
+  forget(): void {
+    this.masks.clear();
+  }
+
   paint(scene: Scene, size: Size): ImageBitmap[] {
     const { viewer, context } = this;
     const { field } = scene;

@@ -51,6 +51,11 @@ export class Sheet {
     this.box.replaceChildren();
   }
 
+  /** Masks are other ones from now on. */
+  forget(): void {
+    this.drawn.clear();
+  }
+
   /** Marks the mask on show and draws the thumbnails that can be. */
   show(layer: number, frame: number, ready: readonly number[]): void {
     for (const [key, cell] of this.cells) {

@@ -19,6 +19,11 @@ const methods = {
   put(index: number, bytes: ArrayBuffer): void {
     viewer!.put(index, new Uint8Array(bytes));
   },
+  /** Takes all pictures at once, in place of those that were there. */
+  exchange(codes: Uint8Array): void {
+    viewer!.exchange(codes);
+    painter!.forget();
+  },
   options(json: string): void {
     viewer!.set_options(json);
   },

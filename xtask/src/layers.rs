@@ -20,7 +20,7 @@ const FORBIDDEN: [(&str, &[&str]); 3] = [
 ];
 
 /// Crates that must compile to wasm32 and so take no file system, clock or terminal.
-pub const PORTABLE: [&str; 8] = [
+pub const PORTABLE: [&str; 10] = [
     "lumistack-simd",
     "lumistack-core",
     "lumistack-scene",
@@ -29,6 +29,8 @@ pub const PORTABLE: [&str; 8] = [
     "lumistack-pathtracer",
     "lumistack-factorizer",
     "lumistack-splats",
+    "lumistack-shot",
+    "lumistack-web-solver",
 ];
 
 /// Calls that the portable crates must not make; files and clocks come in as arguments.

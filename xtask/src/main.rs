@@ -84,7 +84,7 @@ fn main() -> ExitCode {
         ["blender", "--case", names, version] => blender::some(names, version),
         ["web"] => web::build(),
         ["web", "--check"] => web::check(),
-        ["web", "module"] => web::module(),
+        ["web", "module"] => web::modules(),
         ["web", "fixtures"] => web::fixtures(),
         ["web", "test"] => web::fixtures().and_then(|()| web::browser_tests()),
         ["scenes"] => tools::cargo(&["run", "--package", "lumistack-scene-generator"]),

@@ -10,23 +10,49 @@ use serde_json::Value;
 
 use crate::tools::{self, Outcome, cargo, command, output_of, root};
 
-/// The module's name, of the files around it too.
-const NAME: &str = "lumistack_web";
+/// A WebAssembly module.
+struct Module {
+    package: &'static str,
+    /// Of the files around it, too.
+    name: &'static str,
+    profile: &'static str,
+}
+
+/// The viewer's module, and that of the page that solves.
+const MODULES: [Module; 2] = [
+    Module { package: "lumistack-web", name: "lumistack_web", profile: "web" },
+    Module { package: "lumistack-web-solver", name: "lumistack_web_solver", profile: "web-solver" },
+];
 /// Where the module and its glue go; not committed.
 const PACKAGE: &str = "web/pkg";
 /// The page; committed.
 const DIST: &str = "web/dist";
 /// Of the sources of `web/dist`.
 const HASH: &str = "web/dist/sources.blake3";
-/// The page's files and what they are compressed to at most, all together, bytes.
-const PAGE: [&str; 3] = ["index.html", "viewer.js", "lumistack_web_bg.wasm"];
-const BUDGET: usize = 150_000;
+/// Files of the viewer, and what the page that solves adds, with what they are compressed to at most, all together, bytes.
+const BUDGETS: [(&str, &[&str], usize); 2] = [
+    ("page", &["index.html", "viewer.js", "lumistack_web_bg.wasm"], 150_000),
+    ("solver", &["solve.html", "solve.js", "lumistack_web_solver_bg.wasm"], 950_000),
+];
 /// Sources of the page, besides the lock entries of what they depend on.
-const SOURCES: [&str; 8] = [
+const SOURCES: [&str; 21] = [
     "crates/core/src",
     "crates/display/src",
+    "crates/factorizer/src",
+    "crates/gltf/src",
+    "crates/pathtracer/src",
+    "crates/scene/src",
+    "crates/shot/src",
+    "crates/simd/src",
+    "crates/splats/src",
     "crates/web/Cargo.toml",
     "crates/web/src",
+    "crates/web-solver/Cargo.toml",
+    "crates/web-solver/src",
+    "scenes/dandelion",
+    "scenes/displays",
+    "scenes/letters",
+    "scenes/still-life",
     "web/build.mjs",
     "web/package-lock.json",
     "web/src",
@@ -35,7 +61,7 @@ const SOURCES: [&str; 8] = [
 
 /// Builds module and page into `web/dist`, and measures them.
 pub fn build() -> Outcome {
-    module()?;
+    modules()?;
     tools::run(command("npm").args(["run", "--silent", "build", "--prefix", "web"]))?;
     fs::write(root().join(HASH), format!("{}\n", sources_hash()?)).map_err(|error| format!("{HASH}: {error}"))?;
     measure()
@@ -62,8 +88,12 @@ pub fn fetch() -> Outcome {
     chromium().map(drop)
 }
 
-/// Builds the module into `web/pkg`.
-pub fn module() -> Outcome {
+/// Builds the modules into `web/pkg`.
+pub fn modules() -> Outcome {
+    MODULES.iter().try_for_each(module)
+}
+
+fn module(&Module { package: name_of_package, name, profile }: &Module) -> Outcome {
     if !tools::wasm_target() {
         return Err(
             "web: this machine cannot get the Rust target wasm32-unknown-unknown (`rustup target add` adds it)".into(),
@@ -71,16 +101,16 @@ pub fn module() -> Outcome {
     }
     let target = target_folder()?;
     let rustflags = format!("target.{WASM}.rustflags={:?}", rustflags());
-    let build = ["build", "--quiet", "--profile", "web", "--target", WASM, "--package", "lumistack-web"];
+    let build = ["build", "--quiet", "--profile", profile, "--target", WASM, "--package", name_of_package];
     cargo(&[&build[..], &["--config", &rustflags]].concat())?;
-    let built = target.join(WASM).join("web").join(format!("{NAME}.wasm"));
+    let built = target.join(WASM).join(profile).join(format!("{name}.wasm"));
     let package = root().join(PACKAGE);
     fs::create_dir_all(&package).map_err(|error| format!("{}: {error}", package.display()))?;
     let mut bindgen = command("cargo");
     bindgen.args(["run", "--quiet", "--package", "xtask", "--features", "bindgen", "--example", "bindgen", "--"]);
-    tools::run(bindgen.arg(&built).arg(&package).arg(NAME))?;
+    tools::run(bindgen.arg(&built).arg(&package).arg(name))?;
     npm_packages()?;
-    let module = package.join(format!("{NAME}_bg.wasm"));
+    let module = package.join(format!("{name}_bg.wasm"));
     let mut optimize = command(root().join("web/node_modules/.bin/wasm-opt"));
     optimize.args(["-Oz", "--converge", "--strip-debug", "--strip-producers"]).args(FEATURES);
     tools::run(optimize.arg(&module).arg("-o").arg(&module))
@@ -169,28 +199,29 @@ fn chromium() -> Outcome<PathBuf> {
     })
 }
 
-/// Prints the sizes of the page's files; an error above the budget. What counts is Brotli, which is what static hosts send to every browser of today; gzip is
+/// Prints the sizes of the files of both pages; an error above a budget. What counts is Brotli, which is what static hosts send to every browser of today; gzip is
 /// printed beside it.
 fn measure() -> Outcome {
     let script = "const z = require('zlib'), b = require('fs').readFileSync(process.argv[1]); \
         console.log(b.length, z.gzipSync(b, { level: 9 }).length, z.brotliCompressSync(b).length)";
-    let mut total = [0; 3];
-    for name in PAGE {
-        let path = root().join(DIST).join(name);
-        let told = output_of(command("node").args(["-e", script]).arg(&path));
-        let sizes =
-            told.map(|text| text.split_whitespace().filter_map(|word| word.parse().ok()).collect::<Vec<usize>>());
-        let sizes =
-            sizes.filter(|sizes| sizes.len() == 3).ok_or_else(|| format!("{}: not measured", path.display()))?;
-        println!("{name:>24} {:8} bytes, gzip {:7}, brotli {:7}", sizes[0], sizes[1], sizes[2]);
-        (0..3).for_each(|i| total[i] += sizes[i]);
+    for (part, names, budget) in BUDGETS {
+        let mut total = [0; 3];
+        for name in names {
+            let path = root().join(DIST).join(name);
+            let told = output_of(command("node").args(["-e", script]).arg(&path));
+            let sizes =
+                told.map(|text| text.split_whitespace().filter_map(|word| word.parse().ok()).collect::<Vec<usize>>());
+            let sizes =
+                sizes.filter(|sizes| sizes.len() == 3).ok_or_else(|| format!("{}: not measured", path.display()))?;
+            println!("{name:>28} {:8} bytes, gzip {:7}, brotli {:7}", sizes[0], sizes[1], sizes[2]);
+            (0..3).for_each(|i| total[i] += sizes[i]);
+        }
+        println!("{part:>28} {:8} bytes, gzip {:7}, brotli {:7} of {budget}", total[0], total[1], total[2]);
+        if total[2] > budget {
+            return Err(format!("web: the {part} has {} bytes compressed, more than {budget}", total[2]));
+        }
     }
-    println!("{:>24} {:8} bytes, gzip {:7}, brotli {:7} of {BUDGET}", "page", total[0], total[1], total[2]);
-    if total[2] > BUDGET {
-        Err(format!("web: the page has {} bytes compressed, more than {BUDGET}", total[2]))
-    } else {
-        Ok(())
-    }
+    Ok(())
 }
 
 /// Hash of the names and contents of all sources, of the build profile, and of the lock entries of every crate that the module is made of.
@@ -210,10 +241,13 @@ fn sources_hash() -> Outcome<String> {
     let profile = manifest.find("[profile.web]").ok_or("Cargo.toml has no [profile.web]")?;
     hash.update(&manifest.as_bytes()[profile..]);
     // names, versions and checksums, as cargo says them
-    let tree = ["tree", "--package", "lumistack-web", "--target", WASM, "--edges", "normal,build", "--prefix", "none"];
-    let tree =
-        output_of(command("cargo").args(tree).args(["--format", "{p}", "--locked"])).ok_or("cargo tree failed")?;
-    let mut crates: Vec<&str> = tree.lines().map(|line| line.split(" (").next().unwrap_or(line)).collect();
+    let mut crates = Vec::new();
+    for Module { package, .. } in &MODULES {
+        let tree = ["tree", "--package", package, "--target", WASM, "--edges", "normal,build", "--prefix", "none"];
+        let tree =
+            output_of(command("cargo").args(tree).args(["--format", "{p}", "--locked"])).ok_or("cargo tree failed")?;
+        crates.extend(tree.lines().map(|line| line.split(" (").next().unwrap_or(line).to_owned()));
+    }
     crates.sort_unstable();
     crates.dedup();
     hash.update(crates.join("\n").as_bytes());

@@ -60,7 +60,7 @@ pub(crate) enum Command {
     Simulate(Simulate),
     /// The browser simulator: look at a finished display from anywhere
     #[command(
-        after_help = "Example:\n  lumistack preview runs/still-life\n\nServes this machine alone, opens the browser, and reloads the page when the patterns change. A preview folder can also be put on any\nweb server as it is; its preview.html opens by a double click."
+        after_help = "Examples:\n  lumistack preview runs/still-life     the run's patterns\n  lumistack preview --solve             a page that solves: drop a model there\n\nServes this machine alone, opens the browser, and reloads the page when the patterns change. A preview folder can also be put on any\nweb server as it is; its preview.html opens by a double click."
     )]
     Preview(Preview),
     /// What displays can show by their geometry: depth of field, spectral support, viewing zone, frame rate, brightness
@@ -252,7 +252,11 @@ pub(crate) struct Clean {
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Preview {
     /// A run folder, or a preview that the output plugin `web_simulator` wrote
-    pub(crate) dir: PathBuf,
+    #[arg(required_unless_present = "solve")]
+    pub(crate) dir: Option<PathBuf>,
+    /// The page that solves: drop a model there and watch its patterns form
+    #[arg(long, conflicts_with = "dir")]
+    pub(crate) solve: bool,
     /// Port; 0 for any that is free
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) port: u16,

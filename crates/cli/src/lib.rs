@@ -19,6 +19,7 @@ mod program;
 mod questions;
 mod server;
 mod show;
+mod solve_page;
 mod sweep;
 mod usage;
 mod values;

@@ -10,7 +10,8 @@ use serde_json::json;
 
 use crate::args::Preview;
 use crate::console::say;
-use crate::server::{listen, port_of, serve};
+use crate::server::{Server, listen, port_of, serve};
+use crate::solve_page;
 
 /// Below a preview's folder.
 const PREVIEW_JSON: &str = "stack/preview.json";
@@ -33,22 +34,10 @@ pub(crate) fn preview_command(
     json: bool,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let source = source_of(&args.dir, task)?;
+    let Some(dir) = &args.dir else { return solve_command(args, json, task) };
+    let source = source_of(dir, task)?;
     source.refresh(registry, task)?;
-    let server = listen(args.port).map_err(|error| {
-        PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
-    })?;
-    let address = format!("http://localhost:{}/", port_of(&server));
-    if json {
-        say!("{}", json!({"event": "serving", "address": address, "preview": source.site}));
-    } else {
-        say!("{address}   (Ctrl-C ends it)");
-    }
-    if !args.no_open
-        && let Err(error) = opener::open_browser(&address)
-    {
-        task.warn("preview", format!("no browser opens ({error}): open {address} yourself"));
-    }
+    let server = announced(args, &source.site, json, task)?;
     let (mut looked, mut stamp) = (Instant::now(), stamp_of(&source.site));
     serve(&server, &source.site, || {
         if looked.elapsed() >= LOOK {
@@ -62,6 +51,33 @@ pub(crate) fn preview_command(
         (!task.cancel.is_cancelled()).then(|| stamp.clone())
     });
     Ok(())
+}
+
+/// The page that solves, which is part of the program.
+fn solve_command(args: &Preview, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+    let page = solve_page::write()?;
+    let server = announced(args, page.path(), json, task)?;
+    serve(&server, page.path(), || (!task.cancel.is_cancelled()).then(String::new));
+    Ok(())
+}
+
+/// A server for a folder, of which the user is told, and whose page a browser opens.
+fn announced(args: &Preview, site: &Path, json: bool, task: Task<'_>) -> Result<Server, PipelineError> {
+    let server = listen(args.port).map_err(|error| {
+        PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
+    })?;
+    let address = format!("http://localhost:{}/", port_of(&server));
+    if json {
+        say!("{}", json!({"event": "serving", "address": address, "preview": site}));
+    } else {
+        say!("{address}   (Ctrl-C ends it)");
+    }
+    if !args.no_open
+        && let Err(error) = opener::open_browser(&address)
+    {
+        task.warn("preview", format!("no browser opens ({error}): open {address} yourself"));
+    }
+    Ok(server)
 }
 
 /// A preview's folder, or a run: the preview that an output of it wrote, or one that is made now.

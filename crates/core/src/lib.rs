@@ -7,6 +7,7 @@ pub mod colour;
 pub mod config;
 pub mod metrics;
 pub mod pages;
+pub mod path_text;
 pub mod seed;
 mod task;
 mod tensor;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use lumistack_core::Task;
+use lumistack_core::{Cancel, Cancelled, Task};
 use lumistack_display::{Display, FieldGeometry, LayerStack};
 
 use crate::coarse::Coarse;
@@ -14,7 +14,10 @@ use crate::quantize::{has_levels, reoptimize, round_to_levels};
 use crate::solver::AUTO;
 use crate::solvers::method;
 use crate::start::start_patterns;
-use crate::{Extrapolated, FactorizeError, Multiplicative, Problem, Solver, StartKind, unlit};
+use crate::{Extrapolated, FactorizeError, Multiplicative, Objective, Problem, Solver, StartKind, unlit};
+
+/// Iterations that serve a light field all over the zone: its score stands still before that.
+pub const ZONE_ITERATIONS: u32 = 16;
 
 /// How to factorize.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -125,25 +128,9 @@ pub fn factorize(
     on_iteration: &mut dyn FnMut(&Iteration),
 ) -> Result<Factorization, FactorizeError> {
     let settings = &settings.resolved();
-    let method = method(&settings.solver)?;
-    let (plan, display) = (Arc::new(Plan::new(problem)?), problem.display);
-    if let Some(warm) = warm {
-        warm.check(display)?;
-        if display.frames > 1 && frames_are_equal(warm) {
-            task.warn("warm start", "all frames are equal and will stay equal: more frames than one have no effect");
-        }
-    }
+    let display = problem.display;
+    let (plan, mut run) = begun(problem, settings, warm, task)?;
     let prepared = |patterns| Prepared { plan: plan.clone(), display, patterns };
-    let mut run = match warm {
-        Some(warm) => {
-            let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
-            method.begin(prepared(Patterns::Stack(start)))?
-        }
-        None => begin(method, &plan, (display, problem.target.geometry()), settings, task)?,
-    };
-    if run.rays() == 0 {
-        return Err(FactorizeError::NoRays);
-    }
     let (mut history, mut unsettled) = (Vec::new(), 0.0);
     task.progress.begin("factorize", u64::from(settings.iterations), "iterations");
     let mut iterate = || -> Result<(), FactorizeError> {
@@ -183,6 +170,77 @@ pub fn factorize(
         levels = Some(LevelsLoss { continuous, rounded, reoptimized: psnr_view(&stack) });
     }
     Ok(Factorization { stack, history, settings: settings.clone(), unsettled, levels })
+}
+
+/// The plan of a problem and a run on it, begun at `warm` patterns or at what the settings choose.
+fn begun(
+    problem: &Problem,
+    settings: &Settings,
+    warm: Option<&LayerStack>,
+    task: Task,
+) -> Result<(Arc<Plan>, Box<dyn Iterated>), FactorizeError> {
+    let method = method(&settings.solver)?;
+    let (plan, display) = (Arc::new(Plan::new(problem)?), problem.display);
+    let run = match warm {
+        Some(warm) => {
+            warm.check(display)?;
+            if display.frames > 1 && frames_are_equal(warm) {
+                let message = "all frames are equal and will stay equal: more frames than one have no effect";
+                task.warn("warm start", message);
+            }
+            let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
+            method.begin(Prepared { plan: plan.clone(), display, patterns: Patterns::Stack(start) })?
+        }
+        None => begin(method, &plan, (display, problem.target.geometry()), settings, task)?,
+    };
+    if run.rays() == 0 {
+        return Err(FactorizeError::NoRays);
+    }
+    Ok((plan, run))
+}
+
+/// A factorization under way, for callers that look at the patterns between iterations: after as many iterations its patterns are those of
+/// [`factorize`], before layers of few bits are re-optimized.
+pub struct Ongoing(Box<dyn Iterated>);
+
+impl Ongoing {
+    /// Begins as [`factorize`] does. The target is copied.
+    ///
+    /// # Errors
+    /// As [`factorize`].
+    pub fn begin(
+        problem: &Problem,
+        settings: &Settings,
+        warm: Option<&LayerStack>,
+        task: Task,
+    ) -> Result<Self, FactorizeError> {
+        begun(problem, &settings.resolved(), warm, task).map(|(_, run)| Self(run))
+    }
+
+    /// One iteration.
+    ///
+    /// # Errors
+    /// When cancelled.
+    pub fn step(&mut self, cancel: &Cancel) -> Result<(), Cancelled> {
+        self.0.step(cancel)
+    }
+
+    /// The objective: of the patterns that the last step met, where the solver found it on its way, else of the present ones.
+    pub fn objective(&mut self) -> Objective {
+        self.0.seen().unwrap_or_else(|| self.0.objective())
+    }
+
+    /// The present patterns.
+    pub fn patterns(&mut self) -> LayerStack {
+        self.0.download()
+    }
+
+    /// Ends the run as [`factorize`] does, and returns its patterns and their objective.
+    pub fn finish(mut self) -> (LayerStack, Objective) {
+        self.0.settle();
+        let objective = self.0.objective();
+        (self.0.finish().into_stack(), objective)
+    }
 }
 
 /// Whether a warm start gets nearer to the target than the start that `fresh` makes, coarse levels included. Where it is nearer already, that says so; else

@@ -56,7 +56,9 @@ mod vector;
 mod tests;
 
 pub use block_exact::{BlockExact, Extrapolated};
-pub use factorize::{Factorization, Iteration, LevelsLoss, Settings, factorize, warm_start_pays};
+pub use factorize::{
+    Factorization, Iteration, LevelsLoss, Ongoing, Settings, ZONE_ITERATIONS, factorize, warm_start_pays,
+};
 pub use memory::held_bytes;
 pub use multiplicative::Multiplicative;
 pub use problem::{FactorizeError, Problem};

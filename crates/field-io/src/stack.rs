@@ -4,81 +4,15 @@
 use std::path::Path;
 
 use lumistack_core::Tensor;
-use lumistack_display::{Backlight, Display, LayerStack};
+use lumistack_display::{Display, LayerStack, StackIndex};
 use lumistack_files::{Folder, Refusal};
-use serde::{Deserialize, Serialize};
 
 use crate::index::{check_schema, parse_json, read_index, write_json};
 use crate::{FieldError, atomic, npy};
 
-const INDEX: &str = "stack.json";
-const EMISSION: &str = "emission.npy";
-const SCHEMA: &str = "lumistack/stack";
-const VERSION: u32 = 1;
+const INDEX: &str = StackIndex::FILE;
 /// Most layers and frames of one stack; more means that the index is damaged.
 const COUNT_LIMIT: usize = 1000;
-
-/// `stack.json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct StackIndex {
-    /// `lumistack/stack`.
-    pub schema: String,
-    /// 1.
-    pub version: u32,
-    /// Name of the display.
-    pub display: String,
-    /// Axes of each layer's array.
-    pub layer_axes: Vec<String>,
-    /// Axes of the backlight's array.
-    pub emission_axes: Vec<String>,
-    /// Values are amounts of light, not code values.
-    pub linear: bool,
-    /// Frames M of one period; the display emits the mean of its frames.
-    pub frames: usize,
-    /// β: the display emits β times the target.
-    pub brightness: f64,
-    /// Rear to front.
-    pub layers: Vec<LayerEntry>,
-    /// The directional backlight, if there is one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub backlight: Option<BacklightEntry>,
-}
-
-/// One layer of `stack.json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct LayerEntry {
-    /// Array beside the index.
-    pub file: String,
-    /// Signed distance from z = 0.
-    pub d_mm: f64,
-    /// [columns, rows].
-    pub resolution: [usize; 2],
-    /// Pixel pitch.
-    pub pitch_mm: f64,
-    /// [x, y] of the centre.
-    #[serde(default)]
-    pub offset_mm: [f64; 2],
-}
-
-/// The backlight of `stack.json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct BacklightEntry {
-    /// Array beside the index.
-    pub file: String,
-    /// Signed distance of the lenslets from z = 0.
-    pub d_mm: f64,
-    /// [columns, rows] of lenslets.
-    pub lenslets: [usize; 2],
-    /// Lenslet pitch.
-    pub pitch_mm: f64,
-    /// [horizontal, vertical] full angle of the bins.
-    pub fov_deg: [f64; 2],
-    /// [horizontal, vertical] angular bins.
-    pub views: [usize; 2],
-    /// [x, y] of the grid's centre.
-    #[serde(default)]
-    pub offset_mm: [f64; 2],
-}
 
 /// Writes a stack into a folder, which is made where it is missing.
 ///
@@ -86,15 +20,15 @@ pub struct BacklightEntry {
 /// If the stack does not fit the display, or the files cannot be written.
 pub fn write_stack(folder: &Path, display: &Display, stack: &LayerStack) -> Result<(), FieldError> {
     stack.check(display).map_err(|source| FieldError::Stack { path: folder.to_path_buf(), source })?;
-    let index = index_of(display, stack);
+    let index = StackIndex::of(display, stack);
     atomic::create_folder(folder)?;
     atomic::remove(&folder.join(INDEX))?;
     for (entry, layer) in index.layers.iter().zip(&stack.layers) {
         npy::write(&folder.join(&entry.file), &layer.shape(), layer.data())?;
     }
     match &stack.emission {
-        Some(emission) => npy::write(&folder.join(EMISSION), &emission.shape(), emission.data())?,
-        None => atomic::remove(&folder.join(EMISSION))?,
+        Some(emission) => npy::write(&folder.join(StackIndex::EMISSION), &emission.shape(), emission.data())?,
+        None => atomic::remove(&folder.join(StackIndex::EMISSION))?,
     }
     write_json(&folder.join(INDEX), &index)
 }
@@ -107,7 +41,7 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     let path = folder.join(INDEX);
     let text = read_index(&path)?;
     let index: StackIndex = parse_json(&path, &text)?;
-    check_schema(&path, &index.schema, SCHEMA, index.version, VERSION)?;
+    check_schema(&path, &index.schema, StackIndex::SCHEMA, index.version, StackIndex::VERSION)?;
     let check = |ok: bool, place: &str, expected: &str, found: String| {
         if ok { Ok(()) } else { Err(FieldError::malformed(&path, place, expected, found)) }
     };
@@ -155,41 +89,6 @@ pub fn read_stack(folder: &Path) -> Result<LayerStack, FieldError> {
         }
     };
     Ok(LayerStack { layers, emission, brightness: index.brightness })
-}
-
-fn index_of(display: &Display, stack: &LayerStack) -> StackIndex {
-    let digits = (display.layers.len() - 1).to_string().len();
-    let layer = |(n, layer): (usize, &lumistack_display::Layer)| LayerEntry {
-        file: format!("layer_{n:0digits$}.npy"),
-        d_mm: layer.d_mm,
-        resolution: layer.resolution,
-        pitch_mm: layer.pitch_mm,
-        offset_mm: layer.offset_mm,
-    };
-    let backlight = match &display.backlight {
-        Backlight::Uniform => None,
-        Backlight::Lenslets(b) => Some(BacklightEntry {
-            file: EMISSION.into(),
-            d_mm: b.d_mm,
-            lenslets: b.lenslets,
-            pitch_mm: b.pitch_mm,
-            fov_deg: b.fov_deg,
-            views: b.views,
-            offset_mm: b.offset_mm,
-        }),
-    };
-    StackIndex {
-        schema: SCHEMA.into(),
-        version: VERSION,
-        display: display.name.clone(),
-        layer_axes: LayerStack::LAYER_AXES.map(String::from).to_vec(),
-        emission_axes: LayerStack::EMISSION_AXES.map(String::from).to_vec(),
-        linear: true,
-        frames: stack.frames(),
-        brightness: stack.brightness,
-        layers: display.layers.iter().enumerate().map(layer).collect(),
-        backlight,
-    }
 }
 
 fn read_part<const N: usize>(

@@ -4,8 +4,10 @@
 //! tracer makes its own pyramid. Sources: KTX 2.0 specification, sections 3 and 5; KHR_texture_basisu, "KTX v2 Images with Basis
 //! Universal Supercompression".
 
+#[cfg(feature = "ktx2")]
 use std::ops::Range;
 
+#[cfg(feature = "ktx2")]
 use basisu::{DecodeFlags, TargetFormat, Transcoder};
 use lumistack_scene::Pixels;
 
@@ -20,6 +22,7 @@ pub(crate) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 const HEADER_BYTES: usize = 80;
 const LEVEL_BYTES: usize = 24;
 /// Where the header has offset and length of the key/value data.
+#[cfg(feature = "ktx2")]
 const NOTES: Range<usize> = 56..64;
 /// Colour models of the data format descriptor.
 const ETC1S: u32 = 163;
@@ -40,6 +43,7 @@ enum Channels {
 struct Header {
     width: u32,
     height: u32,
+    #[cfg_attr(not(feature = "ktx2"), expect(dead_code, reason = "what cannot be decoded is still checked"))]
     channels: Channels,
 }
 
@@ -52,6 +56,14 @@ pub(crate) fn size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result
 }
 
 /// Decodes the largest level.
+#[cfg(not(feature = "ktx2"))]
+pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
+    Header::read(bytes, place)?;
+    Err(Fault::new(place, "a PNG, JPEG or WebP picture, as all that this build reads", "KTX2"))
+}
+
+/// Decodes the largest level.
+#[cfg(feature = "ktx2")]
 pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
     let Header { width, height, channels } = Header::read(bytes, place)?;
     let broken = |error| Fault::new(place, "a sound Basis Universal picture", format!("{error:?}"));

@@ -43,7 +43,7 @@ pub struct RunComparison {
     /// The second against the same target.
     pub second: Option<Likeness>,
     /// Pictures that were written.
-    #[serde(serialize_with = "crate::path_text::told_each")]
+    #[serde(serialize_with = "lumistack_core::path_text::told_each")]
     pub pictures: Vec<PathBuf>,
 }
 

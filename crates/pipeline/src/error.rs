@@ -14,6 +14,8 @@ use lumistack_plot::PlotError;
 use lumistack_plugin_host::HostError;
 use lumistack_report::ReportError;
 use lumistack_scene::{SceneError, WindowError};
+use lumistack_shot::ShotError;
+pub use lumistack_shot::{BadValue, Place};
 use lumistack_usd::UsdError;
 use serde::Serialize;
 use thiserror::Error;
@@ -237,71 +239,6 @@ impl From<Cancelled> for PipelineError {
     }
 }
 
-/// A value that makes no sense: where it stands, what was needed, and what was there.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("{place}: {key}: expected {expected}, found {found}")]
-pub struct BadValue {
-    /// Where it stands.
-    pub place: Place,
-    /// Its key there.
-    pub key: String,
-    /// A sentence about sound values.
-    pub expected: String,
-    /// The value as it is.
-    pub found: String,
-}
-
-/// Where a value stands.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Place {
-    /// A job; whoever has read it knows its file.
-    Job,
-    /// Options of all kinds together.
-    CommandLine,
-    /// An option, or a variable of the environment.
-    Option(&'static str),
-    /// Something in memory that has a name: a scene, a light field.
-    Named(String),
-    /// A file or a folder.
-    File(PathBuf),
-}
-
-impl std::fmt::Display for Place {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Job => f.write_str("job"),
-            Self::CommandLine => f.write_str("command line"),
-            Self::Option(name) => f.write_str(name),
-            Self::Named(name) => f.write_str(name),
-            Self::File(path) => path.display().fmt(f),
-        }
-    }
-}
-
-impl From<&str> for Place {
-    fn from(name: &str) -> Self {
-        Self::Named(name.into())
-    }
-}
-
-impl From<&String> for Place {
-    fn from(name: &String) -> Self {
-        Self::Named(name.clone())
-    }
-}
-
-impl From<&Path> for Place {
-    fn from(path: &Path) -> Self {
-        Self::File(path.to_owned())
-    }
-}
-
-impl From<&PathBuf> for Place {
-    fn from(path: &PathBuf) -> Self {
-        Self::File(path.clone())
-    }
-}
-
 impl PipelineError {
     /// A value that makes no sense.
     pub fn value(
@@ -385,6 +322,18 @@ impl From<UsdError> for PipelineError {
         match error {
             UsdError::Cancelled(_) => Self::Cancelled,
             other => Self::Usd(other),
+        }
+    }
+}
+
+impl From<ShotError> for PipelineError {
+    fn from(error: ShotError) -> Self {
+        match error {
+            ShotError::Cancelled(_) => Self::Cancelled,
+            ShotError::Value(bad) => Self::Value(bad),
+            ShotError::Scene { name, source } => Self::Scene { name, source },
+            ShotError::Window { name, source } => Self::Window { name, source },
+            ShotError::Render(source) => Self::Render(source),
         }
     }
 }

@@ -61,7 +61,7 @@ pub struct FarmPlan {
     /// The job as a file, its paths absolute.
     job: String,
     /// Folder to which files in parameters of plugins are relative.
-    #[serde(default, with = "crate::path_text::optional")]
+    #[serde(default, with = "lumistack_core::path_text::optional")]
     folder: Option<PathBuf>,
 }
 

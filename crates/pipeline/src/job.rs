@@ -3,15 +3,13 @@
 //! Every key has a default except the input and the display; `docs/JOB.md` lists them all. Relative paths are relative to the job file.
 //! One file per table, beside this one.
 
-mod background;
 mod display;
 mod factorize;
 mod graph;
-mod light;
-mod render;
+#[cfg(test)]
+mod paths;
 mod sequence;
 mod sweep;
-mod window;
 
 use std::path::{Path, PathBuf};
 
@@ -21,21 +19,19 @@ use lumistack_field_io::GeometryFlags;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use self::background::Background;
 pub use self::display::DisplayJob;
 pub use self::factorize::{EyeJob, FactorizeJob};
 pub use self::graph::{ImporterJob, NodeJob, OutputJob, SourceJob};
-pub use self::light::{LightJob, Tone};
-pub use self::render::{AngularFilter, Denoise, Engine, RenderJob, ZoneSamples};
 pub use self::sequence::SequenceJob;
 pub use self::sweep::{SearchJob, SweepJob};
-pub use self::window::{FitDepth, Near, WindowFrom, WindowJob};
 use crate::error::{PipelineError, read_to_string};
-use crate::path_text::{PathText, is_default};
 use crate::reader::is_blend;
+use lumistack_core::path_text::{PathText, is_default};
+pub use lumistack_shot::{
+    AngularFilter, Background, Denoise, Engine, FitDepth, LightJob, Near, RenderJob, Tone, WindowFrom, WindowJob,
+    ZoneSamples,
+};
 
-/// Full updates of a light field all over the zone.
-const ZONE_ITERATIONS: u32 = 16;
 /// Views that are chosen where Blender may render them, at most.
 const MOST_OF_BLENDER: usize = 25;
 
@@ -53,11 +49,11 @@ pub struct Job {
     #[serde(default)]
     pub name: String,
     /// Scene to render: `.gltf`, `.glb`, USD, or what an importer takes. Either this, `light_field` or `source`.
-    #[serde(default, skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub scene: Option<PathBuf>,
     /// Light field that somebody else rendered: a folder, `.npy`, a quilt.
-    #[serde(default, skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub light_field: Option<PathBuf>,
     /// Seed of all random streams.
@@ -264,8 +260,7 @@ impl Job {
     /// Views of a display's light field within the memory that the job allows, and that its renderer can give in reasonable time.
     pub(crate) fn most_views(&self, display: &Display) -> usize {
         let [cols, rows] = display.field.resolution;
-        let affordable =
-            (self.render.field_mib << 20).div_ceil(RenderJob::BYTES_PER_RAY * (cols * rows) as u64) as usize;
+        let affordable = self.render.affordable_views(cols * rows);
         if self.may_be_blenders() { affordable.min(MOST_OF_BLENDER) } else { affordable }
     }
 
@@ -275,7 +270,7 @@ impl Job {
         if let Ok(display) = job.display.resolve() {
             job.render.denoise = job.denoise_for(&display);
             if !matches!(display.field.views, Views::Fixed(_)) && self.scene.is_some() {
-                job.factorize.iterations.get_or_insert(ZONE_ITERATIONS);
+                job.factorize.iterations.get_or_insert(lumistack_factorizer::ZONE_ITERATIONS);
             }
         }
         job

@@ -17,7 +17,6 @@ mod inspect;
 mod job;
 mod only_views;
 mod outlook;
-mod path_text;
 mod plan;
 pub mod presets;
 mod reader;
@@ -45,6 +44,7 @@ pub use job::{
 pub use lumistack_plugin_host::{Asked, OutputData, PresentContext, Registry, Told, present};
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};
+pub use lumistack_shot::automatic_look;
 pub use only_views::render_only;
 pub use outlook::{Outlook, outlook, outlook_on};
 pub use plan::steps::{Plan, Step};
@@ -56,8 +56,7 @@ pub use run::{NodeSummary, SequenceSummary, Summary, plan, run, run_step, sweep}
 pub use simulate::{RunFolder, Viewpoint, picture_from, simulate_to_file, update_preview};
 pub use stage::denoise::oidn_version;
 pub use stage::ingest::{Ingested, SceneContents, load_scene, scene_contents, take_scene};
-pub use stage::look::automatic_look;
-pub use stage::place::window::place_window;
+pub use stage::place::place_window;
 pub use stage::score::References;
 pub use steps::{
     ReportOn, Traced, WeightsFrom, expose_field, factorize_field, open_field, render_field, weights_of, write_output,

@@ -11,7 +11,7 @@ use crate::error::{PipelineError, display_error, field_error};
 use crate::job::{Denoise, Job};
 use crate::stage::field::{field_info, warn_of_depth};
 use crate::stage::fields::Shot;
-use crate::stage::{denoise, expose, ingest, layers, place, samples, trace};
+use crate::stage::{denoise, depth, expose, ingest, layers, place, samples, trace};
 use crate::store::folder;
 use crate::store::names::Work;
 use crate::store::{plugin_files, used};
@@ -55,7 +55,7 @@ pub fn render_only(
     let (traced, _) = trace::run(shot, options, &cache, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let exposed = expose::run(shot, &traced, options.linear, task)?;
-    let budget = traced.depths.budget(&display, &geometry, &placement);
+    let budget = depth::budget(&traced.depths, &display, &geometry, &placement);
     warn_of_depth(&budget, task);
     let all = geometry.grid.iter().count();
     if traced.views.len() < all && !options.linear && job.light.automatic_exposure {

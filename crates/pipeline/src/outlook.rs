@@ -5,12 +5,12 @@ use lumistack_display::Display;
 use lumistack_pathtracer::Memory;
 use lumistack_plugin_host::Registry;
 use lumistack_report::DepthBudget;
+use lumistack_shot::Depths;
 
 use crate::error::{PipelineError, display_error};
 use crate::job::Job;
-use crate::stage::depth::Depths;
 use crate::stage::ingest::load_scene;
-use crate::stage::place;
+use crate::stage::{depth, place};
 
 /// What can be told of a scene on a display before anything is rendered.
 pub struct Outlook {
@@ -43,7 +43,11 @@ pub fn outlook_on(job: &Job, display: &Display, registry: &Registry, task: Task<
     let placement = place::place(&ingested, &job.window, display, &geometry, None, task)?;
     let renderer = ingested.renderer(task)?;
     let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
-    let depths = Depths::trace(renderer, &placement.window, &traced, None, task)?;
+    let depths = Depths::trace(renderer, &placement.window, &traced, task)?;
     let coverage = depths.coverage(geometry.grid.views().map(|count| count / 2));
-    Ok(Outlook { depth: depths.budget(display, &geometry, &placement), coverage, memory: renderer.tracer.memory() })
+    Ok(Outlook {
+        depth: depth::budget(&depths, display, &geometry, &placement),
+        coverage,
+        memory: renderer.tracer.memory(),
+    })
 }

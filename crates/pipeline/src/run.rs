@@ -29,7 +29,7 @@ use crate::store::plugin_files;
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
     /// The report.
-    #[serde(serialize_with = "crate::path_text::told")]
+    #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub report: PathBuf,
     /// Headline: PSNR of seen pictures all over the zone, dB; where a scene was rendered.
     pub psnr_zone: Option<f64>,

@@ -12,7 +12,6 @@ pub(crate) mod fields;
 pub(crate) mod flicker;
 pub(crate) mod ingest;
 pub(crate) mod layers;
-pub(crate) mod look;
 pub(crate) mod measure;
 pub(crate) mod node;
 pub(crate) mod output;

@@ -9,6 +9,7 @@ use lumistack_factorizer::{Factorization, Iteration, Problem};
 use lumistack_field_io::{GeometryDefaults, GeometryFlags};
 use lumistack_plugin_host::{OutputContext, OutputData, Registry, Time};
 use lumistack_report::{DepthBudget, ReportInput, Solution};
+use lumistack_shot::Look;
 use serde_json::{Map, Value};
 
 use crate::error::{PipelineError, display_error, field_error, host_error};
@@ -17,10 +18,9 @@ use crate::stage::factorize::Solve;
 use crate::stage::field::{array_weights, eye_weights, warn_of_depth};
 use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
-use crate::stage::look::Look;
 use crate::stage::read::{self, Beyond};
 use crate::stage::score::{self, References};
-use crate::stage::{denoise, expose, place, samples, trace};
+use crate::stage::{denoise, depth, expose, place, samples, trace};
 use crate::store::files::{check_folder, write_report};
 use crate::view_options::ViewOptions;
 
@@ -62,7 +62,7 @@ pub fn render_field(
     let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let rendered = expose::run(shot, &traced, false, task)?;
-    let depth = traced.depths.budget(display, &geometry, &placement);
+    let depth = depth::budget(&traced.depths, display, &geometry, &placement);
     warn_of_depth(&depth, task);
     let (exposure, tone) = (rendered.look.exposure, rendered.look.curve.name());
     let seen = traced.depths.seen(&placement);

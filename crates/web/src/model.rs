@@ -11,7 +11,7 @@ use lumistack_display::{
 
 use crate::colour::{DECODED, heat, to_rgba};
 use crate::decode::decode;
-use crate::preview::{Part, Preview};
+use crate::preview::{File, Part, Preview};
 use crate::tables::Tables;
 use crate::{Error, Options, err};
 
@@ -98,6 +98,27 @@ impl Model {
             self.complete.push(frame);
         }
         Ok((part, whole.then_some(slot)))
+    }
+
+    /// Takes the codes of all files at once, `[row][col][rgb]` each in the preview's order, in place of those that were there.
+    ///
+    /// # Errors
+    /// If there are more or fewer of them; everything stays as it was.
+    pub fn exchange(&mut self, codes: &[u8]) -> Result<(), Error> {
+        let length = |file: &File| 3 * file.rows * file.cols;
+        let expected: usize = self.preview.files.iter().map(length).sum();
+        if codes.len() != expected {
+            return Err(err(format!("codes: expected {expected} bytes, found {}", codes.len())));
+        }
+        let mut rest = codes;
+        for (place, file) in self.codes.iter_mut().zip(&self.preview.files) {
+            let (own, others) = rest.split_at(length(file));
+            *place = Some(own.to_vec());
+            rest = others;
+        }
+        self.complete = (0..self.preview.frames).collect();
+        self.built.take();
+        Ok(())
     }
 
     /// Frames of which every part has arrived.

@@ -67,6 +67,17 @@ impl Viewer {
         Ok(())
     }
 
+    /// Takes the codes of all files at once, in the preview's order, in place of those that were there.
+    pub fn exchange(&mut self, codes: &[u8]) -> Thrown<()> {
+        self.model.exchange(codes)?;
+        if let Some(gpu) = &self.gpu {
+            for (slot, &frame) in self.model.complete().iter().enumerate() {
+                gpu.upload(&self.model, frame, slot)?;
+            }
+        }
+        Ok(())
+    }
+
     /// Changes the options, as JSON; keys that are left out go back to their defaults.
     pub fn set_options(&mut self, json: &str) -> Thrown<()> {
         Ok(self.model.set_options(json)?)

@@ -37,7 +37,7 @@ pub struct DisplaysComparison {
     /// In the job's order.
     pub displays: Vec<DisplayLikeness>,
     /// Pictures that were written.
-    #[serde(serialize_with = "crate::path_text::told_each")]
+    #[serde(serialize_with = "lumistack_core::path_text::told_each")]
     pub pictures: Vec<PathBuf>,
 }
 

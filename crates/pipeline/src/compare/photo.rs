@@ -49,7 +49,7 @@ pub struct PhotoComparison {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eye_mm: Option<[f64; 3]>,
     /// Pictures that were written.
-    #[serde(serialize_with = "crate::path_text::told_each")]
+    #[serde(serialize_with = "lumistack_core::path_text::told_each")]
     pub pictures: Vec<PathBuf>,
 }
 

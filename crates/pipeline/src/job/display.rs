@@ -20,7 +20,7 @@ pub struct DisplayJob {
     #[schemars(extend("enum" = presets::names().collect::<Vec<_>>()))]
     pub preset: Option<String>,
     /// A display file. Either this or `preset`.
-    #[serde(skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub file: Option<PathBuf>,
     /// [columns, rows] of the light field; masks scale along, the width in millimetres stays.

@@ -31,11 +31,11 @@ pub struct FactorizeJob {
     /// Whether patterns of layers with few `bits` are re-optimized on the levels that the panel can show.
     pub levels: bool,
     /// A `layers` folder to start from instead.
-    #[serde(skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub warm_start: Option<PathBuf>,
     /// `.npy` of weights, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
-    #[serde(skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub weights: Option<PathBuf>,
     /// Weight of rays far from every eye of `eyes`.

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::display::DisplayJob;
 use super::factorize::FactorizeJob;
-use crate::path_text::is_default;
+use lumistack_core::path_text::is_default;
 
 /// How the scene's files are read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

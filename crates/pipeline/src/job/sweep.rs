@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PipelineError;
-use crate::path_text::is_default;
+use lumistack_core::path_text::is_default;
 
 /// Axes along which designs differ; every combination is one. An axis without values stays as the display has it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -46,7 +46,7 @@ pub(crate) struct Record {
     /// In the unit of its stage.
     work: f64,
     /// Files that a scene was made of, each with a hash of its content.
-    #[serde(with = "crate::path_text::hashed")]
+    #[serde(with = "lumistack_core::path_text::hashed")]
     files: Vec<(PathBuf, String)>,
 }
 

@@ -17,7 +17,7 @@ pub struct Plan {
     /// The job's name.
     pub name: String,
     /// The run folder.
-    #[serde(serialize_with = "crate::path_text::told")]
+    #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub folder: PathBuf,
     /// In an order in which they can be executed.
     pub steps: Vec<Step>,
@@ -33,7 +33,7 @@ pub struct Step {
     /// Name of the stage.
     pub stage: &'static str,
     /// Relative to the run folder.
-    #[serde(serialize_with = "crate::path_text::told")]
+    #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub folder: PathBuf,
     /// Ids of the steps whose results it takes.
     pub inputs: Vec<String>,

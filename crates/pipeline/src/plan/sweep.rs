@@ -44,14 +44,14 @@ const PNG_SCALE: f32 = 1.5;
 #[derive(Clone, Debug, Serialize)]
 pub struct SweepSummary {
     /// The table.
-    #[serde(serialize_with = "crate::path_text::told")]
+    #[serde(serialize_with = "lumistack_core::path_text::told")]
     pub csv: PathBuf,
     /// Designs in it.
     pub designs: usize,
     /// How many of them were there already.
     pub kept: usize,
     /// The plots, as SVG; beside each the same as PNG.
-    #[serde(serialize_with = "crate::path_text::told_each")]
+    #[serde(serialize_with = "lumistack_core::path_text::told_each")]
     pub plots: Vec<PathBuf>,
     /// Plots that `plots = "all"` would add.
     pub more_plots: usize,
@@ -62,7 +62,7 @@ pub struct SweepSummary {
     pub proposed: Vec<Row>,
     /// Of a search, the proposed display as a file.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[serde(serialize_with = "crate::path_text::told_optional")]
+    #[serde(serialize_with = "lumistack_core::path_text::told_optional")]
     pub display: Option<PathBuf>,
 }
 

@@ -7,13 +7,12 @@ use std::path::{Path, PathBuf};
 use glam::{DQuat, DVec3};
 use lumistack_factorizer::AUTO;
 use lumistack_scene::{Similarity, Window};
+use lumistack_shot::{Look, Placement};
 
 use crate::error::PipelineError;
 use crate::job::{FactorizeJob, FitDepth, Job, Near, NodeJob, PoseJob, SequenceJob, SourceJob, WindowFrom, WindowJob};
 use crate::stage::design::Later;
-use crate::stage::look::Look;
 use crate::stage::node::is_factorized;
-use crate::stage::place::Placement;
 
 /// What `auto` takes after the first time. Extrapolating along a few iterations from patterns of another target overshoots. Measured with content that moves
 /// 2 pixels a time (3 layers, 6 frames, 160 × 100, 5 × 5 views, 5 iterations): block-exact reaches 49.9 dB and flicker 48.8 dB at β = 0.2, extrapolated 47.8 and 46.6 dB; 45.3 dB both

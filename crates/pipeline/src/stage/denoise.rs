@@ -18,10 +18,10 @@ use lumistack_pathtracer::denoise::{self, Estimate, NoisyView, SharedLight, View
 use lumistack_pathtracer::{Checks, Renderer, Settings, SplitView};
 use lumistack_report::{DenoisedView, Denoising};
 use lumistack_scene::Window;
+use lumistack_shot::Look;
 
 use self::oidn::Oidn;
 use super::fields::{FieldJob, Shot};
-use super::look::Look;
 use crate::error::{PipelineError, render_error};
 use crate::job::Denoise;
 use crate::store::files::{read_json, write_json};

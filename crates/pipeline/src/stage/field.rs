@@ -6,14 +6,14 @@ use lumistack_core::{Task, Tensor};
 use lumistack_display::{Display, FieldGeometry, LightField, Projection, Weights};
 use lumistack_field_io::GeometryDefaults;
 use lumistack_report::DepthBudget;
+use lumistack_shot::{Look, Placement};
 use lumistack_simd::{float_from_half, nearest_half};
 use serde_json::{Map, Value, json};
 
 use super::denoise::Denoised;
+use super::depth;
 use super::expose::Exposed;
 use super::fields::Shot;
-use super::look::Look;
-use super::place::Placement;
 use super::trace::Traced;
 use crate::error::{PipelineError, display_error, field_error};
 use crate::job::FactorizeJob;
@@ -68,7 +68,7 @@ impl Field {
         });
         task.progress.end();
         written?;
-        let depth = traced.depths.budget(display, geometry, placement);
+        let depth = depth::budget(&traced.depths, display, geometry, placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, shot, traced, &exposed);
         let Exposed { target, held_out, outside, look, denoised } = exposed;

@@ -6,14 +6,13 @@ use std::path::{Path, PathBuf};
 use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, ViewGrid};
 use lumistack_pathtracer::Settings;
+use lumistack_shot::{Placement, put_before, seeded};
 use lumistack_splats::Space;
 
 use super::ingest::Ingested;
-use super::ingest::renderer::put_before;
-use super::place::Placement;
 use super::samples::Samples;
 use crate::error::{PipelineError, field_error, render_error};
-use crate::job::{AngularFilter, Background, Denoise, Job};
+use crate::job::{Background, Denoise, Job};
 use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::views::{read_splats, read_view, splats_path, variance_path, view_path};
@@ -68,26 +67,9 @@ impl Shot<'_> {
     }
 
     fn settings(&self) -> Settings {
-        let (job, depth_scale) = (self.job, self.placement.depth_scale);
-        Settings {
-            samples: self.samples_per_view(),
-            max_bounces: job.render.max_bounces,
-            seed: job.seed,
-            clamp: job.render.clamp,
-            angular_filter: match job.render.angular_filter {
-                _ if job.render.lens_deg > 0.0 => {
-                    let diameter = 2.0 * (0.5 * job.render.lens_deg.to_radians()).tan();
-                    lumistack_pathtracer::AngularFilter::Lens(depth_scale * diameter)
-                }
-                AngularFilter::Point => lumistack_pathtracer::AngularFilter::Point,
-                AngularFilter::Bin => lumistack_pathtracer::AngularFilter::Bin,
-                AngularFilter::Display => {
-                    lumistack_pathtracer::AngularFilter::Width(self.footprint.map(|width| depth_scale * width))
-                }
-            },
-            hide_environment: job.light.background != Background::Environment,
-            ..Settings::default()
-        }
+        let (job, samples) = (self.job, self.samples_per_view());
+        let hidden = job.light.background != Background::Environment;
+        job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, self.footprint)
     }
 
     /// All light fields of the shot, the target first, each with the folder of its traced views below `cache_dir`. `blender` says whether Blender renders them.
@@ -302,8 +284,7 @@ impl FieldJob {
 
     /// Settings with the seed of this field, and of a part of it.
     pub(crate) fn seeded(&self, part: &[u64]) -> Settings {
-        let seed = lumistack_core::seed::derive(self.settings.seed, &[&[self.stream], part].concat());
-        Settings { seed, ..self.settings }
+        seeded(self.settings, self.stream, part)
     }
 }
 

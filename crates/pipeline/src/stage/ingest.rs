@@ -1,25 +1,22 @@
 //! Scene file to a lit [`Scene`] and the [`Window`] through which the display looks at it.
 
 mod from_splats;
-pub(crate) mod light;
-pub(crate) mod renderer;
-mod surround;
+mod light;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use glam::Vec3;
 use lumistack_core::Task;
 use lumistack_files::{Folder, MAX_FILE_BYTES, Refusal};
 use lumistack_gltf::{AssetResolver, LoadOptions};
 use lumistack_plugin_host::{PluginError, Registry};
-use lumistack_scene::{Lamp, Scene};
+use lumistack_scene::Scene;
+use lumistack_shot::SceneRenderer;
 use lumistack_usd::{BlendContents, HandedOver};
 
 use crate::error::{PipelineError, host_error, read};
 use crate::job::{ImporterJob, LightJob, PoseJob};
 use crate::reader::{Reader, reader_of};
-use crate::stage::ingest::renderer::SceneRenderer;
 use crate::store::handover;
 use crate::store::key::{KeyBuilder, hash};
 use crate::store::plugin_files::plugin_key;
@@ -216,58 +213,14 @@ fn lit(
 ) -> Result<Ingested, PipelineError> {
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));
-        scene = light::edited(scene, task, |parts| {
+        scene = lumistack_shot::edited(scene, task, |parts| {
             light::load_environment(parts, environment, light_job.environment_strength)
         })?;
     } else if light_job.from_splats {
         scene = light::from_splats(scene, light_job.environment_strength, task)?;
-    } else if let Some(strength) = scene.environment.map(|environment| environment.strength)
-        && light_job.environment_strength != 1.0
-    {
-        scene = light::edited(scene, task, |parts| {
-            if let Some(environment) = &mut parts.environment {
-                environment.strength = strength * light_job.environment_strength;
-            }
-            Ok(())
-        })?;
     }
-    if let Some(visible) = light_job.visible {
-        let wanted = if visible { Lamp::Seen } else { Lamp::Unseen };
-        if scene.materials.iter().any(|material| material.lamp != Lamp::No && material.lamp != wanted) {
-            scene = light::edited(scene, task, |parts| {
-                let lamps = parts.materials.iter_mut().filter(|material| material.lamp != Lamp::No);
-                lamps.for_each(|material| material.lamp = wanted);
-                Ok(())
-            })?;
-        }
-    }
-    let has_environment = scene.environment.is_some();
-    if has_environment {
-        scene = surround::turned(scene, light_job, task)?;
-    }
-    // splats bring their light with them
-    let automatic = light_job.automatic && !scene.instances.is_empty();
-    let mut studio = automatic && !scene.is_lit();
-    let mut scene = Arc::new(scene);
-    if automatic
-        && !studio
-        && let Some(message) = light::probe(&scene, task)?
-    {
-        task.warn(&scene.name, message);
-        studio = true;
-    }
-    if studio {
-        let lit = light::edited(Arc::unwrap_or_clone(scene), task, |parts| {
-            light::add_studio_light(parts);
-            if let Some(environment) = &mut parts.environment {
-                environment.strength = Vec3::splat(light_job.environment_strength);
-            }
-            Ok(())
-        })?;
-        scene = Arc::new(surround::turned(lit, light_job, task)?);
-    } else if !has_environment {
-        surround::warn_of_unused(&scene, light_job, task);
-    }
+    let has_own = light_job.environment.is_some() || light_job.from_splats;
+    let (scene, studio) = lumistack_shot::light::lit(scene, has_own, light_job, task)?;
     Ok(Ingested { scene, files, pose: pose.clone(), studio, known: None, renderer: OnceLock::new() })
 }
 

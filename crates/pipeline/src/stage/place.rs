@@ -1,96 +1,55 @@
-//! Where the display stands in the scene, and how its depth of field is filled: the window moves along its normal, and depth is compressed where that
-//! is not enough.
-//!
-//! Neither changes what is seen straight on. Content at depth z appears, once the window has moved back by t and slopes are scaled by k, at
-//!
-//! ```text
-//! oblique:       z' = k (z + t)
-//! perspective:   z' with z'/(D − z') = k y/(D − y),   y = (z + t) D/(D + t)        the eye stays, the window is scaled to its frustum
-//! ```
-//!
-//! Unless a job says otherwise it happens where the scene does not fit as it stands. A window that somebody placed stays where it is, and depth is compressed
-//! about it: what was put into the display's plane remains there.
-//!
-//! Scaling slopes is what moving viewpoints together does: every displacement between views shrinks by k. In oblique views that is an affine
-//! compression of the scene along the window's normal, in perspective ones a projective one that keeps straight lines straight.
-
-pub(crate) mod side;
-pub(crate) mod window;
+//! Where the display stands in a scene: found by `shot`, and kept in the cache.
 
 use std::path::Path;
 
 use lumistack_core::Task;
-use lumistack_display::{Display, FieldGeometry, Projection, ViewGrid};
-use lumistack_scene::Window;
-use serde::{Deserialize, Serialize};
+use lumistack_display::{Display, FieldGeometry};
+use lumistack_scene::{Scene, Window};
+use lumistack_shot::{Placement, SceneRenderer, Subject, find_window};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use crate::error::PipelineError;
-use crate::job::{FitDepth, Near, WindowFrom, WindowJob};
+use crate::job::WindowJob;
 use crate::stage::ingest::Ingested;
-use crate::stage::place::window::{Found, find_window};
 use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::remembered;
 
-/// Columns of the straight view by which depth is measured.
-const PROBE_COLS: usize = 210;
-/// Shares of the visible depths between which the scene is fitted: a few stray surfaces do not count.
-const ENDS: [f64; 2] = [0.02, 0.98];
-/// Shares of the scene this close are equally good.
-const AS_GOOD: f64 = 0.01;
-/// Depths this far outside are inside, millimetres.
-const ROUNDED: f64 = 1e-6;
-/// Positions of the window that are tried.
-const TRIED: usize = 2001;
-/// What stands before a window that was given by numbers is seen as long as the display can show this share of its pixels' detail there.
-const LEAST_DETAIL: f64 = 0.125;
-/// Depth is not compressed further than this.
-const LEAST_SCALE: f64 = 0.01;
-
-/// The window of a job.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Placement {
-    pub(crate) window: Window,
-    /// How far it was moved back to fit, millimetres at the place before.
-    pub(crate) moved_back_mm: f64,
-    /// Factor on the slopes at which views are traced.
-    pub(crate) depth_scale: f64,
-    /// Whether fitting changed one of them.
-    pub(crate) fitted: bool,
-    /// Azimuth and elevation from which the scene was framed, degrees.
-    pub(crate) looked_from_deg: Option<[f64; 2]>,
+/// A loaded scene whose answers are kept in a folder, if there is one.
+struct Kept<'a> {
+    ingested: &'a Ingested,
+    cache_dir: Option<&'a Path>,
 }
 
-/// What fitting may do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Means {
-    /// The window may move.
-    moves: bool,
-    /// Depth may be compressed.
-    compresses: bool,
-    /// Only where the scene does not fit as it stands.
-    at_need: bool,
-}
+impl Subject for Kept<'_> {
+    type Error = PipelineError;
 
-impl Means {
-    /// What a job allows for a window; `None` for nothing.
-    fn of(job: &WindowJob, chosen: bool) -> Option<Self> {
-        let scaled = job.depth_scale != 1.0;
-        match job.fit_depth {
-            FitDepth::Off => None,
-            FitDepth::Move => Some(Self { moves: true, compresses: false, at_need: false }),
-            FitDepth::Compress => Some(Self { moves: true, compresses: true, at_need: false }),
-            // what somebody chose is left alone: the place of the window, the scale of depth
-            FitDepth::Auto if chosen && scaled => None,
-            FitDepth::Auto => Some(Self { moves: !chosen, compresses: !scaled, at_need: true }),
-        }
+    fn scene(&self) -> &Scene {
+        &self.ingested.scene
+    }
+
+    fn renderer(&self, task: Task<'_>) -> Result<&SceneRenderer, PipelineError> {
+        self.ingested.renderer(task)
+    }
+
+    fn remembered<T: Serialize + DeserializeOwned>(
+        &self,
+        kind: &str,
+        of: &str,
+        make: impl FnOnce() -> Result<T, PipelineError>,
+    ) -> Result<T, PipelineError> {
+        let mut key = KeyBuilder::new(kind, code::VIEWS);
+        self.ingested.add_to(&mut key);
+        let key = key.add("of", of.as_bytes()).finish();
+        remembered(self.cache_dir, &format!("{kind}-{}.json", &key[..16]), make)
     }
 }
 
-/// Places the display in the scene and fits the scene's depth to it where the job says so.
+/// [`lumistack_shot::place()`] of a loaded scene.
 ///
 /// # Errors
-/// As [`find_window`], and when the display has no depth of field into which depth could be compressed.
+/// As there, and when an answer cannot be kept.
 pub(crate) fn place(
     ingested: &Ingested,
     job: &WindowJob,
@@ -99,243 +58,19 @@ pub(crate) fn place(
     cache_dir: Option<&Path>,
     task: Task<'_>,
 ) -> Result<Placement, PipelineError> {
-    let Found { mut window, chosen, looked_from_deg } = find_window(ingested, job, geometry, cache_dir, task)?;
-    if job.near == Near::Auto && job.from == WindowFrom::Given {
-        window.near_mm = farthest_shown(display, geometry.pitch_mm).map(|z| z / job.depth_scale);
-    }
-    let unfitted =
-        Placement { window, moved_back_mm: 0.0, depth_scale: job.depth_scale, fitted: false, looked_from_deg };
-    let Some(means) = Means::of(job, chosen) else { return Ok(unfitted) };
-    let depth_of_field = display.depth_of_field(geometry.pitch_mm);
-    let is_two_sided = |[low, high]: [f64; 2]| low < 0.0 && 0.0 < high;
-    if means.at_need && !depth_of_field.is_some_and(is_two_sided) {
-        // nothing could be fitted into it
-        return Ok(unfitted);
-    }
-    let Some([low, high]) = depth_of_field else {
-        task.warn("window.fit_depth", "the display shows its own pixels at no depth: the window stays where it is");
-        return Ok(unfitted);
-    };
-    if means.compresses && !is_two_sided([low, high]) {
-        let expected = "a display whose depth of field lies on both sides of z = 0";
-        let found = format!("a depth of field from {low} to {high} mm");
-        return Err(PipelineError::job("window.fit_depth", expected, found));
-    }
-    let projection = geometry.grid.projection;
-    let mut key = KeyBuilder::new("fit", code::VIEWS);
-    ingested.add_to(&mut key);
-    key.add("window", format!("{window:?} {projection:?} {low} {high} {means:?} {}", job.depth_scale).as_bytes());
-    let fit: Fit = remembered(cache_dir, &format!("fit-{}.json", &key.finish()[..16]), || {
-        let probe = probe(geometry, ViewGrid::single(projection, [0.0, 0.0]), PROBE_COLS);
-        let depth = ingested.renderer(task)?.depth(&window, &probe, [0, 0], task)?;
-        let mut depths: Vec<f64> = depth.data().iter().filter(|z| z.is_finite()).map(|z| f64::from(*z)).collect();
-        depths.sort_by(f64::total_cmp);
-        Ok(best_fit(&depths, [low, high], projection, job.depth_scale, means))
-    })?;
-    let eye_mm = match projection {
-        Projection::Oblique => None,
-        Projection::Perspective { distance_mm } => Some(distance_mm),
-    };
-    Ok(Placement {
-        window: window.moved_back(fit.moved_back_mm, eye_mm),
-        moved_back_mm: fit.moved_back_mm,
-        depth_scale: fit.depth_scale,
-        fitted: fit.moved_back_mm != 0.0 || fit.depth_scale != job.depth_scale,
-        looked_from_deg,
-    })
+    lumistack_shot::place(&Kept { ingested, cache_dir }, job, display, geometry, task)
 }
 
-/// z before the window from which on the display shows less than [`LEAST_DETAIL`] of what its pixels could, millimetres; `None` where it shows nothing but its plane.
-fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
-    let [_, far] = display.depths_shown(LEAST_DETAIL * 0.5 / pitch_mm)?;
-    (far > 0.0 && far.is_finite()).then_some(far)
-}
-
-/// The same rectangle with fewer pixels and other views.
-pub(crate) fn probe(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> FieldGeometry {
-    let [width_mm, height_mm] = geometry.size_mm();
-    let cols = geometry.cols.min(most_cols);
-    let pitch_mm = width_mm / cols as f64;
-    let rows = ((height_mm / pitch_mm).round() as usize).max(1);
-    FieldGeometry { rows, cols, pitch_mm, grid }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-struct Fit {
-    moved_back_mm: f64,
-    depth_scale: f64,
-}
-
-/// The movement and the scale, as far as the means go, that bring most of the sorted `depths` between `low` and `high`. Among movements that are about as good the
-/// one that puts the ends of the depths evenly around the middle, or as near to that as possible.
-fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
-    let stay = Fit { moved_back_mm: 0.0, depth_scale: scale };
-    let (Some(&nearest), Some(&farthest)) = (depths.last(), depths.first()) else { return stay };
-    let ends = ENDS.map(|share| depths[(share * (depths.len() - 1) as f64).round() as usize]);
-    let moved = |z: f64, by: f64| match projection {
-        Projection::Oblique => z + by,
-        Projection::Perspective { distance_mm } => (z + by) * distance_mm / (distance_mm + by),
-    };
-    // the display's window must stay before the eye
-    let least = match projection {
-        Projection::Oblique => f64::NEG_INFINITY,
-        Projection::Perspective { distance_mm } => -0.9 * distance_mm,
-    };
-    let scale_at = |by: f64| {
-        if !means.compresses {
-            return scale;
-        }
-        // parallax is proportional to the scale, and each end of the depths to an end of the depth of field
-        let parallax = |z: f64| projection_parallax(projection, z);
-        ends.into_iter().fold(scale, |scale, end| {
-            let end = moved(end, by);
-            let limit = if end < 0.0 { low } else { high };
-            if end == 0.0 { scale } else { scale.min(parallax(limit) / parallax(end)) }
-        })
-    };
-    let shown = |z: f64, by: f64, scale: f64| projection.scaled_depth(moved(z, by), scale);
-    let fits = |z: f64| (low - ROUNDED..=high + ROUNDED).contains(&shown(z, 0.0, scale));
-    if means.at_need && ends.into_iter().all(fits) {
-        return stay;
-    }
-    let share = |by: f64| {
-        let scale = scale_at(by);
-        let below = depths.partition_point(|z| shown(*z, by, scale) < low);
-        let inside = depths.partition_point(|z| shown(*z, by, scale) <= high) - below;
-        inside as f64 / depths.len() as f64
-    };
-    // how uneven the ends lie around the middle
-    let uneven = |by: f64| {
-        let scale = scale_at(by);
-        (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()
-    };
-    // from all of the scene in front of the depth of field to all of it behind
-    let (first, last) = ((low - nearest).min(0.0).max(least), (high - farthest).max(0.0).max(least));
-    let at = |i: usize| first + (last - first) * i as f64 / (TRIED - 1) as f64;
-    let moves = if means.moves { TRIED } else { 0 };
-    let tried: Vec<(f64, f64, f64)> = (0..moves).map(at).chain([0.0]).map(|by| (by, share(by), scale_at(by))).collect();
-    let most = tried.iter().fold(0.0, |most: f64, (_, share, _)| most.max(*share));
-    let good = tried.iter().filter(|(_, share, _)| *share >= most - AS_GOOD);
-    // as little compression as possible, then as even as possible
-    let largest = good.clone().fold(0.0, |largest: f64, (_, _, scale)| largest.max(*scale));
-    let good = good.filter(|(_, _, scale)| *scale >= largest * (1.0 - AS_GOOD));
-    let best = good.min_by(|a, b| uneven(a.0).total_cmp(&uneven(b.0)));
-    best.map_or(stay, |(by, _, scale)| Fit { moved_back_mm: *by, depth_scale: scale.max(LEAST_SCALE) })
-}
-
-/// What parallax is proportional to.
-fn projection_parallax(projection: Projection, z: f64) -> f64 {
-    match projection {
-        Projection::Oblique => z,
-        Projection::Perspective { distance_mm } => z / (distance_mm - z),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const RANGE: [f64; 2] = [-80.0, 80.0];
-    const PERSPECTIVE: Projection = Projection::Perspective { distance_mm: 600.0 };
-
-    const MOVE: Means = Means { moves: true, compresses: false, at_need: false };
-    const COMPRESS: Means = Means { moves: true, compresses: true, at_need: false };
-    const AUTO: Means = Means { moves: true, compresses: true, at_need: true };
-    const IN_PLACE: Means = Means { moves: false, compresses: true, at_need: true };
-
-    fn evenly(from: f64, to: f64) -> Vec<f64> {
-        (0..1000).map(|i| from + (to - from) * f64::from(i) / 999.0).collect()
-    }
-
-    #[test]
-    fn a_scene_that_fits_is_centred() {
-        let fit = best_fit(&evenly(100.0, 200.0), RANGE, Projection::Oblique, 1.0, COMPRESS);
-        assert!((fit.moved_back_mm + 150.0).abs() < 0.5 && fit.depth_scale == 1.0, "{fit:?}");
-        let fit = best_fit(&evenly(100.0, 150.0), RANGE, PERSPECTIVE, 1.0, MOVE);
-        let moved = |z: f64| (z + fit.moved_back_mm) * 600.0 / (600.0 + fit.moved_back_mm);
-        assert!((moved(101.0) + moved(149.0)).abs() < 1.0 && fit.depth_scale == 1.0, "{fit:?}");
-    }
-
-    #[test]
-    fn a_deep_scene_is_placed_where_most_of_it_is_shown() {
-        // nine tenths between −310 and −210 mm, the rest far away
-        let mut depths = evenly(-310.0, -210.0);
-        depths.extend(evenly(-2000.0, -1500.0).iter().step_by(10));
-        depths.sort_by(f64::total_cmp);
-        let fit = best_fit(&depths, RANGE, Projection::Oblique, 1.0, MOVE);
-        assert!((180.0..=390.0).contains(&fit.moved_back_mm), "{fit:?}");
-        assert!(depths.iter().filter(|z| (**z + fit.moved_back_mm).abs() <= 80.0).count() >= 985);
-        assert_eq!(fit.depth_scale, 1.0);
-    }
-
-    #[test]
-    fn compression_brings_the_ends_into_the_depth_of_field() {
-        for (projection, deep) in [(Projection::Oblique, [-900.0, 300.0]), (PERSPECTIVE, [-2000.0, 250.0])] {
-            let depths = evenly(deep[0], deep[1]);
-            let fit = best_fit(&depths, RANGE, projection, 1.0, COMPRESS);
-            let shown = |z: f64| {
-                let moved = match projection {
-                    Projection::Oblique => z + fit.moved_back_mm,
-                    Projection::Perspective { distance_mm } => {
-                        (z + fit.moved_back_mm) * distance_mm / (distance_mm + fit.moved_back_mm)
-                    }
-                };
-                projection.scaled_depth(moved, fit.depth_scale)
-            };
-            assert!(fit.depth_scale < 0.8, "{fit:?}");
-            let (far, near) = (shown(depths[20]), shown(depths[979]));
-            assert!((-81.0..-70.0).contains(&far) && (70.0..81.0).contains(&near), "{far} {near} {fit:?}");
-        }
-    }
-
-    #[test]
-    fn unasked_nothing_changes_where_the_scene_fits() {
-        let stay = Fit { moved_back_mm: 0.0, depth_scale: 1.0 };
-        for means in [AUTO, IN_PLACE] {
-            // a fiftieth at either end may stand out
-            assert_eq!(best_fit(&evenly(-81.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
-            assert_eq!(best_fit(&evenly(10.0, 60.0), RANGE, PERSPECTIVE, 1.0, means), stay);
-            assert_ne!(best_fit(&evenly(-120.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
-        }
-        // what does not fit is moved first, and compressed as far as it must be
-        let moved = best_fit(&evenly(60.0, 200.0), RANGE, Projection::Oblique, 1.0, AUTO);
-        assert!((moved.moved_back_mm + 130.0).abs() < 0.5 && moved.depth_scale == 1.0, "{moved:?}");
-        // a window that somebody placed stays: a thing 160 mm before it comes to 80
-        let squeezed = best_fit(&evenly(100.0, 160.0), RANGE, Projection::Oblique, 1.0, IN_PLACE);
-        assert_eq!(squeezed.moved_back_mm, 0.0);
-        assert!((squeezed.depth_scale * 158.8 - 80.0).abs() < 0.2, "{squeezed:?}");
-    }
-
-    #[test]
-    fn a_choice_is_left_alone() {
-        let job = |fit_depth, depth_scale| WindowJob { fit_depth, depth_scale, ..WindowJob::default() };
-        assert_eq!(WindowJob::default().fit_depth, FitDepth::Auto);
-        assert_eq!(Means::of(&job(FitDepth::Auto, 1.0), false), Some(AUTO));
-        assert_eq!(Means::of(&job(FitDepth::Auto, 1.0), true), Some(IN_PLACE));
-        assert_eq!(Means::of(&job(FitDepth::Auto, 0.5), false), Some(Means { compresses: false, ..AUTO }));
-        assert_eq!(Means::of(&job(FitDepth::Auto, 0.5), true), None);
-        assert_eq!(Means::of(&job(FitDepth::Off, 1.0), false), None);
-        assert_eq!(Means::of(&job(FitDepth::Compress, 0.5), true), Some(COMPRESS));
-    }
-
-    /// Three layers 40 mm apart show their pixels up to 80 mm away and, the bound being proportional to 1/z, an eighth of their detail up to 640 mm.
-    #[test]
-    fn before_a_given_window_is_seen_what_can_be_shown() {
-        let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);
-        let near = farthest_shown(&display, 1.0).unwrap();
-        assert!((near / 640.0 - 1.0).abs() < 0.05, "{near}");
-        let plane = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[0.0], 2);
-        assert_eq!(farthest_shown(&plane, 1.0), None);
-    }
-
-    #[test]
-    fn nothing_to_see_and_a_flat_scene_are_fine() {
-        let none = best_fit(&[], RANGE, Projection::Oblique, 0.7, COMPRESS);
-        assert_eq!(none, Fit { moved_back_mm: 0.0, depth_scale: 0.7 });
-        let flat = best_fit(&[30.0; 9], RANGE, Projection::Oblique, 1.0, COMPRESS);
-        assert!((flat.moved_back_mm + 30.0).abs() < 0.2 && flat.depth_scale == 1.0, "{flat:?}");
-        // a display of one layer: the depth of field is a plane
-        let plane = best_fit(&[10.0, 10.0, 10.0, 90.0], [0.0, 0.0], Projection::Oblique, 1.0, MOVE);
-        assert!(plane.moved_back_mm.is_finite());
-    }
+/// [`find_window`] of a loaded scene: the window before depth is fitted.
+///
+/// # Errors
+/// As there, and when an answer cannot be kept.
+pub fn place_window(
+    ingested: &Ingested,
+    job: &WindowJob,
+    geometry: &FieldGeometry,
+    cache_dir: Option<&Path>,
+    task: Task<'_>,
+) -> Result<Window, PipelineError> {
+    find_window(&Kept { ingested, cache_dir }, job, geometry, task).map(|found| found.window)
 }

@@ -5,10 +5,10 @@ use std::path::Path;
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LightField};
 use lumistack_field_io::LeftOut;
+use lumistack_shot::Look;
 use rayon::prelude::*;
 
 use super::field::field_defaults;
-use super::look::Look;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 

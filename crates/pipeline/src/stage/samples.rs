@@ -28,17 +28,16 @@ use lumistack_display::{
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{AngularFilter, Settings, SplitView};
 use lumistack_scene::Window;
+use lumistack_shot::{Look, Placement};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::factorize::Solve;
 use super::fields::Shot;
-use super::look::Look;
 use super::score;
 use crate::error::{PipelineError, display_error, render_error};
 use crate::job::{Background, Denoise, Engine, FactorizeJob, Job};
 use crate::stage::ingest::Ingested;
-use crate::stage::place::Placement;
 use crate::store::code;
 use crate::store::stamps::remembered;
 

@@ -14,15 +14,13 @@ use lumistack_display::{
 use lumistack_field_io::{LeftOut, npy};
 use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 use lumistack_report::{ZoneFigures, ZoneView};
+use lumistack_shot::{Look, expose_over, put_before};
 use lumistack_splats::Space;
 use rayon::prelude::*;
 
 use crate::error::{PipelineError, field_error, render_error};
 use crate::job::{Background, Engine, Job};
-use crate::stage::expose::expose_over;
 use crate::stage::fields::{Block, Shot};
-use crate::stage::ingest::renderer::put_before;
-use crate::stage::look::Look;
 use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::views::{missing, read_view, write_view};
@@ -110,7 +108,7 @@ impl References {
         let slopes: Vec<[f64; 2]> = grids.iter().map(|grid| [grid.slope_x[0], grid.slope_y[0]]).collect();
         renderer.splat_views(window, geometry, &slopes, task, |_, view| {
             splats.push(view.light);
-            Ok(())
+            Ok::<(), PipelineError>(())
         })?;
         let steps = todo.len() as u64 * Renderer::steps_per_view(&pixels(&references.directions[0]));
         task.progress.begin("render for the score", steps, "tiles");

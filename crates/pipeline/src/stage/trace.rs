@@ -7,12 +7,11 @@ use std::path::{Path, PathBuf};
 use lumistack_core::Task;
 use lumistack_pathtracer::Renderer;
 use lumistack_scene::Window;
+use lumistack_shot::{Depths, SceneRenderer, slopes};
 
-use super::denoise;
-use super::depth::Depths;
 use super::fields::{Block, FieldJob, Shot, parts};
 use super::ingest::Ingested;
-use super::ingest::renderer::{SceneRenderer, slopes};
+use super::{denoise, depth};
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Engine};
 use crate::store::views::{
@@ -151,11 +150,11 @@ fn trace_views(
 
 /// How deep the views of the target see, and whether the cache held that.
 fn depths(shot: Shot<'_>, target: &FieldJob, task: Task<'_>) -> Result<(Depths, bool), PipelineError> {
-    if let Some(kept) = Depths::read(&target.folder, &target.traced) {
+    if let Some(kept) = depth::kept(&target.folder, &target.traced) {
         return Ok((kept, true));
     }
     let renderer = shot.ingested.renderer(task)?;
-    Ok((Depths::trace(renderer, shot.window(), &target.traced, Some(&target.folder), task)?, false))
+    Ok((depth::trace(renderer, shot.window(), &target.traced, &target.folder, task)?, false))
 }
 
 /// The views of a block of every field whose splats the cache does not hold.

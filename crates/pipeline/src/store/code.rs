@@ -3,7 +3,7 @@
 /// Fingerprints of crates.
 pub(crate) type Code = &'static [&'static str];
 
-/// Exposure, framing, fit and light are decided here too, and what a key holds is.
+/// Keys are decided here.
 const PIPELINE: &str = env!("LUMISTACK_FINGERPRINT");
 const CORE: &str = lumistack_core::FINGERPRINT;
 const DISPLAY: &str = lumistack_display::FINGERPRINT;
@@ -19,6 +19,7 @@ pub(crate) const SCENE: Code = &[
     lumistack_gltf::FINGERPRINT,
     lumistack_usd::FINGERPRINT,
     lumistack_splats::FINGERPRINT,
+    lumistack_shot::FINGERPRINT,
 ];
 
 /// From scene files to radiance: whatever is traced, depths and the window's place among it.
@@ -30,13 +31,14 @@ pub(crate) const VIEWS: Code = &[
     lumistack_gltf::FINGERPRINT,
     lumistack_usd::FINGERPRINT,
     lumistack_splats::FINGERPRINT,
+    lumistack_shot::FINGERPRINT,
     DISPLAY,
     SIMD,
     lumistack_pathtracer::FINGERPRINT,
 ];
 
 /// From a light field to files of it.
-pub(crate) const FIELDS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY];
+pub(crate) const FIELDS: Code = &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_shot::FINGERPRINT];
 
 /// From a light field to patterns.
 pub(crate) const PATTERNS: Code = &[
@@ -91,11 +93,11 @@ mod tests {
     /// What made pictures stale: the sources of a crate had changed, and its version, which somebody raises by hand, had not.
     #[test]
     fn keys_hold_the_sources_of_all_that_makes_a_result() {
-        let scene = ["pipeline", "core", "scene", "gltf", "usd", "splats", "field-io"];
+        let scene = ["pipeline", "core", "scene", "gltf", "usd", "splats", "shot", "field-io"];
         holds(SCENE, &scene);
         holds(VIEWS, &scene);
         holds(VIEWS, &["display", "simd", "pathtracer"]);
-        holds(FIELDS, &["pipeline", "core", "display", "field-io"]);
+        holds(FIELDS, &["pipeline", "core", "display", "field-io", "shot"]);
         holds(PATTERNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer", "plugin", "plugin-host"]);
         holds(DESIGNS, &["pipeline", "core", "display", "field-io", "simd", "factorizer", "design", "plot"]);
         holds(PLUGINS, &["pipeline", "core", "display", "field-io", "plugin", "plugin-host"]);

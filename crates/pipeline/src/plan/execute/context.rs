@@ -7,6 +7,7 @@ use lumistack_core::{Task, Warning};
 use lumistack_display::{Display, FieldGeometry, Weights};
 use lumistack_plugin_host::Registry;
 use lumistack_report::{DepthBudget, Output, Report, SequenceReport, SequenceTime, Stage, Thumbnail};
+use lumistack_shot::{Look, Placement};
 
 use crate::error::{FailedOutput, PipelineError};
 use crate::job::Job;
@@ -17,8 +18,6 @@ use crate::stage::factorize::Solved;
 use crate::stage::field::Field;
 use crate::stage::flicker::TimeError;
 use crate::stage::ingest::Ingested;
-use crate::stage::look::Look;
-use crate::stage::place::Placement;
 use crate::stage::samples::Samples;
 use crate::stage::score::References;
 use crate::stage::trace::Traced;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry};
+use lumistack_shot::{Look, Placement};
 use serde_json::json;
 
 use super::context::Context;
@@ -14,8 +15,6 @@ use crate::plan::steps::Kind;
 use crate::stage::field::{Field, check_geometry};
 use crate::stage::fields::{Block, Shot};
 use crate::stage::ingest::Ingested;
-use crate::stage::look::Look;
-use crate::stage::place::Placement;
 use crate::stage::samples::Samples;
 use crate::stage::score::References;
 use crate::stage::{denoise, expose, ingest, place, read, samples, score, source, trace};

@@ -14,45 +14,49 @@ const ENCODED: &AsciiSet = &CONTROLS.add(b'%');
 /// The one key of the table.
 const KEY: &str = "percent";
 
-/// `#[serde(with = "crate::path_text::optional")]` of a path that is opened again.
-pub(crate) mod optional {
+/// `#[serde(with = "lumistack_core::path_text::optional")]` of a path that is opened again.
+pub mod optional {
     use super::*;
 
-    pub(crate) fn serialize<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
+    /// Writes the path, or nothing.
+    pub fn serialize<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
         path.as_deref().map(Text).serialize(serializer)
     }
 
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<PathBuf>, D::Error> {
+    /// Reads a path, or nothing.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<PathBuf>, D::Error> {
         Ok(Option::<Read>::deserialize(deserializer)?.map(|Read(path)| path))
     }
 }
 
-/// `#[serde(with = "crate::path_text::hashed")]` of paths that are opened again, each with a hash of its content.
-pub(crate) mod hashed {
+/// `#[serde(with = "lumistack_core::path_text::hashed")]` of paths that are opened again, each with a hash of its content.
+pub mod hashed {
     use super::*;
 
-    pub(crate) fn serialize<S: Serializer>(files: &[(PathBuf, String)], serializer: S) -> Result<S::Ok, S::Error> {
+    /// Writes every path with its hash.
+    pub fn serialize<S: Serializer>(files: &[(PathBuf, String)], serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_seq(files.iter().map(|(path, hash)| (Text(path), hash)))
     }
 
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(PathBuf, String)>, D::Error> {
+    /// Reads paths with their hashes.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(PathBuf, String)>, D::Error> {
         let files = Vec::<(Read, String)>::deserialize(deserializer)?;
         Ok(files.into_iter().map(|(Read(path), hash)| (path, hash)).collect())
     }
 }
 
-/// `#[serde(serialize_with = "crate::path_text::told")]` of a path that is only told.
-pub(crate) fn told<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+/// `#[serde(serialize_with = "lumistack_core::path_text::told")]` of a path that is only told.
+pub fn told<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&path.to_string_lossy())
 }
 
 /// [`told`] of an optional path.
-pub(crate) fn told_optional<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
+pub fn told_optional<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
     path.as_deref().map(Path::to_string_lossy).serialize(serializer)
 }
 
 /// [`told`] of several paths.
-pub(crate) fn told_each<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
+pub fn told_each<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
 }
 
@@ -121,7 +125,7 @@ fn from_bytes(bytes: Vec<u8>) -> PathBuf {
 #[derive(JsonSchema)]
 #[serde(untagged, deny_unknown_fields)]
 #[allow(dead_code, reason = "describes what `Text` writes and `Read` reads")]
-pub(crate) enum PathText {
+pub enum PathText {
     /// A path, relative to the file that names it.
     Text(String),
     /// A path that is not UTF-8.
@@ -132,39 +136,6 @@ pub(crate) enum PathText {
 }
 
 /// Whether a value is the default, so that it needs not be written.
-pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+pub fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{DisplayJob, Job};
-
-    #[cfg(unix)]
-    #[test]
-    fn a_job_with_any_name_reads_back_the_same() {
-        use std::os::unix::ffi::OsStrExt;
-
-        let path = |bytes: &[u8]| Some(PathBuf::from(std::ffi::OsStr::from_bytes(bytes)));
-        let mut job = Job::new(DisplayJob::by_name_or_path("paper-three-layer"));
-        job.scene = path(b"/tmp/100%/m\xF6bel.glb");
-        job.light.environment = path(b"sky%20.hdr");
-        job.factorize.weights = path(b"\xFF");
-        let text = job.to_toml();
-        assert!(text.contains("percent = \"/tmp/100%25/m%F6bel.glb\""), "{text}");
-        assert!(text.contains("environment = \"sky%20.hdr\""), "{text}");
-        assert_eq!(lumistack_core::config::parse::<Job>(&text).unwrap(), job);
-        assert!(job.to_json()["scene"]["percent"].is_string());
-    }
-
-    #[test]
-    fn a_path_of_another_kind_is_refused() {
-        let parse = |scene: &str| {
-            let text = format!("scene = {scene}\n[display]\npreset = \"paper-three-layer\"\n");
-            lumistack_core::config::parse::<Job>(&text).unwrap_err().message
-        };
-        assert!(parse("5").contains("a string that is a path"), "{}", parse("5"));
-        assert!(parse("{ bytes = \"a\" }").contains("percent"), "{}", parse("{ bytes = \"a\" }"));
-    }
 }

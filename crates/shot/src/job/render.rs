@@ -4,11 +4,12 @@ use std::borrow::Cow;
 use std::fmt;
 
 use lumistack_display::FieldGeometry;
+use lumistack_pathtracer::Settings;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Error, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::error::PipelineError;
+use crate::error::ShotError;
 
 /// How views are rendered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -196,12 +197,12 @@ impl Denoise {
     ];
 
     /// Whether views are changed.
-    pub(crate) fn filters(self) -> bool {
+    pub fn filters(self) -> bool {
         !matches!(self, Self::Auto | Self::Off)
     }
 
     /// Whether it compares two halves of the samples.
-    pub(crate) fn takes_halves(self) -> bool {
+    pub fn takes_halves(self) -> bool {
         matches!(self, Self::Guided | Self::Oidn)
     }
 
@@ -240,12 +241,12 @@ impl Default for RenderJob {
 
 impl RenderJob {
     /// Memory that a ray takes, bytes: light that is shared, and the view that it is put on.
-    pub(crate) const BYTES_PER_RAY: u64 = 32;
+    pub const BYTES_PER_RAY: u64 = 32;
     /// Memory that a ray takes while patterns are solved for: three channels as f32, and as half floats in the solver's own order.
     const BYTES_WHILE_SOLVING: u64 = 18;
 
     /// Whether a light field is kept in memory; a larger one lies in a file.
-    pub(crate) fn is_held(&self, geometry: &FieldGeometry) -> bool {
+    pub fn is_held(&self, geometry: &FieldGeometry) -> bool {
         let rays = geometry.grid.iter().count() * geometry.rows * geometry.cols;
         Self::BYTES_WHILE_SOLVING * rays as u64 <= self.field_mib << 20
     }
@@ -258,19 +259,44 @@ impl RenderJob {
     }
 
     /// Whether the number of paths is to be found by what the display profits from: filters that compare halves take too much away for that to be told.
-    pub(crate) fn samples_are_measured(&self) -> bool {
+    pub fn samples_are_measured(&self) -> bool {
         self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }
 
+    /// Views within the memory that a light field of so many pixels may take.
+    pub fn affordable_views(&self, pixels: usize) -> usize {
+        (self.field_mib << 20).div_ceil(Self::BYTES_PER_RAY * pixels as u64) as usize
+    }
+
+    /// Settings of the path tracer for views of so many paths per pixel, which see no environment where it is `hidden`. `footprint` is the width of slopes of the
+    /// display's own prefilter, before its depth is scaled.
+    pub fn settings(&self, seed: u64, samples: u32, hidden: bool, depth_scale: f64, footprint: [f64; 2]) -> Settings {
+        use lumistack_pathtracer::AngularFilter as Filter;
+        Settings {
+            samples,
+            max_bounces: self.max_bounces,
+            seed,
+            clamp: self.clamp,
+            angular_filter: match self.angular_filter {
+                _ if self.lens_deg > 0.0 => Filter::Lens(depth_scale * 2.0 * (0.5 * self.lens_deg.to_radians()).tan()),
+                AngularFilter::Point => Filter::Point,
+                AngularFilter::Bin => Filter::Bin,
+                AngularFilter::Display => Filter::Width(footprint.map(|width| depth_scale * width)),
+            },
+            hide_environment: hidden,
+            ..Settings::default()
+        }
+    }
+
     /// Whether nothing is asked for that our path tracer alone does.
-    pub(crate) fn is_plain(&self) -> bool {
+    pub fn is_plain(&self) -> bool {
         let kind = (self.angular_filter, self.lens_deg);
         kind == (AngularFilter::Point, 0.0) && !self.denoise.filters() && self.clamp.is_none()
     }
 
     /// Checks values that no parser checks.
-    pub(super) fn check(&self) -> Result<(), PipelineError> {
-        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
+    pub fn check(&self) -> Result<(), ShotError> {
+        let fail = |key: &str, expected: &str, found: String| Err(ShotError::job(key, expected, found));
         if let Some(samples) = self.samples.filter(|samples| !(1..=65536).contains(samples)) {
             return fail("render.samples", "1 to 65536", samples.to_string());
         }
@@ -304,6 +330,11 @@ impl RenderJob {
         }
         Ok(())
     }
+}
+
+/// Settings with the seed of one of a job's light fields (0 is the target), and of a part of it.
+pub fn seeded(settings: Settings, stream: u64, part: &[u64]) -> Settings {
+    Settings { seed: lumistack_core::seed::derive(settings.seed, &[&[stream], part].concat()), ..settings }
 }
 
 #[cfg(test)]

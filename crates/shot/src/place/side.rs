@@ -16,8 +16,8 @@ use lumistack_core::Task;
 use lumistack_display::{FieldGeometry, Projection, ViewGrid};
 use lumistack_scene::{Bounds, Instance, Scene, Window, WindowError};
 
-use crate::error::PipelineError;
-use crate::stage::ingest::renderer::SceneRenderer;
+use crate::error::ShotError;
+use crate::renderer::SceneRenderer;
 
 /// Azimuth and elevation of the front, degrees.
 pub(crate) const FRONT: [f64; 2] = [0.0; 2];
@@ -73,7 +73,7 @@ pub(crate) fn choose(
     scene: &Scene,
     size_mm: [f64; 2],
     task: Task<'_>,
-) -> Result<[f64; 2], PipelineError> {
+) -> Result<[f64; 2], ShotError> {
     // boxes stand for what is in them: the frame only has to hold it
     let boxes: Vec<Bounds> = scene
         .meshes
@@ -89,11 +89,11 @@ pub(crate) fn choose(
         .collect();
     let splats = (!scene.placed_clouds.is_empty()).then(|| scene.seen_bounds().corners());
     let corners: Vec<Vec3> = corners.into_iter().chain(splats.into_iter().flatten()).collect();
-    let area = |from_deg: [f64; 2]| -> Result<f64, PipelineError> {
+    let area = |from_deg: [f64; 2]| -> Result<f64, ShotError> {
         let [forward, up] = directions(from_deg);
         let points = corners.iter().map(|corner| corner.as_dvec3());
         let window = Window::framing_points(points, forward, up, size_mm)
-            .map_err(|source| PipelineError::Window { name: scene.name.clone(), source })?;
+            .map_err(|source| ShotError::Window { name: scene.name.clone(), source })?;
         let [cols, rows] = PROBE;
         let pitch_mm = (size_mm[0] / cols as f64).max(size_mm[1] / rows as f64);
         let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);

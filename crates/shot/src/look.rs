@@ -11,6 +11,7 @@ use lumistack_core::metrics::percentile;
 use lumistack_core::tone::ToneCurve;
 use lumistack_display::LightField;
 use lumistack_scene::Scene;
+#[cfg(feature = "parallel")]
 use rayon::prelude::*;
 
 use crate::job::{LightJob, Tone};
@@ -26,18 +27,19 @@ const LEAST_SURFACE: f64 = 0.05;
 
 /// One exposure and one curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Look {
+pub struct Look {
     /// Factor on scene-linear radiance.
-    pub(crate) exposure: f64,
-    pub(crate) curve: ToneCurve,
+    pub exposure: f64,
+    /// Curve from exposed radiance to what the display shows.
+    pub curve: ToneCurve,
 }
 
 impl Look {
     /// Radiance as it is.
-    pub(crate) const NONE: Self = Self { exposure: 1.0, curve: ToneCurve::Linear };
+    pub const NONE: Self = Self { exposure: 1.0, curve: ToneCurve::Linear };
 
     /// The look of a shot. `brightest` holds the brightest channel of rays from all views, and whether the ray meets a surface.
-    pub(crate) fn choose(job: &LightJob, scene: &Scene, brightest: &[(f32, bool)]) -> Self {
+    pub fn choose(job: &LightJob, scene: &Scene, brightest: &[(f32, bool)]) -> Self {
         let stops = 2f64.powf(job.exposure_ev);
         let exposure = |curve| {
             if !job.automatic_exposure || is_display_referred(scene) {
@@ -68,7 +70,7 @@ impl Look {
     }
 
     /// The look of a light field that is given: as it is, unless the job asks for an exposure or a curve. None is chosen for it.
-    pub(crate) fn of_given(job: &LightJob) -> Option<Self> {
+    pub fn of_given(job: &LightJob) -> Option<Self> {
         let curve = match job.tone {
             Tone::Auto if job.exposure_ev == 0.0 => return None,
             // clips what does not fit
@@ -80,20 +82,24 @@ impl Look {
     }
 
     /// Makes a field of scene-linear radiance display-referred.
-    pub(crate) fn apply(self, field: &mut LightField) {
+    pub fn apply(self, field: &mut LightField) {
         self.apply_to(field.radiance_mut().data_mut());
     }
 
     /// The same for pixels `[..][rgb]`.
-    pub(crate) fn apply_to(self, rgb: &mut [f32]) {
+    pub fn apply_to(self, rgb: &mut [f32]) {
         let exposure = self.exposure as f32;
-        // by pixels; threads do not matter
-        rgb.par_chunks_mut(3 * 4096).for_each(|pixels| {
+        let apply = |pixels: &mut [f32]| {
             for rgb in pixels.chunks_exact_mut(3) {
                 let shown = self.curve.apply([0, 1, 2].map(|c| rgb[c] * exposure));
                 rgb.copy_from_slice(&shown);
             }
-        });
+        };
+        // by pixels; threads do not matter
+        #[cfg(feature = "parallel")]
+        rgb.par_chunks_mut(3 * 4096).for_each(apply);
+        #[cfg(not(feature = "parallel"))]
+        apply(rgb);
     }
 }
 

@@ -8,24 +8,25 @@
 
 use std::sync::Arc;
 
-use lumistack_core::{Collector, Task, Tensor};
+use lumistack_core::{Cancelled, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, ViewGrid};
 use lumistack_pathtracer::Renderer;
 use lumistack_scene::{Scene, Window};
 use lumistack_splats::{Renderer as Splats, Space, SplatView, Surfaces, Wanted};
+#[cfg(feature = "parallel")]
 use rayon::prelude::*;
 
-use crate::error::{PipelineError, render_error};
+use crate::error::ShotError;
 
 /// Rays per pixel and axis by which surfaces cut splats off.
 const CUTS: usize = 2;
 
 /// A scene prepared for rendering.
-pub(crate) struct SceneRenderer {
+pub struct SceneRenderer {
     /// Of its triangles and its light.
-    pub(crate) tracer: Renderer,
+    pub tracer: Renderer,
     /// Of its splats, where it has any.
-    pub(crate) splats: Option<Splats>,
+    pub splats: Option<Splats>,
     has_surfaces: bool,
 }
 
@@ -34,12 +35,12 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// When it cannot be rendered, or when cancelled.
-    pub(crate) fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, PipelineError> {
+    pub fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, ShotError> {
         let has_surfaces = !scene.instances.is_empty();
         // captures bring their light with them
         let unheard = Collector::default();
         let quiet = if has_surfaces { task } else { Task { warnings: &unheard, ..task } };
-        let tracer = Renderer::new(scene.clone(), quiet).map_err(render_error)?;
+        let tracer = Renderer::new(scene.clone(), quiet)?;
         Ok(Self { tracer, splats: Splats::new(scene), has_surfaces })
     }
 
@@ -47,15 +48,15 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// When the geometry or the view is out of range, or when cancelled.
-    pub(crate) fn depth(
+    pub fn depth(
         &self,
         window: &Window,
         geometry: &FieldGeometry,
         view: [usize; 2],
         task: Task<'_>,
-    ) -> Result<Tensor<2>, PipelineError> {
+    ) -> Result<Tensor<2>, ShotError> {
         let mut found = Tensor::zeros(["row", "col"], [geometry.rows, geometry.cols]);
-        self.depths(window, geometry, &[view], task, |_, depth| {
+        self.depths::<ShotError>(window, geometry, &[view], task, |_, depth| {
             found = depth;
             Ok(())
         })?;
@@ -66,21 +67,21 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// As there, and when `done` fails.
-    pub(crate) fn depths(
+    pub fn depths<E: From<ShotError> + From<Cancelled>>(
         &self,
         window: &Window,
         geometry: &FieldGeometry,
         views: &[[usize; 2]],
         task: Task<'_>,
-        mut done: impl FnMut(usize, Tensor<2>) -> Result<(), PipelineError>,
-    ) -> Result<(), PipelineError> {
+        mut done: impl FnMut(usize, Tensor<2>) -> Result<(), E>,
+    ) -> Result<(), E> {
         let Some(splats) = &self.splats else {
             return views.iter().enumerate().try_for_each(|(number, view)| {
-                done(number, self.tracer.depth(window, geometry, *view, task).map_err(render_error)?)
+                done(number, self.tracer.depth(window, geometry, *view, task).map_err(ShotError::from)?)
             });
         };
         let slopes = slopes(geometry, views);
-        let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], 1, task);
+        let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], 1, task).map_err(E::from);
         splats.render(window, geometry, &slopes, &surfaces, Wanted::Depth, task, |number, view| {
             let mut z_mm = view.z_mm;
             if let Some(behind) = surfaces(number)? {
@@ -95,15 +96,15 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// When the geometry or the view is out of range, or when cancelled.
-    pub(crate) fn hit_mask(
+    pub fn hit_mask(
         &self,
         window: &Window,
         geometry: &FieldGeometry,
         view: [usize; 2],
         task: Task<'_>,
-    ) -> Result<Tensor<2>, PipelineError> {
+    ) -> Result<Tensor<2>, ShotError> {
         if self.splats.is_none() {
-            return self.tracer.hit_mask(window, geometry, view, task).map_err(render_error);
+            return self.tracer.hit_mask(window, geometry, view, task).map_err(ShotError::from);
         }
         let mut mask = self.depth(window, geometry, view, task)?;
         mask.data_mut().iter_mut().for_each(|z| *z = f32::from(u8::from(z.is_finite())));
@@ -115,16 +116,16 @@ impl SceneRenderer {
     ///
     /// # Errors
     /// When the geometry is out of range, when cancelled, and when `done` fails.
-    pub(crate) fn splat_views(
+    pub fn splat_views<E: From<ShotError> + From<Cancelled>>(
         &self,
         window: &Window,
         geometry: &FieldGeometry,
         slopes: &[[f64; 2]],
         task: Task<'_>,
-        done: impl FnMut(usize, SplatView) -> Result<(), PipelineError>,
-    ) -> Result<(), PipelineError> {
+        done: impl FnMut(usize, SplatView) -> Result<(), E>,
+    ) -> Result<(), E> {
         let Some(splats) = &self.splats else { return Ok(()) };
-        let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], CUTS, task);
+        let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], CUTS, task).map_err(E::from);
         splats.render(window, geometry, slopes, &surfaces, Wanted::Light, task, done)
     }
 
@@ -136,14 +137,14 @@ impl SceneRenderer {
         slope: [f64; 2],
         per_axis: usize,
         task: Task<'_>,
-    ) -> Result<Option<Surfaces>, PipelineError> {
+    ) -> Result<Option<Surfaces>, ShotError> {
         if !self.has_surfaces {
             return Ok(None);
         }
         let (rows, cols, pitch_mm) = (geometry.rows, geometry.cols, geometry.pitch_mm / per_axis as f64);
         let grid = ViewGrid::single(geometry.grid.projection, slope);
         let finer = FieldGeometry { rows: rows * per_axis, cols: cols * per_axis, pitch_mm, grid };
-        let depth = self.tracer.depth(window, &finer, [0, 0], task).map_err(render_error)?;
+        let depth = self.tracer.depth(window, &finer, [0, 0], task)?;
         let mut z_mm = Tensor::zeros(["row", "col", "sample"], [rows, cols, per_axis * per_axis]);
         for (pixel, samples) in z_mm.data_mut().chunks_exact_mut(per_axis * per_axis).enumerate() {
             for (sample, z) in samples.iter_mut().enumerate() {
@@ -156,17 +157,20 @@ impl SceneRenderer {
 }
 
 /// Slopes (s_x, s_y) of views [y, x] of the geometry's grid.
-pub(crate) fn slopes(geometry: &FieldGeometry, views: &[[usize; 2]]) -> Vec<[f64; 2]> {
+pub fn slopes(geometry: &FieldGeometry, views: &[[usize; 2]]) -> Vec<[f64; 2]> {
     let grid = &geometry.grid;
     views.iter().map(|[y, x]| [grid.slope_x[*x], grid.slope_y[*y]]).collect()
 }
 
 /// Puts the splats of a view, `[..][r, g, b, T]`, before radiance `[..][rgb]`.
-pub(crate) fn put_before(space: Space, splats: &[f32], radiance: &mut [f32]) {
-    let pixels = radiance.par_chunks_mut(3 * 4096).zip(splats.par_chunks(4 * 4096));
-    pixels.for_each(|(radiance, splats)| {
+pub fn put_before(space: Space, splats: &[f32], radiance: &mut [f32]) {
+    let put = |(radiance, splats): (&mut [f32], &[f32])| {
         for (behind, pixel) in radiance.as_chunks_mut::<3>().0.iter_mut().zip(splats.as_chunks::<4>().0) {
             *behind = space.over(*pixel, *behind);
         }
-    });
+    };
+    #[cfg(feature = "parallel")]
+    radiance.par_chunks_mut(3 * 4096).zip(splats.par_chunks(4 * 4096)).for_each(put);
+    #[cfg(not(feature = "parallel"))]
+    put((radiance, splats));
 }

@@ -1,19 +1,14 @@
 //! The window through which the display looks at a scene: by numbers, a camera, or framed on what is seen.
 
-use std::path::Path;
-
 use glam::DVec3;
 use lumistack_core::{Task, Tensor};
 use lumistack_display::{FieldGeometry, ViewGrid};
 use lumistack_scene::{Camera, Scene, Window};
 
 use super::side;
-use crate::error::PipelineError;
+use crate::error::ShotError;
 use crate::job::{Near, WindowFrom, WindowJob};
-use crate::stage::ingest::Ingested;
-use crate::store::code;
-use crate::store::key::KeyBuilder;
-use crate::store::stamps::remembered;
+use crate::subject::Subject;
 
 /// What stays free on each side of what an automatic window shows, as a share of it.
 const MARGIN: f64 = 0.03;
@@ -26,12 +21,13 @@ const PROBE_COLS: usize = 336;
 
 /// A window as it is found, before depth is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Found {
-    pub(crate) window: Window,
+pub struct Found {
+    /// As it was found.
+    pub window: Window,
     /// Whether somebody chose the depth at which it stands: by numbers or by a focus distance.
-    pub(crate) chosen: bool,
+    pub chosen: bool,
     /// Azimuth and elevation from which the scene was framed, degrees.
-    pub(crate) looked_from_deg: Option<[f64; 2]>,
+    pub looked_from_deg: Option<[f64; 2]>,
 }
 
 /// Places the display in the scene.
@@ -41,28 +37,13 @@ pub(crate) struct Found {
 ///
 /// # Errors
 /// When the job names a camera that does not exist or gives numbers that make no rectangle.
-pub fn place_window(
-    ingested: &Ingested,
+pub fn find_window<S: Subject>(
+    subject: &S,
     job: &WindowJob,
     geometry: &FieldGeometry,
-    cache_dir: Option<&Path>,
     task: Task<'_>,
-) -> Result<Window, PipelineError> {
-    find_window(ingested, job, geometry, cache_dir, task).map(|found| found.window)
-}
-
-/// [`place_window`], and how the window was found.
-///
-/// # Errors
-/// As there.
-pub(crate) fn find_window(
-    ingested: &Ingested,
-    job: &WindowJob,
-    geometry: &FieldGeometry,
-    cache_dir: Option<&Path>,
-    task: Task<'_>,
-) -> Result<Found, PipelineError> {
-    let mut found = unlimited_window(ingested, job, geometry, cache_dir, task)?;
+) -> Result<Found, S::Error> {
+    let mut found = unlimited_window(subject, job, geometry, task)?;
     match job.near {
         Near::Auto => {}
         Near::Off => found.window.near_mm = None,
@@ -71,19 +52,18 @@ pub(crate) fn find_window(
     Ok(found)
 }
 
-fn unlimited_window(
-    ingested: &Ingested,
+fn unlimited_window<S: Subject>(
+    subject: &S,
     job: &WindowJob,
     geometry: &FieldGeometry,
-    cache_dir: Option<&Path>,
     task: Task<'_>,
-) -> Result<Found, PipelineError> {
-    let scene = &*ingested.scene;
+) -> Result<Found, S::Error> {
+    let scene = subject.scene();
     let size_mm = geometry.size_mm();
-    let error = |source| PipelineError::Window { name: scene.name.clone(), source };
+    let error = |source| ShotError::Window { name: scene.name.clone(), source };
     if job.from == WindowFrom::Given {
         let missing =
-            |key: &str| PipelineError::job(format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing");
+            |key: &str| ShotError::job(format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing");
         let vector = |key: &str, value: Option<[f64; 3]>| value.map(DVec3::from_array).ok_or_else(|| missing(key));
         let (centre, forward) = (vector("centre", job.centre)?, vector("forward", job.forward)?);
         let (up, width) = (vector("up", job.up)?, job.width.ok_or_else(|| missing("width"))?);
@@ -98,22 +78,17 @@ fn unlimited_window(
         (_, None) => scene.cameras.first(),
     };
     if job.from == WindowFrom::Camera && camera.is_none() {
-        return Err(PipelineError::value(&scene.name, "window.from", "a camera in the scene", "none"));
+        return Err(ShotError::value(&scene.name, "window.from", "a camera in the scene", "none").into());
     }
-    let framed = || -> Result<Found, PipelineError> {
+    let framed = || -> Result<Found, S::Error> {
         let from_deg = match job.look_from {
             Some(from_deg) => from_deg,
-            None => {
-                let mut key = KeyBuilder::new("side", code::VIEWS);
-                ingested.add_to(&mut key);
-                let key = key.add("size", format!("{size_mm:?}").as_bytes()).finish();
-                remembered(cache_dir, &format!("side-{}.json", &key[..16]), || {
-                    side::choose(ingested.renderer(task)?, scene, size_mm, task)
-                })?
-            }
+            None => subject.remembered("side", &format!("{size_mm:?}"), || {
+                Ok(side::choose(subject.renderer(task)?, scene, size_mm, task)?)
+            })?,
         };
         let window = side::framed(scene, from_deg, size_mm).map_err(error)?;
-        let window = close_up(ingested, window, geometry, true, cache_dir, task)?;
+        let window = close_up(subject, window, geometry, true, task)?;
         Ok(Found { window, chosen: false, looked_from_deg: Some(from_deg) })
     };
     let Some(camera) = camera else { return framed() };
@@ -123,28 +98,25 @@ fn unlimited_window(
         Ok(window) if focus_distance.is_some() || job.from == WindowFrom::Camera || job.camera.is_some() => {
             Ok(found(window))
         }
-        Ok(window) => close_up(ingested, window, geometry, false, cache_dir, task).map(found),
+        Ok(window) => close_up(subject, window, geometry, false, task).map(found),
         // a camera that nobody asked for must not stand in the way
         Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => framed(),
-        Err(source) => Err(error(source)),
+        Err(source) => Err(error(source).into()),
     }
 }
 
 /// Moves a window to what is seen of the scene, with `recentre`; without, closer along its axis, until the scene covers [`COVERAGE`] of it. Nothing that the
 /// window shows is cut off.
-fn close_up(
-    ingested: &Ingested,
+fn close_up<S: Subject>(
+    subject: &S,
     window: Window,
     geometry: &FieldGeometry,
     recentre: bool,
-    cache_dir: Option<&Path>,
     task: Task<'_>,
-) -> Result<Window, PipelineError> {
-    let mut key = KeyBuilder::new("window", code::VIEWS);
-    ingested.add_to(&mut key);
-    let key = key.add("window", format!("{window:?} {recentre}").as_bytes()).finish();
-    let (place, factor): ([f64; 2], f64) = remembered(cache_dir, &format!("window-{}.json", &key[..16]), || {
-        let renderer = ingested.renderer(task)?;
+) -> Result<Window, S::Error> {
+    let of = format!("{window:?} {recentre}");
+    let (place, factor): ([f64; 2], f64) = subject.remembered("window", &of, || {
+        let renderer = subject.renderer(task)?;
         // a coarse straight view is enough to find out where the scene is
         let cols = geometry.cols.min(PROBE_COLS);
         let pitch_mm = window.size_mm[0] / cols as f64;
@@ -198,13 +170,13 @@ fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
 }
 
-fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, PipelineError> {
+fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, ShotError> {
     let by_name = scene.cameras.iter().find(|camera| camera.name == wanted);
     let by_number = || wanted.parse::<usize>().ok().and_then(|number| scene.cameras.get(number));
     by_name.or_else(by_number).ok_or_else(|| {
         let names: Vec<&str> = scene.cameras.iter().map(|camera| camera.name.as_str()).collect();
         let expected = format!("one of {} cameras: {}", names.len(), names.join(", "));
-        PipelineError::value(&scene.name, "window.camera", expected, wanted)
+        ShotError::value(&scene.name, "window.camera", expected, wanted)
     })
 }
 

@@ -3,19 +3,19 @@
 use std::path::PathBuf;
 
 use lumistack_core::tone::ToneCurve;
+use lumistack_core::path_text::PathText;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::background::Background;
-use crate::error::PipelineError;
-use crate::path_text::PathText;
+use crate::error::ShotError;
 
 /// Light and exposure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LightJob {
     /// Radiance HDR or EXR environment map that replaces the scene's.
-    #[serde(skip_serializing_if = "Option::is_none", with = "crate::path_text::optional")]
+    #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub environment: Option<PathBuf>,
     /// Factor on the environment's radiance.
@@ -83,8 +83,8 @@ impl Default for LightJob {
 
 impl LightJob {
     /// Checks values that no parser checks.
-    pub(super) fn check(&self) -> Result<(), PipelineError> {
-        let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
+    pub fn check(&self) -> Result<(), ShotError> {
+        let fail = |key: &str, expected: &str, found: String| Err(ShotError::job(key, expected, found));
         if !(self.exposure_ev.is_finite() && self.exposure_ev.abs() <= 100.0) {
             return fail("light.exposure_ev", "-100 to 100", self.exposure_ev.to_string());
         }

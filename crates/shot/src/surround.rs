@@ -4,9 +4,9 @@ use glam::Quat;
 use lumistack_core::Task;
 use lumistack_scene::Scene;
 
-use crate::error::PipelineError;
+use crate::edit::edited;
+use crate::error::ShotError;
 use crate::job::LightJob;
-use crate::stage::ingest::light::edited;
 
 /// Warns where a key about the environment changes nothing, since the scene has none.
 pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
@@ -23,12 +23,12 @@ pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
 ///
 /// # Errors
 /// When the changed scene is not valid.
-pub(crate) fn turned(scene: Scene, job: &LightJob, task: Task<'_>) -> Result<Scene, PipelineError> {
+pub(crate) fn turned(scene: Scene, job: &LightJob, task: Task<'_>) -> Result<Scene, ShotError> {
     if job.environment_rotation_deg == 0.0 {
         return Ok(scene);
     }
     let turn = Quat::from_rotation_y(job.environment_rotation_deg.to_radians() as f32);
-    edited(scene, task, |parts| {
+    edited::<ShotError>(scene, task, |parts| {
         if let Some(environment) = &mut parts.environment {
             environment.scene_from_environment = turn * environment.scene_from_environment;
         }

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Serialize};
 
-use crate::error::PipelineError;
+use crate::error::ShotError;
 
 /// Where the display stands in the scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -160,18 +160,18 @@ impl Default for WindowJob {
 
 impl WindowJob {
     /// Checks values that no parser checks.
-    pub(super) fn check(&self) -> Result<(), PipelineError> {
+    pub fn check(&self) -> Result<(), ShotError> {
         if !(1e-3..=10.0).contains(&self.depth_scale) {
             let found = self.depth_scale.to_string();
-            return Err(PipelineError::job("window.depth_scale", "0.001 to 10", found));
+            return Err(ShotError::job("window.depth_scale", "0.001 to 10", found));
         }
         if let Near::At(near) = self.near
             && !near.is_finite()
         {
-            return Err(PipelineError::job("window.near", "a finite distance", near.to_string()));
+            return Err(ShotError::job("window.near", "a finite distance", near.to_string()));
         }
         if let Some([azimuth, elevation]) = self.look_from {
-            let fail = |expected: &str, found: String| Err(PipelineError::job("window.look_from", expected, found));
+            let fail = |expected: &str, found: String| Err(ShotError::job("window.look_from", expected, found));
             if !((-360.0..=360.0).contains(&azimuth) && (-90.0..=90.0).contains(&elevation)) {
                 let expected = "an azimuth of -360 to 360 and an elevation of -90 to 90 degrees";
                 return fail(expected, format!("{azimuth} and {elevation}"));

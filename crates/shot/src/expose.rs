@@ -1,0 +1,80 @@
+//! Radiance before a background, and the rays by which an exposure is chosen.
+
+use std::borrow::Cow;
+
+use lumistack_display::FieldGeometry;
+use lumistack_splats::Space;
+
+use crate::depth::Depths;
+use crate::look::Look;
+
+/// Rays that decide about exposure and tone curve, at most.
+const MOST_RAYS: usize = 4_000_000;
+
+/// Exposes pixels `[..][rgb]` that are black where no surface is, and puts a background there; `missed` holds m of every pixel. Before a
+/// background splats are blended in their own space, as before a surface.
+pub fn expose_over(look: Look, background: [f32; 3], splats: Option<Space>, missed: &[f32], rgb: &mut [f32]) {
+    if let Some(space) = splats {
+        look.apply_to(rgb);
+        for (pixel, &missed) in rgb.as_chunks_mut::<3>().0.iter_mut().zip(missed) {
+            *pixel = space.before(*pixel, missed, background);
+        }
+        return;
+    }
+    for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
+        let covered = 1.0 - missed;
+        if covered > 0.0 {
+            pixel.iter_mut().for_each(|value| *value /= covered);
+        }
+    }
+    look.apply_to(rgb);
+    for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
+        for (value, background) in pixel.iter_mut().zip(background) {
+            *value = (1.0 - missed) * *value + missed * background;
+        }
+    }
+}
+
+/// The brightest channel of evenly spread rays of some views, and whether they meet a surface.
+///
+/// # Errors
+/// Those of `picture`.
+pub fn brightest<'a, E>(
+    geometry: &FieldGeometry,
+    views: &[[usize; 2]],
+    depths: &Depths,
+    picture: impl Fn([usize; 2]) -> Result<Cow<'a, [f32]>, E>,
+) -> Result<Vec<(f32, bool)>, E> {
+    let size = geometry.rows * geometry.cols;
+    let all = views.len() * size;
+    let every = all.div_ceil(MOST_RAYS).max(1);
+    let mut rays = Vec::with_capacity(all / every + 1);
+    for (number, &view) in views.iter().enumerate() {
+        // goes on in the next view where it left off
+        let first = (every - number * size % every) % every;
+        rays.extend(picture(view)?.chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
+            let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);
+            (rgb[0].max(rgb[1]).max(rgb[2]), surface)
+        }));
+    }
+    Ok(rays)
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_core::tone::ToneCurve;
+
+    use super::*;
+
+    #[test]
+    fn edges_mix_what_is_shown_of_both() {
+        let look = Look { exposure: 2.0, curve: ToneCurve::Linear };
+        // a surface of radiance 0.3 that covers all, a quarter and nothing of a pixel
+        let mut rgb: Vec<f32> = [0.3, 0.25 * 0.3, 0.0].iter().flat_map(|value| [*value; 3]).collect();
+        expose_over(look, [1.0, 0.5, 0.0], None, &[0.0, 0.75, 1.0], &mut rgb);
+        let expected = [0.6, 0.6, 0.6, 0.15 + 0.75, 0.15 + 0.375, 0.15, 1.0, 0.5, 0.0];
+        for (found, expected) in rgb.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-6, "{rgb:?}");
+        }
+    }
+}

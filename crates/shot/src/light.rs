@@ -1,0 +1,243 @@
+//! Light for scenes that bring none, and environment maps from files.
+
+use std::sync::Arc;
+
+use glam::{Quat, Vec3};
+use lumistack_core::{NoProgress, Task};
+use lumistack_display::{FieldGeometry, Projection, ViewGrid};
+use lumistack_pathtracer::Settings;
+use lumistack_scene::{AlphaMode, Environment, Image, Lamp, Material, Pixels, Scene, SceneParts, Window};
+
+use crate::edit::edited;
+use crate::error::ShotError;
+use crate::job::LightJob;
+use crate::look::automatic_look;
+use crate::place::side;
+use crate::renderer::SceneRenderer;
+use crate::surround;
+
+/// Size of the studio map; it is smooth.
+const STUDIO: [usize; 2] = [128, 64];
+/// Pixels and paths by which it is found out whether lamps light a scene.
+const PROBE: [usize; 2] = [96, 60];
+const PROBE_SAMPLES: u32 = 16;
+/// Surfaces shown darker than this after exposure are not lit.
+const DARK: f64 = 0.02;
+/// Share of what is seen that glowing objects must light, and that light sources must: a spot in a dark room is what its author wanted.
+const LIT_BY_GLOW: f64 = 0.5;
+const LIT_BY_LAMPS: f64 = 0.05;
+/// Radiance that is seen past a scene in the studio light: a dark neutral ground.
+const GROUND: f32 = 0.035;
+
+/// Reports why a scene that has lamps of its own but no environment gets the studio light as well: an engine that glows lights no hangar, and lamps may shine past
+/// what is seen.
+///
+/// # Errors
+/// When the scene cannot be rendered, or when cancelled.
+pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'static str>, ShotError> {
+    if scene.environment.is_some() {
+        return Ok(None);
+    }
+    // light is judged, not what surfaces make of it: scenes that differ in their materials alone get the same answer
+    let scene = &Arc::new(edited::<ShotError>((**scene).clone(), task, |parts| {
+        parts.materials.iter_mut().for_each(to_clay);
+        Ok(())
+    })?);
+    let [cols, rows] = PROBE;
+    let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
+    let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
+    let size_mm = geometry.size_mm();
+    let quiet = Task { progress: &NoProgress, ..task };
+    let renderer = SceneRenderer::new(scene.clone(), quiet)?;
+    let seen_by = |camera| Window::from_camera(camera, scene.seen_bounds(), size_mm).ok();
+    let window = match scene.cameras.first().and_then(seen_by) {
+        Some(window) => window,
+        None => side::framed(scene, side::choose(&renderer, scene, size_mm, quiet)?, size_mm)
+            .map_err(|source| ShotError::Window { name: scene.name.clone(), source })?,
+    };
+    let settings = Settings { samples: PROBE_SAMPLES, ..Settings::default() };
+    let tracer = &renderer.tracer;
+    let radiance = tracer.render_view(&window, &geometry, [0, 0], &settings, quiet)?;
+    let mask = tracer.hit_mask(&window, &geometry, [0, 0], quiet)?;
+    let brightest = radiance.data().chunks_exact(3).map(|rgb| rgb[0].max(rgb[1]).max(rgb[2]));
+    let rays: Vec<(f32, bool)> = brightest.zip(mask.data().iter().map(|&hit| hit > 0.5)).collect();
+    let (exposure, curve) = automatic_look(scene, &rays);
+    let is_lit = |value: f32| curve.apply([(f64::from(value) * exposure) as f32; 3])[1] >= DARK as f32;
+    let surfaces = rays.iter().filter(|(_, surface)| *surface);
+    let count = surfaces.clone().count() as f64;
+    let lit = surfaces.filter(|(value, _)| is_lit(*value)).count() as f64;
+    let has_lamps = !scene.lights.is_empty() || scene.materials.iter().any(|material| material.lamp != Lamp::No);
+    let message = if has_lamps {
+        (lit < LIT_BY_LAMPS * count).then_some(
+            "its lamps leave what is seen black, so the studio light is added; `light.automatic = false` does without",
+        )
+    } else {
+        (lit < LIT_BY_GLOW * count).then_some(
+            "the surfaces that glow leave most of what is seen dark, so the studio light is added; `light.automatic = false` does without",
+        )
+    };
+    Ok(message)
+}
+
+/// Reflectance of the clay that scenes are made of while their light is judged.
+const CLAY: f32 = 0.5;
+
+/// Takes away what an opaque surface does to light, and leaves what it emits. What light passes stays.
+fn to_clay(material: &mut Material) {
+    if material.unlit || material.transmission > 0.0 || material.alpha_mode != AlphaMode::Opaque {
+        return;
+    }
+    *material = Material {
+        name: std::mem::take(&mut material.name),
+        base_color: Vec3::splat(CLAY).extend(1.0),
+        metallic: 0.0,
+        roughness: 1.0,
+        specular: 0.0,
+        emission: material.emission,
+        emission_texture: material.emission_texture,
+        double_sided: material.double_sided,
+        lamp: material.lamp,
+        ..Material::default()
+    };
+}
+
+/// Gives the scene the built-in studio light: a soft grey surround, darker below, a large key light above to the left in front of the
+/// scene and a weaker fill to the right. Radiance is about 1 where it is brightest outside the lamps. What is seen past the scene is a dark ground instead.
+pub fn add_studio_light(parts: &mut SceneParts) {
+    let [width, height] = STUDIO;
+    let mut texels = Vec::with_capacity(width * height);
+    let key = Vec3::new(-0.6, 0.75, 0.7).normalize();
+    let fill = Vec3::new(0.9, 0.25, 0.5).normalize();
+    for row in 0..height {
+        let elevation = std::f32::consts::FRAC_PI_2 - (row as f32 + 0.5) / height as f32 * std::f32::consts::PI;
+        for col in 0..width {
+            // the centre column is −z, columns to the right turn towards +x
+            let azimuth = ((col as f32 + 0.5) / width as f32 - 0.5) * std::f32::consts::TAU;
+            let direction =
+                Vec3::new(elevation.cos() * azimuth.sin(), elevation.sin(), -elevation.cos() * azimuth.cos());
+            let surround = 0.30 + 0.25 * direction.y;
+            let lobe = |axis: Vec3, sharpness: f32| (sharpness * (direction.dot(axis) - 1.0)).exp();
+            let radiance = Vec3::splat(surround)
+                + Vec3::new(1.0, 0.96, 0.9) * 9.0 * lobe(key, 18.0)
+                + Vec3::new(0.85, 0.93, 1.0) * 1.6 * lobe(fill, 10.0);
+            texels.push(radiance.to_array());
+        }
+    }
+    let image = Image { name: "studio light".into(), width, height, pixels: Pixels::RgbF32(texels) };
+    set_environment(parts, image, Vec3::ONE, Quat::IDENTITY);
+    parts.backdrop = Some(Vec3::splat(GROUND));
+}
+
+/// Makes an image the scene's environment.
+pub fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, scene_from_environment: Quat) {
+    parts.images.push(image);
+    parts.environment = Some(Environment { image: parts.images.len() - 1, strength, scene_from_environment });
+}
+
+/// Lights a scene as a job says, and where it has no light. `environment` tells whether its environment came from the job's file, at the job's
+/// strength. Returns the scene, and whether it got the built-in studio light.
+///
+/// # Errors
+/// When the scene cannot be rendered, or when cancelled.
+pub fn lit(
+    mut scene: Scene,
+    environment: bool,
+    job: &LightJob,
+    task: Task<'_>,
+) -> Result<(Arc<Scene>, bool), ShotError> {
+    if !environment
+        && let Some(strength) = scene.environment.map(|environment| environment.strength)
+        && job.environment_strength != 1.0
+    {
+        scene = edited::<ShotError>(scene, task, |parts| {
+            if let Some(environment) = &mut parts.environment {
+                environment.strength = strength * job.environment_strength;
+            }
+            Ok(())
+        })?;
+    }
+    if let Some(visible) = job.visible {
+        let wanted = if visible { Lamp::Seen } else { Lamp::Unseen };
+        if scene.materials.iter().any(|material| material.lamp != Lamp::No && material.lamp != wanted) {
+            scene = edited::<ShotError>(scene, task, |parts| {
+                let lamps = parts.materials.iter_mut().filter(|material| material.lamp != Lamp::No);
+                lamps.for_each(|material| material.lamp = wanted);
+                Ok(())
+            })?;
+        }
+    }
+    let has_environment = scene.environment.is_some();
+    if has_environment {
+        scene = surround::turned(scene, job, task)?;
+    }
+    // splats bring their light with them
+    let automatic = job.automatic && !scene.instances.is_empty();
+    let mut studio = automatic && !scene.is_lit();
+    let mut scene = Arc::new(scene);
+    if automatic
+        && !studio
+        && let Some(message) = probe(&scene, task)?
+    {
+        task.warn(&scene.name, message);
+        studio = true;
+    }
+    if studio {
+        let lit = edited::<ShotError>(Arc::unwrap_or_clone(scene), task, |parts| {
+            add_studio_light(parts);
+            if let Some(environment) = &mut parts.environment {
+                environment.strength = Vec3::splat(job.environment_strength);
+            }
+            Ok(())
+        })?;
+        scene = Arc::new(surround::turned(lit, job, task)?);
+    } else if !has_environment {
+        surround::warn_of_unused(&scene, job, task);
+    }
+    Ok((scene, studio))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{Affine3A, Vec4};
+    use lumistack_core::{Cancel, Collector};
+    use lumistack_scene::{Instance, Mesh};
+
+    /// A floor of some material below a panel that shines, from above the floor.
+    fn room(floor: Material) -> Arc<Scene> {
+        let square = |height: f32, half: f32, material: usize| Mesh {
+            place: format!("/{material}"),
+            positions: [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
+                .map(|(x, z)| Vec3::new(half * x, height, half * z))
+                .to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            material,
+            ..Mesh::default()
+        };
+        let lamp = Material { emission: Vec3::splat(5.0), double_sided: true, ..Material::default() };
+        let placed = |mesh: usize| Instance { mesh, scene_from_mesh: Affine3A::from_rotation_x(0.5) };
+        let parts = SceneParts {
+            name: "room".into(),
+            meshes: vec![square(0.0, 2.0, 0), square(2.0, 0.7, 1)],
+            instances: vec![placed(0), placed(1)],
+            materials: vec![Material { double_sided: true, ..floor }, lamp],
+            ..SceneParts::default()
+        };
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
+    }
+
+    #[test]
+    fn lamps_are_judged_by_their_light_and_not_by_the_materials_that_it_falls_on() {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let grey = |value: f32| Material { base_color: Vec4::new(value, value, value, 1.0), ..Material::default() };
+        for floor in [
+            grey(0.8),
+            Material { metallic: 0.0, roughness: 0.9, ..grey(0.004) },
+            Material { metallic: 1.0, roughness: 0.0, ..grey(1.0) },
+        ] {
+            assert!(probe(&room(floor.clone()), task).unwrap().is_none(), "{floor:?}");
+        }
+    }
+}

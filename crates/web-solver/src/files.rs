@@ -1,0 +1,69 @@
+//! Files in memory, and the scene among them.
+
+use std::collections::BTreeMap;
+
+use lumistack_core::Task;
+use lumistack_gltf::{AssetResolver, LoadOptions};
+use lumistack_scene::Scene;
+
+use crate::error::Error;
+
+/// Bytes that a scene may decode to, and that its pictures may take beside that. A module has 4 GiB at most, for everything.
+const MOST_DECODED: u64 = 1 << 30;
+const MOST_PICTURES: u64 = 512 << 20;
+
+/// Files by their paths, as they were dropped.
+#[derive(Clone, Debug, Default)]
+pub struct Files(BTreeMap<String, Vec<u8>>);
+
+/// The files as one of them sees them: names are relative to its folder.
+struct Beside<'a> {
+    files: &'a Files,
+    folder: &'a str,
+}
+
+impl Files {
+    /// Adds a file.
+    pub fn add(&mut self, path: &str, bytes: Vec<u8>) {
+        self.0.insert(path.into(), bytes);
+    }
+
+    /// Reads the scene that one of the files is: glTF by its content, splats otherwise.
+    ///
+    /// # Errors
+    /// As the command says it: with the place in the file, what was expected and what was found.
+    pub fn scene(&self, path: &str, task: Task<'_>) -> Result<Scene, Error> {
+        let bytes = self.0.get(path).ok_or_else(|| Error::value(path, "a readable file", "none"))?;
+        let (folder, name) = path.rsplit_once('/').map_or(("", path), |(folder, name)| (folder, name));
+        let beside = Beside { files: self, folder };
+        let options =
+            LoadOptions { max_decoded_bytes: MOST_DECODED, max_picture_bytes: MOST_PICTURES, ..LoadOptions::default() };
+        let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension).to_ascii_lowercase();
+        if !matches!(extension.as_str(), "ply" | "spz" | "sog" | "json") {
+            return Ok(lumistack_gltf::load_with(name, bytes, &beside, &options, task)?);
+        }
+        let failed = |error: String| Error(format!("{name}: {error}"));
+        let read = |uri: &str| beside.read(uri, MOST_DECODED);
+        let found = lumistack_splats::read::read(bytes, &read).map_err(|error| failed(error.to_string()))?;
+        found.left_out.iter().for_each(|message| task.warn(name, message.clone()));
+        if found.cloud.is_empty() {
+            return Err(failed("expected splats, found none".into()));
+        }
+        let rotation = found.axes.scene_from_file().to_array();
+        let document = lumistack_splats::glb(&found.cloud, rotation, 1.0)
+            .ok_or_else(|| failed(format!("expected splats of less than 4 GiB, found {}", found.cloud.len())))?;
+        Ok(lumistack_gltf::load_with(name, &document, &beside, &options, task)?)
+    }
+}
+
+impl AssetResolver for Beside<'_> {
+    fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
+        let plain = uri.strip_prefix("./").unwrap_or(uri);
+        let path = if self.folder.is_empty() { plain.to_owned() } else { format!("{}/{plain}", self.folder) };
+        let bytes = self.files.0.get(&path).ok_or("it is not among the files that were opened; open its folder")?;
+        if bytes.len() as u64 > max_bytes {
+            return Err(format!("expected a file of at most {max_bytes} bytes, found {}", bytes.len()));
+        }
+        Ok(bytes.clone())
+    }
+}

@@ -1,0 +1,134 @@
+//! Patterns for the viewer and for the command.
+
+use std::io::{Cursor, Write};
+
+use lumistack_display::{Backlight, Display, LayerStack, Projection, StackIndex};
+use npyz::{DType, WriteOptions, WriterBuilder};
+use serde_json::{Value, json};
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
+
+use crate::error::Error;
+
+/// Codes of all pictures of a stack in the order of [`preview`]'s files, `[row][col][rgb]` each: value = code / 255.
+pub fn codes(display: &Display, stack: &LayerStack) -> Vec<u8> {
+    let code = |value: &f32| (255.0 * value).round() as u8;
+    let mut codes = Vec::new();
+    for frame in 0..stack.frames() {
+        for layer in &stack.layers {
+            codes.extend(layer.block([frame]).iter().map(code));
+        }
+        if let (Some(emission), Backlight::Lenslets(b)) = (&stack.emission, &display.backlight) {
+            // bins side by side, `[bin_y][lenslet_row][bin_x][lenslet_col]`
+            for (bin_y, row) in (0..b.views[1]).flat_map(|bin_y| (0..b.lenslets[1]).map(move |row| (bin_y, row))) {
+                for bin_x in 0..b.views[0] {
+                    codes.extend(emission.block([frame, bin_y, bin_x, row]).iter().map(code));
+                }
+            }
+        }
+    }
+    codes
+}
+
+/// The viewer's `preview.json` of a stack, whose pictures come by another way than files.
+///
+/// # Errors
+/// When the display's views make no sense.
+pub fn preview(display: &Display, title: &str) -> Result<String, Error> {
+    let geometry = display.geometry()?;
+    let mut files = Vec::new();
+    for frame in 0..display.frames {
+        for (layer, [cols, rows]) in display.layers.iter().map(|layer| layer.resolution).enumerate() {
+            let path = format!("stack/layer{layer}_frame{frame}.png");
+            files.push(json!({"path": path, "kind": "layer", "layer": layer, "frame": frame, "rows": rows, "cols": cols, "bytes": 0}));
+        }
+        if let Backlight::Lenslets(b) = &display.backlight {
+            let (rows, cols) = (b.views[1] * b.lenslets[1], b.views[0] * b.lenslets[0]);
+            let path = format!("stack/emission_frame{frame}.png");
+            files.push(
+                json!({"path": path, "kind": "emission", "frame": frame, "rows": rows, "cols": cols, "bytes": 0}),
+            );
+        }
+    }
+    let (projection, distance_mm) = match geometry.grid.projection {
+        Projection::Oblique => ("oblique", None),
+        Projection::Perspective { distance_mm } => ("perspective", Some(distance_mm)),
+    };
+    let target = json!({
+        "rows": geometry.rows,
+        "cols": geometry.cols,
+        "pitch_mm": geometry.pitch_mm,
+        "projection": projection,
+        "distance_mm": distance_mm,
+        "slope_x": geometry.grid.slope_x,
+        "slope_y": geometry.grid.slope_y,
+    });
+    let layers = display.layers.len();
+    let words = |count: usize, one: &str| if count == 1 { format!("one {one}") } else { format!("{count} {one}s") };
+    let caption = format!("{}, {}, solved on this page.", words(layers, "layer"), words(display.frames, "frame"));
+    let preview = json!({
+        "schema": "lumistack-preview",
+        "version": 1,
+        "title": title,
+        "caption": caption,
+        "display": display,
+        "brightness": display.brightness,
+        "frames": display.frames,
+        "target": target,
+        "files": files,
+    });
+    Ok(preview.to_string())
+}
+
+/// A run folder of the patterns as a zip: `display.toml` and `layers/`, which the command reads, and `job.toml`, which tells how to make the same.
+///
+/// # Errors
+/// When it becomes too large.
+pub fn zip(display: &Display, stack: &LayerStack, job: &str) -> Result<Vec<u8>, Error> {
+    let written = || -> std::io::Result<Vec<u8>> {
+        let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+        let mut file = |name: &str, bytes: &[u8]| -> std::io::Result<()> {
+            let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+            zip.start_file(name, options).map_err(std::io::Error::other)?;
+            zip.write_all(bytes)
+        };
+        let index = StackIndex::of(display, stack);
+        file("display.toml", display.to_toml().as_bytes())?;
+        file("job.toml", job.as_bytes())?;
+        for (entry, layer) in index.layers.iter().zip(&stack.layers) {
+            file(&format!("layers/{}", entry.file), &npy(&layer.shape(), layer.data())?)?;
+        }
+        if let Some(emission) = &stack.emission {
+            file(&format!("layers/{}", StackIndex::EMISSION), &npy(&emission.shape(), emission.data())?)?;
+        }
+        let text = serde_json::to_string_pretty(&index).map_err(std::io::Error::other)?;
+        file(&format!("layers/{}", StackIndex::FILE), text.as_bytes())?;
+        Ok(zip.finish().map_err(std::io::Error::other)?.into_inner())
+    };
+    written().map_err(|error| Error(format!("zip: {error}")))
+}
+
+/// A row-major array of `float32` as NumPy's file.
+fn npy(shape: &[usize], data: &[f32]) -> std::io::Result<Vec<u8>> {
+    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
+    let dtype = DType::new_scalar("<f4".parse().map_err(|_| std::io::Error::other("no float32 type"))?);
+    let mut bytes = Vec::with_capacity(4 * data.len() + 128);
+    WriteOptions::new_header_only().dtype(dtype).shape(&shape).writer(&mut bytes).write_header_only()?;
+    bytes.extend(data.iter().flat_map(|value| value.to_le_bytes()));
+    Ok(bytes)
+}
+
+/// The display's look in a sentence of JSON for the page: what its sliders stand at.
+pub fn about(display: &Display) -> Value {
+    let gaps = display.layers.windows(2).map(|pair| pair[1].d_mm - pair[0].d_mm);
+    let count = display.layers.len().saturating_sub(1).max(1);
+    json!({
+        "layers": display.layers.len(),
+        "frames": display.frames,
+        "brightness": display.brightness,
+        "gap_mm": gaps.sum::<f64>() / count as f64,
+        "directional": matches!(display.backlight, Backlight::Lenslets(_)),
+        "resolution": display.field.resolution,
+        "views": display.views(),
+    })
+}

@@ -1,0 +1,127 @@
+//! The classes that JavaScript sees. Every method passes on to the tested code beside it.
+
+use js_sys::Uint8Array;
+use lumistack_display::PRESETS;
+use serde_json::json;
+use wasm_bindgen::prelude::*;
+
+use crate::{Error, Files, Settings, Stage, Work, patterns};
+
+impl From<Error> for JsValue {
+    fn from(error: Error) -> Self {
+        js_sys::Error::new(&error.to_string()).into()
+    }
+}
+
+type Thrown<T> = Result<T, JsValue>;
+
+/// Names of the presets, and what each is, as JSON.
+#[wasm_bindgen]
+pub fn presets() -> String {
+    let about = |(name, text): &(&str, &str)| {
+        let display = lumistack_display::Display::from_toml(text).ok()?;
+        Some(json!({"name": name, "title": display.name, "about": patterns::about(&display)}))
+    };
+    json!(PRESETS.iter().filter_map(about).collect::<Vec<_>>()).to_string()
+}
+
+/// Files that are about to be solved.
+#[wasm_bindgen]
+#[derive(Default)]
+pub struct Dropped(Files);
+
+#[wasm_bindgen]
+impl Dropped {
+    /// None yet.
+    #[wasm_bindgen(constructor)]
+    pub fn new() -> Dropped {
+        Self::default()
+    }
+
+    /// Adds a file.
+    pub fn add(&mut self, path: &str, bytes: Vec<u8>) {
+        self.0.add(path, bytes);
+    }
+}
+
+/// A solve under way.
+#[wasm_bindgen]
+pub struct Solver {
+    work: Work,
+    path: String,
+    /// The command's job that makes the same.
+    job: String,
+}
+
+#[wasm_bindgen]
+impl Solver {
+    /// Of one of the files, with settings as JSON.
+    #[wasm_bindgen(constructor)]
+    pub fn new(files: Dropped, path: &str, settings: &str) -> Thrown<Solver> {
+        let settings = Settings::from_json(settings)?;
+        let job = settings.job(path);
+        Ok(Self { work: Work::new(files.0, path, settings)?, path: path.into(), job })
+    }
+
+    /// The same file with other settings; what was read of it stays.
+    pub fn change(&mut self, settings: &str) -> Thrown<()> {
+        let settings = Settings::from_json(settings)?;
+        let job = settings.job(&self.path);
+        self.work.change(settings)?;
+        self.job = job;
+        Ok(())
+    }
+
+    /// Does the next piece.
+    pub fn advance(&mut self) -> Thrown<()> {
+        Ok(self.work.advance()?)
+    }
+
+    /// `scene`, `views`, `patterns` or `done`.
+    pub fn stage(&self) -> String {
+        match self.work.stage() {
+            Stage::Scene => "scene",
+            Stage::Views => "views",
+            Stage::Patterns => "patterns",
+            Stage::Done => "done",
+        }
+        .into()
+    }
+
+    /// Share of the work that is done, 0..1.
+    pub fn share(&self) -> f64 {
+        self.work.share()
+    }
+
+    /// Number of stacks so far.
+    pub fn shown(&self) -> u32 {
+        self.work.shown()
+    }
+
+    /// PSNR over the views that the present patterns were made for, dB; NaN before there are any.
+    pub fn psnr(&self) -> f64 {
+        self.work.psnr()
+    }
+
+    /// Warnings since the last call.
+    pub fn warnings(&self) -> Vec<String> {
+        self.work.warnings()
+    }
+
+    /// The viewer's `preview.json` of patterns of this display.
+    pub fn preview(&self, title: &str) -> Thrown<String> {
+        Ok(patterns::preview(self.work.display(), title)?)
+    }
+
+    /// Codes of the present patterns, in the order of the preview's files.
+    pub fn codes(&self) -> Uint8Array {
+        let codes = self.work.stack().map(|stack| patterns::codes(self.work.display(), stack));
+        Uint8Array::from(codes.unwrap_or_default().as_slice())
+    }
+
+    /// The present patterns as a zip.
+    pub fn zip(&self) -> Thrown<Uint8Array> {
+        let stack = self.work.stack().ok_or_else(|| Error::value("zip", "patterns", "none yet"))?;
+        Ok(Uint8Array::from(patterns::zip(self.work.display(), stack, &self.job)?.as_slice()))
+    }
+}

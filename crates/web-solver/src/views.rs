@@ -1,0 +1,217 @@
+//! The views of a scene that a display wants, rendered one by one, and the light field that those so far give.
+
+use std::borrow::Cow;
+
+use lumistack_core::{Task, Tensor};
+use lumistack_display::{Display, FieldGeometry, LightField, ViewGrid};
+use lumistack_pathtracer::denoise::SharedLight;
+use lumistack_pathtracer::{Settings as Paths, SplitView};
+use lumistack_shot::{
+    Denoise, Depths, LightJob, Look, Placement, WindowJob, brightest, place, put_before, seeded, slopes,
+};
+use lumistack_simd::{float_from_half, nearest_half};
+use lumistack_splats::Space;
+
+use crate::error::Error;
+use crate::settings::Settings;
+use crate::subject::Held;
+
+/// Random numbers of the target, as the command's.
+const TARGET: u64 = 0;
+/// The job's seed, as the command's.
+const SEED: u64 = 1;
+
+/// Rows and columns of views.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Picked {
+    pub(crate) rows: Vec<usize>,
+    pub(crate) cols: Vec<usize>,
+}
+
+/// Views of a placed scene.
+pub(crate) struct Views {
+    held: Held,
+    placement: Placement,
+    /// Of the display.
+    geometry: FieldGeometry,
+    /// The same in the scene: with the slopes at which it is traced.
+    traced: FieldGeometry,
+    paths: Paths,
+    denoise: Denoise,
+    light: LightJob,
+    /// By views in the order of the grid, those that are rendered.
+    splits: Vec<Option<SplitView>>,
+    splats: Vec<Option<Tensor<3>>>,
+    /// Of all views, once it is known.
+    depths: Option<Depths>,
+}
+
+impl Picked {
+    /// All views of a grid.
+    pub(crate) fn all(grid: &ViewGrid) -> Self {
+        let [rows, cols] = grid.views();
+        Self { rows: (0..rows).collect(), cols: (0..cols).collect() }
+    }
+
+    /// At most so many rows and columns, evenly spread, the outermost among them.
+    pub(crate) fn some(grid: &ViewGrid, most: usize) -> Self {
+        let pick = |count: usize| match count.min(most) {
+            1 => vec![count / 2],
+            some => (0..some).map(|i| (2 * i * (count - 1) + some - 1) / (2 * (some - 1))).collect(),
+        };
+        let [rows, cols] = grid.views();
+        Self { rows: pick(rows), cols: pick(cols) }
+    }
+
+    /// The views, row by row.
+    pub(crate) fn views(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
+        self.rows.iter().flat_map(|&y| self.cols.iter().map(move |&x| [y, x]))
+    }
+
+    fn of(&self, geometry: &FieldGeometry) -> FieldGeometry {
+        let ViewGrid { projection, slope_x, slope_y } = &geometry.grid;
+        let slopes = |of: &[f64], picked: &[usize]| picked.iter().map(|&i| of[i]).collect();
+        geometry.with_grid(ViewGrid {
+            projection: *projection,
+            slope_x: slopes(slope_x, &self.cols),
+            slope_y: slopes(slope_y, &self.rows),
+        })
+    }
+}
+
+impl Views {
+    /// Places the display in a lit scene.
+    ///
+    /// # Errors
+    /// When scene and display do not fit.
+    pub(crate) fn new(held: Held, display: &Display, settings: &Settings, task: Task<'_>) -> Result<Self, Error> {
+        let geometry = display.geometry()?;
+        let placement = place(&held, &WindowJob::default(), display, &geometry, task)?;
+        let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
+        let count = geometry.grid.iter().count();
+        let render = settings.render();
+        let paths = render.settings(SEED, render.samples_of_view(count), false, placement.depth_scale, display.angular_footprint());
+        Ok(Self {
+            denoise: if held.is_traced() { Settings::denoise(display) } else { Denoise::Off },
+            held,
+            placement,
+            traced,
+            paths: seeded(paths, TARGET, &[]),
+            light: LightJob::default(),
+            splits: (0..count).map(|_| None).collect(),
+            splats: (0..count).map(|_| None).collect(),
+            depths: None,
+            geometry,
+        })
+    }
+
+    /// The scene, for another display.
+    pub(crate) fn into_held(self) -> Held {
+        self.held
+    }
+
+    pub(crate) fn grid(&self) -> &ViewGrid {
+        &self.geometry.grid
+    }
+
+    /// Paths per pixel of a finished view.
+    pub(crate) fn samples(&self) -> u32 {
+        self.paths.samples
+    }
+
+    pub(crate) fn is_traced(&self) -> bool {
+        self.held.is_traced()
+    }
+
+    pub(crate) fn has_splats(&self) -> bool {
+        self.held.renderer.splats.is_some()
+    }
+
+    /// Traces a view with so many paths per pixel, in place of what was traced before.
+    ///
+    /// # Errors
+    /// When it cannot be rendered.
+    pub(crate) fn trace(&mut self, view: [usize; 2], samples: u32, task: Task<'_>) -> Result<(), Error> {
+        let paths = Paths { samples, ..self.paths };
+        let window = &self.placement.window;
+        let split = self.held.renderer.tracer.render_split(window, &self.traced, view, &paths, task)?;
+        let at = self.number(view);
+        self.splits[at] = Some(split);
+        Ok(())
+    }
+
+    /// Renders what some views see of the splats.
+    ///
+    /// # Errors
+    /// When they cannot be rendered.
+    pub(crate) fn render_splats(&mut self, views: &[[usize; 2]], task: Task<'_>) -> Result<(), Error> {
+        let slopes = slopes(&self.traced, views);
+        let (held, window, traced) = (&self.held, &self.placement.window, &self.traced);
+        let splats = &mut self.splats;
+        let cols = traced.grid.views()[1];
+        held.renderer.splat_views(window, traced, &slopes, task, |number, view| {
+            let [y, x] = views[number];
+            splats[y * cols + x] = Some(view.light);
+            Ok::<(), Error>(())
+        })
+    }
+
+    fn number(&self, [y, x]: [usize; 2]) -> usize {
+        y * self.geometry.grid.views()[1] + x
+    }
+
+    /// The light field of views that are rendered: shared light, splats before it, exposure and tone curve, rounded as the command's.
+    ///
+    /// # Errors
+    /// When depths cannot be traced.
+    pub(crate) fn field(&mut self, picked: &Picked, task: Task<'_>) -> Result<LightField, Error> {
+        let (shown, traced) = (picked.of(&self.geometry), picked.of(&self.traced));
+        let depths = self.depths_of(picked, &traced, task)?;
+        let numbers: Vec<usize> = picked.views().map(|view| self.number(view)).collect();
+        let mut field = LightField::black(shown)?;
+        let places: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
+        let splits: Vec<&SplitView> = numbers.iter().filter_map(|&number| self.splits[number].as_ref()).collect();
+        if splits.len() == numbers.len() {
+            let shared = if self.denoise == Denoise::Shared {
+                let mut light = SharedLight::new(&traced);
+                splits.iter().for_each(|split| light.add(split));
+                Some(light.averaged(task)?)
+            } else {
+                None
+            };
+            for (number, (&place, split)) in places.iter().zip(&splits).enumerate() {
+                let radiance = match &shared {
+                    Some(shared) => shared[number].on(split),
+                    None => split.radiance(),
+                };
+                field.view_mut(place).copy_from_slice(radiance.data());
+            }
+        }
+        if let Some(space) = Space::of(&self.held.scene) {
+            for (&place, &number) in places.iter().zip(&numbers) {
+                if let Some(splats) = &self.splats[number] {
+                    put_before(space, splats.data(), field.view_mut(place));
+                }
+            }
+        }
+        let picture = |view| Ok::<_, Error>(Cow::Borrowed(field.view(view)));
+        let rays = brightest(field.geometry(), &places, &depths, picture)?;
+        let look = Look::choose(&self.light, &self.held.scene, &rays);
+        look.apply(&mut field);
+        // display-referred, so far below what a half float can hold
+        field.radiance_mut().data_mut().iter_mut().for_each(|value| *value = float_from_half(nearest_half(*value)));
+        Ok(field)
+    }
+
+    fn depths_of(&mut self, picked: &Picked, traced: &FieldGeometry, task: Task<'_>) -> Result<Depths, Error> {
+        let all = *picked == Picked::all(&self.geometry.grid);
+        if let Some(depths) = self.depths.as_ref().filter(|_| all) {
+            return Ok(depths.clone());
+        }
+        let depths = Depths::trace(&self.held.renderer, &self.placement.window, traced, task)?;
+        if all {
+            self.depths = Some(depths.clone());
+        }
+        Ok(depths)
+    }
+}

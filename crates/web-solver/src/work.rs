@@ -1,0 +1,298 @@
+//! The work, a piece at a time.
+
+use std::collections::VecDeque;
+
+use lumistack_core::{Cancel, Collector, Task};
+use lumistack_display::{Display, LayerStack, LightField, Weights};
+use lumistack_factorizer::{Ongoing, Problem, has_levels, reoptimize_on_levels};
+use lumistack_scene::Scene;
+use lumistack_shot::{LightJob, light};
+
+use crate::error::Error;
+use crate::files::Files;
+use crate::settings::Settings;
+use crate::subject::Held;
+use crate::views::{Picked, Views};
+
+/// Rows and columns of views of the first patterns.
+const FIRST: usize = 5;
+/// Iterations on views that are not finished: patterns begin where the last ones were.
+const WARM: u32 = 3;
+/// Views of splats that are rendered at a time: sorting them once serves several.
+const SPLAT_VIEWS: usize = 5;
+/// Times that patterns are made while views get all their samples.
+const REFRESHES: usize = 4;
+/// Seed of the solver, as the command's.
+const SEED: u64 = 1;
+
+/// How far the work is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Reads the file, lights the scene, places the display.
+    Scene,
+    /// Renders views, and makes patterns of those so far.
+    Views,
+    /// Solves for the finished views.
+    Patterns,
+    /// Nothing is left to do.
+    Done,
+}
+
+/// A piece of work.
+enum Piece {
+    Read,
+    Light,
+    Place,
+    Trace {
+        view: [usize; 2],
+        samples: u32,
+    },
+    Splats(Vec<[usize; 2]>),
+    /// Takes the light field of these views, and goes on from the present patterns.
+    Begin(Picked),
+    /// Takes the light field of all views, and begins anew, as the command does.
+    BeginAnew,
+    Step,
+    /// Patterns to show.
+    Show,
+    Finish,
+}
+
+/// A solve under way. Dropped at any time, it leaves nothing behind.
+pub struct Work {
+    settings: Settings,
+    display: Display,
+    path: String,
+    files: Files,
+    scene: Option<Scene>,
+    held: Option<Held>,
+    views: Option<Views>,
+    pieces: VecDeque<Piece>,
+    planned: usize,
+    run: Option<Ongoing>,
+    target: Option<LightField>,
+    stack: Option<LayerStack>,
+    /// Grows with every stack that is to be shown.
+    shown: u32,
+    psnr: f64,
+    warnings: Collector,
+    cancel: Cancel,
+}
+
+impl Work {
+    /// Work on one of the files.
+    ///
+    /// # Errors
+    /// When the settings make no sense.
+    pub fn new(files: Files, path: &str, settings: Settings) -> Result<Self, Error> {
+        Ok(Self {
+            display: settings.display()?,
+            settings,
+            path: path.into(),
+            files,
+            scene: None,
+            held: None,
+            views: None,
+            pieces: [Piece::Read, Piece::Light, Piece::Place].into(),
+            planned: 0,
+            run: None,
+            target: None,
+            stack: None,
+            shown: 0,
+            psnr: f64::NAN,
+            warnings: Collector::default(),
+            cancel: Cancel::default(),
+        })
+    }
+
+    /// The same scene on another display, from its placing on: what was read stays.
+    ///
+    /// # Errors
+    /// When the settings make no sense; the work then stays as it was.
+    pub fn change(&mut self, settings: Settings) -> Result<(), Error> {
+        self.display = settings.display()?;
+        self.settings = settings;
+        (self.run, self.target, self.stack, self.psnr, self.planned) = (None, None, None, f64::NAN, 0);
+        if let Some(views) = self.views.take() {
+            self.held = Some(views.into_held());
+        }
+        self.pieces = match (&self.held, &self.scene) {
+            (Some(_), _) => [Piece::Place].into(),
+            (None, Some(_)) => [Piece::Light, Piece::Place].into(),
+            (None, None) => [Piece::Read, Piece::Light, Piece::Place].into(),
+        };
+        Ok(())
+    }
+
+    /// The display.
+    pub fn display(&self) -> &Display {
+        &self.display
+    }
+
+    /// The patterns to show; `None` before there are any.
+    pub fn stack(&self) -> Option<&LayerStack> {
+        self.stack.as_ref()
+    }
+
+    /// Number of stacks so far.
+    pub fn shown(&self) -> u32 {
+        self.shown
+    }
+
+    /// PSNR of the present patterns over the views that they were made for, dB; NaN before there are any.
+    pub fn psnr(&self) -> f64 {
+        self.psnr
+    }
+
+    /// What the user should know; each text once.
+    pub fn warnings(&self) -> Vec<String> {
+        self.warnings.take().iter().map(ToString::to_string).collect()
+    }
+
+    /// Share of the work that is done, 0..1.
+    pub fn share(&self) -> f64 {
+        if self.planned == 0 { 0.0 } else { 1.0 - self.pieces.len() as f64 / self.planned as f64 }
+    }
+
+    /// How far the work is.
+    pub fn stage(&self) -> Stage {
+        match (&self.views, self.pieces.is_empty()) {
+            (_, true) => Stage::Done,
+            (None, _) => Stage::Scene,
+            _ if self.pieces.iter().any(|piece| matches!(piece, Piece::BeginAnew)) => Stage::Views,
+            _ => Stage::Patterns,
+        }
+    }
+
+    /// Does the next piece.
+    ///
+    /// # Errors
+    /// When the file is broken, or scene and display do not fit; the work then ends.
+    pub fn advance(&mut self) -> Result<(), Error> {
+        let Some(piece) = self.pieces.pop_front() else { return Ok(()) };
+        let done = self.work_on(piece);
+        if done.is_err() {
+            self.pieces.clear();
+        }
+        done
+    }
+
+    fn work_on(&mut self, piece: Piece) -> Result<(), Error> {
+        let task = Task::quiet(&self.warnings, &self.cancel);
+        match piece {
+            Piece::Read => {
+                self.scene = Some(self.files.scene(&self.path, task)?);
+                self.files = Files::default();
+            }
+            Piece::Light => {
+                let Some(scene) = self.scene.take() else { return Ok(()) };
+                let (scene, _) = light::lit(scene, false, &LightJob::default(), task)?;
+                self.held = Some(Held::new(scene, task)?);
+            }
+            Piece::Place => {
+                let Some(held) = self.held.take() else { return Ok(()) };
+                let views = Views::new(held, &self.display, &self.settings, task)?;
+                self.pieces = plan(&views, self.settings.iterations(&self.display));
+                self.planned = self.pieces.len();
+                self.views = Some(views);
+            }
+            Piece::Trace { view, samples } => views(&mut self.views)?.trace(view, samples, task)?,
+            Piece::Splats(some) => views(&mut self.views)?.render_splats(&some, task)?,
+            Piece::Begin(picked) => {
+                let field = views(&mut self.views)?.field(&picked, task)?;
+                self.run = Some(begin(&self.display, &field, WARM, self.stack.as_ref(), task)?);
+                self.target = Some(field);
+            }
+            Piece::BeginAnew => {
+                let views = views(&mut self.views)?;
+                let field = views.field(&Picked::all(views.grid()), task)?;
+                let iterations = self.settings.iterations(&self.display);
+                self.run = Some(begin(&self.display, &field, iterations, None, task)?);
+                self.target = Some(field);
+            }
+            Piece::Step => {
+                if let Some(run) = &mut self.run {
+                    run.step(&self.cancel)?;
+                }
+            }
+            Piece::Show => {
+                if let Some(run) = &mut self.run {
+                    self.psnr = run.objective().psnr_view;
+                    self.stack = Some(run.patterns());
+                    self.shown += 1;
+                }
+            }
+            Piece::Finish => {
+                let (Some(run), Some(target)) = (self.run.take(), &self.target) else { return Ok(()) };
+                let problem = Problem { display: &self.display, target, weights: &Weights::Uniform };
+                let (mut stack, objective) = run.finish();
+                self.psnr = objective.psnr_view;
+                if has_levels(&problem) {
+                    stack = reoptimize_on_levels(&problem, stack, task)?;
+                }
+                self.stack = Some(stack);
+                self.shown += 1;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn views(views: &mut Option<Views>) -> Result<&mut Views, Error> {
+    views.as_mut().ok_or_else(|| Error("the scene is not there yet".into()))
+}
+
+fn begin(
+    display: &Display,
+    target: &LightField,
+    iterations: u32,
+    warm: Option<&LayerStack>,
+    task: Task<'_>,
+) -> Result<Ongoing, Error> {
+    let settings = lumistack_factorizer::Settings { iterations, seed: SEED, ..Default::default() };
+    Ok(Ongoing::begin(&Problem { display, target, weights: &Weights::Uniform }, &settings, warm, task)?)
+}
+
+/// All pieces after the scene is placed: rough views of a few directions, rough views of all, views with all their samples, the last solve.
+fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
+    let (first, all) = (Picked::some(views.grid(), FIRST), Picked::all(views.grid()));
+    let mut pieces = VecDeque::new();
+    let refresh = |pieces: &mut VecDeque<Piece>, picked: &Picked| {
+        pieces.push_back(Piece::Begin(picked.clone()));
+        for _ in 0..WARM {
+            pieces.extend([Piece::Step, Piece::Show]);
+        }
+    };
+    let traced = views.is_traced();
+    let render = |pieces: &mut VecDeque<Piece>, some: &[[usize; 2]], samples: u32, splats: bool| {
+        if traced {
+            pieces.extend(some.iter().map(|&view| Piece::Trace { view, samples }));
+        }
+        if splats && views.has_splats() {
+            pieces.extend(some.chunks(SPLAT_VIEWS).map(|some| Piece::Splats(some.to_vec())));
+        }
+    };
+    let rough: Vec<[usize; 2]> = first.views().collect();
+    render(&mut pieces, &rough, 1, true);
+    refresh(&mut pieces, &first);
+    let others: Vec<[usize; 2]> = all.views().filter(|view| !rough.contains(view)).collect();
+    if !others.is_empty() {
+        render(&mut pieces, &others, 1, true);
+        refresh(&mut pieces, &all);
+    }
+    if traced && views.samples() > 1 {
+        // from all over the zone at any time
+        let every: Vec<[usize; 2]> = all.views().collect();
+        let parts = (0..REFRESHES).map(|part| every.iter().copied().skip(part).step_by(REFRESHES).collect::<Vec<_>>());
+        for (number, part) in parts.enumerate() {
+            render(&mut pieces, &part, views.samples(), false);
+            if number + 1 < REFRESHES {
+                refresh(&mut pieces, &all);
+            }
+        }
+    }
+    pieces.push_back(Piece::BeginAnew);
+    pieces.extend((0..iterations).map(|_| Piece::Step));
+    pieces.push_back(Piece::Finish);
+    pieces
+}

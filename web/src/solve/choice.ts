@@ -1,0 +1,129 @@
+// The display that is chosen, in the panel and in the page's address.
+
+interface About {
+  layers: number;
+  frames: number;
+  brightness: number;
+  gap_mm: number;
+  directional: boolean;
+}
+
+export interface Preset {
+  name: string;
+  title: string;
+  about: About;
+}
+
+const SLIDERS = ["layers", "gap_mm", "frames", "brightness"] as const;
+type Key = (typeof SLIDERS)[number];
+
+/** Columns of a light field, and what they are called. */
+const DETAILS: readonly [number, string][] = [
+  [96, "Quick, 96 columns"],
+  [160, "Normal, 160 columns"],
+  [240, "Fine, 240 columns"],
+  [420, "Finest, 420 columns"],
+];
+/** What an address may ask for beside: effort, as the command's job says it. */
+const EFFORT = ["zone_samples", "iterations"] as const;
+/** Most frames at first: a page has one thread. */
+const FRAMES = 6;
+const DEFAULT = "paper-three-layer";
+
+export class Choice {
+  private presets: Preset[] = [];
+  /** What the address asked for before the presets were known. */
+  private readonly asked = new URLSearchParams(location.hash.slice(1));
+
+  constructor(changed: () => void) {
+    const cols = this.select("cols");
+    cols.append(...DETAILS.map(([value, text]) => new Option(text, String(value), value === 160, value === 160)));
+    const wanted = this.asked.get("cols");
+    if (wanted && DETAILS.some(([value]) => String(value) === wanted)) cols.value = wanted;
+    cols.addEventListener("change", changed);
+    this.select("preset").addEventListener("change", () => {
+      this.stand();
+      changed();
+    });
+    for (const key of SLIDERS) {
+      this.slider(key).addEventListener("input", () => {
+        this.words();
+        changed();
+      });
+    }
+  }
+
+  /** Takes the presets that the solver knows. */
+  know(presets: Preset[]): void {
+    if (this.presets.length > 0) return;
+    this.presets = presets;
+    this.select("preset").append(...presets.map(({ name, title }) => new Option(title, name, name === DEFAULT, name === DEFAULT)));
+    const wanted = this.asked.get("preset");
+    if (wanted && presets.some(({ name }) => name === wanted)) this.select("preset").value = wanted;
+    this.stand();
+    for (const key of SLIDERS) {
+      const value = this.asked.get(key);
+      if (value !== null && Number.isFinite(Number(value))) this.slider(key).value = value;
+    }
+    this.words();
+  }
+
+  /** Settings for the solver. */
+  get settings(): string {
+    const { about } = this.preset;
+    const own = { layers: about.layers, gap_mm: about.gap_mm, frames: about.frames, brightness: about.brightness };
+    const changed = SLIDERS.filter((key) => Math.abs(this.value(key) - own[key]) > 1e-6);
+    // A single layer has no gap.
+    const given = changed.filter((key) => key !== "gap_mm" || this.value("layers") > 1);
+    const effort = EFFORT.filter((key) => Number(this.asked.get(key)) > 0).map((key) => [key, Number(this.asked.get(key))]);
+    return JSON.stringify({
+      preset: this.preset.name,
+      cols: Number(this.select("cols").value),
+      ...Object.fromEntries(given.map((key) => [key, this.value(key)])),
+      ...Object.fromEntries(effort),
+    });
+  }
+
+  /** For a link. */
+  get address(): URLSearchParams {
+    const out = new URLSearchParams({ preset: this.preset.name, cols: this.select("cols").value });
+    for (const key of SLIDERS) out.set(key, this.slider(key).value);
+    return out;
+  }
+
+  private get preset(): Preset {
+    return this.presets.find(({ name }) => name === this.select("preset").value) ?? this.presets[0]!;
+  }
+
+  /** Brings the sliders to where the preset has them. */
+  private stand(): void {
+    const { about } = this.preset;
+    this.slider("layers").value = String(about.layers);
+    this.slider("gap_mm").value = String(about.gap_mm);
+    this.slider("frames").value = String(Math.min(about.frames, FRAMES));
+    this.slider("brightness").value = String(about.brightness);
+    this.words();
+  }
+
+  private words(): void {
+    const layers = this.value("layers");
+    const say = (key: Key, text: string): void => void (document.getElementById(`${key}-text`)!.textContent = text);
+    say("layers", this.preset.about.directional ? `${layers} and a directional backlight` : String(layers));
+    say("gap_mm", `${this.value("gap_mm")} mm`);
+    say("frames", String(this.value("frames")));
+    say("brightness", `${Math.round(100 * this.value("brightness"))} %`);
+    this.slider("gap_mm").disabled = layers < 2;
+  }
+
+  private value(key: Key): number {
+    return Number(this.slider(key).value);
+  }
+
+  private slider(key: Key): HTMLInputElement {
+    return document.getElementById(key) as HTMLInputElement;
+  }
+
+  private select(id: "preset" | "cols"): HTMLSelectElement {
+    return document.getElementById(id) as HTMLSelectElement;
+  }
+}

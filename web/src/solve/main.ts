@@ -1,0 +1,221 @@
+// The page that solves: a model becomes patterns in a thread of its own, and the viewer shows them as they form.
+import type { LumistackViewer } from "../element.js";
+import { filesByName, filesOf, recognize } from "../drop.js";
+import { Problem, problemOf } from "../problem.js";
+import { Choice } from "./choice.js";
+import { builtIn, dropped, nothing, SCENES, type Input } from "./input.js";
+import { Solver } from "./solver.js";
+import type { State, Tell } from "./worker.js";
+
+/** Milliseconds of rest before a changed display is solved. */
+const SETTLE_MS = 300;
+
+const at = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
+const viewer = document.querySelector<LumistackViewer>("lumistack-viewer")!;
+const solver = new Solver(hear);
+const choice = new Choice(displayChanged);
+
+let input: Input | undefined;
+let paused = false;
+let settling: ReturnType<typeof setTimeout> | undefined;
+/** The newest patterns that wait until those before them are on show. */
+let next: Extract<Tell, { kind: "stack" }> | undefined;
+let showing = false;
+/** Which of several loads is the newest. */
+let load = 0;
+
+async function solve(get: () => Promise<Input | undefined>): Promise<void> {
+  const own = ++load;
+  try {
+    say("Reading the files…");
+    const [found] = await Promise.all([get(), solver.start()]);
+    if (own !== load || !found) return;
+    input = found;
+    paused = false;
+    document.title = `${found.title} – Lumistack`;
+    performance.mark("lumistack-solve");
+    // The files go to the thread; they are kept here in case it ends.
+    solver.ask({ kind: "solve", files: found.files, path: found.path, title: found.title, settings: choice.settings });
+    buttons(true);
+  } catch (error) {
+    if (own === load) refuse(problemOf(error, ""));
+  }
+}
+
+function displayChanged(): void {
+  clearTimeout(settling);
+  settling = setTimeout(async () => {
+    if (!input) return;
+    paused = false;
+    const present = solver.runs;
+    await solver.start();
+    const { files, path, title } = input;
+    const settings = choice.settings;
+    solver.ask(present ? { kind: "change", settings } : { kind: "solve", files, path, title, settings });
+    buttons(true);
+  }, SETTLE_MS);
+}
+
+function hear(what: Tell): void {
+  switch (what.kind) {
+    case "presets":
+      return choice.know(JSON.parse(what.json));
+    case "state":
+      return showState(what.state);
+    case "stack":
+      next = what;
+      return void show();
+    case "zip":
+      return download(`${input?.title ?? "patterns"}.zip`, new Blob([what.bytes], { type: "application/zip" }));
+    case "error":
+      return refuse(new Problem(what.message, "", false));
+  }
+}
+
+/** One after another, and of those that came meanwhile the newest. */
+async function show(): Promise<void> {
+  if (showing) return;
+  showing = true;
+  try {
+    for (let stack = next; stack; stack = next) {
+      next = undefined;
+      await customElements.whenDefined("lumistack-viewer");
+      at("drop").classList.remove("idle");
+      at("empty").hidden = true;
+      await viewer.showStack(stack.json, stack.codes);
+      // Until a picture is drawn nothing is on show.
+      await viewer.ready;
+      if (performance.getEntriesByName("lumistack-first-patterns").length === 0) performance.mark("lumistack-first-patterns");
+    }
+  } catch (error) {
+    refuse(problemOf(error, ""));
+  }
+  showing = false;
+}
+
+function showState({ stage, share, psnr, warnings }: State): void {
+  at<HTMLProgressElement>("bar").value = share;
+  const quality = Number.isFinite(psnr) ? ` ${psnr.toFixed(1)} dB over its views.` : "";
+  const words = { scene: "Reading the scene…", views: `Rendering views, ${Math.floor(100 * share)} %.`, patterns: `Solving, ${Math.floor(100 * share)} %.`, done: "Finished." };
+  const rest = paused && stage !== "done" ? "Stopped." : words[stage];
+  say(`${rest}${quality}`);
+  Object.assign(document.documentElement.dataset, { stage, psnr });
+  for (const id of ["save", "closer"]) at<HTMLButtonElement>(id).disabled = Number.isNaN(psnr);
+  if (stage === "done") {
+    performance.mark("lumistack-done");
+    buttons(false);
+  }
+  if (warnings.length > 0) {
+    at("warnings").hidden = false;
+    at("warnings").textContent = [...new Set([...(at("warnings").textContent ?? "").split("\n"), ...warnings])].filter(Boolean).join("\n");
+  }
+}
+
+function say(text: string): void {
+  at("status").textContent = text;
+  at("problem").hidden = true;
+}
+
+function refuse({ message, advice }: Problem): void {
+  say("");
+  at("problem").hidden = false;
+  at("problem").textContent = [message, advice].filter(Boolean).join(" ");
+  buttons(false);
+}
+
+/** What can be done while work is under way, and after. */
+function buttons(working: boolean): void {
+  const pause = at<HTMLButtonElement>("pause");
+  pause.disabled = !working;
+  pause.textContent = paused ? "Go on" : "Stop";
+  if (working && !paused) {
+    at("warnings").hidden = true;
+    at("warnings").textContent = "";
+  }
+}
+
+function download(name: string, bytes: Blob): void {
+  const link = document.createElement("a");
+  link.download = name;
+  link.href = URL.createObjectURL(bytes);
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+async function open(files: ReadonlyMap<string, File>): Promise<void> {
+  await solve(async () => {
+    const found = await dropped(files);
+    if (found) return found;
+    try {
+      recognize(files);
+    } catch {
+      throw nothing(files);
+    }
+    // Somebody's views or preview: there is nothing to solve.
+    at("empty").hidden = true;
+    at("drop").classList.remove("idle");
+    say("Shown as it is.");
+    await viewer.open(files);
+    return undefined;
+  });
+}
+
+at("scenes").append(
+  ...Object.entries(SCENES).map(([name, { title }]) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = title;
+    button.addEventListener("click", () => void solve(() => builtIn(name)));
+    return button;
+  }),
+);
+at("choose").addEventListener("click", () => at("files").click());
+at("choose-folder").addEventListener("click", () => at("folder").click());
+for (const id of ["files", "folder"]) {
+  at<HTMLInputElement>(id).addEventListener("change", ({ target }) => {
+    const field = target as HTMLInputElement;
+    if (field.files?.length) void open(filesByName(field.files));
+    field.value = "";
+  });
+}
+at("pause").addEventListener("click", () => {
+  paused = !paused;
+  solver.ask({ kind: paused ? "pause" : "resume" });
+  buttons(true);
+});
+at("save").addEventListener("click", () => {
+  solver.ask({ kind: "zip" });
+  at("saved").hidden = false;
+});
+at("closer").addEventListener("click", () => {
+  const closer = viewer.toggleAttribute("plain") === false;
+  at("closer").setAttribute("aria-pressed", String(closer));
+});
+at("link").addEventListener("click", async () => {
+  const address = choice.address;
+  if (input?.builtIn) address.set("scene", input.builtIn);
+  history.replaceState(undefined, "", `#${address}`);
+  await navigator.clipboard?.writeText(location.href).then(
+    () => (at("link").textContent = "Link copied"),
+    () => (at("link").textContent = "It stands in the address"),
+  );
+});
+const drop = at("drop");
+// The whole page takes what is dropped, before the viewer does.
+for (const kind of ["dragenter", "dragover", "dragleave", "drop"] as const) {
+  addEventListener(
+    kind,
+    (event) => {
+      event.preventDefault();
+      event.stopPropagation();
+      drop.classList.toggle("over", kind === "dragover" || kind === "dragenter");
+      if (kind === "drop" && event.dataTransfer) void filesOf(event.dataTransfer).then(open, (error: unknown) => refuse(problemOf(error, "")));
+    },
+    { capture: true },
+  );
+}
+
+// The display can be chosen before there is anything to solve.
+const wanted = new URLSearchParams(location.hash.slice(1)).get("scene");
+if (wanted) void solve(() => builtIn(wanted));
+else solver.start().catch((error: unknown) => refuse(problemOf(error, "Load this page again.")));

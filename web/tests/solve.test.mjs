@@ -1,0 +1,200 @@
+// The page that solves: a scene becomes patterns that the viewer shows and the command reads; what is wrong with a file is said as the command says it.
+import assert from "node:assert/strict";
+import { execFileSync, spawnSync } from "node:child_process";
+import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { tmpdir } from "node:os";
+import { dirname, join } from "node:path";
+import { after, before, test } from "node:test";
+import { fileURLToPath } from "node:url";
+import { DIST, launch, open, pixels, SHOTS } from "./browser.mjs";
+import { serve } from "./server.mjs";
+
+const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const SCENES = join(dirname(fileURLToPath(import.meta.url)), "../../scenes");
+const BIN = process.env.LUMISTACK_BIN;
+/** Root mean square difference of the patterns of page and command: what is left is the rounding of other instructions, and of views in the command's cache. */
+const SAME = 2e-3;
+/** PSNR of page and command may differ by this much, dB. */
+const SAME_DB = 0.01;
+/** A seen picture through patterns of 8 bits against one through the patterns themselves, codes. */
+const ROUNDING = 3;
+
+let browser;
+let server;
+let folder;
+before(async () => {
+  browser = await launch();
+  server = await serve({ "/": DIST });
+  folder = mkdtempSync(join(tmpdir(), "lumistack-solve-"));
+  mkdirSync(SHOTS, { recursive: true });
+});
+after(async () => {
+  await browser?.close();
+  await server?.close();
+  if (folder) rmSync(folder, { recursive: true });
+});
+
+const page = (hash, options) => open(browser, `${server.url}/solve.html${hash}`, options);
+const stage = (at, name) => at.waitForFunction((name) => document.documentElement.dataset.stage === name, name);
+const shot = (at, name) => at.screenshot({ path: join(SHOTS, `solve-${name}.png`), fullPage: true });
+const problem = async (at) => {
+  await at.waitForSelector("#problem:not([hidden])");
+  return at.textContent("#problem");
+};
+
+/** The files of a zip without compression: path → bytes. */
+function unpacked(zip) {
+  const files = new Map();
+  for (let at = 0; zip.readUInt32LE(at) === 0x04034b50; ) {
+    const [size, name, extra] = [zip.readUInt32LE(at + 18), zip.readUInt16LE(at + 26), zip.readUInt16LE(at + 28)];
+    const start = at + 30 + name + extra;
+    files.set(zip.toString("utf8", at + 30, at + 30 + name), zip.subarray(start, start + size));
+    at = start + size;
+  }
+  return files;
+}
+
+/** The values of a float32 array file. */
+function npy(bytes) {
+  const values = bytes.subarray(10 + bytes.readUInt16LE(8));
+  return new Float32Array(values.buffer.slice(values.byteOffset, values.byteOffset + values.length));
+}
+
+async function save(at, name) {
+  const [download] = await Promise.all([at.waitForEvent("download"), at.click("#save")]);
+  const run = join(folder, name);
+  for (const [path, bytes] of unpacked(readFileSync(await download.path()))) {
+    mkdirSync(dirname(join(run, path)), { recursive: true });
+    writeFileSync(join(run, path), bytes);
+  }
+  return run;
+}
+
+test("a built-in scene becomes the patterns that the command makes", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {
+  const at = await page("#scene=letters&preset=paper-three-layer&cols=96&frames=3&zone_samples=100&iterations=6");
+  await stage(at, "done");
+  const psnr = Number(await at.evaluate(() => document.documentElement.dataset.psnr));
+  const run = await save(at, "letters");
+  assert.match(execFileSync(BIN, ["info", run], { encoding: "utf8" }), /96/);
+
+  // The viewer shows what the command simulates.
+  await at.waitForFunction(() => !document.querySelector("main").classList.contains("idle"));
+  const slope = [3, -2].map((degrees) => Math.tan((degrees * Math.PI) / 180));
+  const shown = await pixels(at, slope);
+  const png = join(folder, "view.png");
+  execFileSync(BIN, ["simulate", run, "--view", "3,-2", "-o", png]);
+  const simulated = await at.evaluate(async (bytes) => {
+    const picture = await createImageBitmap(await (await fetch(`data:image/png;base64,${bytes}`)).blob());
+    const context = new OffscreenCanvas(picture.width, picture.height).getContext("2d");
+    context.drawImage(picture, 0, 0);
+    return [...context.getImageData(0, 0, picture.width, picture.height).data];
+  }, readFileSync(png, "base64"));
+  assert.equal(shown.data.length, simulated.length);
+  const far = simulated.filter((code, i) => Math.abs(code - shown.data[i]) > ROUNDING).length;
+  assert.ok(far < 0.01 * simulated.length, `${far} of ${simulated.length} values differ`);
+
+  // The same job on the command line.
+  for (const name of ["letters.gltf", "letters.bin", "charts.png", "graph-paper.png", "sky.hdr"]) cpSync(join(SCENES, "letters", name), join(run, name));
+  const out = join(folder, "command");
+  execFileSync(BIN, ["run", join(run, "job.toml"), "-o", out], { stdio: "pipe" });
+  let [squares, count] = [0, 0];
+  for (let layer = 0; layer < 3; layer++) {
+    const [ours, theirs] = [run, out].map((from) => npy(readFileSync(join(from, `layers/layer_${layer}.npy`))));
+    assert.equal(ours.length, theirs.length);
+    for (let i = 0; i < ours.length; i++) squares += (ours[i] - theirs[i]) ** 2;
+    count += ours.length;
+  }
+  const { value: curve } = JSON.parse(readFileSync(join(out, "cache/convergence.json"), "utf8"));
+  const command = curve.steps.at(-1).psnr_view;
+  console.log(`page ${psnr.toFixed(4)} dB, command ${command.toFixed(4)} dB, patterns differ by ${Math.sqrt(squares / count).toExponential(1)}`);
+  assert.ok(Math.sqrt(squares / count) < SAME, `${Math.sqrt(squares / count)}`);
+  assert.ok(Math.abs(psnr - command) < SAME_DB, `${psnr} and ${command}`);
+  assert.deepEqual(at.trouble, []);
+  await at.context().close();
+});
+
+test("patterns show while they form, stop, go on, and take another display", async () => {
+  const at = await page("#preset=paper-three-layer&cols=96&frames=2&zone_samples=400&iterations=2");
+  await shot(at, "empty");
+  await at.click("text=Letters");
+  await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
+  await at.click("#pause");
+  await at.waitForFunction(() => /Stopped/.test(document.querySelector("#status").textContent));
+  const share = await at.evaluate(() => document.querySelector("#bar").value);
+  await at.waitForTimeout(400);
+  assert.equal(await at.evaluate(() => document.querySelector("#bar").value), share, "nothing goes on while it is stopped");
+  await shot(at, "stopped");
+  await at.click("#pause");
+  await stage(at, "done");
+  const before = await pixels(at, [0, 0]);
+  assert.ok(before.data.some((value, i) => i % 4 < 3 && value > 60), "something is seen");
+  await shot(at, "done");
+  await at.evaluate(() => {
+    document.documentElement.dataset.stage = "";
+    const frames = document.querySelector("#frames");
+    frames.value = "3";
+    frames.dispatchEvent(new Event("input"));
+  });
+  await stage(at, "done");
+  await at.click("#closer");
+  await at.waitForFunction(() => /3/.test(document.querySelector("lumistack-viewer").shadowRoot.querySelector("#caption").textContent));
+  await shot(at, "apart");
+  assert.deepEqual(at.trouble, []);
+  await at.context().close();
+});
+
+test("a broken file is told as the command tells it, and the page goes on", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {
+  const at = await page("#cols=96");
+  const broken = {
+    "short.glb": Buffer.from("glTF\u0002\0\0\0\u0040\0\0\0", "latin1"),
+    "words.gltf": Buffer.from("no JSON at all"),
+    "wrong.gltf": Buffer.from('{"asset": {"version": "2.0"}, "scenes": [{"nodes": [7]}], "scene": 0}'),
+    "cut.ply": readFileSync(join(SCENES, "dandelion/dandelion.spz")).subarray(0, 100),
+  };
+  for (const [name, bytes] of Object.entries(broken)) {
+    writeFileSync(join(folder, name), bytes);
+    await at.setInputFiles("#files", { name, mimeType: "application/octet-stream", buffer: bytes });
+    await at.waitForFunction((name) => document.querySelector("#problem").textContent.includes(name), name);
+    const said = await problem(at);
+    const { stderr, status } = spawnSync(BIN, ["info", name], { cwd: folder, encoding: "utf8" });
+    assert.equal(status, 1);
+    assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
+  }
+  await shot(at, "broken");
+  await at.setInputFiles("#files", { name: "words.txt", mimeType: "text/plain", buffer: Buffer.from("a") });
+  assert.match(await problem(at), /no model among the one file.*Drop a \.glb/);
+  await at.evaluate(() => (location.hash = ""));
+  await at.click("text=Dandelion");
+  await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
+  assert.ok(await at.isHidden("#problem"));
+  await at.context().close();
+});
+
+test("axe finds nothing, on a desk and on a phone, in dark and light", async () => {
+  for (const [name, options] of [
+    ["desk", { colorScheme: "light" }],
+    ["phone", { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, deviceScaleFactor: 2 }],
+    ["forced", { forcedColors: "active" }],
+  ]) {
+    const at = await page("#scene=dandelion&preset=paper-three-layer&cols=96&frames=2&zone_samples=30&iterations=1", options);
+    await stage(at, "done");
+    await at.evaluate(AXE);
+    const { violations } = await at.evaluate(() => window.axe.run());
+    assert.deepEqual(
+      violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ html }) => html).join(" ")}`),
+      [],
+      name,
+    );
+    await shot(at, name);
+    // By keyboard alone: every control is reached.
+    const reached = new Set();
+    for (let i = 0; i < 30; i++) {
+      await at.keyboard.press("Tab");
+      reached.add(await at.evaluate(() => document.activeElement.id || document.activeElement.textContent));
+    }
+    for (const id of ["choose", "preset", "cols", "layers", "gap_mm", "frames", "brightness", "save", "link", "closer"]) assert.ok(reached.has(id), `${name}: ${id}`);
+    assert.deepEqual(at.trouble, []);
+    await at.context().close();
+  }
+});
