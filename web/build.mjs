@@ -44,6 +44,8 @@ await build({
     },
   ],
 });
+// Asked for by pages of `lumistack live` alone.
+await build({ ...BROWSERS, entryPoints: { live: "src/live.ts" }, outdir: "dist", format: "esm" });
 // The page's own few rules stand in it: nothing is fetched before its poster shows.
 const { outputFiles } = await build({ entryPoints: ["src/page.css"], minify: true, write: false });
 writeFileSync("dist/index.html", readFileSync("src/index.html", "utf8").replace("/*page.css*/", () => outputFiles[0].text.trim()));

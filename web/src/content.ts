@@ -59,6 +59,11 @@ export class StackContent implements Content {
     return true;
   }
 
+  /** Other patterns in place of all files. */
+  async renew(files: readonly ArrayBuffer[]): Promise<void> {
+    await this.engine?.call("renew", [files]);
+  }
+
   get targetsReady(): number {
     return this.targets.size;
   }

@@ -19,6 +19,10 @@ const methods = {
   put(index: number, bytes: ArrayBuffer): void {
     viewer!.put(index, new Uint8Array(bytes));
   },
+  /** Replaces every file, in one call: no picture is drawn of some new and some old ones. */
+  renew(files: readonly ArrayBuffer[]): void {
+    files.forEach((bytes, index) => viewer!.put(index, new Uint8Array(bytes)));
+  },
   options(json: string): void {
     viewer!.set_options(json);
   },

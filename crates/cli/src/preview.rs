@@ -10,7 +10,7 @@ use serde_json::json;
 
 use crate::args::Preview;
 use crate::console::say;
-use crate::server::{listen, port_of, serve};
+use crate::server::{Site, listen, port_of, serve};
 
 /// Below a preview's folder.
 const PREVIEW_JSON: &str = "stack/preview.json";
@@ -50,7 +50,7 @@ pub(crate) fn preview_command(
         task.warn("preview", format!("no browser opens ({error}): open {address} yourself"));
     }
     let (mut looked, mut stamp) = (Instant::now(), stamp_of(&source.site));
-    serve(&server, &source.site, || {
+    serve(&server, Site { root: &source.site, live: None }, || {
         if looked.elapsed() >= LOOK {
             looked = Instant::now();
             if let Err(error) = source.refresh(registry, task) {
