@@ -3,7 +3,7 @@
 //! ```text
 //! P_n(x) = mean of L over the rays through pixel x of layer n                   content as the layer meets it: sharp where it lies near
 //! v_n(x) = arg min over v of Σ (P_n(x' ) − P_n_before(x' − v))² + λ |v|         x' around x; per block, and smooth between
-//! f_n(x) ← f_n(x − v_n(x))                                                       in every frame
+//! f_n(x) ← f_n(x − v_n(x))                                                       in every frame; what comes in from beyond the border is fresh
 //! ```
 //!
 //! The same serves scenes and light fields that were given: it needs light fields alone. Content that moves in depth or turns moves differently on every layer,
@@ -209,21 +209,23 @@ fn smoothed([rows, cols]: [usize; 2], shifts: &[[i32; 2]]) -> Vec<[i32; 2]> {
     (0..shifts.len()).map(one).collect()
 }
 
-/// Patterns that have moved along, in every frame. Beyond the border lies what lies on it.
+/// Patterns that have moved along, in every frame. What comes in from beyond the border is taken from `fresh` patterns.
 ///
 /// # Panics
-/// If the flows are not those of the patterns' planes.
-pub fn moved(stack: &LayerStack, flows: &[Flow]) -> LayerStack {
-    let mut out = stack.clone();
+/// If the flows are not those of the patterns' planes, or the patterns have different shapes.
+pub fn moved(stack: &LayerStack, flows: &[Flow], fresh: &LayerStack) -> LayerStack {
+    let mut out = fresh.clone();
     let layers = out.layers.iter_mut().zip(&stack.layers).map(|(to, from)| (to.data_mut(), from.data()));
     let emission = out.emission.iter_mut().zip(&stack.emission).map(|(to, from)| (to.data_mut(), from.data()));
     for ((to, from), flow) in layers.chain(emission).zip(flows) {
         let size = 3 * flow.rows * flow.cols;
-        let sources: Vec<usize> =
-            (0..flow.rows * flow.cols).map(|i| flow.source(i / flow.cols, i % flow.cols)).collect();
+        let pixels = (0..flow.rows * flow.cols).map(|i| flow.source(i / flow.cols, i % flow.cols));
+        let sources: Vec<Option<usize>> = pixels.collect();
         for (to, from) in to.chunks_exact_mut(size).zip(from.chunks_exact(size)) {
-            for (rgb, &source) in to.chunks_exact_mut(3).zip(&sources) {
-                rgb.copy_from_slice(&from[3 * source..][..3]);
+            for (rgb, source) in to.chunks_exact_mut(3).zip(&sources) {
+                if let Some(source) = source {
+                    rgb.copy_from_slice(&from[3 * source..][..3]);
+                }
             }
         }
     }
@@ -231,10 +233,12 @@ pub fn moved(stack: &LayerStack, flows: &[Flow]) -> LayerStack {
 }
 
 impl Flow {
-    /// The pixel from which one takes its value, by number.
-    fn source(&self, row: usize, col: usize) -> usize {
+    /// The pixel from which one takes its value, by number; `None` beyond the border.
+    fn source(&self, row: usize, col: usize) -> Option<usize> {
         let [right, down] = self.at(row, col);
-        let back = |at: usize, by: i32, count: usize| (at as i32 - by).clamp(0, count as i32 - 1) as usize;
-        back(row, down, self.rows) * self.cols + back(col, right, self.cols)
+        let back = |at: usize, by: i32, count: usize| {
+            usize::try_from(at as i32 - by).ok().filter(|&source| source < count)
+        };
+        Some(back(row, down, self.rows)? * self.cols + back(col, right, self.cols)?)
     }
 }

@@ -110,8 +110,10 @@ fn nearest_start(
 ) -> Result<(Option<LayerStack>, Start), FactorizeError> {
     let (mut best, mut from) = (last.stack.clone(), Start::Kept);
     if let Some(flows) = last.planes.flows_to(planes) {
-        let other = moved(&best, &flows);
-        if objective(problem, warm, &other, task)? < objective(problem, warm, &best, task)? {
+        let (start, _) = at_start(problem, fresh, None, task)?;
+        let other = moved(&best, &flows, &start);
+        let objective = |stack| at_start(problem, warm, Some(stack), task).map(|(_, objective)| objective);
+        if objective(&other)? < objective(&best)? {
             (best, from) = (other, Start::Moved);
         }
     }
@@ -122,14 +124,14 @@ fn nearest_start(
     }
 }
 
-/// Of patterns as they are.
-fn objective(
+/// Patterns before any update, or those of a fresh start, and their objective.
+fn at_start(
     problem: &Problem<'_>,
     settings: &Settings,
-    stack: &LayerStack,
+    stack: Option<&LayerStack>,
     task: Task<'_>,
-) -> Result<f64, FactorizeError> {
+) -> Result<(LayerStack, f64), FactorizeError> {
     let settings = Settings { iterations: 0, levels: false, ..settings.clone() };
-    let done = factorize(problem, &settings, Some(stack), task, &mut |_| {})?;
-    Ok(done.history.last().map_or(f64::INFINITY, |start| start.objective))
+    let done = factorize(problem, &settings, stack, task, &mut |_| {})?;
+    Ok((done.stack, done.history.last().map_or(f64::INFINITY, |start| start.objective)))
 }

@@ -54,6 +54,8 @@ export declare class LumistackViewer extends HTMLElement {
     screenshot(): Promise<Blob>;
     /** Shows what is among the files (path → file): a preview, a quilt, the views of a light field. */
     open(files: ReadonlyMap<string, File>): Promise<void>;
+    /** Other patterns for the preview on show, a PNG for every file that it names: all of them take effect at once. */
+    renew(files: readonly ArrayBuffer[]): Promise<void>;
     connectedCallback(): void;
     disconnectedCallback(): void;
     attributeChangedCallback(name: string, before: string | null, now: string | null): void;

@@ -36,8 +36,10 @@ fn values_move_by_whole_pixels_in_every_frame() {
     for layer in &mut stack.layers {
         layer.data_mut().iter_mut().enumerate().for_each(|(i, value)| *value = i as f32);
     }
-    let out = moved(&stack, &flows);
+    let fresh = lumistack_display::LayerStack::filled(&display, -1.0);
+    let out = moved(&stack, &flows, &fresh);
     for (layer, before) in out.layers.iter().zip(&stack.layers) {
+        assert_eq!(layer.get([1, 25, 2, 1]), -1.0, "what comes in is fresh");
         for (frame, channel) in [(0, 0), (3, 2)] {
             assert_eq!(layer.get([frame, 25, 40, channel]), before.get([frame, 25, 34, channel]));
         }
