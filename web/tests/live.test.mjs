@@ -6,7 +6,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { createInterface } from "node:readline";
 import { after, before, test } from "node:test";
-import { launch, open, pixels, SHOTS, text } from "./browser.mjs";
+import { launch, open, pixels, SHOTS } from "./browser.mjs";
 
 const BINARY = process.env.LUMISTACK_BIN;
 const skip = !BINARY && "LUMISTACK_BIN names no lumistack (`cargo xtask web test` does)";
@@ -103,7 +103,7 @@ test("the page follows files and commands without being loaded again", { skip },
   });
   say({ set: { "display.frames": 3 } });
   await until("another display", () => states.some((event) => event.event === "state" && event.start === "fresh" && event.number > first));
-  await until("its page", async () => (await text(page, "#facts, #info, .facts")) !== null && (await number()) > first);
+  await until("its page", async () => (await page.evaluate(() => document.querySelector("lumistack-viewer").shadowRoot.textContent)).includes("3 frames"));
   say({ set: { "display.frame": 3 } });
   await until("a word about a key that is none", () => states.some(({ event, message }) => event === "refused" && message.includes("did you mean `frames`?")));
   assert.equal(await page.evaluate(() => window.same), true, "the page was loaded again");

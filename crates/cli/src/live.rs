@@ -6,6 +6,7 @@
 //! viewers ────────▶ Tracker ──────────────────weights────────▶
 //! ```
 
+mod clock;
 mod control;
 mod desk;
 mod feed;
@@ -15,7 +16,7 @@ mod work;
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use clap::Args as ClapArgs;
 use lumistack_core::{Cancel, NoProgress, Task};
@@ -59,7 +60,7 @@ pub(crate) struct Live {
     /// Also show it by the panels of a build with panels: outputs, span or window (see `lumistack show`)
     #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
     pub(crate) show: Option<String>,
-    /// Full updates between two states
+    /// Full updates between two states, at most: fewer where they take longer than 0.3 s
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub(crate) updates: u32,
     /// The input is a video: a folder of light fields, one per time, in the order of their names
@@ -139,11 +140,12 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
 
     let warnings = Once::new(task.warnings);
     let work = Task { progress: &NoProgress, warnings: &warnings, cancel: task.cancel };
+    let title = job.name.clone();
     let stations = Stations::new(Desk::new(job), args.updates, args.sigma_mm);
     // a thread that waits for a line cannot be ended: it belongs to nobody
     let desk = stations.desk.clone();
     std::thread::spawn(move || read_commands(std::io::stdin().lock(), &desk, json));
-    let feed = PageFeed::new(&stations.states, &site, registry, work);
+    let feed = PageFeed::new(&stations.states, (&site, &title), registry, work);
     let rates = Rates { times, rate_hz: args.rate, most_late: args.most_late };
     let ended = std::thread::scope(|scope| {
         let renderer = scope.spawn(|| render(studio, &stations, rates, registry, work));
@@ -291,10 +293,4 @@ fn show(mode: &str, stations: &Stations, registry: &Registry, task: Task<'_>) ->
         stop.cancel();
         shown
     })
-}
-
-/// Time on the clock of this program.
-fn now() -> Duration {
-    static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
-    START.get_or_init(Instant::now).elapsed()
 }

@@ -81,6 +81,8 @@ pub(crate) trait Feed: Sync {
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
 }
 
+/// The page's word about a file that it will want, which a live display's page does not.
+const PRELOAD: &str = "<link rel=\"preload\" as=\"fetch\" crossorigin href=\"stack/preview.json\">\n";
 /// Where the page of a live display gets its script.
 const SCRIPT: &str = "/.live.js";
 /// Where that script asks for states.
@@ -391,7 +393,7 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
         let Ok(bytes) = std::fs::read(&file) else { return missing() };
         let page = String::from_utf8_lossy(&bytes);
         let page = match site.live {
-            Some(_) => page.replacen(ELEMENT[0], ELEMENT[1], 1).replacen("</body>", FOLLOW, 1),
+            Some(_) => page.replacen(PRELOAD, "", 1).replacen(ELEMENT[0], ELEMENT[1], 1).replacen("</body>", FOLLOW, 1),
             None => page.replacen("</body>", &RELOAD.replace("STAMP", stamp), 1),
         };
         let content = Content::Bytes(page.into_bytes());

@@ -236,9 +236,8 @@ impl Flow {
     /// The pixel from which one takes its value, by number; `None` beyond the border.
     fn source(&self, row: usize, col: usize) -> Option<usize> {
         let [right, down] = self.at(row, col);
-        let back = |at: usize, by: i32, count: usize| {
-            usize::try_from(at as i32 - by).ok().filter(|&source| source < count)
-        };
+        let back =
+            |at: usize, by: i32, count: usize| usize::try_from(at as i32 - by).ok().filter(|&source| source < count);
         Some(back(row, down, self.rows)? * self.cols + back(col, right, self.cols)?)
     }
 }

@@ -17,6 +17,9 @@ use crate::motion::{Planes, moved};
 /// Rule that goes on from patterns where the settings leave it open: extrapolation overshoots along a few updates from patterns of another target.
 const WARM_SOLVER: &str = "block-exact";
 
+/// Patterns that begin from here, dB, are gone on from without a look at fresh ones, which take longer to make than a step.
+const GOOD_DB: f64 = 20.0;
+
 /// Where the patterns of a step came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Start {
@@ -109,22 +112,23 @@ fn nearest_start(
     task: Task<'_>,
 ) -> Result<(Option<LayerStack>, Start), FactorizeError> {
     let (mut best, mut from) = (last.stack.clone(), Start::Kept);
+    let mut psnr_view = at_start(problem, warm, Some(&best), task)?.1;
     if let Some(flows) = last.planes.flows_to(planes) {
         let (start, _) = at_start(problem, fresh, None, task)?;
         let other = moved(&best, &flows, &start);
-        let objective = |stack| at_start(problem, warm, Some(stack), task).map(|(_, objective)| objective);
-        if objective(&other)? < objective(&best)? {
-            (best, from) = (other, Start::Moved);
+        let ahead = at_start(problem, warm, Some(&other), task)?.1;
+        if ahead > psnr_view {
+            (best, from, psnr_view) = (other, Start::Moved, ahead);
         }
     }
-    if warm_start_pays(problem, fresh, &best, &warm.solver, task)? {
+    if psnr_view >= GOOD_DB || warm_start_pays(problem, fresh, &best, &warm.solver, task)? {
         Ok((Some(best), from))
     } else {
         Ok((None, Start::Fresh))
     }
 }
 
-/// Patterns before any update, or those of a fresh start, and their objective.
+/// Patterns before any update, or those of a fresh start, and their PSNR.
 fn at_start(
     problem: &Problem<'_>,
     settings: &Settings,
@@ -133,5 +137,5 @@ fn at_start(
 ) -> Result<(LayerStack, f64), FactorizeError> {
     let settings = Settings { iterations: 0, levels: false, ..settings.clone() };
     let done = factorize(problem, &settings, stack, task, &mut |_| {})?;
-    Ok((done.stack, done.history.last().map_or(f64::INFINITY, |start| start.objective)))
+    Ok((done.stack, done.history.last().map_or(f64::NEG_INFINITY, |start| start.psnr_view)))
 }

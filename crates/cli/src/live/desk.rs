@@ -9,7 +9,7 @@ use lumistack_live::{Mailbox, Tracker};
 use lumistack_pipeline::{Job, PipelineError};
 use serde_json::Value;
 
-use super::now;
+use super::clock::now;
 
 /// A job to show.
 #[derive(Clone, Debug)]

@@ -22,8 +22,8 @@ use lumistack_live::{Mailbox, State};
 use lumistack_pipeline::{OutputData, PipelineError, Registry, write_output};
 use serde_json::{Map, Value, json};
 
+use super::clock::now;
 use super::desk::lock;
-use super::now;
 use crate::server::Feed;
 
 /// The script by which the page follows.
@@ -37,6 +37,7 @@ const LOOK: Duration = Duration::from_millis(50);
 pub(super) struct PageFeed<'a> {
     states: &'a Mailbox<State>,
     site: &'a Path,
+    title: &'a str,
     registry: &'a Registry,
     task: Task<'a>,
     made: Mutex<Option<Made>>,
@@ -60,9 +61,14 @@ struct Edition {
 }
 
 impl<'a> PageFeed<'a> {
-    /// `site` is a folder for the page's own files.
-    pub(super) fn new(states: &'a Mailbox<State>, site: &'a Path, registry: &'a Registry, task: Task<'a>) -> Self {
-        Self { states, site, registry, task, made: Mutex::default(), stopped: AtomicBool::new(false) }
+    /// `site` is a folder for the page's own files, and the page's title.
+    pub(super) fn new(
+        states: &'a Mailbox<State>,
+        (site, title): (&'a Path, &'a str),
+        registry: &'a Registry,
+        task: Task<'a>,
+    ) -> Self {
+        Self { states, site, title, registry, task, made: Mutex::default(), stopped: AtomicBool::new(false) }
     }
 
     pub(super) fn root(&self) -> &Path {
@@ -105,7 +111,8 @@ impl<'a> PageFeed<'a> {
 
     /// Writes the page for a display, and reads what it calls its files.
     fn edition(&self, number: u64, key: String, state: &State) -> Result<Edition, PipelineError> {
-        let params = Map::from_iter([("target".into(), json!(false)), ("single_file".into(), json!(false))]);
+        let title = ("title".into(), json!(self.title));
+        let params = Map::from_iter([title, ("target".into(), json!(false)), ("single_file".into(), json!(false))]);
         let data = OutputData::LayerStack(&state.stack, Some(&state.target.field));
         write_output(self.registry, "web_simulator", params, &state.target.display, data, self.site, self.task)?;
         let path: PathBuf = self.site.join("stack/preview.json");

@@ -9,18 +9,22 @@ use std::time::Duration;
 use lumistack_core::Task;
 use lumistack_display::Weights;
 use lumistack_factorizer::{FactorizeError, Settings};
-use lumistack_live::{Boxes, Due, Mailbox, Player, Solver, State, Target};
+use lumistack_live::{Boxes, Due, Mailbox, Player, Solver, Start, State, Target};
 use lumistack_pipeline::{PipelineError, Registry, Studio};
 use serde_json::json;
 
+use super::clock::now;
 use super::desk::{Desk, lock};
-use super::now;
 use crate::console::say;
 
 /// How long a thread without work sleeps before it looks whether all is over.
 const IDLE: Duration = Duration::from_millis(20);
+/// How long one waits for the solver before it looks again.
+const SHORT: Duration = Duration::from_millis(2);
 /// Updates of a light field after which patterns stay as they are.
 const MOST_UPDATES: u32 = 60;
+/// Time that a step of the solver should take, at most, seconds: a display that follows late with good patterns is worse than one that is soon there.
+const STEP_S: f64 = 0.3;
 /// How far a viewer goes before weights follow, millimetres.
 const TOLERANCE_MM: f64 = 2.0;
 
@@ -110,9 +114,14 @@ pub(super) fn render(
                 task.warn("live", error.to_string());
             }
         }
+        let is_solved = sent == 0 || stations.states.after(0).is_some_and(|(_, state)| state.target_number >= sent);
+        if !(is_video || is_new || is_solved) {
+            // another pass would take the processors that the solver needs for the one before
+            drop(desk.wishes.wait_after(seen, SHORT));
+            continue;
+        }
         if is_video {
             // in order: the next time is taken when the one before has become patterns
-            let is_solved = sent == 0 || stations.states.after(0).is_some_and(|(_, state)| state.target_number >= sent);
             match is_solved.then(|| player.next(now())) {
                 Some(Due::Time(time)) => {
                     let job = lumistack_pipeline::Job {
@@ -126,7 +135,7 @@ pub(super) fn render(
                     break;
                 }
                 Some(Due::Wait(time)) => std::thread::sleep(time.min(IDLE)),
-                None => std::thread::sleep(Duration::from_millis(1)),
+                None => std::thread::sleep(SHORT),
             }
             if !is_new {
                 continue;
@@ -168,7 +177,7 @@ pub(super) fn render(
 pub(super) fn solve(stations: &Stations, json: bool, task: Task<'_>) {
     let mut solver: Option<Solver> = None;
     let mut now_on: Option<OnShow> = None;
-    let (mut seen, mut latency) = (0, Duration::ZERO);
+    let (mut seen, mut latency, mut update_s) = (0, Duration::ZERO, 0.0);
     while !(stations.is_stopped() || task.cancel.is_cancelled()) {
         if let Some((number, order)) = stations.orders.after(seen) {
             seen = number;
@@ -186,12 +195,16 @@ pub(super) fn solve(stations: &Stations, json: bool, task: Task<'_>) {
             continue;
         }
         let (start, target) = (now(), on.order.target.clone());
-        let updates = stations.updates.min(on.left);
+        let affordable = if update_s > 0.0 { (STEP_S / update_s) as u32 } else { 1 };
+        let updates = affordable.clamp(1, stations.updates).min(on.left);
         match solver.step(&target, &on.weights, updates, task) {
             Ok(solved) => {
                 on.left -= updates;
                 on.updates += updates;
                 let step = now() - start;
+                if solved.start == Start::Kept {
+                    update_s = step.as_secs_f64() / f64::from(updates);
+                }
                 latency = if latency.is_zero() { step } else { (3 * latency + step) / 4 };
                 let state = State {
                     stack: solved.stack,

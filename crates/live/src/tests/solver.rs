@@ -4,7 +4,7 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::Weights;
 use lumistack_factorizer::{Problem, Settings, factorize};
 
-use super::fields::{CONTENTS, Content, display, target};
+use super::fields::{CONTENTS, Content, target, wide};
 use crate::{Solver, Start, Target};
 
 /// Updates per step that a slow display affords.
@@ -22,7 +22,7 @@ fn from_scratch(target: &Target, weights: &Weights, iterations: u32) -> f64 {
 
 /// The end of a chain of times, each `step_px` from the one before: PSNR with a few warm updates, and how the last began.
 fn chain(content: Content, step_px: f64) -> (f64, Start, Arc<Target>) {
-    let (warnings, cancel, display) = (Collector::default(), Cancel::default(), display());
+    let (warnings, cancel, display) = (Collector::default(), Cancel::default(), wide());
     let task = Task::quiet(&warnings, &cancel);
     let mut solver = Solver::new(Settings::default());
     let target_at = |time: u32| target(&display, content, f64::from(time) * step_px, u64::from(time));
@@ -38,12 +38,19 @@ fn chain(content: Content, step_px: f64) -> (f64, Start, Arc<Target>) {
 
 #[test]
 fn a_few_warm_updates_follow_content_that_moves() {
+    let mut behind = Vec::new();
     for content in CONTENTS {
-        for (step_px, loss_db) in [(2.0, 1.0), (10.0, 2.0)] {
+        // waves come nearest to what patterns can show, and columns that come in are farthest from that
+        let far = if matches!(content, Content::Waves) { 3.0 } else { 2.0 };
+        for (step_px, loss_db) in [(2.0, 1.0), (10.0, far)] {
             let (warm, start, target) = chain(content, step_px);
             let scratch = from_scratch(&target, &Weights::Uniform, FROM_SCRATCH);
-            println!("{content:?}, {step_px} px: {warm:.2} dB from {start:?}, {scratch:.2} dB from scratch");
-            assert!(warm > scratch - loss_db, "{content:?} {step_px} {start:?}: {warm} {scratch}");
+            let text = format!("{content:?}, {step_px} px: {warm:.2} dB from {start:?}, {scratch:.2} dB from scratch");
+            println!("{text}");
+            if warm < scratch - loss_db || start == Start::Fresh {
+                behind.push(text);
+            }
         }
     }
+    assert!(behind.is_empty(), "{behind:#?}");
 }
