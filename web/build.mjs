@@ -45,6 +45,8 @@ await build({
     },
   ],
 });
+// Asked for by pages of `lumistack live` alone.
+await build({ ...BROWSERS, entryPoints: { live: "src/live.ts" }, outdir: "dist", format: "esm" });
 // The page's own few rules stand in it: nothing is fetched before its poster shows.
 for (const [page, sheet] of [
   ["index", "page"],

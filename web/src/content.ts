@@ -66,6 +66,11 @@ export class StackContent implements Content {
     for (const file of this.info.files) this.arrived(file);
   }
 
+  /** Other patterns in place of all files. */
+  async renew(files: readonly ArrayBuffer[]): Promise<void> {
+    await this.engine?.call("renew", [files]);
+  }
+
   get targetsReady(): number {
     return this.targets.size;
   }

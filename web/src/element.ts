@@ -214,6 +214,13 @@ export class LumistackViewer extends HTMLElement {
     this.stateChanged();
   }
 
+  /** Other patterns for the preview on show, a PNG for every file that it names: all of them take effect at once. */
+  async renew(files: readonly ArrayBuffer[]): Promise<void> {
+    if (!(this.content instanceof StackContent)) return;
+    await this.content.renew(files);
+    this.stateChanged();
+  }
+
   // --- life
 
   connectedCallback(): void {

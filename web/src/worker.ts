@@ -24,6 +24,10 @@ const methods = {
     viewer!.exchange(codes);
     painter!.forget();
   },
+  /** Replaces every file, in one call: no picture is drawn of some new and some old ones. */
+  renew(files: readonly ArrayBuffer[]): void {
+    files.forEach((bytes, index) => viewer!.put(index, new Uint8Array(bytes)));
+  },
   options(json: string): void {
     viewer!.set_options(json);
   },

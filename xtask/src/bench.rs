@@ -57,6 +57,9 @@ cargo xtask bench [what]
       --large        a zone of 50° × 20°, 840×525 pixels, the directional prototype
       --views        one scene, against the number of views at equal samples
       --iterations   one scene, against the solver's time
+  live          `lumistack live` under 1,000 random edits in five minutes: two pages must get whole states of rising numbers, memory
+                must stay flat, and Ctrl-C must freeze the display at once. Linux
+      --quick        100 edits in half a minute
   web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
                 and per frame, through WebGL2 and on the processor
   fuzz          random changes to files of every kind that is read, whole and packed, from our own and the corpora of
@@ -95,6 +98,8 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["splats", "--agreement"] => agreement_of_splats(),
         ["design"] => example("lumistack-pipeline", "bench_design", &[]),
         ["farm", options @ ..] => farm(options)?,
+        ["live"] => live(&[]),
+        ["live", "--quick"] => live(&["--quick"]),
         ["zone", options @ ..] => bench_zone::run(options)?,
         ["web"] => web::bench(),
         ["fuzz", options @ ..] => fuzzing(options)?,
@@ -122,6 +127,12 @@ fn farm(options: &[&str]) -> Option<Outcome> {
             tools::run(command(&python).arg(tools::root().join("xtask/bench/farm.py")).args(&passed))
         }),
     )
+}
+
+fn live(options: &[&str]) -> Outcome {
+    cargo(&["build", "--release", "--package", "lumistack-cli"])?;
+    let program = web::target_folder()?.join("release").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
+    tools::run(command("python3").arg(tools::root().join("xtask/bench/live.py")).arg(program).args(options))
 }
 
 fn fuzzing(options: &[&str]) -> Option<Outcome> {

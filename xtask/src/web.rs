@@ -267,7 +267,7 @@ fn collect(path: &Path, files: &mut Vec<PathBuf>) -> Outcome {
 }
 
 /// Cargo's target folder.
-fn target_folder() -> Outcome<PathBuf> {
+pub fn target_folder() -> Outcome<PathBuf> {
     let metadata = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
         .and_then(|text| serde_json::from_str::<Value>(&text).ok())
         .ok_or("cargo metadata failed")?;

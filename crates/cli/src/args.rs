@@ -80,6 +80,9 @@ pub(crate) enum Command {
         after_help = "Examples:\n  lumistack show --list                                          outputs and their names\n  lumistack show runs/still-life                                 one surface per output; keys: space, comma, full stop, Tab, arrows, s, r, q\n  lumistack show my-display.toml --pattern crosshairs --only 1   to align a stack by\n  lumistack show runs/still-life --rehearse                      no panels: a window, the mouse moves the viewer\n\nPatterns that are written anew are shown from the next period on. docs/PANELS.md says how to build and calibrate a stack."
     )]
     Show(Box<crate::show::Show>),
+    /// A display that follows its scene while settings, files, time and viewers change
+    #[command(after_help = crate::live::EXAMPLES)]
+    Live(Box<crate::live::Live>),
     /// What is in a scene, a light field, a layer stack, a run folder, a display or a job
     Info(Info),
     /// Frees what stopped runs left in a run folder, and what is cached for other settings than the last run's; results stay

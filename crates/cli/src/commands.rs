@@ -52,6 +52,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         Command::Compare(compare) => crate::compare::run(&compare, args.json, task),
         Command::Clean(args_of) => clean_command(&args_of, args.json, task),
         Command::Show(show) => crate::show::show_command(&show, &registry_for_work()?, args.json, task),
+        Command::Live(live) => crate::live::live_command(&live, &registry_for_work()?, args.json, task),
         Command::Info(info) => info::print(&info, &registry_for_work()?, args.json, task),
         Command::Plugins { ids } => info::print_plugins(&ids, &registry()?, args.json),
         Command::Display { what } => crate::display::display_command(&what, args.json),

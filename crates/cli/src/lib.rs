@@ -12,6 +12,7 @@ mod doctor;
 mod farm;
 mod groups;
 mod info;
+mod live;
 mod new;
 mod plan;
 mod preview;

@@ -10,7 +10,7 @@ use serde_json::json;
 
 use crate::args::Preview;
 use crate::console::say;
-use crate::server::{Server, listen, port_of, serve};
+use crate::server::{Server, Site, listen, port_of, serve};
 use crate::solve_page;
 
 /// Below a preview's folder.
@@ -39,7 +39,7 @@ pub(crate) fn preview_command(
     source.refresh(registry, task)?;
     let server = announced(args, &source.site, json, task)?;
     let (mut looked, mut stamp) = (Instant::now(), stamp_of(&source.site));
-    serve(&server, &source.site, || {
+    serve(&server, Site { root: &source.site, live: None }, || {
         if looked.elapsed() >= LOOK {
             looked = Instant::now();
             if let Err(error) = source.refresh(registry, task) {
@@ -57,7 +57,7 @@ pub(crate) fn preview_command(
 fn solve_command(args: &Preview, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let page = solve_page::write()?;
     let server = announced(args, page.path(), json, task)?;
-    serve(&server, page.path(), || (!task.cancel.is_cancelled()).then(String::new));
+    serve(&server, Site { root: page.path(), live: None }, || (!task.cancel.is_cancelled()).then(String::new));
     Ok(())
 }
 

@@ -43,6 +43,9 @@ const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
 
+/// The page of a live display gets new states without being loaded again.
+const FOLLOW: &str = "<script type=\"module\" src=\".live.js\"></script></body>";
+
 /// Listens on the loopback interface.
 pub(crate) struct Server {
     listener: TcpListener,
@@ -61,9 +64,35 @@ pub(crate) fn port_of(server: &Server) -> u16 {
     server.address.port()
 }
 
+/// What is handed out.
+#[derive(Clone, Copy)]
+pub(crate) struct Site<'a> {
+    /// The folder of files.
+    pub(crate) root: &'a Path,
+    /// Of a live display: a script of the page, and what it asks for.
+    pub(crate) live: Option<&'a dyn Feed>,
+}
+
+/// States of a display that changes.
+pub(crate) trait Feed: Sync {
+    /// Script that makes the page follow.
+    fn script(&self) -> &'static str;
+    /// The answer to a query, in a moment or when there is a newer state; `None` where there is none yet.
+    fn frame(&self, query: &str) -> Option<Vec<u8>>;
+}
+
+/// The page's word about a file that it will want, which a live display's page does not.
+const PRELOAD: &str = "<link rel=\"preload\" as=\"fetch\" crossorigin href=\"stack/preview.json\">\n";
+/// Where the page of a live display gets its script.
+const SCRIPT: &str = "/.live.js";
+/// Where that script asks for states.
+const STATES: &str = "/.live";
+/// The element that shows a preview, as it stands in the page, and with no preview of its own.
+const ELEMENT: [&str; 2] = ["<lumistack-viewer src=\"stack/preview.json\"", "<lumistack-viewer"];
+
 /// Answers requests until `tick` says to stop; it is asked about five times a second and gives what changes whenever
 /// the folder does.
-pub(crate) fn serve(server: &Server, root: &Path, mut tick: impl FnMut() -> Option<String>) {
+pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> Option<String>) {
     let (stop, open, stamp) = (AtomicBool::new(false), Connections::default(), Mutex::new(String::new()));
     let (stop, open, stamp) = (&stop, &open, &stamp);
     thread::scope(|scope| {
@@ -82,7 +111,7 @@ pub(crate) fn serve(server: &Server, root: &Path, mut tick: impl FnMut() -> Opti
                 let answer = move || {
                     let asked = || open.has_asked(connection);
                     // a mistake here costs one answer
-                    let _ = catch_unwind(AssertUnwindSafe(|| answer(&stream, root, stamp, asked)));
+                    let _ = catch_unwind(AssertUnwindSafe(|| answer(&stream, site, stamp, asked)));
                     open.remove(connection);
                 };
                 if thread::Builder::new().spawn_scoped(scope, answer).is_err() {
@@ -189,7 +218,7 @@ impl Reply {
 }
 
 /// Answers one request; `asked` hears that it is whole. Errors of a connection end it, since nobody is left to tell.
-fn answer(mut stream: &TcpStream, root: &Path, stamp: &Mutex<String>, asked: impl FnOnce()) {
+fn answer(mut stream: &TcpStream, site: Site<'_>, stamp: &Mutex<String>, asked: impl FnOnce()) {
     let request = match read_request(stream) {
         Ok(request) => request,
         Err(None) => return,
@@ -200,7 +229,7 @@ fn answer(mut stream: &TcpStream, root: &Path, stamp: &Mutex<String>, asked: imp
     };
     asked();
     let stamp = locked(stamp).clone();
-    let reply = reply(&request.method, request.host.as_deref(), &request.target, root, &stamp);
+    let reply = reply(&request.method, request.host.as_deref(), &request.target, site, &stamp);
     if write(stream, reply, request.method != "HEAD").is_ok() {
         let _ = stream.flush();
     }
@@ -317,6 +346,7 @@ fn linger(mut stream: &TcpStream) {
 fn reason(status: u16) -> &'static str {
     match status {
         200 => "OK",
+        204 => "No Content",
         400 => "Bad Request",
         403 => "Forbidden",
         404 => "Not Found",
@@ -329,7 +359,7 @@ fn reason(status: u16) -> &'static str {
 }
 
 /// The answer to a request.
-fn reply(method: &str, host: Option<&str>, url: &str, root: &Path, stamp: &str) -> Reply {
+fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &str) -> Reply {
     if !matches!(method, "GET" | "HEAD") {
         return Reply::text(405, "only GET and HEAD\n");
     }
@@ -340,15 +370,32 @@ fn reply(method: &str, host: Option<&str>, url: &str, root: &Path, stamp: &str) 
     if !["localhost", "127.0.0.1"].contains(&name) {
         return Reply::text(403, "only for this machine: open http://localhost\n");
     }
-    let path = url.split(['?', '#']).next().unwrap_or_default();
+    let (path, query) = url.split_once('?').unwrap_or((url, ""));
+    let path = path.split('#').next().unwrap_or_default();
     if path == STAMP {
         return Reply::text(200, stamp);
     }
+    let bytes = |kind, bytes| Reply { status: 200, kind, content: Content::Bytes(bytes) };
+    if let Some(feed) = site.live {
+        match path {
+            SCRIPT => return bytes("text/javascript; charset=utf-8", feed.script().into()),
+            STATES => {
+                return feed
+                    .frame(query)
+                    .map_or_else(|| Reply::text(204, ""), |frame| bytes("application/octet-stream", frame));
+            }
+            _ => {}
+        }
+    }
     let missing = || Reply::text(404, "there is no such file in the preview\n");
-    let Some(file) = file_of(root, path) else { return missing() };
+    let Some(file) = file_of(site.root, path) else { return missing() };
     if file.file_name().is_some_and(|name| name == "index.html") {
         let Ok(bytes) = std::fs::read(&file) else { return missing() };
-        let page = String::from_utf8_lossy(&bytes).replacen("</body>", &RELOAD.replace("STAMP", stamp), 1);
+        let page = String::from_utf8_lossy(&bytes);
+        let page = match site.live {
+            Some(_) => page.replacen(PRELOAD, "", 1).replacen(ELEMENT[0], ELEMENT[1], 1).replacen("</body>", FOLLOW, 1),
+            None => page.replacen("</body>", &RELOAD.replace("STAMP", stamp), 1),
+        };
         let content = Content::Bytes(page.into_bytes());
         return Reply { status: 200, kind: "text/html; charset=utf-8", content };
     }
@@ -401,7 +448,7 @@ mod tests {
     }
 
     fn get(root: &Path, url: &str) -> (u16, &'static str, String) {
-        let Reply { status, kind, content } = reply("GET", Some("localhost:80"), url, root, "7");
+        let Reply { status, kind, content } = reply("GET", Some("localhost:80"), url, Site { root, live: None }, "7");
         let text = match content {
             Content::Bytes(bytes) => String::from_utf8(bytes).unwrap(),
             Content::File(mut file, length) => {
@@ -463,7 +510,8 @@ mod tests {
     fn other_names_and_methods_are_refused() {
         let folder = folder();
         let root = folder.path().join("site");
-        let status = |method: &str, host: Option<&str>| reply(method, host, "/", &root, "").status;
+        let status =
+            |method: &str, host: Option<&str>| reply(method, host, "/", Site { root: &root, live: None }, "").status;
         assert_eq!(status("HEAD", Some("127.0.0.1:8000")), 200);
         assert_eq!(status("POST", Some("localhost")), 405);
         for host in [None, Some("example.org"), Some("localhost.example.org"), Some("127.0.0.1.example.org:80")] {
@@ -512,7 +560,7 @@ mod tests {
             let (_, text) = ask(TcpStream::connect(("127.0.0.1", port)).unwrap(), "HEAD", port);
             assert!(text.starts_with("HTTP/1.1 200 OK") && text.ends_with("\r\n\r\n"), "{text}");
         });
-        serve(&server, &root, || (!clients.is_finished()).then(String::new));
+        serve(&server, Site { root: &root, live: None }, || (!clients.is_finished()).then(String::new));
         clients.join().unwrap();
     }
 
@@ -525,7 +573,7 @@ mod tests {
         let server = listen(0).unwrap();
         let port = port_of(&server);
         let clients = thread::spawn(move || clients(port));
-        serve(&server, &root, || (!clients.is_finished()).then(String::new));
+        serve(&server, Site { root: &root, live: None }, || (!clients.is_finished()).then(String::new));
         clients.join().unwrap();
     }
 

@@ -15,6 +15,7 @@ mod error;
 mod farm;
 mod inspect;
 mod job;
+mod live;
 mod only_views;
 mod outlook;
 mod plan;
@@ -41,6 +42,7 @@ pub use job::{
     Near, NodeJob, OutputJob, PoseJob, RenderJob, ReportJob, SearchJob, SequenceJob, SourceJob, SweepJob, Tone,
     WindowFrom, WindowJob, ZoneSamples,
 };
+pub use live::{LiveFolder, Studio};
 pub use lumistack_plugin_host::{Asked, OutputData, PresentContext, Registry, Told, present};
 #[cfg(feature = "dynamic")]
 pub use lumistack_plugin_host::{Launcher, plugin_child};

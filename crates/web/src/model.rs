@@ -73,7 +73,7 @@ impl Model {
         &self.options
     }
 
-    /// Takes the bytes of file `index`. Returns the part that it holds and, where it completes one, the number of complete frames before.
+    /// Takes the bytes of file `index`. Returns the part that it holds and, where its frame is complete with it, the place of that among the complete frames.
     ///
     /// # Errors
     /// If there is no such file or it is damaged; everything stays as it was.
@@ -88,11 +88,14 @@ impl Model {
             Part::Target { .. } => return Ok((part, None)),
         };
         self.built.take();
-        let whole = !self.complete.contains(&frame)
-            && self.preview.files.iter().zip(&self.codes).all(|(file, codes)| match file.part {
-                Part::Layer { frame: of, .. } | Part::Emission { frame: of } => of != frame || codes.is_some(),
-                Part::Target { .. } => true,
-            });
+        // other patterns for a frame that was whole already
+        if let Some(slot) = self.complete.iter().position(|complete| *complete == frame) {
+            return Ok((part, Some(slot)));
+        }
+        let whole = self.preview.files.iter().zip(&self.codes).all(|(file, codes)| match file.part {
+            Part::Layer { frame: of, .. } | Part::Emission { frame: of } => of != frame || codes.is_some(),
+            Part::Target { .. } => true,
+        });
         let slot = self.complete.len();
         if whole {
             self.complete.push(frame);

@@ -64,6 +64,11 @@ impl Times {
         self.count
     }
 
+    /// The light fields, one per time; none of other sequences.
+    pub(crate) fn into_fields(self) -> Vec<PathBuf> {
+        self.fields
+    }
+
     /// Whether all times look at the same scene in the same pose.
     pub(crate) fn shares_scene(&self) -> bool {
         self.sequence.duration_s == 0.0

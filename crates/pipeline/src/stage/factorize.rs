@@ -262,7 +262,7 @@ pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
     lumistack_factorizer::solver(&job.solver).map(drop).map_err(PipelineError::Factorize)
 }
 
-fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack_factorizer::Settings, PipelineError> {
+pub(crate) fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack_factorizer::Settings, PipelineError> {
     Ok(lumistack_factorizer::Settings {
         solver: job.solver.clone(),
         iterations: job.iterations(),

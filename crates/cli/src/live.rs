@@ -1,0 +1,296 @@
+//! `lumistack live`: a display that follows its scene while settings, files, time and viewers change.
+//!
+//! ```text
+//! standard input ─▶ Desk ──jobs──▶ renderer ──light fields──▶ solver ──whole states──▶ page, panels
+//! files, video ───▶                (a thread)                 (a thread)               (a thread each)
+//! viewers ────────▶ Tracker ──────────────────weights────────▶
+//! ```
+
+mod clock;
+mod control;
+mod desk;
+mod feed;
+mod watch;
+mod work;
+
+use std::net::UdpSocket;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+
+use clap::Args as ClapArgs;
+use lumistack_core::{Cancel, NoProgress, Task};
+use lumistack_pipeline::{Asked, Job, LiveFolder, PipelineError, PresentContext, Registry, Studio, Told, present};
+use serde_json::json;
+
+use self::control::{read_commands, read_packets};
+use self::desk::{Desk, Once};
+use self::feed::PageFeed;
+use self::watch::Watched;
+use self::work::{Rates, Stations, render, solve};
+use crate::console::{say, tell};
+use crate::groups::{
+    DisplayArgs, FactorizeArgs, RenderArgs, change_display, change_factorize, change_render, in_place, is_job,
+    job_or_scene, stem,
+};
+use crate::server::{Site, listen, port_of, serve};
+use crate::values::Numbers;
+
+/// For `lumistack live --help`.
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                          save the model again, and the display follows\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12           a video: one light field per time, in the order of their names\n  lumistack live model.glb --opentrack 4242         viewers tracked by OpenTrack (output: UDP over network)\n\nCommands on standard input, one JSON object a line: {\"set\": {KEY: VALUE, ...}} with keys of the job, {\"time\": SECONDS}, {\"viewers\": [[X, Y, Z], ...]} in millimetres,\n{\"reload\": true}, {\"stop\": true}. Ctrl-C leaves a run folder. docs/LIVE.md tells the rest.";
+
+/// How often files are looked at.
+const LOOK: Duration = Duration::from_millis(100);
+/// How often the end is looked for.
+const TICK: Duration = Duration::from_millis(20);
+
+#[derive(Debug, ClapArgs)]
+pub(crate) struct Live {
+    /// Job file (.toml), scene, or light field that says its geometry itself; with --times a folder of light fields
+    pub(crate) input: PathBuf,
+    /// Folder for what was shown last [default: runs/NAME-live]
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) output: Option<PathBuf>,
+    /// Port of the page; 0 for any that is free
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) port: u16,
+    /// Do not open the browser
+    #[arg(long)]
+    pub(crate) no_open: bool,
+    /// Also show it by the panels of a build with panels: outputs, span or window (see `lumistack show`)
+    #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
+    pub(crate) show: Option<String>,
+    /// Full updates between two states, at most: fewer where they take longer than 0.3 s
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub(crate) updates: u32,
+    /// The input is a video: a folder of light fields, one per time, in the order of their names
+    #[arg(long, help_heading = "Video")]
+    pub(crate) times: bool,
+    /// Times per second
+    #[arg(long, value_name = "HZ", default_value_t = 24.0, requires = "times", help_heading = "Video")]
+    pub(crate) rate: f64,
+    /// Times by which one may come late; later ones are left out and counted
+    #[arg(long, value_name = "N", default_value_t = 3, requires = "times", help_heading = "Video")]
+    pub(crate) most_late: usize,
+    /// UDP port of this machine at which OpenTrack sends the head's position
+    #[arg(long, value_name = "PORT", help_heading = "Viewers")]
+    pub(crate) opentrack: Option<u16>,
+    /// Place of the head, millimetres before the display, where OpenTrack is centred
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, default_value = "0,0,600", help_heading = "Viewers")]
+    pub(crate) head_mm: Numbers<3>,
+    /// Standard deviation of the space around a head that counts, millimetres
+    #[arg(long, value_name = "MM", default_value_t = lumistack_live::SIGMA_MM, help_heading = "Viewers")]
+    pub(crate) sigma_mm: f64,
+    #[command(flatten)]
+    pub(crate) display: DisplayArgs,
+    #[command(flatten)]
+    pub(crate) render: RenderArgs,
+    #[command(flatten)]
+    pub(crate) factorize: FactorizeArgs,
+}
+
+impl Live {
+    /// The job of the input as the command line changes it.
+    fn job(&self) -> Result<Job, PipelineError> {
+        let mut job = if is_light_field(&self.input) {
+            let display = self.display.display.clone().unwrap_or_else(|| crate::groups::DEFAULT_DISPLAY.into());
+            let mut job = Job::new(lumistack_pipeline::DisplayJob::by_name_or_path(&display));
+            (job.name, job.light_field) = (stem(&self.input), Some(self.input.clone()));
+            job
+        } else {
+            job_or_scene(&self.input)?
+        };
+        change_display(&mut job, &self.display);
+        change_render(&mut job, &self.render);
+        change_factorize(&mut job, &self.factorize);
+        Ok(job)
+    }
+
+    fn check(&self) -> Result<(), PipelineError> {
+        let positive = |name, value: f64| match value.is_finite() && value > 0.0 {
+            true => Ok(()),
+            false => Err(PipelineError::option(name, "value", "a number above 0", value.to_string())),
+        };
+        positive("--rate", self.rate).and_then(|()| positive("--sigma-mm", self.sigma_mm))
+    }
+}
+
+/// Whether a path is taken for a light field.
+fn is_light_field(path: &Path) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase();
+    !is_job(path) && (path.is_dir() || ["npy", "png", "jpg", "jpeg", "webp"].contains(&extension.as_str()))
+}
+
+pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+    args.check()?;
+    let in_input = |error| in_place(error, &args.input);
+    let mut job = args.job().map_err(in_input)?;
+    let times = if args.times { Studio::times_of(&job).map_err(in_input)? } else { Vec::new() };
+    if let Some(first) = times.first() {
+        job.light_field = Some(first.clone());
+    }
+    let dir = args.output.clone().unwrap_or_else(|| Path::new("runs").join(format!("{}-live", job.name)));
+    let folder = LiveFolder::take(&dir, &job, registry, task)?;
+    let site = folder.cache().join("live");
+    let studio = Studio::new(job.clone(), &folder.cache()).map_err(in_input)?;
+    let server = listen(args.port).map_err(|error| {
+        PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
+    })?;
+    let socket = args.opentrack.map(open_socket).transpose()?;
+
+    let warnings = Once::new(task.warnings);
+    let work = Task { progress: &NoProgress, warnings: &warnings, cancel: task.cancel };
+    let title = job.name.clone();
+    let stations = Stations::new(Desk::new(job), args.updates, args.sigma_mm);
+    // a thread that waits for a line cannot be ended: it belongs to nobody
+    let desk = stations.desk.clone();
+    std::thread::spawn(move || read_commands(std::io::stdin().lock(), &desk, json));
+    let feed = PageFeed::new(&stations.states, (&site, &title), registry, work);
+    let rates = Rates { times, rate_hz: args.rate, most_late: args.most_late };
+    let ended = std::thread::scope(|scope| {
+        let renderer = scope.spawn(|| render(studio, &stations, rates, registry, work));
+        scope.spawn(|| solve(&stations, json, work));
+        if let Some(socket) = &socket {
+            scope.spawn(|| read_packets(socket, args.head_mm.0, &stations.desk, work));
+        }
+        scope.spawn(|| watch_files(args, &stations, work));
+        let page = scope.spawn(|| serve_page(args, &server, &feed, &stations, json, work));
+        let shown = match &args.show {
+            Some(mode) => show(mode, &stations, registry, work),
+            None => Ok(()),
+        };
+        if args.show.is_none() {
+            // the end: Ctrl-C, a command, or a video that is over
+            while !(task.cancel.is_cancelled() || stations.desk.is_stopped()) {
+                std::thread::sleep(TICK);
+            }
+        }
+        stations.stop();
+        feed.stop();
+        let _ = page.join();
+        let dropped = renderer.join().unwrap_or(Ok(0));
+        shown.and(dropped)
+    });
+    let _ = std::fs::remove_dir_all(&site);
+    let dropped = ended.map_err(in_input)?;
+    let Some((number, state)) = stations.states.after(0) else { return Err(PipelineError::Cancelled) };
+    // Ctrl-C has ended the show; a second one ends the program
+    let cancel = Cancel::default();
+    let report = folder.leave(
+        &stations.desk.job(),
+        &state,
+        Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel },
+    )?;
+    let psnr_view = state.psnr_view;
+    if json {
+        let psnr_view = psnr_view.is_finite().then_some(psnr_view);
+        say!(
+            "{}",
+            json!({"event": "done", "states": number, "dropped": dropped, "psnr_view": psnr_view, "report": report.to_string_lossy()})
+        );
+    } else {
+        let video = if args.times { format!(", {dropped} times left out") } else { String::new() };
+        say!("{number} states{video}; the last has PSNR {psnr_view:.1} dB at the solver's views");
+        say!("{}", report.display());
+    }
+    Ok(())
+}
+
+fn open_socket(port: u16) -> Result<UdpSocket, PipelineError> {
+    let bound = UdpSocket::bind(("127.0.0.1", port)).and_then(|socket| {
+        socket.set_read_timeout(Some(LOOK))?;
+        Ok(socket)
+    });
+    bound.map_err(|error| {
+        PipelineError::option("--opentrack", "PORT", "a free UDP port of this machine", format!("{port} ({error})"))
+    })
+}
+
+fn serve_page(
+    args: &Live,
+    server: &crate::server::Server,
+    feed: &PageFeed<'_>,
+    stations: &Stations,
+    json: bool,
+    task: Task<'_>,
+) {
+    // the page's own files come with the first state
+    while feed.prepare().is_none() {
+        if stations.is_stopped() {
+            return;
+        }
+        std::thread::sleep(TICK);
+    }
+    let address = format!("http://localhost:{}/", port_of(server));
+    match json {
+        true => say!("{}", json!({"event": "serving", "address": address})),
+        false => say!("{address}   (Ctrl-C ends it)"),
+    }
+    if !args.no_open
+        && let Err(error) = opener::open_browser(&address)
+    {
+        task.warn("live", format!("no browser opens ({error}): open {address} yourself"));
+    }
+    serve(server, Site { root: feed.root(), live: Some(feed) }, || (!stations.is_stopped()).then(String::new));
+}
+
+/// Has files read anew that were written.
+fn watch_files(args: &Live, stations: &Stations, task: Task<'_>) {
+    let mut watched = Watched::default();
+    let mut of_job = Watched::default();
+    while !stations.is_stopped() {
+        std::thread::sleep(LOOK);
+        if !args.times && watched.have_changed(&stations.files()) {
+            stations.desk.reload();
+        }
+        if is_job(&args.input) && of_job.have_changed(std::slice::from_ref(&args.input)) {
+            let changed = args.job().and_then(|job| stations.desk.replace(job));
+            if let Err(error) = changed {
+                // half-written, or wrong: the job before stays
+                task.warn(args.input.display().to_string(), error.to_string());
+            }
+        }
+    }
+}
+
+/// Runs the presenter of panels until it is closed.
+fn show(mode: &str, stations: &Stations, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
+    let first = loop {
+        if let Some(first) = stations.states.wait_after(0, TICK) {
+            break first;
+        }
+        if task.cancel.is_cancelled() || stations.desk.is_stopped() {
+            return Ok(());
+        }
+    };
+    let (mut seen, state) = first;
+    // one state on its way: newer ones replace each other in the mailbox
+    let (send, asked) = sync_channel(1);
+    let stop = Cancel::default();
+    let (display, stop_of_thread) = (&*state.target.display, &stop);
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            while !(stop_of_thread.is_cancelled() || stations.is_stopped() || stations.desk.is_stopped()) {
+                let Some((number, state)) = stations.states.wait_after(seen, TICK) else { continue };
+                seen = number;
+                if state.stack.check(display).is_err() {
+                    task.warn("show", "panels keep the size and frames that they began with: end `lumistack live` and start it again to change them");
+                } else if send.send(Asked::Stack(state.stack.clone())).is_err() {
+                    return;
+                }
+            }
+            // whoever stops by a command stops the panels, too
+            let _ = send.send(Asked::Command(json!(lumistack_plugin_panels::presentation::Command::Quit)));
+        });
+        let told = |told: Told<'_>| {
+            if let Told::Warning(text) = told {
+                tell!("warning: {text}");
+            }
+        };
+        let params = json!({"mode": mode});
+        let context = PresentContext { display, first: Some(&state.stack), asked, told: &told, task };
+        let shown = present(registry, "panels", &params, context).map_err(PipelineError::Output);
+        stop.cancel();
+        shown
+    })
+}

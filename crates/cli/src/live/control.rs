@@ -1,0 +1,152 @@
+//! Commands on standard input, one JSON object a line, and head positions by UDP.
+
+use std::io::BufRead;
+use std::net::UdpSocket;
+
+use lumistack_core::Task;
+use lumistack_live::head_of_packet;
+use serde_json::{Map, Value, json};
+
+use super::desk::Desk;
+use crate::console::{say, tell};
+
+/// Longest line, bytes.
+const LINE: usize = 1 << 20;
+
+/// A command.
+#[derive(Clone, Debug, PartialEq)]
+enum Command {
+    Set(Vec<(String, Value)>),
+    Viewers(Vec<[f64; 3]>),
+    Reload,
+    Stop,
+}
+
+/// Carries out commands until there are no more. Those that make no sense are told and change nothing.
+pub(super) fn read_commands(mut lines: impl BufRead, desk: &Desk, json: bool) {
+    let mut line = Vec::new();
+    while !desk.is_stopped() {
+        line.clear();
+        match std::io::Read::take(&mut lines, LINE as u64).read_until(b'\n', &mut line) {
+            Ok(0) | Err(_) => return,
+            Ok(_) => {}
+        }
+        let text = String::from_utf8_lossy(&line);
+        if text.trim().is_empty() {
+            continue;
+        }
+        if let Err(error) = carry_out(&text, desk) {
+            match json {
+                true => say!("{}", json!({"event": "refused", "message": error})),
+                false => tell!("warning: standard input: {error}"),
+            }
+        }
+    }
+}
+
+fn carry_out(line: &str, desk: &Desk) -> Result<(), String> {
+    // all that a line says is understood before any of it is done
+    for command in commands_of(line)? {
+        match command {
+            Command::Set(keys) => desk.set(&keys).map_err(|error| error.to_string())?,
+            Command::Viewers(heads_mm) => desk.see(&heads_mm).map_err(|error| error.to_string())?,
+            Command::Reload => desk.reload(),
+            Command::Stop => desk.stop(),
+        }
+    }
+    Ok(())
+}
+
+fn commands_of(line: &str) -> Result<Vec<Command>, String> {
+    const EXPECTED: &str = "an object with `set`, `time`, `viewers`, `reload` or `stop`";
+    let all: Map<String, Value> = serde_json::from_str(line)
+        .map_err(|error| format!("expected {EXPECTED} on one line, found no such JSON: {error}"))?;
+    if all.is_empty() {
+        return Err(format!("expected {EXPECTED}, found an empty one"));
+    }
+    let one = |(name, value): (String, Value)| {
+        let wrong = |expected: &str, value: &Value| Err(format!("{name}: expected {expected}, found {value}"));
+        match (name.as_str(), value) {
+            ("set", Value::Object(keys)) => Ok(Command::Set(keys.into_iter().collect())),
+            ("set", value) => wrong("an object of keys of the job and their values", &value),
+            ("time", value) if value.is_number() || value.is_null() => {
+                Ok(Command::Set(vec![("pose.time_s".into(), value)]))
+            }
+            ("time", value) => wrong("seconds, or null for the scene as it stands", &value),
+            ("viewers", value) => match serde_json::from_value(value.clone()) {
+                Ok(heads_mm) => Ok(Command::Viewers(heads_mm)),
+                Err(_) => wrong("a list of positions [x, y, z] in millimetres", &value),
+            },
+            ("reload", Value::Bool(true)) => Ok(Command::Reload),
+            ("stop", Value::Bool(true)) => Ok(Command::Stop),
+            ("reload" | "stop", value) => wrong("true", &value),
+            (name, _) => Err(format!("expected {EXPECTED}, found `{name}`")),
+        }
+    };
+    all.into_iter().map(one).collect()
+}
+
+/// Follows a head by OpenTrack's packets until the display is stopped.
+pub(super) fn read_packets(socket: &UdpSocket, centre_mm: [f64; 3], desk: &Desk, task: Task<'_>) {
+    let mut packet = [0; 512];
+    while !(desk.is_stopped() || task.cancel.is_cancelled()) {
+        // nothing for a while: time to look whether it is over
+        let Ok(length) = socket.recv(&mut packet) else { continue };
+        let seen = head_of_packet(&packet[..length], centre_mm).and_then(|head_mm| desk.see(&[head_mm]));
+        if let Err(error) = seen {
+            task.warn("--opentrack", error.to_string());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_pipeline::{DisplayJob, Job};
+
+    use super::*;
+
+    fn desk() -> Desk {
+        Desk::new(Job { scene: Some("a.glb".into()), ..Job::new(DisplayJob::by_name_or_path("fig7-uniform")) })
+    }
+
+    #[test]
+    fn lines_become_wishes_and_those_that_make_no_sense_change_nothing() {
+        let desk = desk();
+        let lines = "{\"set\": {\"display.brightness\": 0.3, \"display.frames\": 2}}\n\n{\"time\": 1.5, \"viewers\": [[10, 0, 600]]}\n\
+                     {\"set\": {\"display.frames\": 4, \"display.brightness\": 7}}\n";
+        read_commands(lines.as_bytes(), &desk, false);
+        let (number, wish) = desk.wishes.after(0).unwrap();
+        let display = &wish.job.display;
+        assert_eq!(
+            (number, display.brightness, display.frames, wish.job.pose.time_s),
+            (2, Some(0.3), Some(2), Some(1.5))
+        );
+        assert_eq!(desk.job(), wish.job);
+        // a job file that is written anew keeps what commands have set
+        let mut other = self::desk().job();
+        other.seed = 9;
+        desk.replace(other).unwrap();
+        assert_eq!((desk.job().seed, desk.job().display.frames), (9, Some(2)));
+        assert!(!desk.is_stopped());
+        carry_out("{\"stop\": true}", &desk).unwrap();
+        assert!(desk.is_stopped());
+    }
+
+    #[test]
+    fn lines_that_make_no_sense_are_told_what_is_expected() {
+        for (line, message) in [
+            ("[]", "expected an object with `set`, `time`, `viewers`, `reload` or `stop` on one line"),
+            ("{}", "found an empty one"),
+            ("{\"sett\": {}}", "found `sett`"),
+            ("{\"set\": 3}", "set: expected an object of keys"),
+            ("{\"time\": \"now\"}", "time: expected seconds"),
+            ("{\"viewers\": [[1, 2]]}", "viewers: expected a list of positions [x, y, z]"),
+            ("{\"viewers\": [[0, 0, -5]]}", "viewer: expected three finite numbers"),
+            ("{\"stop\": false}", "stop: expected true"),
+            ("{\"set\": {\"display.bright\": 1}}", "did you mean `brightness`?"),
+        ] {
+            let error = carry_out(line, &desk()).unwrap_err();
+            assert!(error.contains(message), "{line}: {error}");
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! A mailbox that holds the newest value alone.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// The newest value of a series, for any number of readers. Posting and looking take the time of exchanging a pointer: nobody waits for somebody else's work,
+/// and values that were replaced unseen are dropped.
+#[derive(Debug)]
+pub struct Mailbox<T> {
+    newest: Mutex<Held<T>>,
+    posted: Condvar,
+}
+
+#[derive(Debug)]
+struct Held<T> {
+    number: u64,
+    value: Option<Arc<T>>,
+}
+
+impl<T> Default for Mailbox<T> {
+    fn default() -> Self {
+        Self { newest: Mutex::new(Held { number: 0, value: None }), posted: Condvar::new() }
+    }
+}
+
+impl<T> Mailbox<T> {
+    /// Replaces the value. Returns its number; the first is 1.
+    pub fn post(&self, value: T) -> u64 {
+        let value = Some(Arc::new(value));
+        let mut held = self.held();
+        held.number += 1;
+        let (number, before) = (held.number, std::mem::replace(&mut held.value, value));
+        drop(held);
+        self.posted.notify_all();
+        // outside of the lock: patterns take their time to be freed
+        drop(before);
+        number
+    }
+
+    /// The newest value and its number, where it is newer than number `seen`; of a reader that has seen nothing that is 0.
+    pub fn after(&self, seen: u64) -> Option<(u64, Arc<T>)> {
+        newer(&self.held(), seen)
+    }
+
+    /// [`after`](Self::after), for which it waits up to a limit.
+    pub fn wait_after(&self, seen: u64, limit: Duration) -> Option<(u64, Arc<T>)> {
+        let held = self.posted.wait_timeout_while(self.held(), limit, |held| held.number <= seen);
+        newer(&held.unwrap_or_else(PoisonError::into_inner).0, seen)
+    }
+
+    fn held(&self) -> MutexGuard<'_, Held<T>> {
+        self.newest.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn newer<T>(held: &Held<T>, seen: u64) -> Option<(u64, Arc<T>)> {
+    held.value.as_ref().filter(|_| held.number > seen).map(|value| (held.number, value.clone()))
+}

@@ -1,0 +1,141 @@
+//! Factorization that goes on from the patterns before.
+//!
+//! ```text
+//! new content:   start = the nearest of the patterns as they are, moved along with the content, and fresh ones
+//! every step:    start ──a few updates──▶ patterns, the next start
+//! ```
+
+use std::sync::Arc;
+
+use lumistack_core::Task;
+use lumistack_display::{LayerStack, Weights};
+use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize, warm_start_pays};
+
+use crate::Target;
+use crate::motion::{Planes, moved};
+
+/// Rule that goes on from patterns where the settings leave it open: extrapolation overshoots along a few updates from patterns of another target.
+const WARM_SOLVER: &str = "block-exact";
+
+/// Patterns that begin from here, dB, are gone on from without a look at fresh ones, which take longer to make than a step.
+const GOOD_DB: f64 = 20.0;
+
+/// Where the patterns of a step came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Start {
+    /// From nothing.
+    Fresh,
+    /// The patterns of the step before.
+    Kept,
+    /// The patterns of the step before, moved along with the content.
+    Moved,
+}
+
+/// Patterns after a step.
+#[derive(Clone, Debug)]
+pub struct Solved {
+    /// The patterns.
+    pub stack: LayerStack,
+    /// PSNR in dB of L̃/β against L over all rays with a weight.
+    pub psnr_view: f64,
+    /// Their start.
+    pub start: Start,
+}
+
+/// Solves targets one after another, each from the patterns of the one before.
+pub struct Solver {
+    settings: Settings,
+    last: Option<Last>,
+}
+
+/// The end of the step before.
+struct Last {
+    target: Arc<Target>,
+    /// Its content as the layers meet it.
+    planes: Planes,
+    stack: LayerStack,
+}
+
+impl Solver {
+    /// With settings of a fresh start; their iterations do not count.
+    pub fn new(settings: Settings) -> Self {
+        Self { settings, last: None }
+    }
+
+    /// Other settings from the next step on.
+    pub fn set(&mut self, settings: Settings) {
+        self.settings = settings;
+    }
+
+    /// Some `updates` towards a target. The patterns stay the start of the next step.
+    ///
+    /// # Errors
+    /// If target, weights and settings do not fit each other, or when cancelled; the patterns before stay the start.
+    pub fn step(
+        &mut self,
+        target: &Arc<Target>,
+        weights: &Weights,
+        updates: u32,
+        task: Task<'_>,
+    ) -> Result<Solved, FactorizeError> {
+        let problem = Problem { display: &target.display, target: &target.field, weights };
+        let fresh = Settings { iterations: updates, report_every: u32::MAX, ..self.settings.clone() };
+        let rule = if fresh.solver == AUTO { WARM_SOLVER.into() } else { fresh.solver.clone() };
+        let warm = Settings { solver: rule, ..fresh.clone() };
+        // patterns of a display of another shape are no start
+        let last = self.last.take_if(|last| last.stack.check(&target.display).is_err());
+        drop(last);
+        let same_content = self.last.as_ref().is_some_and(|last| last.target.content == target.content);
+        let planes = match &mut self.last {
+            Some(last) if same_content => last.planes.clone(),
+            _ => Planes::of(&target.display, &target.field),
+        };
+        let (start, from) = match &self.last {
+            None => (None, Start::Fresh),
+            Some(last) if same_content => (Some(last.stack.clone()), Start::Kept),
+            Some(last) => nearest_start(&problem, [&fresh, &warm], last, &planes, task)?,
+        };
+        let settings = if start.is_some() { &warm } else { &fresh };
+        let done = factorize(&problem, settings, start.as_ref(), task, &mut |_| {})?;
+        let psnr_view = done.history.last().map_or(f64::NAN, |end| end.psnr_view);
+        self.last = Some(Last { target: target.clone(), planes, stack: done.stack.clone() });
+        Ok(Solved { stack: done.stack, psnr_view, start: from })
+    }
+}
+
+/// The patterns to begin new content from; `None` for fresh ones.
+fn nearest_start(
+    problem: &Problem<'_>,
+    [fresh, warm]: [&Settings; 2],
+    last: &Last,
+    planes: &Planes,
+    task: Task<'_>,
+) -> Result<(Option<LayerStack>, Start), FactorizeError> {
+    let (mut best, mut from) = (last.stack.clone(), Start::Kept);
+    let mut psnr_view = at_start(problem, warm, Some(&best), task)?.1;
+    if let Some(flows) = last.planes.flows_to(planes) {
+        let (start, _) = at_start(problem, fresh, None, task)?;
+        let other = moved(&best, &flows, &start);
+        let ahead = at_start(problem, warm, Some(&other), task)?.1;
+        if ahead > psnr_view {
+            (best, from, psnr_view) = (other, Start::Moved, ahead);
+        }
+    }
+    if psnr_view >= GOOD_DB || warm_start_pays(problem, fresh, &best, &warm.solver, task)? {
+        Ok((Some(best), from))
+    } else {
+        Ok((None, Start::Fresh))
+    }
+}
+
+/// Patterns before any update, or those of a fresh start, and their PSNR.
+fn at_start(
+    problem: &Problem<'_>,
+    settings: &Settings,
+    stack: Option<&LayerStack>,
+    task: Task<'_>,
+) -> Result<(LayerStack, f64), FactorizeError> {
+    let settings = Settings { iterations: 0, levels: false, ..settings.clone() };
+    let done = factorize(problem, &settings, stack, task, &mut |_| {})?;
+    Ok((done.stack, done.history.last().map_or(f64::NEG_INFINITY, |start| start.psnr_view)))
+}

@@ -1,0 +1,55 @@
+use super::fields::{CONTENTS, display, target};
+use crate::motion::{Planes, moved};
+
+#[test]
+fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
+    let display = display();
+    for content in CONTENTS {
+        for shift in [0, 2, 7, 10] {
+            let planes =
+                [0.0, f64::from(shift)].map(|by| Planes::of(&display, &target(&display, content, by, 0).field));
+            let Some(flows) = planes[0].flows_to(&planes[1]) else {
+                assert_eq!(shift, 0, "{content:?}");
+                continue;
+            };
+            for flow in &flows {
+                // away from the border, where content comes in that was not there
+                let inner: Vec<[i32; 2]> = (12..38)
+                    .flat_map(|row| (24..68).map(move |col| [row, col]))
+                    .map(|[row, col]| flow.at(row, col))
+                    .collect();
+                let right = inner.iter().filter(|found| **found == [shift, 0]).count();
+                let share = right as f64 / inner.len() as f64;
+                assert!(share > 0.9, "{content:?} {shift}: {share}");
+            }
+        }
+    }
+}
+
+/// Every value of a layer numbers its pixel, so that it is seen where it went.
+#[test]
+fn values_move_by_whole_pixels_in_every_frame() {
+    let display = display();
+    let planes = [0.0, 6.0].map(|by| Planes::of(&display, &target(&display, CONTENTS[1], by, 0).field));
+    let flows = planes[0].flows_to(&planes[1]).unwrap();
+    let mut stack = lumistack_display::LayerStack::filled(&display, 0.0);
+    for layer in &mut stack.layers {
+        layer.data_mut().iter_mut().enumerate().for_each(|(i, value)| *value = i as f32);
+    }
+    let fresh = lumistack_display::LayerStack::filled(&display, -1.0);
+    let out = moved(&stack, &flows, &fresh);
+    for (layer, before) in out.layers.iter().zip(&stack.layers) {
+        assert_eq!(layer.get([1, 25, 2, 1]), -1.0, "what comes in is fresh");
+        for (frame, channel) in [(0, 0), (3, 2)] {
+            assert_eq!(layer.get([frame, 25, 40, channel]), before.get([frame, 25, 34, channel]));
+        }
+    }
+}
+
+#[test]
+fn displays_that_differ_have_no_motion_between_them() {
+    let mut other = display();
+    other.layers.pop();
+    let planes = [display(), other].map(|display| Planes::of(&display, &target(&display, CONTENTS[0], 0.0, 0).field));
+    assert_eq!(planes[0].flows_to(&planes[1]), None);
+}

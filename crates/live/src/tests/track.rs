@@ -1,0 +1,122 @@
+use std::time::Duration;
+
+use lumistack_core::{Cancel, Collector, Task};
+use lumistack_display::{Display, LayerStack, RayMap, Simulator, ViewGrid, Weights};
+use lumistack_factorizer::Settings;
+
+use super::fields::{Content, display, target};
+use crate::{Boxes, SIGMA_MM, Solver, Target, Tracker, head_of_packet};
+
+fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+/// A head that walks at 200 mm/s, seen 50 times a second.
+fn walking(until_ms: u64) -> Tracker {
+    let mut tracker = Tracker::default();
+    for at in (0..=until_ms).step_by(20) {
+        tracker.see(&[[0.2 * at as f64, 0.0, 600.0]], ms(at)).unwrap();
+    }
+    tracker
+}
+
+#[test]
+fn heads_are_looked_for_where_they_will_be() {
+    let tracker = walking(1000);
+    let boxes = tracker.boxes(ms(1010), ms(90));
+    assert!((boxes.heads_mm[0][0] - 220.0).abs() < 1.0, "{boxes:?}");
+    assert_eq!((boxes.heads_mm[0][1], boxes.heads_mm[0][2], boxes.zone), (0.0, 600.0, 0.0));
+    // a guess is not trusted for long
+    let late = tracker.boxes(ms(1900), ms(0));
+    assert!((late.heads_mm[0][0] - 250.0).abs() < 1.0, "{late:?}");
+}
+
+#[test]
+fn without_a_tracker_the_zone_fades_back_in() {
+    let tracker = walking(1000);
+    let zone = |at| tracker.boxes(ms(at), ms(0)).zone;
+    assert_eq!([1000, 2000, 2250, 2500, 3000, 9000].map(zone), [0.0, 0.0, 0.25, 0.5, 1.0, 1.0]);
+    assert_eq!(Tracker::default().boxes(ms(5), ms(0)), Boxes { heads_mm: Vec::new(), zone: 1.0 });
+    let geometry = display().geometry().unwrap();
+    let weights = |at| tracker.boxes(ms(at), ms(0)).weights(&geometry, &Weights::Uniform, SIGMA_MM).unwrap();
+    assert_eq!(weights(3000), Weights::Uniform);
+    // rays far from the head count more and more
+    let far = [2000, 2500].map(|at| weights(at).at([1, 0], 25, 0));
+    assert!(far[0] < 0.01 && (0.45..0.55).contains(&far[1]), "{far:?}");
+    // and whoever comes back is followed at once
+    let mut back = tracker.clone();
+    back.see(&[[0.0, 0.0, 500.0]], ms(4000)).unwrap();
+    assert_eq!(back.boxes(ms(4000), ms(100)), Boxes { heads_mm: vec![[0.0, 0.0, 500.0]], zone: 0.0 });
+}
+
+#[test]
+fn somebody_else_has_no_velocity_of_who_was_there_before() {
+    let mut tracker = walking(1000);
+    tracker.see(&[[-400.0, 0.0, 600.0]], ms(1020)).unwrap();
+    assert_eq!(tracker.boxes(ms(1020), ms(200)).heads_mm, [[-400.0, 0.0, 600.0]]);
+    // nobody is there: the zone comes back after the same silence
+    tracker.see(&[], ms(1040)).unwrap();
+    assert_eq!(tracker.boxes(ms(1040), ms(0)).zone, 1.0);
+}
+
+#[test]
+fn positions_that_make_no_sense_are_refused() {
+    let mut tracker = walking(100);
+    for wrong in [[0.0, 0.0, 0.0], [f64::NAN, 0.0, 500.0], [0.0, f64::INFINITY, 500.0]] {
+        let error = tracker.see(&[[0.0, 0.0, 500.0], wrong], ms(120)).unwrap_err().to_string();
+        assert!(error.starts_with("viewer: expected three finite numbers"), "{error}");
+    }
+    assert_eq!(tracker.boxes(ms(100), ms(0)).heads_mm.len(), 1);
+    let packet: Vec<u8> = [1.5f64, -2.0, 10.0, 30.0, 0.0, 0.0].iter().flat_map(|value| value.to_le_bytes()).collect();
+    assert_eq!(head_of_packet(&packet, [0.0, 0.0, 600.0]).unwrap(), [15.0, -20.0, 700.0]);
+    assert!(head_of_packet(&packet[..47], [0.0; 3]).unwrap_err().to_string().contains("found 47 bytes"));
+    let nan: Vec<u8> = [f64::NAN; 6].iter().flat_map(|value| value.to_le_bytes()).collect();
+    assert!(head_of_packet(&nan, [0.0; 3]).unwrap_err().to_string().contains("finite"));
+}
+
+/// Mean squared error of what the display shows of [`Content::Two`] from a slope.
+fn seen_from(stack: &LayerStack, target: &Target, slope: [f64; 2]) -> f64 {
+    let geometry = target.field.geometry();
+    let from = geometry.with_grid(ViewGrid::single(geometry.grid.projection, slope));
+    let map = RayMap::new(&target.display, &from);
+    let shown = Simulator::new(&target.display, stack).view(&map, &from, [0, 0]);
+    let wanted = super::fields::view(Content::Two, &from);
+    let (mut sum, mut count) = (0.0, 0);
+    for (i, (shown, wanted)) in shown.radiance.data().iter().zip(wanted).enumerate() {
+        // away from the border, where rays miss layers
+        let (row, col) = (i / 3 / from.cols, i / 3 % from.cols);
+        if (8..from.rows - 8).contains(&row) && (8..from.cols - 8).contains(&col) {
+            sum += (f64::from(*shown) / target.display.brightness - f64::from(wanted)).powi(2);
+            count += 1;
+        }
+    }
+    sum / f64::from(count)
+}
+
+/// Two viewers at ±10° before a display for ±16° of content that is too deep for it: in narrow boxes around them the display shows at least 10 dB more than solved
+/// for the whole zone.
+#[test]
+fn two_viewers_get_what_the_whole_zone_cannot_have() {
+    const UPDATES: u32 = 60;
+    const DISTANCE_MM: f64 = 1500.0;
+    const NARROW_MM: f64 = 20.0;
+    /// Angle of view at which the third of 13 views from either side stands at 10°, degrees.
+    const FOV_DEG: f64 = 31.97;
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let task = Task::quiet(&warnings, &cancel);
+    let plain = Display::uniform([80, 50], 1.0, [13, 1], [FOV_DEG, 1.0], &[-6.0, 6.0], 6);
+    let target = target(&Display { brightness: 0.3, ..plain }, Content::Two, 0.0, 0);
+    let slope = 10f64.to_radians().tan();
+    let mut tracker = Tracker::default();
+    tracker.see(&[-1.0, 1.0].map(|side| [side * slope * DISTANCE_MM, 0.0, DISTANCE_MM]), ms(0)).unwrap();
+    let boxes = tracker.boxes(ms(0), ms(0));
+    let weights = boxes.weights(target.field.geometry(), &Weights::Uniform, NARROW_MM).unwrap();
+    let [zone, tracked] = [Weights::Uniform, weights]
+        .map(|weights| Solver::new(Settings::default()).step(&target, &weights, UPDATES, task).unwrap().stack);
+    let [zone, tracked] = [&zone, &tracked].map(|stack| {
+        let errors = [-1.0, 1.0].map(|side| seen_from(stack, &target, [side * slope, 0.0]));
+        -10.0 * (0.5 * (errors[0] + errors[1])).log10()
+    });
+    println!("at ±10°: {zone:.1} dB of the zone, {tracked:.1} dB tracked");
+    assert!(tracked > zone + 10.0, "{zone} {tracked}");
+}

@@ -1,0 +1,160 @@
+//! Tracked viewers: where their eyes are, where they will be, and what that makes of the rays' weights.
+//!
+//! ```text
+//! eye(t) = eye + velocity · (t − seen + latency)         latency: from the tracker to patterns on the display
+//! w(ray) = s + (1 − s) · (floor + Σ exp(−½ (r/σ)²))       s: share of the whole zone, 0 while viewers are tracked
+//! ```
+
+use std::time::Duration;
+
+use lumistack_display::{EyeBox, FieldGeometry, WeightError, Weights};
+use thiserror::Error;
+
+/// Without a word from a tracker for this long, the zone begins to fade in.
+pub const SILENCE: Duration = Duration::from_secs(1);
+/// Time that fading takes.
+pub const FADE: Duration = Duration::from_secs(1);
+/// Farthest look ahead: constant velocity is a guess that gets worse.
+const MOST_AHEAD: Duration = Duration::from_millis(250);
+/// Time over which velocity is averaged: trackers are noisy.
+const VELOCITY_TIME: Duration = Duration::from_millis(100);
+/// Motion between two sightings that is another viewer, millimetres.
+const JUMP_MM: f64 = 300.0;
+/// Weight of rays far from all viewers while they are tracked.
+pub const FLOOR: f64 = 0.002;
+/// Default σ, millimetres: eyes are some 64 mm apart.
+pub const SIGMA_MM: f64 = 40.0;
+
+/// Heads, and what is known of their motion.
+#[derive(Clone, Debug, Default)]
+pub struct Tracker {
+    heads: Vec<Head>,
+    seen: Option<Duration>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Head {
+    at_mm: [f64; 3],
+    velocity_mm_s: [f64; 3],
+}
+
+/// Where light matters at a moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Boxes {
+    /// Middles between the eyes of all viewers, in display space, millimetres.
+    pub heads_mm: Vec<[f64; 3]>,
+    /// Share of the whole zone, 0..1.
+    pub zone: f64,
+}
+
+/// A position that is none.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("viewer: expected {expected}, found {found}")]
+pub struct HeadError {
+    /// What was needed.
+    pub expected: &'static str,
+    /// What was there.
+    pub found: String,
+}
+
+impl Tracker {
+    /// Takes sightings of all viewers: middles between their eyes in display space, millimetres (right, up, to the viewer). None of them says that
+    /// nobody is there.
+    ///
+    /// # Errors
+    /// If a position is not finite or not in front of the display.
+    pub fn see(&mut self, heads_mm: &[[f64; 3]], now: Duration) -> Result<(), HeadError> {
+        if let Some(found) = heads_mm.iter().find(|at| !(at.iter().all(|v| v.is_finite()) && at[2] > 0.0)) {
+            let expected = "three finite numbers [x, y, z] in millimetres, z > 0 in front of the display";
+            return Err(HeadError { expected, found: format!("{found:?}") });
+        }
+        let passed = self.seen.map_or(Duration::ZERO, |seen| now.saturating_sub(seen));
+        let heads = heads_mm.iter().enumerate().map(|(number, &at_mm)| {
+            let before = self.heads.get(number).filter(|before| passed < SILENCE && near(before.at_mm, at_mm));
+            Head { at_mm, velocity_mm_s: before.map_or([0.0; 3], |before| before.velocity_to(at_mm, passed)) }
+        });
+        self.heads = heads.collect();
+        self.seen = (!self.heads.is_empty()).then_some(now).or(self.seen);
+        Ok(())
+    }
+
+    /// Where viewers will be `latency` after `now`; the whole zone where nobody has been seen for a while.
+    pub fn boxes(&self, now: Duration, latency: Duration) -> Boxes {
+        let Some(seen) = self.seen else { return Boxes { heads_mm: Vec::new(), zone: 1.0 } };
+        let silent = now.saturating_sub(seen);
+        let zone = (silent.saturating_sub(SILENCE).as_secs_f64() / FADE.as_secs_f64()).min(1.0);
+        let ahead = (silent + latency).min(MOST_AHEAD).as_secs_f64();
+        let at = |head: &Head| {
+            let [x, y, z] = [0, 1, 2].map(|i| head.at_mm[i] + ahead * head.velocity_mm_s[i]);
+            // a guess does not walk through the display
+            [x, y, z.max(0.5 * head.at_mm[2])]
+        };
+        if zone == 1.0 || self.heads.is_empty() {
+            return Boxes { heads_mm: Vec::new(), zone: 1.0 };
+        }
+        Boxes { heads_mm: self.heads.iter().map(at).collect(), zone }
+    }
+}
+
+fn near(a: [f64; 3], b: [f64; 3]) -> bool {
+    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt() < JUMP_MM
+}
+
+impl Head {
+    /// Velocity after a sighting, averaged over [`VELOCITY_TIME`].
+    fn velocity_to(&self, at_mm: [f64; 3], passed: Duration) -> [f64; 3] {
+        let passed = passed.as_secs_f64();
+        if passed <= 0.0 {
+            return self.velocity_mm_s;
+        }
+        let share = 1.0 - (-passed / VELOCITY_TIME.as_secs_f64()).exp();
+        [0, 1, 2].map(|i| {
+            let now = (at_mm[i] - self.at_mm[i]) / passed;
+            self.velocity_mm_s[i] + share * (now - self.velocity_mm_s[i])
+        })
+    }
+}
+
+impl Boxes {
+    /// Weights of a light field's rays; `whole` are those of the whole zone.
+    ///
+    /// # Errors
+    /// If the geometry makes no sense.
+    pub fn weights(&self, geometry: &FieldGeometry, whole: &Weights, sigma_mm: f64) -> Result<Weights, WeightError> {
+        if self.zone >= 1.0 {
+            return Ok(whole.clone());
+        }
+        let boxes = self.heads_mm.iter().map(|&eye_mm| EyeBox { eye_mm, sigma_mm, weight: 1.0 - self.zone });
+        let floor = self.zone + (1.0 - self.zone) * FLOOR;
+        Weights::eye_boxes(geometry, &boxes.collect::<Vec<_>>(), floor as f32)
+    }
+
+    /// Whether weights of the other are as good: no viewer is farther off than `tolerance_mm`.
+    pub fn is_like(&self, other: &Self, tolerance_mm: f64) -> bool {
+        let close = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).all(|i| (a[i] - b[i]).abs() <= tolerance_mm);
+        self.zone == other.zone
+            && self.heads_mm.len() == other.heads_mm.len()
+            && self.heads_mm.iter().zip(&other.heads_mm).all(close)
+    }
+}
+
+/// Bytes of an OpenTrack packet.
+const PACKET: usize = 48;
+
+/// The head's position in an OpenTrack packet ("UDP over network"): six little-endian doubles x, y, z in centimetres and yaw, pitch, roll in degrees. `centre_mm` is the
+/// head's place in display space where OpenTrack was centred; x goes to the viewer's right, y up, z away from the display.
+///
+/// # Errors
+/// If the packet has another length or holds a position that is not finite.
+pub fn head_of_packet(packet: &[u8], centre_mm: [f64; 3]) -> Result<[f64; 3], HeadError> {
+    let error = |expected, found: String| Err(HeadError { expected, found });
+    if packet.len() != PACKET {
+        return error("an OpenTrack packet of 48 bytes", format!("{} bytes", packet.len()));
+    }
+    let number = |i: usize| f64::from_le_bytes(std::array::from_fn(|k| packet[8 * i + k]));
+    let at_cm = [number(0), number(1), number(2)];
+    if !at_cm.iter().all(|value| value.is_finite()) {
+        return error("a position of finite numbers in an OpenTrack packet", format!("{at_cm:?}"));
+    }
+    Ok([0, 1, 2].map(|i| centre_mm[i] + 10.0 * at_cm[i]))
+}

@@ -1,0 +1,96 @@
+//! Changes of single keys of a job.
+
+use lumistack_core::config::nearest;
+use serde_json::{Map, Value};
+
+use crate::error::PipelineError;
+use crate::job::Job;
+
+impl Job {
+    /// The job with another value of a key, such as `display.brightness`; `null` is the default. Relative paths are relative to where the program works.
+    ///
+    /// # Errors
+    /// When there is no such key, it takes no such value, or the job makes no sense with it.
+    pub fn with(&self, key: &str, value: Value) -> Result<Self, PipelineError> {
+        let mut all = self.to_json();
+        let found = value.to_string();
+        set(&mut all, key, value)?;
+        let parsed: Self = serde_json::from_value(all).map_err(|error| unfit(key, &error.to_string(), found))?;
+        let job = Self { folder: self.folder.clone(), file: self.file.clone(), ..parsed };
+        job.check()?;
+        job.display.resolve()?;
+        Ok(job)
+    }
+}
+
+/// Sets a key in a tree of tables; tables on the way are made.
+fn set(all: &mut Value, key: &str, value: Value) -> Result<(), PipelineError> {
+    let mut at = all;
+    let mut parts = key.split('.').peekable();
+    while let Some(part) = parts.next() {
+        let is_last = parts.peek().is_none();
+        let Value::Object(table) = at else {
+            return Err(PipelineError::job(
+                key,
+                "a key of a table of the job, such as `display.brightness`",
+                "a value",
+            ));
+        };
+        if is_last {
+            match value {
+                Value::Null => drop(table.shift_remove(part)),
+                value => drop(table.insert(part.into(), value)),
+            }
+            return Ok(());
+        }
+        at = table.entry(part).or_insert_with(|| Value::Object(Map::new()));
+    }
+    Ok(())
+}
+
+/// The parser's words as an error of ours: it names the keys that there are, or the kind of value.
+fn unfit(key: &str, message: &str, found: String) -> PipelineError {
+    let last = key.rsplit('.').next().unwrap_or(key);
+    if let Some((unknown, known)) =
+        message.split_once(", expected ").filter(|(text, _)| text.starts_with("unknown field"))
+    {
+        let names: Vec<&str> = known.split('`').skip(1).step_by(2).collect();
+        let hint =
+            nearest(last, names.iter().copied()).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
+        return PipelineError::job(key, format!("one of the keys {}", names.join(", ")), format!("an {unknown}{hint}"));
+    }
+    let expected = message.rsplit_once(", expected ").map_or(message, |(_, expected)| expected);
+    PipelineError::job(key, expected, found)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::DisplayJob;
+
+    #[test]
+    fn keys_change_one_by_one_and_errors_name_them() {
+        let job = Job {
+            scene: Some("a.glb".into()),
+            folder: "there".into(),
+            ..Job::new(DisplayJob::by_name_or_path("fig7-uniform"))
+        };
+        let changed = job.with("display.brightness", json!(0.3)).unwrap();
+        assert_eq!((changed.display.brightness, changed.folder.clone()), (Some(0.3), "there".into()));
+        assert_eq!(changed.with("display.brightness", Value::Null).unwrap(), job);
+        assert_eq!(job.with("pose.time_s", json!(1.5)).unwrap().pose.time_s, Some(1.5));
+        let message = |key: &str, value: Value| job.with(key, value).unwrap_err().to_string();
+        for (key, value, expected) in [
+            ("display.brightnes", json!(0.3), "display.brightnes: expected one of the keys "),
+            ("display.brightnes", json!(0.3), "did you mean `brightness`?"),
+            ("display.brightness", json!("much"), "display.brightness: expected f64, found \"much\""),
+            ("display.brightness", json!(3.0), "brightness"),
+            ("seed.x", json!(1), "seed.x: expected a key of a table of the job"),
+            ("scene", Value::Null, "scene: expected"),
+        ] {
+            assert!(message(key, value).contains(expected), "{}", message(key, json!(3.0)));
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! The run folder that a live display leaves.
+
+use std::path::{Path, PathBuf};
+
+use lumistack_core::Task;
+use lumistack_live::State;
+use lumistack_plugin_host::Registry;
+use serde_json::Map;
+
+use crate::error::{PipelineError, field_error};
+use crate::job::Job;
+use crate::steps::{ReportOn, write_report_on};
+use crate::store::files::remove_reports;
+use crate::store::folder;
+use crate::store::lock::Owned;
+use crate::store::names::Work;
+use crate::store::settings::{write_display, write_job};
+
+/// A run folder that belongs to a live display until it is dropped.
+pub struct LiveFolder {
+    dir: PathBuf,
+    _owned: Owned,
+}
+
+impl LiveFolder {
+    /// Takes a folder.
+    ///
+    /// # Errors
+    /// When another run works there, it holds what is not ours, or an input lies among what is written.
+    pub fn take(dir: &Path, job: &Job, registry: &Registry, task: Task<'_>) -> Result<Self, PipelineError> {
+        let owned = folder::take(dir, Work::Run, job, registry, task)?;
+        Ok(Self { dir: dir.to_owned(), _owned: owned })
+    }
+
+    /// The folder for what may be made again.
+    pub fn cache(&self) -> PathBuf {
+        self.dir.join("cache")
+    }
+
+    /// Writes job, display, light field, patterns and report of what was shown last. Returns the report's path.
+    ///
+    /// # Errors
+    /// When a file cannot be written, or when cancelled.
+    pub fn leave(&self, job: &Job, state: &State, task: Task<'_>) -> Result<PathBuf, PipelineError> {
+        let (dir, target) = (&self.dir, &state.target);
+        remove_reports(dir)?;
+        // of a run before; patterns here are others
+        for name in ["held-out", "outside", "outputs"] {
+            let path = dir.join(name);
+            if path.is_dir() {
+                std::fs::remove_dir_all(&path).map_err(PipelineError::write(&path))?;
+            }
+        }
+        write_job(job, dir)?;
+        write_display(&dir.join("display.toml"), &target.display)?;
+        lumistack_field_io::write_field(&dir.join("target"), &target.field, &Map::new()).map_err(field_error)?;
+        lumistack_field_io::write_stack(&dir.join("layers"), &target.display, &state.stack).map_err(field_error)?;
+        let on = ReportOn {
+            title: &job.name,
+            display: &target.display,
+            stack: &state.stack,
+            target: &target.field,
+            references: None,
+            weights: &state.weights,
+            // updates went on from patterns of other light fields: there is no curve of convergence
+            solution: None,
+            settings: &job.to_json(),
+        };
+        write_report_on(&on, dir, task)?;
+        Ok(dir.join("report.html"))
+    }
+}

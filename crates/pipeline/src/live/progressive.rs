@@ -1,0 +1,178 @@
+//! Views of a scene that get better pass by pass.
+//!
+//! ```text
+//! pass 1, 2, 3, ...: 1, 1, 2, 4, ... more paths per pixel and view        mean of all paths so far ─▶ light shared between views ─▶ splats before it
+//! ```
+//!
+//! One path per pixel shows at once where things are; light that views share makes of it as many paths as there are views.
+
+use lumistack_core::{Task, Tensor};
+use lumistack_display::LightField;
+use lumistack_pathtracer::denoise::SharedLight;
+use lumistack_pathtracer::{Renderer, SplitView};
+use lumistack_splats::Space;
+
+use crate::error::{PipelineError, render_error};
+use crate::job::{Background, Denoise};
+use crate::stage::fields::{FieldJob, Shot};
+use crate::stage::ingest::renderer::{put_before, slopes};
+
+/// Paths by which it is found out where a background is seen.
+const MISSED_SAMPLES: u32 = 4;
+/// Where a pixel of a [`SplitView`] keeps the surface that it sees: its normal and its depth. Both are 0 where there is none.
+const SURFACE: std::ops::Range<usize> = 9..13;
+
+/// Views under way.
+pub(super) struct Progressive {
+    pub(super) of: FieldJob,
+    shares: bool,
+    views: Vec<View>,
+    pub(super) passes: u32,
+}
+
+/// One view.
+#[derive(Default)]
+struct View {
+    place: [usize; 2],
+    /// Means so far; none before the first pass, nor where no path is traced.
+    split: Option<SplitView>,
+    samples: u32,
+    /// `[row][col][r, g, b, T]`; empty without splats.
+    splats: Vec<f32>,
+    /// Share of every pixel through which a background is seen; empty where there is none.
+    missed: Vec<f32>,
+}
+
+/// Scene-linear views, and which of their rays meet a surface.
+pub(super) struct Radiance {
+    pub(super) field: LightField,
+    /// The brightest channel of each ray, and whether it meets a surface.
+    pub(super) brightest: Vec<(f32, bool)>,
+}
+
+impl Progressive {
+    /// Prepares the target's views of a shot, with all that has no noise: splats, and where a background is seen.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered, or when cancelled.
+    pub(super) fn new(shot: Shot<'_>, task: Task<'_>) -> Result<Self, PipelineError> {
+        let fields = shot.fields(std::path::Path::new(""), false);
+        let of = fields.into_iter().next().ok_or_else(|| PipelineError::job("views", "at least one", "none"))?;
+        let renderer = shot.ingested.renderer(task)?;
+        let mut views: Vec<View> = of.traced.grid.iter().map(|place| View { place, ..View::default() }).collect();
+        let places: Vec<[usize; 2]> = views.iter().map(|view| view.place).collect();
+        renderer.splat_views(shot.window(), &of.traced, &slopes(&of.traced, &places), task, |number, seen| {
+            views[number].splats = seen.light.into_data();
+            Ok(())
+        })?;
+        if shot.job.light.background != Background::Environment {
+            let settings = lumistack_pathtracer::Settings { samples: MISSED_SAMPLES, ..of.settings };
+            for view in &mut views {
+                let missed = renderer.tracer.render_misses(shot.window(), &of.traced, view.place, &settings, task);
+                view.missed = missed.map_err(render_error)?.into_data();
+                view.missed.iter_mut().zip(view.splats.chunks_exact(4)).for_each(|(missed, pixel)| *missed *= pixel[3]);
+            }
+        }
+        Ok(Self { of, shares: shot.job.render.denoise != Denoise::Off, views, passes: 0 })
+    }
+
+    /// Traces another pass over the views; says whether there was one left to trace. Views keep what they have got where it is cancelled.
+    ///
+    /// # Errors
+    /// When rendering fails or is cancelled.
+    pub(super) fn pass(&mut self, shot: Shot<'_>, task: Task<'_>) -> Result<bool, PipelineError> {
+        let most = if shot.ingested.is_traced() { self.of.settings.samples } else { 0 };
+        let is_first = self.passes == 0;
+        if !is_first && self.views.iter().all(|view| view.samples >= most) {
+            return Ok(false);
+        }
+        let renderer = &shot.ingested.renderer(task)?.tracer;
+        for view in &mut self.views {
+            let samples = view.samples.max(1).min(most.saturating_sub(view.samples));
+            if samples > 0 {
+                view.trace(renderer, shot, &self.of, samples, task)?;
+            }
+        }
+        self.passes += 1;
+        Ok(true)
+    }
+
+    /// The views as they are now.
+    ///
+    /// # Errors
+    /// When cancelled.
+    pub(super) fn radiance(&self, shot: Shot<'_>, task: Task<'_>) -> Result<Radiance, PipelineError> {
+        let splits: Option<Vec<&SplitView>> = self.views.iter().map(|view| view.split.as_ref()).collect();
+        let shared = match &splits {
+            Some(splits) if self.shares => {
+                let mut light = SharedLight::new(&self.of.traced);
+                splits.iter().for_each(|split| light.add(split));
+                Some(light.averaged(task)?)
+            }
+            _ => None,
+        };
+        let mut field = LightField::black(self.of.geometry.clone())?;
+        let mut brightest = Vec::new();
+        for (number, view) in self.views.iter().enumerate() {
+            let to = field.view_mut(view.place);
+            if let Some(split) = &view.split {
+                let picture = shared.as_ref().map_or_else(|| split.radiance(), |light| light[number].on(split));
+                to.copy_from_slice(picture.data());
+            }
+            if let (false, Some(space)) = (view.splats.is_empty(), Space::of(&shot.ingested.scene)) {
+                put_before(space, &view.splats, to);
+            }
+            let of_split = view.split.iter().flat_map(|split| split.values().data().chunks_exact(SplitView::VALUES));
+            let surfaces =
+                of_split.map(|pixel| pixel[SURFACE].iter().any(|value| *value != 0.0)).chain(std::iter::repeat(false));
+            brightest.extend(to.chunks_exact(3).map(|rgb| rgb[0].max(rgb[1]).max(rgb[2])).zip(surfaces));
+        }
+        Ok(Radiance { field, brightest })
+    }
+
+    /// Share of every pixel of a view, by its number, through which a background is seen; empty where there is none.
+    pub(super) fn missed(&self, number: usize) -> &[f32] {
+        &self.views[number].missed
+    }
+}
+
+impl View {
+    fn trace(
+        &mut self,
+        renderer: &Renderer,
+        shot: Shot<'_>,
+        of: &FieldJob,
+        samples: u32,
+        task: Task<'_>,
+    ) -> Result<(), PipelineError> {
+        // other paths than those before
+        let settings = lumistack_pathtracer::Settings { samples, ..of.seeded(&[3, u64::from(self.samples)]) };
+        let new =
+            renderer.render_split(shot.window(), &of.traced, self.place, &settings, task).map_err(render_error)?;
+        self.split = Some(match self.split.take() {
+            None => new,
+            Some(before) => mean(before, &new, samples as f32 / (samples + self.samples) as f32),
+        });
+        self.samples += samples;
+        Ok(())
+    }
+}
+
+/// Means of the paths of both; `share` is that of the new ones. Surfaces are those that either sees.
+fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
+    let mut values: Tensor<3> = before.values().clone();
+    let pixels =
+        values.data_mut().chunks_exact_mut(SplitView::VALUES).zip(new.values().data().chunks_exact(SplitView::VALUES));
+    for (old, new) in pixels {
+        let is_there = |pixel: &[f32]| pixel[SURFACE].iter().any(|value| *value != 0.0);
+        let of_surface = match (is_there(old), is_there(new)) {
+            (false, true) => 1.0,
+            (_, false) => 0.0,
+            (true, true) => share,
+        };
+        for (i, (old, new)) in old.iter_mut().zip(new).enumerate() {
+            *old += if SURFACE.contains(&i) { of_surface } else { share } * (new - *old);
+        }
+    }
+    SplitView::from_values(values).unwrap_or(before)
+}

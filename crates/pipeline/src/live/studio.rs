@@ -1,0 +1,258 @@
+//! Light fields of a job that changes: stage after stage, each made anew only where what it reads has changed.
+//!
+//! ```text
+//! ingest ─▶ place ─▶ views, pass by pass ─▶ expose ─▶ Target
+//! read ───────────────────────────────────────────────▶ Target
+//! ```
+//!
+//! The window stays where it is while the scene moves, and so do exposure and tone curve: the first times' are kept until something that they are set by
+//! changes. A display that would show 169 views gets fewer, since each has to be traced before the first is shown.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use lumistack_core::Task;
+use lumistack_display::{Display, FieldGeometry, LightField};
+use lumistack_factorizer::Settings;
+use lumistack_live::Target;
+use lumistack_plugin_host::Registry;
+use lumistack_splats::Space;
+use serde_json::{Value, json};
+
+use super::progressive::Progressive;
+use crate::error::{PipelineError, display_error};
+use crate::job::{Background, Job, ReportJob, SequenceJob};
+use crate::plan::times::Times;
+use crate::stage::expose::expose_over;
+use crate::stage::factorize::solver_settings;
+use crate::stage::fields::Shot;
+use crate::stage::ingest::{self, Ingested};
+use crate::stage::look::Look;
+use crate::stage::place::{self, Placement};
+use crate::stage::{EXPOSE, INGEST, PLACE, TRACE, field, read};
+
+/// Views that are chosen for a display that has a choice, at most.
+const MOST_VIEWS: usize = 49;
+
+/// Makes light fields of a job.
+pub struct Studio {
+    job: Job,
+    display: Arc<Display>,
+    cache: PathBuf,
+    /// What was made, with what it was made from.
+    scene: Option<(Value, Arc<Ingested>)>,
+    placement: Option<(Value, Placement)>,
+    views: Option<(Value, Progressive)>,
+    look: Option<(Value, Look)>,
+    /// Of the light field that was handed out last.
+    shown: Option<Value>,
+    /// Raised when files have changed.
+    edition: u64,
+    content: u64,
+}
+
+impl Studio {
+    /// For a job; `cache` is a folder for what other programs make of its scene.
+    ///
+    /// # Errors
+    /// When the job makes no sense, or asks for more than one display at a time.
+    pub fn new(job: Job, cache: &Path) -> Result<Self, PipelineError> {
+        let display = Arc::new(display_of(&job)?);
+        let (scene, placement, views, look, shown) = (None, None, None, None, None);
+        let cache = cache.to_owned();
+        Ok(Self { job, display, cache, scene, placement, views, look, shown, edition: 0, content: 0 })
+    }
+
+    /// Another job from the next pass on. After an error the one before stays.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn change(&mut self, job: Job) -> Result<(), PipelineError> {
+        self.display = Arc::new(display_of(&job)?);
+        self.job = job;
+        Ok(())
+    }
+
+    /// Reads the files anew at the next pass.
+    pub fn reload(&mut self) {
+        self.edition += 1;
+    }
+
+    /// The job.
+    pub fn job(&self) -> &Job {
+        &self.job
+    }
+
+    /// Settings of a fresh factorization of the job.
+    ///
+    /// # Errors
+    /// When there is no such solver or start.
+    pub fn settings(&self) -> Result<Settings, PipelineError> {
+        solver_settings(&self.job.factorize, self.job.seed)
+    }
+
+    /// Files that the light field is made from.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let named = [&self.job.scene, &self.job.light_field, &self.job.display.file, &self.job.light.environment];
+        let mut files: Vec<PathBuf> = named.into_iter().flatten().cloned().collect();
+        files.extend(self.scene.iter().flat_map(|(_, scene)| scene.files.iter().map(|(path, _)| path.clone())));
+        files.extend(self.job.factorize.weights.clone());
+        files.sort();
+        files.dedup();
+        files
+    }
+
+    /// The next light field: of what has changed, or of the same content with less noise. `None` where there is nothing left to do.
+    ///
+    /// # Errors
+    /// When the scene or the light field cannot be read or rendered, or when cancelled; what was made before is kept.
+    pub fn pass(&mut self, registry: &Registry, task: Task<'_>) -> Result<Option<Target>, PipelineError> {
+        match self.job.light_field.clone() {
+            Some(path) => self.read(&path, task),
+            None => self.render(registry, task),
+        }
+    }
+
+    fn read(&mut self, path: &Path, task: Task<'_>) -> Result<Option<Target>, PipelineError> {
+        let key = json!([
+            path.to_string_lossy(),
+            self.edition,
+            self.display.to_toml(),
+            (crate::stage::READ.reads)(&self.job),
+            self.job.factorize
+        ]);
+        if self.shown.as_ref() == Some(&key) {
+            return Ok(None);
+        }
+        // a change that cannot be read is told once
+        self.shown = Some(key);
+        // views for a score of the zone are for reports
+        let report = ReportJob { zone_directions: 0, ..self.job.report.clone() };
+        let (field, _) = read::run(path, &Job { report, ..self.job.clone() }, &self.display, task)?;
+        let adapted = self.display.adapted_to(field.geometry());
+        let adapted = adapted.map_err(|source| display_error(source, &path.display().to_string()))?;
+        adapted.check().map_err(|source| display_error(source, "light field"))?;
+        self.content += 1;
+        self.target(Arc::new(adapted), field, 1).map(Some)
+    }
+
+    fn render(&mut self, registry: &Registry, task: Task<'_>) -> Result<Option<Target>, PipelineError> {
+        let (job, display) = (&self.job, self.display.clone());
+        let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+        let path = job.scene.clone().unwrap_or_default();
+        let name = path.to_string_lossy();
+        let key_of_scene = json!([name, self.edition, (INGEST.reads)(job)]);
+        let before = self.scene.take_if(|(key, _)| *key != key_of_scene);
+        if self.scene.is_none() {
+            // light of our own that it began without does not come up while it moves
+            let is_motion = |key: &Value| key[0] == key_of_scene[0] && key[1] == key_of_scene[1];
+            let stays_dark = before.as_ref().is_some_and(|(key, scene)| is_motion(key) && !scene.studio);
+            match self.load(&path, stays_dark, registry, task) {
+                Ok(scene) => self.scene = Some((key_of_scene.clone(), Arc::new(scene))),
+                Err(error) => {
+                    self.scene = before;
+                    return Err(error);
+                }
+            }
+        }
+        let Some((_, ingested)) = self.scene.clone() else { return Ok(None) };
+        let cameras = format!("{:?}", ingested.scene.cameras);
+        let key_of_place = json!([name, cameras, (PLACE.reads)(&self.job), format!("{geometry:?}")]);
+        if self.placement.as_ref().is_none_or(|(key, _)| *key != key_of_place) {
+            let placed = place::place(&ingested, &self.job.window, &display, &geometry, None, task)?;
+            self.placement = Some((key_of_place, placed));
+        }
+        let Some((_, placement)) = self.placement else { return Ok(None) };
+        let footprint = display.angular_footprint();
+        let job = self.job.clone();
+        let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry: &geometry, footprint };
+        let key_of_views = json!([key_of_scene, format!("{placement:?} {geometry:?}"), (TRACE.reads)(&job)]);
+        let (of_light, of_patterns) = ((EXPOSE.reads)(&job), json!([display.to_toml(), job.factorize]));
+        let key = json!([key_of_views, of_light, of_patterns]);
+        let is_new = self.shown.as_ref() != Some(&key);
+        if self.views.as_ref().is_none_or(|(key, _)| *key != key_of_views) {
+            self.views = Some((key_of_views, Progressive::new(shot, task)?));
+        }
+        let Some((_, views)) = &mut self.views else { return Ok(None) };
+        // what was traced serves another exposure, and another display of the same rays
+        let traced = if is_new && views.passes > 0 { false } else { views.pass(shot, task)? };
+        if !(traced || is_new) {
+            return Ok(None);
+        }
+        let radiance = views.radiance(shot, task)?;
+        let key_of_look = json!([name, of_light]);
+        let look = match &self.look {
+            Some((key, look)) if *key == key_of_look => *look,
+            _ => {
+                let look = Look::choose(&job.light, &ingested.scene, &radiance.brightest);
+                self.look = Some((key_of_look, look));
+                look
+            }
+        };
+        let mut field = radiance.field;
+        expose(look, &job, shot, views, &mut field);
+        let passes = views.passes;
+        if is_new {
+            self.content += 1;
+            self.shown = Some(key);
+        }
+        self.target(display, field, passes).map(Some)
+    }
+
+    fn load(
+        &self,
+        path: &Path,
+        stays_dark: bool,
+        registry: &Registry,
+        task: Task<'_>,
+    ) -> Result<Ingested, PipelineError> {
+        let mut light = self.job.light.clone();
+        light.automatic &= !stays_dark;
+        ingest::load_scene(path, &self.job.pose, &self.job.importer, registry, &light, Some(&self.cache), task)
+    }
+
+    fn target(&self, display: Arc<Display>, field: LightField, passes: u32) -> Result<Target, PipelineError> {
+        let weights = field::weights(&self.job.factorize, &field)?;
+        Ok(Target { display, field, weights, content: self.content, passes })
+    }
+
+    /// The light fields of a sequence, in the order of their times.
+    ///
+    /// # Errors
+    /// When the folder holds none.
+    pub fn times_of(job: &Job) -> Result<Vec<PathBuf>, PipelineError> {
+        Times::find(job, &SequenceJob::default()).map(Times::into_fields)
+    }
+}
+
+fn expose(look: Look, job: &Job, shot: Shot<'_>, views: &Progressive, field: &mut LightField) {
+    let places: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
+    for (number, place) in places.into_iter().enumerate() {
+        let rgb = field.view_mut(place);
+        if let Background::Colour(background) = job.light.background {
+            expose_over(look, background, Space::of(&shot.ingested.scene), views.missed(number), rgb);
+        } else {
+            look.apply_to(rgb);
+        }
+        lumistack_field_io::round_to_half(rgb);
+    }
+}
+
+/// The display of a job, with few enough views.
+fn display_of(job: &Job) -> Result<Display, PipelineError> {
+    job.check()?;
+    let refused = [
+        ("nodes", "one display, without nodes", !job.nodes.is_empty()),
+        ("sweep", "one display, without a sweep", job.sweep.is_some()),
+        ("sequence", "a job without times: what moves is set while it runs", job.sequence.is_some()),
+        ("source", "a scene or a light field", job.source.is_some()),
+    ];
+    if let Some((key, expected, _)) = refused.into_iter().find(|(.., is_there)| *is_there) {
+        return Err(PipelineError::job(key, expected, format!("`{key}`")));
+    }
+    let display = job.display.resolve()?;
+    let most = job.most_views(&display).min(MOST_VIEWS);
+    let display = display.with_views_chosen(most);
+    let _: FieldGeometry = display.geometry().map_err(|source| display_error(source, "field"))?;
+    Ok(display)
+}
