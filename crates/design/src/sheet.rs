@@ -1,11 +1,12 @@
-//! Pictures of one size in rows and columns, with words beside them: one picture of all. Words are drawn as those of plots are; the pictures' pixels stay what they are, or
-//! become squares of several where they would be too small for their words.
+//! A contact sheet: pictures of one size in rows and columns, with text. Text uses the font of the
+//! plots. Pixels of the pictures stay unchanged; small pictures are enlarged by a whole factor to
+//! fit their captions.
 
 use std::fmt::Write as _;
 
 use lumistack_plot::{self as plot, FAMILY, PlotError};
 
-/// A picture and what is said under it.
+/// A picture and its caption.
 #[derive(Clone, Debug, Default)]
 pub struct Cell {
     /// Under the picture; empty for nothing.
@@ -19,24 +20,24 @@ pub struct Cell {
 pub struct Sheet {
     /// [columns, rows] of pixels of every picture.
     pub size: [usize; 2],
-    /// Lines of words over every column, the first larger.
+    /// Lines of text above every column, the first one larger.
     pub columns: Vec<Vec<String>>,
-    /// Words beside a row, and its pictures.
+    /// Text beside a row, and its pictures.
     pub rows: Vec<(String, Vec<Cell>)>,
 }
 
-/// Least width of a picture on the sheet, pixels.
+/// Smallest width of a picture on the sheet, pixels.
 const LEAST_WIDTH: usize = 200;
 const SPACE: usize = 8;
 const LINE: usize = 17;
-/// Room for the words beside rows.
+/// Width of the text beside rows.
 const SIDE: usize = 30;
 
 impl Sheet {
-    /// Draws it: [width, height] and the codes `[row][col][rgb]`.
+    /// Draws the sheet: [width, height] and the codes `[row][col][rgb]`.
     ///
     /// # Errors
-    /// If a picture has not as many pixels as it should have, or the whole is too large.
+    /// If the number of a picture's pixels is wrong, or the sheet is too large.
     pub fn drawn(&self) -> Result<([usize; 2], Vec<u8>), PlotError> {
         let [cols, rows] = self.size;
         if let Some(cell) = self.rows.iter().flat_map(|row| &row.1).find(|cell| cell.rgb.len() != 3 * cols * rows) {
@@ -103,7 +104,7 @@ mod tests {
         };
         let ([width, height], rgb) = sheet.drawn().unwrap();
         assert_eq!(rgb.len(), 3 * width * height);
-        // every picture is twice as large
+        // every picture is enlarged by two
         for value in [10u8, 20, 30] {
             assert_eq!(rgb.chunks_exact(3).filter(|p| **p == [value; 3]).count(), 200 * 80, "{value}");
         }
