@@ -1,5 +1,7 @@
-//! Layer stacks: `stack.json`, `layer_L.npy` (`float32`, `[frame][row][col][rgb]`, layer 0 rearmost) and, for a directional backlight,
-//! `emission.npy` (`[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`). All values are linear, 0..1. The index is written last.
+//! Layer stacks: `stack.json`, `layer_L.npy` (`float32`, `[frame][row][col][rgb]`, layer 0
+//! rearmost) and, for a directional backlight, `emission.npy`
+//! (`[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`). All values are linear, 0..1. The index
+//! is written last.
 
 use std::path::Path;
 
@@ -15,7 +17,7 @@ const INDEX: &str = "stack.json";
 const EMISSION: &str = "emission.npy";
 const SCHEMA: &str = "lumistack/stack";
 const VERSION: u32 = 1;
-/// Most layers and frames of one stack; more means that the index is damaged.
+/// Limit of layers and frames of one stack; a larger number means a damaged index.
 const COUNT_LIMIT: usize = 1000;
 
 /// `stack.json`.
@@ -31,7 +33,7 @@ pub struct StackIndex {
     pub layer_axes: Vec<String>,
     /// Axes of the backlight's array.
     pub emission_axes: Vec<String>,
-    /// Values are amounts of light, not code values.
+    /// Values are linear light, not code values.
     pub linear: bool,
     /// Frames M of one period; the display emits the mean of its frames.
     pub frames: usize,
@@ -49,13 +51,13 @@ pub struct StackIndex {
 pub struct LayerEntry {
     /// Array beside the index.
     pub file: String,
-    /// Signed distance from z = 0.
+    /// Signed distance from z = 0, millimetres.
     pub d_mm: f64,
     /// [columns, rows].
     pub resolution: [usize; 2],
-    /// Pixel pitch.
+    /// Pixel pitch, millimetres.
     pub pitch_mm: f64,
-    /// [x, y] of the centre.
+    /// [x, y] of the centre, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
 }
@@ -65,25 +67,25 @@ pub struct LayerEntry {
 pub struct BacklightEntry {
     /// Array beside the index.
     pub file: String,
-    /// Signed distance of the lenslets from z = 0.
+    /// Signed distance of the lenslets from z = 0, millimetres.
     pub d_mm: f64,
     /// [columns, rows] of lenslets.
     pub lenslets: [usize; 2],
-    /// Lenslet pitch.
+    /// Lenslet pitch, millimetres.
     pub pitch_mm: f64,
-    /// [horizontal, vertical] full angle of the bins.
+    /// [horizontal, vertical] full angle of the bins, degrees.
     pub fov_deg: [f64; 2],
     /// [horizontal, vertical] angular bins.
     pub views: [usize; 2],
-    /// [x, y] of the grid's centre.
+    /// [x, y] of the grid's centre, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
 }
 
-/// Writes a stack into a folder, which is made where it is missing.
+/// Writes a stack into a folder, which is created if missing.
 ///
 /// # Errors
-/// If the stack does not fit the display, or the files cannot be written.
+/// If the stack does not match the display, or the files cannot be written.
 pub fn write_stack(folder: &Path, display: &Display, stack: &LayerStack) -> Result<(), FieldError> {
     stack.check(display).map_err(|source| FieldError::Stack { path: folder.to_path_buf(), source })?;
     let index = index_of(display, stack);
@@ -128,7 +130,7 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     for file in files {
         let plain = Path::new(file).file_name().is_some_and(|name| name.to_str() == Some(file));
         check(plain, "file", "a name inside the folder", file.clone())?;
-        // a link may still lead out; a file that is missing is an error when it is read
+        // a link may lead outside; a missing file is an error when it is read
         if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(file) {
             check(false, "file", "a name inside the folder", format!("{file}: {refusal}"))?;
         }
@@ -139,7 +141,8 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
 /// Reads a stack.
 ///
 /// # Errors
-/// If a file is missing, damaged or of another shape than the index says, or a value is not in 0..1.
+/// If a file is missing, damaged or of another shape than the index declares, or a value is not in
+/// 0..1.
 pub fn read_stack(folder: &Path) -> Result<LayerStack, FieldError> {
     let index = read_stack_index(folder)?;
     let mut layers = Vec::new();
