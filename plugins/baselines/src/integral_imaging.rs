@@ -1,13 +1,15 @@
-//! Node plugin `integral_imaging`: the lens array alone (Lippmann 1908), the baseline of displays with a directional backlight.
+//! Node plugin `integral_imaging`: the lens array alone (Lippmann 1908), the baseline of displays
+//! with a directional backlight.
 //!
-//! The layers stay open. What a lenslet emits into one of its bins is the mean of the target over the rays that read it,
+//! All layers are clear. The emission of a lenslet into a bin is the mean of the target over the
+//! rays through both,
 //!
 //! ```text
 //! b[bin, lenslet] = mean of L(r) over the rays r of that lenslet and bin
 //! ```
 //!
-//! which is the best that it can show (least squares). Every frame is the same: there is nothing to gain from more. All the light is used, β = Π peak of
-//! the layers, and every lenslet is one pixel of the picture.
+//! which is the least-squares optimum. All frames are equal, since more frames add nothing. The
+//! light is used fully, β = Π peak of the layers, and each lenslet is one pixel of the picture.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};

@@ -1,7 +1,8 @@
-//! One sheet with the patterns of all layers and frames, for engines that load a single texture.
+//! One sheet with the masks of all layers and frames, for engines that load a single texture.
 //!
-//! Tiles stand side by side without a gap: one row of tiles per frame, in it the layers from rear (left) to front. `atlas.json` says where each is.
-//! The sheet is written row by row, so memory does not grow with the number of frames.
+//! Tiles are adjacent without gaps: one row of tiles per frame, with the layers from rear (left) to
+//! front. `atlas.json` lists their positions. The sheet is written row by row, so memory does not
+//! grow with the number of frames.
 
 use std::io::{BufWriter, Write};
 
@@ -24,7 +25,7 @@ struct Index<'a> {
     tiles: Vec<Tile>,
 }
 
-/// One pattern: columns x..x + width and rows y..y + height of the sheet, from its top left corner.
+/// One mask: columns x..x + width and rows y..y + height of the sheet, from its top left corner.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Tile {
@@ -36,8 +37,9 @@ struct Tile {
     height: usize,
 }
 
-/// Writes the sheet and its index; returns [columns, rows]. `transfer` is how all patterns' codes stand for light, if
-/// they do so alike; `samples(layer, frame)` = 8-bit samples `[row][col][rgb]` of a pattern.
+/// Writes the sheet and its index; returns [columns, rows]. `transfer` is the common transfer
+/// function of all masks, if there is one. `samples(layer, frame)` returns a mask's 8-bit samples
+/// `[row][col][rgb]`.
 pub(crate) fn write(
     host: &Host,
     folder: &str,
