@@ -174,6 +174,7 @@ impl Analysis {
             Backlight::Lenslets(backlight) => Some(backlight.d_mm),
             Backlight::Uniform => None,
         };
+        // Sample depths up to the reach: that requested, or the extent of layers, scene and field.
         let parts = || layers_mm.iter().copied().chain(backlight_mm);
         let (rear, front) = parts().fold((f64::MAX, f64::MIN), |(a, b), d| (a.min(d), b.max(d)));
         let of_scene = scene.iter().flat_map(|scene| &scene.percentiles).map(|p| 1.2 * p[0].abs());
@@ -186,6 +187,7 @@ impl Analysis {
         depths.sort_by(f64::total_cmp);
         depths.dedup();
         let axes = [0, 1].map(|axis| AxisAnalysis::of(display, axis, &depths));
+        // Compare the scene's depths with the bound and the depth of field.
         let scene = scene.map(|mut scene| {
             for p in &mut scene.percentiles {
                 p[1] = display.spatial_cutoff(p[0]) / axes[0].own_cutoff;

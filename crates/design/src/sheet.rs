@@ -43,6 +43,7 @@ impl Sheet {
         if let Some(cell) = self.rows.iter().flat_map(|row| &row.1).find(|cell| cell.rgb.len() != 3 * cols * rows) {
             return Err(PlotError::new(format!("{} values in a picture of {cols} × {rows} pixels", cell.rgb.len())));
         }
+        // Lay out cells, enlarged by a whole factor, with room for headings and captions.
         let larger = LEAST_WIDTH.div_ceil(cols.max(1)).max(1);
         let [wide, high] = [larger * cols, larger * rows];
         let heads = self.columns.iter().map(Vec::len).max().unwrap_or(0);
@@ -50,6 +51,7 @@ impl Sheet {
         let left = |col: usize| SIDE + col * (wide + SPACE);
         let top = |row: usize| SPACE + heads * LINE + row * (high + LINE + SPACE);
         let size = [left(across), top(self.rows.len())];
+        // Draw all text as SVG, rasterize it, then copy the pictures over it.
         let mut svg = format!(
             "<svg width=\"{0}\" height=\"{1}\" viewBox=\"0 0 {0} {1}\" xmlns=\"http://www.w3.org/2000/svg\" font-family=\"{FAMILY}\">\n\
              <rect width=\"{0}\" height=\"{1}\" fill=\"white\"/>\n",

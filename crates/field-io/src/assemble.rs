@@ -80,6 +80,7 @@ pub(crate) fn assemble(
     let shape = LightField::shape_of(&geometry);
     let count = Tensor::element_count(shape)
         .ok_or_else(|| FieldError::malformed(&path, "size", "an array that fits in memory", format!("{shape:?}")))?;
+    // Reserve memory for the result, and read views one at a time.
     let mut data = reserved(&path, count)?;
     let length = count / (shape[0] * shape[1]);
     let mut range = Range::default();
@@ -107,6 +108,7 @@ pub(crate) fn assemble(
         }
         task.progress.advance(1, "");
     }
+    // Read the views between the kept ones in the same geometry.
     let mut left_out = Vec::with_capacity(others.len());
     for (view, grid) in others {
         task.cancel.check()?;

@@ -143,6 +143,7 @@ fn parse_name(stem: &str) -> Option<CameraName> {
 }
 
 fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, FieldError> {
+    // Index pictures by row and column; each must be unique.
     let mut by_index = BTreeMap::<(u32, u32), (CameraName, PathBuf)>::new();
     for (name, file) in cameras {
         if let Some((_, other)) = by_index.get(&(name.row, name.col)) {
@@ -159,6 +160,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     };
     let mut rows = distinct(|key| key.0);
     let mut cols = distinct(|key| key.1);
+    // The grid must be complete.
     for &row in &rows {
         for &col in &cols {
             if !by_index.contains_key(&(row, col)) {
@@ -172,6 +174,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
             }
         }
     }
+    // Order rows and columns by the cameras' centres, if names contain them.
     let centres = Centres::new(&by_index, &rows, &cols);
     if let Some(centres) = &centres {
         let x = |col: &u32| centres.x[cols.binary_search(col).unwrap_or(0)];
@@ -181,6 +184,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
         sorted_rows.sort_by(|a, b| y(a).total_cmp(&y(b)));
         (cols, rows) = (sorted_cols, sorted_rows);
     }
+    // Build the reader and the cameras in that order.
     let in_order = || rows.iter().flat_map(|row| cols.iter().map(|col| &by_index[&(*row, *col)]));
     let lens = in_order().next().and_then(|(name, _)| name.lens);
     let views = [rows.len(), cols.len()];

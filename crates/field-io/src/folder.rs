@@ -256,12 +256,14 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
     if geometry.linear == Some(false) {
         return Err(FieldError::malformed(&path, "linear", "true", "false"));
     }
+    // Partial folders are no light fields.
     if listing.partial {
         let count = |slopes: &Option<Vec<f64>>| slopes.as_ref().map_or(0, Vec::len);
         let all = count(&geometry.slope_y) * count(&geometry.slope_x);
         let expected = "all views of a light field, or whole rows and columns (`lumistack render` without --only-views renders the rest)";
         return Err(FieldError::malformed(&path, "views", expected, format!("{} of {all}", listing.views.len())));
     }
+    // Required keys and plausible counts, before files are opened.
     let missing = |key: &str| FieldError::malformed(&path, key, "a value", "none");
     let slope_x = geometry.slope_x.clone().ok_or_else(|| missing("slope_x"))?;
     let slope_y = geometry.slope_y.clone().ok_or_else(|| missing("slope_y"))?;
@@ -281,6 +283,7 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
         ));
     }
     let distance_mm = geometry.distance_mm;
+    // Check listed files against the slopes, and their size against the index.
     let files = listed_files(folder, &path, &listing.views, &slope_x, &slope_y, distance_mm)?;
     let reader = PictureGrid::new(files, views)?;
     let size = reader.size();

@@ -172,6 +172,7 @@ pub(crate) fn resolve(
     let pitch_mm = pitch(path, flags, defaults, hints, pixels, task)?;
     let own_slopes = physical_slopes(hints, picks, pixels);
     let (slopes, physical) = slopes(path, flags, defaults, hints, picks, own_slopes, task)?;
+    // Select the projection: flag, file, then perspective for known cameras or distances.
     let kind = flags.grid.or(hints.projection).unwrap_or(match flags.distance_mm {
         None if !physical => ProjectionKind::Oblique,
         _ => ProjectionKind::Perspective,
@@ -188,6 +189,7 @@ pub(crate) fn resolve(
             format!("its own viewing distance of {own_mm} mm is replaced by {given_mm} mm (--distance-mm)"),
         );
     }
+    // A perspective grid needs a viewing distance: flag, file, or the lens.
     let projection = match kind {
         ProjectionKind::Oblique => {
             if flags.distance_mm.is_some() {
@@ -257,6 +259,7 @@ fn slopes(
 ) -> Result<([Vec<f64>; 2], bool), FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
     let spread = |fov_deg: [f64; 2]| spread(path, fov_deg, hints, picks);
+    // First choice: the angles of the flags. Warn if they differ from the files' angles.
     if let Some(fov_deg) = flags.fov_deg {
         let slopes = spread(fov_deg)?;
         let of_file = |axis: usize| {
@@ -277,6 +280,7 @@ fn slopes(
         }
         return Ok((slopes, false));
     }
+    // Second choice: slopes in the files, then full angles in the files.
     let explicit = [0, 1].map(|axis| {
         let all = hints.slopes[axis].as_ref()?;
         Some(picks[1 - axis].iter().map(|&view| all[view]).collect::<Vec<f64>>())
@@ -295,6 +299,7 @@ fn slopes(
     if counts == [1, 1] {
         return Ok((filled([vec![0.0], vec![0.0]]), false));
     }
+    // Third choice: the default angles, with a warning; last the cameras' own slopes.
     if let Some(fov_deg) = defaults.fov_deg {
         let [x, y] = fov_deg;
         let mut message = format!("its views are spread over {x}° × {y}° (--fov sets the angles)");

@@ -168,6 +168,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
     if rows == 0 || cols == 0 {
         return Err(PlotError::new("a map without cells"));
     }
+    // Size the cells so that the map stays within about 560 × 300 units.
     let cell = [(560 / cols as i32).clamp(34, 84), (300 / rows as i32).clamp(24, 46)];
     let [left, top, below] = [74, 44, 58];
     let size = ((left + cell[0] * cols as i32 + 26).max(420) as u32, (top + cell[1] * rows as i32 + below) as u32);
@@ -183,6 +184,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
         };
         write(map.title.clone(), left, 16, 15, HPos::Left, BLACK)?;
         write(map.value_label.clone(), left, 33, 12, HPos::Left, RGBColor(90, 90, 90))?;
+        // Draw cells row by row, from the bottom up, each with its number.
         for (row, (name, values)) in map.rows.iter().zip(&map.values).enumerate() {
             let y = top + cell[1] * (rows - 1 - row) as i32;
             write(name.clone(), left - 8, y + cell[1] / 2, 13, HPos::Right, BLACK)?;
@@ -204,6 +206,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
                 write(number, x + cell[0] / 2 - 1, y + cell[1] / 2 - 1, 12, HPos::Center, ink)?;
             }
         }
+        // Label the axes.
         let under = top + cell[1] * rows as i32;
         for (col, name) in map.columns.iter().enumerate() {
             let x = left + cell[0] * col as i32 + cell[0] / 2 - 1;
@@ -240,6 +243,7 @@ fn framed(
 ) -> Result<String, PlotError> {
     let mut svg = String::new();
     let draw = |svg: &mut String| -> Drawn {
+        // Split the area into plot and legend, at the enlarged scale.
         let root = SVGBackend::with_string(svg, (FINE * SIZE.0, FINE * SIZE.1)).into_drawing_area();
         root.fill(&WHITE)?;
         let (plot, side) = root.split_horizontally(FINE * (SIZE.0 - if legend.is_empty() { 16 } else { LEGEND }));
@@ -274,6 +278,7 @@ fn framed(
             .draw()?;
         content(&mut chart)?;
         drop(chart);
+        // Draw title and legend over the finished chart.
         root.draw(&Text::new(axes.title.clone(), (fine(14), fine(10)), text(15)))?;
         let mut at = 36;
         for entry in legend {
@@ -301,6 +306,7 @@ fn framed(
         Ok(())
     };
     draw(&mut svg).map_err(PlotError::new)?;
+    // Restore the nominal size; the view box keeps the enlarged coordinates.
     let [width, height] = [SIZE.0, SIZE.1].map(|side| (FINE * side, side));
     let svg = svg.replacen(
         &format!("width=\"{}\" height=\"{}\"", width.0, height.0),

@@ -96,6 +96,7 @@ fn maker_conformance<T: PartialEq>(
 ) -> Result<(), Broken> {
     let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
     let mut served = Vec::new();
+    // Each display is supported or refused with a reason; at least one is supported.
     for display in displays() {
         let host = MemoryHost::new();
         match make(plugin, &host, &defaults, &display) {
@@ -111,6 +112,7 @@ fn maker_conformance<T: PartialEq>(
         require("writes no files", written.is_empty(), || format!("{:?}", written.keys()))?;
     }
     require("serves some display", !served.is_empty(), || "it refuses every one".into())?;
+    // On supported displays: reproducibility, cancellation, and all parameter ranges.
     for (display, made) in &served {
         let again = rule("works twice", make(plugin, &MemoryHost::new(), &defaults, display))?;
         require("makes the same again", again == *made, || format!("{} layers", display.layers.len()))?;

@@ -197,9 +197,11 @@ unsafe extern "C" fn make_stack<P: NodePlugin>(
             other => return Err(PluginError::unexpected(&other)),
         };
         let input = NodeInput { host: host.get(), display, time, field, sink };
+        // Run the node and check its stack before anything is sent.
         let made = P::make(params, &input)?;
         made.check(&input.display)
             .map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
+        // Send brightness, layers and emission, plane by plane.
         // SAFETY: the sink's own context; planes are lent for the call.
         call(|error| unsafe { (sink.brightness)(sink.context, made.brightness, error) })?;
         for (n, layer) in made.layers.iter().enumerate() {

@@ -66,6 +66,7 @@ impl DepthBudget {
             z_mm.iter().filter(|z| which(f64::from(**z))).count() as f64 / z_mm.len() as f64
         };
         let inside = |z: f64| depth_of_field_mm.is_some_and(|[low, high]| (low..=high).contains(&z));
+        // Collect hits, and disparities at the widest view spacing.
         let (mut all, middle) = (seen(z_mm), seen(middle));
         let step = geometry.grid.bin_width().into_iter().fold(0.0, f64::max);
         let moves = |z: f64| geometry.disparity_px(z, step).abs();
@@ -73,6 +74,7 @@ impl DepthBudget {
         let at = |values: &mut [f32], share: f64| {
             if values.is_empty() { f64::NAN } else { f64::from(percentile(values, share)) }
         };
+        // Histogram ranges: without outliers, and including layers and depth of field.
         let (stray_low, stray_high) = (at(&mut all, STRAY), at(&mut all, 1.0 - STRAY));
         let layers_mm: Vec<f64> = display.layers.iter().map(|layer| layer.d_mm).collect();
         let shown = layers_mm.iter().copied().chain(depth_of_field_mm.into_iter().flatten());
@@ -83,6 +85,7 @@ impl DepthBudget {
         };
         let (low, high) = ends(stray_low.min(f64::MAX), stray_high.max(f64::MIN));
         let most = at(&mut moved, 1.0 - STRAY).max(1.2);
+        // Sample the bound over the histogram's range, relative to the pixels' own cutoff.
         let own = 0.5 / geometry.pitch_mm;
         let z_at = |i: usize| low + (high - low) * i as f64 / (CURVE_POINTS - 1) as f64;
         let bound = (0..CURVE_POINTS).map(z_at).map(|z| (z, display.spatial_cutoff(z) / own));

@@ -48,6 +48,7 @@ impl NodePlugin for DirectionalSequence {
                 "{frames} frames for {directions} directions: several directions share a frame and its picture"
             ));
         }
+        // Light each direction in its frame, and open all layers.
         let frame_of = |bin_y: usize, bin_x: usize| (bin_y * bins_x + bin_x) * frames / directions;
         let geometry = field.geometry();
         let map = RayMap::new(display, geometry);
@@ -71,6 +72,7 @@ impl NodePlugin for DirectionalSequence {
             }
         }
 
+        // Average the target over the rays through each pixel of the showing layer, per frame.
         let layer = &map.layers[shown];
         let shape = [frames, layer.rows, layer.cols, 3];
         let count = Tensor::<4>::element_count(shape)

@@ -42,6 +42,7 @@ impl NodePlugin for IntegralImaging {
         let (Some(backlight), Some(shape)) = (&map.backlight, LayerStack::emission_shape(display)) else {
             return Err(PluginError::display(display, "a directional backlight", "none"));
         };
+        // Open all layers; the light is used fully.
         let [dark, bright] = lenslets.range();
         let mut stack = LayerStack::filled(display, dark);
         for (values, layer) in stack.layers.iter_mut().zip(&display.layers) {
@@ -49,6 +50,7 @@ impl NodePlugin for IntegralImaging {
         }
         stack.brightness = display.layers.iter().map(|layer| layer.peak).product();
 
+        // Average the target over the rays of each lenslet and bin.
         let [frames, bins_y, bins_x, rows, cols, _] = shape;
         let count = Tensor::<5>::element_count([bins_y, bins_x, rows, cols, 3])
             .ok_or_else(|| PluginError::Refused(format!("a backlight of shape {shape:?} is too large")))?;
@@ -71,6 +73,7 @@ impl NodePlugin for IntegralImaging {
             }
             stage.advance(1, "");
         }
+        // All frames show the same emission.
         if let Some(emission) = &mut stack.emission {
             for frame in 0..frames {
                 for (values, (sum, &rays)) in emission

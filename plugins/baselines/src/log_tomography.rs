@@ -66,6 +66,7 @@ impl NodePlugin for LogTomography {
                 }));
             }
         }
+        // Projected gradient steps with Nesterov's extrapolation.
         let stage = host.stage("log tomography", u64::from(params.iterations), "steps");
         let (mut momentum, mut before) = (1.0f32, volume.values.clone());
         let mut at = volume.values.clone();
@@ -84,6 +85,7 @@ impl NodePlugin for LogTomography {
             momentum = next;
             stage.advance(1, "");
         }
+        // Convert x = −log f to masks; all frames are equal.
         let mut stack = LayerStack::filled(display, 0.0);
         for (n, layer) in display.layers.iter().enumerate() {
             let [darkest, brightest] = layer.range();

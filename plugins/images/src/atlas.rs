@@ -47,6 +47,7 @@ pub(crate) fn write(
     transfer: Option<&Transfer>,
     mut samples: impl FnMut(usize, usize) -> Result<Vec<u8>, PluginError>,
 ) -> Result<[usize; 2], PluginError> {
+    // Compute the positions of all tiles: a band per frame, layers side by side.
     let sizes: Vec<[usize; 2]> = (0..stack.layer_count()).filter_map(|layer| stack.layer_size(layer)).collect();
     let width: usize = sizes.iter().map(|size| size[1]).sum();
     let band = sizes.iter().map(|size| size[0]).max().unwrap_or(0);
@@ -66,6 +67,7 @@ pub(crate) fn write(
     let index =
         Index { schema: "lumistack/atlas", version: 1, file: "atlas.png", width, height, tiles: tiles.collect() };
     let side = |n: usize| u32::try_from(n).map_err(|error| PluginError::failed("atlas", error));
+    // Stream the sheet row by row, with one frame's masks in memory.
     let mut file = host.create(&format!("{folder}atlas.png"))?;
     let mut writer = BufWriter::new(&mut file);
     let mut encoder = png::Encoder::new(&mut writer, side(width)?, side(height)?);
@@ -76,21 +78,21 @@ pub(crate) fn write(
     encoder.set_compression(png::Compression::Fast);
     let mut encoder = encoder.write_header().map_err(png_error)?;
     let mut rows = encoder.stream_writer().map_err(png_error)?;
-    let stage = host.stage("atlas", (stack.frames() * sizes.len()) as u64, "patterns");
+    let stage = host.stage("atlas", (stack.frames() * sizes.len()) as u64, "masks");
     let mut line = vec![0; 3 * width];
     for frame in 0..stack.frames() {
-        let mut patterns = Vec::new();
+        let mut masks = Vec::new();
         for layer in 0..sizes.len() {
             host.check_cancelled()?;
-            patterns.push(samples(layer, frame)?);
+            masks.push(samples(layer, frame)?);
             stage.advance(1, "");
         }
         for row in 0..band {
             line.fill(0);
             let mut x = 0;
-            for (pattern, &[layer_rows, cols]) in patterns.iter().zip(&sizes) {
+            for (mask, &[layer_rows, cols]) in masks.iter().zip(&sizes) {
                 if row < layer_rows {
-                    line[3 * x..3 * (x + cols)].copy_from_slice(&pattern[3 * row * cols..3 * (row + 1) * cols]);
+                    line[3 * x..3 * (x + cols)].copy_from_slice(&mask[3 * row * cols..3 * (row + 1) * cols]);
                 }
                 x += cols;
             }
@@ -102,6 +104,7 @@ pub(crate) fn write(
     let flushed = writer.into_inner().map(drop).map_err(|error| error.into_error());
     flushed.map_err(|error| PluginError::from_io("atlas", error))?;
     file.commit()?;
+    // Write the index after the sheet is complete.
     let text = serde_json::to_string_pretty(&index).expect("an index holds nothing that JSON cannot");
     host.write(&format!("{folder}atlas.json"), format!("{text}\n").as_bytes())?;
     Ok([width, height])

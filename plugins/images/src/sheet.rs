@@ -84,6 +84,7 @@ pub(crate) fn view<'a>(source: &'a ViewSource<'_>, view: [usize; 2]) -> Cell<'a>
 
 /// Writes the sheet; returns [columns, rows]. `bands` are rows of cells.
 pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>>]) -> Result<[usize; 2], PluginError> {
+    // Lay out cells, captions and bands.
     let cells = || bands.iter().flatten();
     let cell = cells().map(|cell| cell.shown()[1]).max().unwrap_or(0).max(CELL[0]);
     let across = bands.iter().map(Vec::len).max().unwrap_or(1).max(2);
@@ -102,6 +103,7 @@ pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>
     let top = GAP + head.len() * LINE + GAP;
     let height = top + heights.iter().map(|[_, all]| all).sum::<usize>();
 
+    // Stream the sheet band by band.
     let side = |n: usize| u32::try_from(n).map_err(|error| PluginError::failed("sheet", error));
     let mut file = host.create(path)?;
     let mut writer = BufWriter::new(&mut file);

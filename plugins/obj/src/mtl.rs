@@ -52,6 +52,7 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<Look
         let line = line.trim();
         let (key, rest) = line.split_once(|c: char| c.is_whitespace()).unwrap_or((line, ""));
         let rest = rest.trim();
+        // Keys apply to the last `newmtl`; keys before the first are ignored.
         if key == "newmtl" {
             looks.push(Look { name: rest.to_owned(), ..Look::default() });
             continue;

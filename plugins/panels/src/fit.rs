@@ -37,12 +37,14 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
             (_, Backlight::Lenslets(backlight)) => ("backlight".into(), backlight.panel_resolution),
             _ => continue,
         };
+        // The declared resolution must be that of the output.
         if let Some(declared) = declared.filter(|declared| declared != size) {
             found.push(format!(
                 "{key}.panel_resolution: expected the {} × {} pixels of output {name}, found {} × {}: check that it is the right output, at its panel's native resolution",
                 size[0], size[1], declared[0], declared[1]
             ));
         }
+        // The mask should neither exceed the panel nor cover less than half of it.
         let (covers, there) = cover(display, *shows, *size);
         let text = format!(
             "{shows} covers {:.0} × {:.0} pixels, and output {name} has {} × {}",
@@ -61,6 +63,7 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
             found.push(format!("{text} (check panel_pitch_mm, the size of a panel's pixels; --fit fills the panels)"));
         }
     }
+    // All outputs should have the same refresh rate, within 1 %.
     let rates = assigned.iter().filter_map(|(_, output)| Some((output.refresh_hz?, &output.name)));
     let slowest = rates.clone().min_by(|a, b| a.0.total_cmp(&b.0));
     let fastest = rates.max_by(|a, b| a.0.total_cmp(&b.0));

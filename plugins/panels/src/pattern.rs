@@ -192,6 +192,7 @@ impl Pattern {
         let label = Label::new(&picture.shows().to_string(), [cols, rows]);
         let layer = if let Shows::Layer(layer) = picture.shows() { layer } else { 0 };
         let crosses = Crosses::new(display, layer, place.pitch_mm, eye_mm);
+        // Compute the code of every output pixel by its position in the upright picture.
         let code = |at: [f64; 2]| -> [u8; 3] {
             let [u, v] = place.upright(at);
             match self {

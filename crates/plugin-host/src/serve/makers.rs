@@ -119,6 +119,7 @@ pub fn make_stack<S: Services>(
     let display = node.display;
     let display_json = display_json(display)?;
     let lent = Lent::for_node(node)?;
+    // The sink collects planes in a builder, which records the planes received.
     let stack = LayerStack::filled(display, 0.0);
     let frames = stack.frames();
     let bins = stack.emission.as_ref().map_or([0, 0], |emission| [emission.shape()[1], emission.shape()[2]]);
@@ -141,6 +142,7 @@ pub fn make_stack<S: Services>(
     call(|error| unsafe {
         functions.make_stack(&host, Str::new(params_json), Str::new(&display_json), &time, &data, &sink, error)
     })?;
+    // All planes must have arrived, and the stack must match the display.
     let Stack { made, given_layers, given_bins, .. } = builder.into_inner();
     all_given(&given_layers, |i| format!("layer {}, frame {}", i / frames, i % frames))?;
     all_given(&given_bins, |i| {

@@ -101,6 +101,7 @@ impl Plugin {
         }
         // SAFETY: version and size come first in every version of the struct.
         let (major, minor, size) = unsafe { ((*descriptor).abi_major, (*descriptor).abi_minor, (*descriptor).size) };
+        // Refuse other major versions, and structs shorter than this version's.
         if major != ABI_MAJOR {
             let remedy =
                 if major > ABI_MAJOR { "it needs a newer version of this program" } else { "it must be rebuilt" };
@@ -118,6 +119,7 @@ impl Plugin {
         let descriptor = unsafe { &*descriptor };
         // SAFETY: the texts live as long as the process.
         let text = |text: Str, what: &str| unsafe { lent_text(text, what) };
+        // Parse and check id, parameters, functions, ports and extensions.
         let id = text(descriptor.id, "id")?.to_string();
         if !is_plugin_id(&id) {
             return Err(PluginError::Refused(format!("`{id}` cannot be a plugin's id")));

@@ -56,6 +56,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         return Ok(Vec::new());
     }
     task.cancel.check()?;
+    // Measure the leftmost, central and rightmost view, each matched with a neighbour.
     let mut places = vec![(0, 1), (middle, if middle < last { middle + 1 } else { middle - 1 }), (last, last - 1)];
     places.dedup_by_key(|(place, _)| *place);
     let (low, high) = depth_range(input.display);
@@ -81,6 +82,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
             Some((place == middle, far, part(&|row, col| depths.is_edge(row, col))))
         })
         .collect();
+    // Sum the classes over views, and derive the gain if they had the rest's mean error.
     let jumps = found.iter().fold(Part::default(), |sum, (_, _, edges)| sum.merged(*edges));
     // on noise and untextured pictures, matching finds discontinuities everywhere
     if found.is_empty() || jumps.share_of_rays() > BELIEVABLE_JUMPS {

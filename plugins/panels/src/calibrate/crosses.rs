@@ -153,6 +153,7 @@ impl Darkness {
 
     /// Connected components of dark pixels, by flood fill.
     fn components(&self) -> Vec<Component> {
+        // Smooth by a 3 × 3 box filter, which removes noise.
         let mut smooth = self.value.clone();
         for row in 1..self.rows.saturating_sub(1) {
             for col in 1..self.cols.saturating_sub(1) {
@@ -165,6 +166,7 @@ impl Darkness {
         let rank = (sorted.len() - 1) - sorted.len() / 1000;
         let (_, darkest, _) = sorted.select_nth_unstable_by(rank, f32::total_cmp);
         let limit = DARK * *darkest;
+        // Flood fill every component of pixels above the threshold, with 8 neighbours.
         let mut open: Vec<bool> = smooth.iter().map(|value| *value > limit && limit > 0.0).collect();
         let mut components = Vec::new();
         for start in 0..open.len() {

@@ -138,11 +138,13 @@ impl Screen {
 
 impl Gpu {
     fn new(device: wgpu::Device, queue: wgpu::Queue, format: wgpu::TextureFormat) -> Self {
+        // Keep the first uncaptured error; the main thread reports it.
         let failure = Arc::new(OnceLock::new());
         let first_error = failure.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             let _ = first_error.set((Instant::now(), error.to_string()));
         }));
+        // Bindings: the picture, and the viewport's origin.
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("picture"),
             entries: &[
@@ -168,6 +170,7 @@ impl Gpu {
                 },
             ],
         });
+        // The pipeline draws one triangle over the target, one texel per pixel.
         let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("texel by texel"),
             source: wgpu::ShaderSource::Wgsl(SHADER.into()),

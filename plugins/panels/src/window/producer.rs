@@ -110,6 +110,7 @@ impl Producer {
         let mut frame_set = FrameSet { pictures: Vec::new(), number: self.number };
         match &self.content {
             Content::Stack(stack) => {
+                // One frame per frame of the stack, or per frame and colour in a colour sequence.
                 let colours: Vec<Option<usize>> = match self.display.colour_sequence {
                     ColourSequence::Simultaneous => vec![None],
                     ColourSequence::Field => self.display.colour_order.0.map(Some).to_vec(),
@@ -120,6 +121,7 @@ impl Producer {
                 }
             }
             Content::Pattern { pattern, only, eye_mm } => {
+                // A test pattern is one frame, encoded per panel.
                 let codes = self
                     .viewports
                     .iter()
@@ -135,6 +137,7 @@ impl Producer {
                 frame_set.pictures.push(self.load(codes));
             }
             Content::Rehearsal { stack, from_deg } => {
+                // Simulate the view and scale it to the exposure of an adapted viewer.
                 let slope = from_deg.map(|angle| angle.to_radians().tan());
                 let preview = Simulator::new(&self.display, stack).from_slope(slope).radiance;
                 let [rows, cols, _] = preview.shape();
@@ -144,6 +147,7 @@ impl Producer {
                 frame_set.pictures.push(self.load(windows));
             }
         }
+        // Publish the frame set; an unused one is dropped here, outside the present loop.
         self.number += 1;
         self.shared.places.store(frame_set.pictures.len() as u64, std::sync::atomic::Ordering::Relaxed);
         drop(self.shared.feed.put(frame_set));
