@@ -302,8 +302,9 @@ fn an_output_that_is_unplugged_is_named() {
         show.event("swapped");
         std::thread::sleep(Duration::from_millis(300));
         session.unplug(gone);
-        let expected =
-            format!("output {gone}: it is gone (unplugged, switched off?), and layer {shows} has nowhere to be shown");
+        let expected = format!(
+            "output {gone}: disconnected while it showed layer {shows}: check that it is plugged in and switched on"
+        );
         must_end(show, folder.path(), &display.to_toml(), &expected);
     }
 }
@@ -334,7 +335,8 @@ fn an_output_of_an_x_server_that_is_switched_off_or_moved_is_named() {
         let mut show = Show::start(&session, folder.path(), options);
         show.event("swapped");
         randr(&["--output", "DUMMY1", "--off"]);
-        let expected = "output DUMMY1: it is gone (unplugged, switched off?), and layer 1 has nowhere to be shown";
+        let expected =
+            "output DUMMY1: disconnected while it showed layer 1: check that it is plugged in and switched on";
         must_end(show, folder.path(), &display.to_toml(), expected);
         randr(&[&place[..], &["320x0"]].concat());
     }

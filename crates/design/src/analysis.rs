@@ -1,5 +1,5 @@
-//! What a display can show by its geometry alone: bound on depth of field, spectral support, viewing zone, frame rate, brightness; and what a
-//! scene's depth asks of it.
+//! Limits of a display by its geometry alone: bound on depth of field, spectral support, viewing
+//! zone, frame rate, brightness. Depths of a scene are compared with them.
 
 mod plots;
 mod text;
@@ -7,10 +7,10 @@ mod text;
 use lumistack_display::{Backlight, ClosedForm, Display, Formation, OutsideBins, ProjectionKind};
 use serde::Serialize;
 
-/// Depths at which the bound is sampled.
+/// Number of depths at which the bound is sampled.
 const SAMPLES: usize = 1601;
 
-/// What is known of a display.
+/// The analysis of a display.
 #[derive(Clone, Debug, Serialize)]
 pub struct Analysis {
     /// Its name.
@@ -19,23 +19,25 @@ pub struct Analysis {
     pub layers: usize,
     /// Their distances from z = 0, millimetres.
     pub layers_mm: Vec<f64>,
-    /// Whether the backlight is directional, and its distance from z = 0, millimetres.
+    /// Distance of a directional backlight from z = 0, millimetres; none for a uniform one.
     pub backlight_mm: Option<f64>,
     /// Depth from the rearmost part to the frontmost, millimetres.
     pub thickness_mm: f64,
-    /// [low, high] depths at which the finest detail of the light field's pixels can be shown, millimetres.
+    /// [low, high] depths at which the finest detail of the light field's pixels can be shown,
+    /// millimetres.
     pub depth_of_field_mm: Option<[f64; 2]>,
-    /// Whether the bound is one for this display: where layers add up, planes other than the layers' own have none.
+    /// The bound applies to this display. With additive layers only the layers' own planes have a
+    /// bound.
     pub bound_holds: bool,
     /// Along x and y.
     pub axes: [AxisAnalysis; 2],
-    /// From where it can be seen.
+    /// The viewing zone.
     pub zone: Zone,
     /// Frames in time.
     pub timing: Timing,
     /// Light.
     pub brightness: Brightness,
-    /// What a scene asks of it, where there is one.
+    /// Depths of a scene, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<Scene>,
 }
@@ -45,7 +47,7 @@ pub struct Analysis {
 pub struct AxisAnalysis {
     /// Finest frequency of the light field's pixels, 1/(2 pitch).
     pub own_cutoff: f64,
-    /// ω0: that of the finest layer.
+    /// ω0: the finest layer's cutoff.
     pub layer_cutoff: f64,
     /// The bound on the display's plane.
     pub cutoff_on_screen: f64,
@@ -53,34 +55,34 @@ pub struct AxisAnalysis {
     pub bound: Vec<[f64; 2]>,
     /// Corners of the spectral support: [cycles per millimetre, cycles per unit of slope].
     pub support: Vec<[f64; 2]>,
-    /// Width of slopes of the prefilter.
+    /// Width of the prefilter in slope.
     pub footprint: f64,
-    /// The paper's formula for a display of this kind.
+    /// The paper's closed form for a display of this kind.
     pub closed: Option<Closed>,
-    /// Equation (23) for its lens array alone.
+    /// Equation (23) for the lens array alone.
     pub lens_array: Option<Closed>,
 }
 
-/// A closed form beside the general one.
+/// A closed form, compared with the general bound.
 #[derive(Clone, Debug, Serialize)]
 pub struct Closed {
     /// Its number in the paper.
     pub equation: u32,
-    /// What it assumes.
+    /// Its assumptions.
     pub assumes: &'static str,
-    /// Which of that does not hold here.
+    /// The assumptions that are violated here.
     pub broken: Vec<String>,
     /// Largest of |general/closed − 1| over the sampled depths.
     pub largest_difference: f64,
-    /// Depth of that, millimetres.
+    /// The depth of that maximum, millimetres.
     pub at_mm: f64,
-    /// General over closed − 1, far from the display.
+    /// General over closed form − 1, far from the display.
     pub difference_far: f64,
     /// [z in millimetres, value].
     pub bound: Vec<[f64; 2]>,
 }
 
-/// From where a display can be seen. [horizontal, vertical].
+/// The viewing zone. Pairs are [horizontal, vertical].
 #[derive(Clone, Debug, Serialize)]
 pub struct Zone {
     /// Full angles, degrees.
@@ -89,15 +91,16 @@ pub struct Zone {
     pub views: [usize; 2],
     /// Slope between neighbouring views.
     pub step: [f64; 2],
-    /// Distance from which an eye on the axis has the whole display in the zone, millimetres; of pinhole views their own distance.
+    /// Distance from which the whole zone contains the display for an eye on the axis, millimetres;
+    /// for pinhole views their own distance.
     pub whole_from_mm: f64,
-    /// Width of the zone at twice that distance (of pinhole views at their own), millimetres.
+    /// Width of the zone at twice that distance (for pinhole views at their own), millimetres.
     pub width_mm: [f64; 2],
-    /// Distance at which the width is given, millimetres.
+    /// Distance at which the width applies, millimetres.
     pub at_mm: f64,
-    /// Neighbouring views between two eyes 63 mm apart, at that distance.
+    /// Number of views between two eyes 63 mm apart, at that distance.
     pub views_between_eyes: f64,
-    /// Whether the zone repeats beside itself.
+    /// The zone repeats to its sides.
     pub repeats: bool,
 }
 
@@ -106,15 +109,15 @@ pub struct Zone {
 pub struct Timing {
     /// Frames M.
     pub frames: usize,
-    /// Refreshes of a period: M, or 3M with colours in turn.
+    /// Refreshes of a period: M, or 3M with a colour sequence.
     pub subframes: usize,
     /// Refresh rate of the panels, hertz.
     pub refresh_hz: f64,
     /// Periods a second.
     pub period_hz: f64,
-    /// Refresh rate for [`Display::FLICKER_HZ`] periods a second, hertz.
+    /// Refresh rate required for [`Display::FLICKER_HZ`] periods a second, hertz.
     pub wanted_hz: f64,
-    /// Whether it flickers.
+    /// The period is below [`Display::FLICKER_HZ`].
     pub flickers: bool,
 }
 
@@ -123,27 +126,28 @@ pub struct Timing {
 pub struct Brightness {
     /// Brightness scale β.
     pub beta: f64,
-    /// Brightest white that the layers let through; β above this cannot be reached.
+    /// Brightest white of the layers; a larger β cannot be reached.
     pub white: f64,
-    /// Darkest over brightest.
+    /// Darkest over brightest state.
     pub black: f64,
 }
 
-/// What a scene asks, from the depth budget of a run or an outlook.
+/// Depths of a scene, from the depth budget of a run or an outlook.
 #[derive(Clone, Debug, Serialize)]
 pub struct Scene {
-    /// In a line.
+    /// One sentence.
     pub sentence: String,
-    /// Share of what is seen within the depth of field.
+    /// Fraction of hits within the depth of field.
     pub inside: Option<f64>,
-    /// 2nd, 25th, 50th, 75th and 98th percentile of depth, millimetres, with the bound there relative to the pixels' own.
+    /// 2nd, 25th, 50th, 75th and 98th percentile of depth, millimetres, each with the bound
+    /// relative to the pixels' own frequency.
     pub percentiles: Vec<[f64; 2]>,
-    /// Bars: [from, to in millimetres, share].
+    /// Bars: [from, to in millimetres, fraction].
     pub shares: Vec<[f64; 3]>,
 }
 
 impl Scene {
-    /// Reads a depth budget as `report.json` has it.
+    /// Reads a depth budget in the form of `report.json`.
     pub fn from_budget(budget: &serde_json::Value, sentence: String) -> Self {
         let number = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
         let histogram = &budget["depth_histogram"];
@@ -161,7 +165,8 @@ impl Scene {
 }
 
 impl Analysis {
-    /// Works it out. `reach_mm` is the depth up to which the bound is sampled; without it what the display and the scene need.
+    /// Computes the analysis. `reach_mm` is the largest depth at which the bound is sampled;
+    /// without it, the depths of the display and the scene decide.
     pub fn of(display: &Display, scene: Option<Scene>, reach_mm: Option<f64>) -> Self {
         let depth_of_field_mm = display.depth_of_field(display.field.pitch_mm);
         let layers_mm: Vec<f64> = display.layers.iter().map(|layer| layer.d_mm).collect();
@@ -169,6 +174,7 @@ impl Analysis {
             Backlight::Lenslets(backlight) => Some(backlight.d_mm),
             Backlight::Uniform => None,
         };
+        // Sample depths up to the reach: that requested, or the extent of layers, scene and field.
         let parts = || layers_mm.iter().copied().chain(backlight_mm);
         let (rear, front) = parts().fold((f64::MAX, f64::MIN), |(a, b), d| (a.min(d), b.max(d)));
         let of_scene = scene.iter().flat_map(|scene| &scene.percentiles).map(|p| 1.2 * p[0].abs());
@@ -181,6 +187,7 @@ impl Analysis {
         depths.sort_by(f64::total_cmp);
         depths.dedup();
         let axes = [0, 1].map(|axis| AxisAnalysis::of(display, axis, &depths));
+        // Compare the scene's depths with the bound and the depth of field.
         let scene = scene.map(|mut scene| {
             for p in &mut scene.percentiles {
                 p[1] = display.spatial_cutoff(p[0]) / axes[0].own_cutoff;
@@ -207,13 +214,13 @@ impl Analysis {
 }
 
 impl Analysis {
-    /// Depth up to which the bound is sampled, millimetres.
+    /// Largest depth at which the bound is sampled, millimetres.
     pub fn reach_mm(&self) -> f64 {
         self.axes[0].bound.last().map_or(0.0, |last| last[0])
     }
 }
 
-/// Share of bars between two depths; bars that are cut count by their part.
+/// Fraction of the bars between two depths; cut bars count in part.
 fn share_between(bars: &[[f64; 3]], low: f64, high: f64) -> Option<f64> {
     let all: f64 = bars.iter().map(|bar| bar[2]).sum();
     let inside =
@@ -248,7 +255,7 @@ impl AxisAnalysis {
 }
 
 impl Zone {
-    /// Distance of two eyes, millimetres.
+    /// Distance between two eyes, millimetres.
     const EYES_MM: f64 = 63.0;
 
     fn of(display: &Display) -> Self {
@@ -257,7 +264,8 @@ impl Zone {
         let size = display.field_pixels().size_mm();
         let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
-        // from D on the rays to both edges have slopes of no more than tan(α/2); an axis with one direction never has that
+        // from D on, rays to both edges have slopes of at most tan(α/2); an axis with one direction
+        // never has
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
         let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
         let at_mm = pinholes.unwrap_or(2.0 * whole_from_mm);
@@ -301,7 +309,7 @@ impl Brightness {
         };
         let (white, black) = match display.formation {
             Formation::Attenuating => (peaks.product(), blacks.product::<f64>() * lamp),
-            // a sum of layers, and the sine of one: any layer alone reaches the brightest
+            // a sum of layers, and the sine of one: any single layer reaches the brightest state
             _ => (1.0, blacks.fold(0.0, f64::max)),
         };
         Self { beta: display.brightness, white, black }
@@ -343,7 +351,7 @@ mod tests {
         assert!(analysis.text().contains("eq. 25") && analysis.text().contains("the same"), "{}", analysis.text());
     }
 
-    /// An eye at D sees the edge at W/2 under a slope of W/(2D).
+    /// Oracle: an eye at D sees the edge at W/2 under a slope of W/(2D).
     #[test]
     fn the_zone_holds_the_whole_display() {
         let zone = Analysis::of(&directional(), None, None).zone;
@@ -362,7 +370,7 @@ mod tests {
         let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);
         let analysis = Analysis::of(&display, Some(Scene::from_budget(&budget, "deep".into())), None);
         let scene = analysis.scene.as_ref().unwrap();
-        // depth of field is −80 to 80 mm: half of the first and of the last bar are beyond
+        // depth of field is −80 to 80 mm: half of the first and of the last bar are outside
         assert!((scene.inside.unwrap() - 0.625).abs() < 1e-6, "{:?}", scene.inside);
         let expected = [0.8, 3.0 * 40.0 / 90.0, 3.0, 1.5, 1.0];
         for (found, expected) in scene.percentiles.iter().zip(expected) {

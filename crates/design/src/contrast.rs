@@ -1,28 +1,36 @@
 //! Achieved contrast by depth: gratings at many depths and frequencies, through the solved stack.
 //!
-//! A plane at z with the grating of frequency ω shows along the ray of slope s through x on z = 0
+//! A plane at z with a grating of frequency ω has, along the ray of slope s through x on z = 0, the
+//! radiance
 //!
 //! ```text
-//! L(x, s) = ½ (1 + cos φ(x, s)),    φ = 2π ω (x + z s) + φ_0
+//! L(x, s) = ½ (1 + cos φ(x, s)),        φ = 2π ω (x + z s) + φ_0
 //! ```
 //!
-//! The display is solved for that as for any light field, and what it shows is compared with the grating: the modulation transfer is
+//! The display is solved for this light field, and its emission is compared with the grating. The
+//! modulation transfer is
 //!
 //! ```text
 //! contrast = Σ (L̃/β − mean) cos φ / Σ (L − mean) cos φ        over all rays that count
 //! ```
 //!
-//! 1 where the grating comes out whole and 0 where it is grey. One axis at a time: a strip of one row of pixels and of views. The three channels carry three phases
-//! φ_0, a third of a turn apart, and the mean of all counts. The bound of [`Display::spatial_cutoff`] says where a grating can be shown at all; this is what a
-//! solver with M frames makes of it.
+//! It is 1 for an exact grating and 0 for grey. Axes are measured separately, on a strip of one row
+//! of pixels and of views. The three channels have three phases φ_0, a third of a period apart, and
+//! the mean over them counts. The bound of [`Display::spatial_cutoff`] limits the frequencies that
+//! can be shown at all. The contrast is the result of a solver with M frames.
 //!
-//! What counts as shown is one of three ([`Achieved`]). *At the target views* the rays are those that the solver was given; what is wrong between the views goes unseen: a display
-//! may get all its rays right and show nothing of the grating to an eye that is elsewhere. *In between* the rays are all over the zone, [`POINTS`] per pixel and at least two slopes per
-//! view: that is all that the display emits, its pixels' shape included. *With more views* is the same for a display that was solved for as many views as its bound has use for, one
-//! for each [`angular_footprint`](Display::angular_footprint): what the hardware can do, where in between says what it does with its own views.
+//! There are three measures ([`Achieved`]).
 //!
-//! The bound holds in between, up to what the zone is too narrow to tell apart: over slopes of a width S a picture that stands still has half the contrast of a grating that
-//! moves by [`HALF_SINC`] periods over the zone.
+//! * *At the target views*: over the rays of the solution. Errors between the views are not
+//!   measured. A display may be exact at these rays and yet show nothing of the grating elsewhere.
+//! * *In between*: over rays in the whole zone, [`POINTS`] per pixel and at least two slopes per
+//!   view. This covers the whole emission, including the pixels' shape.
+//! * *With more views*: the same, solved for one view per
+//!   [`angular_footprint`](Display::angular_footprint), which is as many as the bound can use. This
+//!   measures the hardware; *in between* measures the display with its own views.
+//!
+//! The bound holds in between, except for a limit of narrow zones. Over a slope range S a static
+//! picture has half the contrast of a grating that moves by [`HALF_SINC`] periods over the zone.
 
 use std::f64::consts::TAU;
 
@@ -37,20 +45,20 @@ use thiserror::Error;
 
 use lumistack_plot::{self as plot, Axes, Curve, PlotError};
 
-/// Columns of a strip at most.
+/// Largest number of columns of a strip.
 const MOST_COLS: usize = 96;
-/// Contrast from which on a grating counts as shown.
+/// Contrast from which a grating counts as shown.
 pub const SHOWN: f64 = 0.5;
-/// Points per pixel of the rays in between.
+/// Rays per pixel in between.
 pub const POINTS: usize = 3;
-/// x where sin(πx)/(πx) is a half.
+/// x with sin(πx)/(πx) = ½.
 pub const HALF_SINC: f64 = 0.603;
-/// Slopes of the rays in between over the zone, about.
+/// Approximate number of slopes over the zone, in between.
 const SLOPES: usize = 40;
-/// Views of a strip at most.
+/// Largest number of views of a strip.
 const MOST_VIEWS: usize = 48;
 
-/// Which gratings, and how hard to try.
+/// The gratings to measure, and the effort of the solver.
 #[derive(Clone, Debug)]
 pub struct Gratings {
     /// Depths, millimetres.
@@ -59,40 +67,40 @@ pub struct Gratings {
     pub frequencies: Vec<f64>,
     /// Iterations of the solver.
     pub iterations: u32,
-    /// Seed of its start.
+    /// Random seed of the start.
     pub seed: u64,
 }
 
-/// What came of one grating.
+/// Contrast of one grating.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Contrast {
     /// Its depth, millimetres.
     pub z_mm: f64,
     /// Its frequency, relative to the finest of the light field's pixels.
     pub frequency: f64,
-    /// The bound there, likewise.
+    /// The bound at this depth, relative to the same.
     pub bound: f64,
-    /// Contrast of what is shown at the target views, relative to the grating's.
+    /// Contrast at the target views.
     pub contrast: f64,
-    /// Contrast of all that is emitted into the viewing zone.
+    /// Contrast of the whole emission into the viewing zone.
     pub between: f64,
-    /// The same with as many views as the bound has use for.
+    /// The same, solved with as many views as the bound can use.
     pub dense: f64,
 }
 
-/// What counts as shown.
+/// Measures of contrast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Achieved {
-    /// The rays that the solver was given.
+    /// At the rays of the solution.
     AtTheViews,
-    /// All that is emitted into the viewing zone.
+    /// Over the whole emission into the viewing zone.
     InBetween,
-    /// All that is emitted, of a display that was solved for more views.
+    /// Over the whole emission, solved for more views.
     WithMoreViews,
 }
 
 impl Contrast {
-    /// Contrast of some of what is shown.
+    /// The contrast by one measure.
     pub fn of(&self, achieved: Achieved) -> f64 {
         match achieved {
             Achieved::AtTheViews => self.contrast,
@@ -102,16 +110,16 @@ impl Contrast {
     }
 }
 
-/// A grating that cannot be solved.
+/// The grating cannot be solved.
 #[derive(Debug, Error)]
 pub enum ContrastError {
     /// The display cannot be reduced to a strip.
     #[error("contrast: {0}")]
     Display(#[from] lumistack_display::DisplayError),
-    /// The strip's light field makes no sense.
+    /// The strip's light field is invalid.
     #[error("contrast: {0}")]
     Grid(#[from] lumistack_display::GridError),
-    /// It cannot be factorized, or the work was stopped.
+    /// The factorization failed, or the work was cancelled.
     #[error(transparent)]
     Factorize(#[from] FactorizeError),
 }
@@ -130,7 +138,7 @@ impl Gratings {
     /// Solves a display for every grating along an axis (0: x, 1: y), depth by depth.
     ///
     /// # Errors
-    /// If the display makes no sense, or when cancelled.
+    /// If the display is invalid, or the work was cancelled.
     pub fn measure(&self, display: &Display, axis: usize, task: Task<'_>) -> Result<Vec<Contrast>, ContrastError> {
         let own_views = strip(display, axis, display.views()[axis])?;
         let useful = useful_views(display, axis);
@@ -151,7 +159,7 @@ impl Gratings {
         Ok(found)
     }
 
-    /// At the target views and in between.
+    /// Contrast at the target views and in between.
     fn one(&self, strip: &Display, z_mm: f64, frequency: f64, task: Task<'_>) -> Result<[f64; 2], ContrastError> {
         let geometry = strip.geometry()?;
         let mut target = LightField::black(geometry.clone())?;
@@ -174,7 +182,7 @@ impl Gratings {
     }
 }
 
-/// A grating of some depth and frequency, cycles per millimetre.
+/// A grating of a depth and frequency, cycles per millimetre.
 struct Grating {
     z_mm: f64,
     frequency: f64,
@@ -188,10 +196,10 @@ impl Grating {
         TAU * (self.frequency * (x + self.z_mm * s) + (i % 3) as f64 / 3.0 + 0.1)
     }
 
-    /// Contrast of what is shown at the rays of a geometry.
+    /// Contrast at the rays of a geometry.
     fn share_of(&self, display: &Display, stack: &LayerStack, geometry: &FieldGeometry) -> f64 {
         let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
-        // Σ of weight, wanted, shown, cos, and products with cos, per channel
+        // Σ of weight, L, L̃/β, cos, and products with cos, per channel
         let mut sums = [[0.0f64; 6]; 3];
         for view in 0..geometry.grid.views()[1] {
             let emitted = simulator.view(&map, geometry, [0, view]);
@@ -208,7 +216,7 @@ impl Grating {
     }
 }
 
-/// Rays of a strip's light field and in between.
+/// The rays of a strip's light field and rays in between.
 fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     let slopes = &geometry.grid.slope_x;
     let per_view = (SLOPES / slopes.len()).max(2);
@@ -225,14 +233,14 @@ fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     }
 }
 
-/// Views for which the bound has use: one for every angular footprint.
+/// Number of views that the bound can use: one per angular footprint.
 fn useful_views(display: &Display, axis: usize) -> usize {
     let zone = 2.0 * (0.5 * display.field.fov_deg[axis].to_radians()).tan();
     let footprint = display.angular_footprint()[axis];
     if footprint > 0.0 { ((zone / footprint - 1e-9).ceil() as usize).clamp(1, MOST_VIEWS) } else { 1 }
 }
 
-/// The display reduced to a row of pixels and of so many views along an axis.
+/// The display reduced to one row of pixels and this number of views along an axis.
 fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, ContrastError> {
     let mut strip = display.clone();
     let cols = display.field.resolution[axis].min(MOST_COLS);
@@ -242,14 +250,14 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     strip.field.views = Views::Fixed([views, 1]);
     strip.field.fov_deg = [display.field.fov_deg[axis], 0.0];
     for layer in &mut strip.layers {
-        // no wider than the layer is, and no narrower than the rays need
+        // no wider than the layer, no narrower than the rays require
         let needed = ((width_mm + 2.0 * layer.d_mm.abs() * half) / layer.pitch_mm).ceil() as usize + 2;
         layer.resolution = [needed.min(layer.resolution[axis]).max(1), 1];
         layer.offset_mm = [layer.offset_mm[axis], 0.0];
     }
     if let Backlight::Lenslets(backlight) = &mut strip.backlight {
         let needed = ((width_mm + 2.0 * backlight.d_mm.abs() * half) / backlight.pitch_mm).ceil() as usize + 2;
-        // an odd number keeps a lenslet in the middle, as even and odd arrays differ by half a lenslet
+        // keep the parity, as arrays of even and odd counts differ by half a lenslet
         let count = needed.min(backlight.lenslets[axis]);
         let same_parity = count + (backlight.lenslets[axis] - count) % 2;
         backlight.lenslets = [same_parity.max(1), 1];
@@ -261,7 +269,8 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     Ok(strip)
 }
 
-/// The highest frequency up to which contrast stays at [`SHOWN`] and above, by depth: [z in millimetres, frequency relative to the pixels'].
+/// The highest frequency with a contrast of at least [`SHOWN`], by depth: [z in millimetres,
+/// frequency relative to the pixels'].
 pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> {
     let mut by_depth: Vec<(f64, Vec<&Contrast>)> = Vec::new();
     for contrast in found {
@@ -272,7 +281,8 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     }
     let cutoff = |mut list: Vec<&Contrast>| {
         list.sort_by(|a, b| a.frequency.total_cmp(&b.frequency));
-        // from 0, where everything is shown, to where contrast falls below, in a straight line in between
+        // linear interpolation from contrast 1 at frequency 0 to the first value below the
+        // threshold
         let (mut frequency, mut before) = (0.0, 1.0);
         for contrast in list {
             if contrast.of(achieved) < SHOWN {
@@ -286,10 +296,11 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     by_depth.into_iter().map(|(z, list)| [z, cutoff(list)]).collect()
 }
 
-/// Contrast of all that is emitted, with as many views as it takes, over depth: a curve per frequency, as SVG.
+/// Contrast of the whole emission, with as many views as required, over depth: one curve per
+/// frequency, as SVG.
 ///
 /// # Errors
-/// If there is none.
+/// If there are no results.
 pub fn contrast_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError> {
     let mut frequencies: Vec<f64> = found.iter().map(|contrast| contrast.frequency).collect();
     frequencies.sort_by(f64::total_cmp);
@@ -311,7 +322,7 @@ pub fn contrast_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     plot::curves(&axes, &curves.collect::<Vec<_>>(), &[], &[])
 }
 
-/// Axes of the frequency at which contrast falls to a half, over depth.
+/// Axes of the half-contrast frequency over depth.
 fn cutoff_axes(title: String) -> Axes {
     Axes {
         title,
@@ -328,10 +339,10 @@ fn bound_of(found: &[Contrast]) -> Vec<[f64; 2]> {
     bound
 }
 
-/// What a display achieves beside its bound, as SVG: the frequency at which contrast falls to a half, over depth, for each meaning of achieved.
+/// The half-contrast frequency of a display over depth, by each measure, and its bound, as SVG.
 ///
 /// # Errors
-/// If there is none.
+/// If there are no results.
 pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError> {
     let achieved = |name: &str, achieved, colour| Curve {
         name: name.into(),
@@ -343,17 +354,18 @@ pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     let black = plot::COLOURS.len();
     let curves = [
         Curve { name: "bound".into(), points: bound_of(found), colour: black, dashed: true, ..Curve::default() },
-        achieved("solved for more views, seen from everywhere", Achieved::WithMoreViews, 1),
-        achieved("solved for its views, seen from everywhere", Achieved::InBetween, 0),
-        achieved("solved for its views, seen from these alone", Achieved::AtTheViews, 2),
+        achieved("solved for more views, over the whole zone", Achieved::WithMoreViews, 1),
+        achieved("solved for its views, over the whole zone", Achieved::InBetween, 0),
+        achieved("solved for its views, at these alone", Achieved::AtTheViews, 2),
     ];
     plot::curves(&cutoff_axes(format!("{name}: half contrast")), &curves, &[], &[])
 }
 
-/// What several displays achieve with as many views as it takes, beside their bounds, as SVG.
+/// The half-contrast frequencies of several displays with as many views as required, and their
+/// bounds, as SVG.
 ///
 /// # Errors
-/// If there is none.
+/// If there are no results.
 pub fn all_achieved_plot(all: &[(String, Vec<Contrast>)]) -> Result<String, PlotError> {
     let mut curves = Vec::new();
     for (colour, (name, found)) in all.iter().enumerate() {
@@ -384,7 +396,8 @@ mod tests {
         Display { brightness: 0.3, ..display }
     }
 
-    /// A lens array of Δx = 4 pixels with a layer in its plane; `open` keeps the layer clear, which leaves integral imaging.
+    /// A lens array of Δx = 4 pixels with a layer in its plane; `open` keeps the layer clear, which
+    /// is integral imaging.
     fn lenses(frames: usize, open: bool) -> Display {
         let mut display = stack(&[0.0], frames);
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-1e-6, [16, 10], 2.0, [5, 5], [20.0, 20.0]));
@@ -409,11 +422,12 @@ mod tests {
         assert!((many.bound - 2.0 * 40.0 / (40.0 + 80.0)).abs() < 1e-9);
     }
 
-    /// The paper's Figure 11: a layer before integral imaging helps on the screen at once, and off it only with more frames than one. Of all that is emitted.
+    /// The paper's Figure 11, over the whole emission: a layer in front of integral imaging
+    /// improves the screen plane at once. Off the screen it needs more than one frame.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
-        // between the lens array's own limit, 1/(2Δx), and the bound with the layer, 1/(2 z Δs)
+        // between the lens array's limit, 1/(2Δx), and the bound with the layer, 1/(2 z Δs)
         let off = 0.45 * 2.0 / bin;
         let gratings = |display: &Display| {
             let found = measured(display, &[0.0, off], &[0.45]);
@@ -428,10 +442,11 @@ mod tests {
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 
-    /// Seen from everywhere, no display shows what lies beyond its bound, but for what the zone is too narrow to tell apart. At its views alone every one of these does.
+    /// Over the whole emission no display exceeds its bound, except for the limit of narrow zones.
+    /// At its own views alone each of these displays does.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
-        // half contrast is found on a line between two measured frequencies
+        // half contrast is interpolated between two measured frequencies
         const BETWEEN_FREQUENCIES: f64 = 0.01;
         let zone = 2.0 * 10f64.to_radians().tan();
         let depths = [-90.0, -50.0, -30.0, 25.0, 60.0];
@@ -468,7 +483,7 @@ mod tests {
         let views = Achieved::AtTheViews;
         assert_eq!(achieved_cutoff(&[at(0.5, 1.0), at(1.0, 0.0)], views), [[3.0, 0.75]]);
         assert_eq!(achieved_cutoff(&[at(1.0, 0.9), at(0.5, 1.0)], views), [[3.0, 1.0]]);
-        // from 1 at no frequency to ¼ at the first
+        // from 1 at frequency 0 to ¼ at the first frequency
         assert_eq!(achieved_cutoff(&[at(0.5, 0.5)], Achieved::InBetween), [[3.0, 0.5 * 0.5 / 0.75]]);
         assert!(contrast_plot("a", &[at(0.5, 1.0), at(1.0, 0.0)]).unwrap().contains("contrast of gratings"));
         assert!(achieved_plot("a", &[at(0.5, 1.0)]).unwrap().contains("a: half contrast"));

@@ -1,13 +1,13 @@
-//! What a display can show, and which display to build.
+//! Analysis of displays, and comparison of designs.
 //!
 //! ```text
-//! Display ──▶ analysis: bound on depth of field, spectral support, zone, brightness, rate ──▶ text, JSON, plots
-//! Display ──▶ contrast: gratings at many depths through the solved stack ──▶ what is achieved of the bound
+//! Display ──▶ analysis: bound on depth of field, spectral support, zone, ... ──▶ text, JSON, plots
+//! Display ──▶ contrast: gratings at many depths through the solved stack ──▶ achieved contrast
 //! results of a sweep ──▶ table: CSV, maps and curves like the paper's Figures 7 and 8
-//! pictures ──▶ sheet: side by side, with words
+//! pictures ──▶ sheet: side by side, with text
 //! ```
 //!
-//! Plots are SVG, and PNG made of the same SVG.
+//! Plots are SVG, and PNG rasterized from the same SVG.
 
 mod analysis;
 pub mod contrast;
@@ -17,5 +17,6 @@ pub mod table;
 
 pub use analysis::{Analysis, AxisAnalysis, Brightness, Closed, Scene, Timing, Zone};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

@@ -1,15 +1,18 @@
-//! Quality of a design before anything is solved: a rank, in decibels.
+//! Predicted quality of a design before it is solved: a ranking, in decibels.
 //!
-//! Three things that a display's numbers say decide most of what a solver reaches on a light field that suits it: degrees of freedom per ray, the light that is asked for,
-//! and how much of the pixels' detail the bound leaves over the depths that a light field of this display can hold (up to a displacement of a pixel from view to
-//! view, z_1 = p/Δs):
+//! Three properties of a display explain most of the quality on a light field that suits it. They
+//! are degrees of freedom per ray, brightness, and the detail that the bound allows over the
+//! display's useful depths. These reach to z_1 = p/Δs, a disparity of one pixel between neighbouring
+//! views:
 //!
 //! ```text
-//! PSNR ≈ c_0 + c_1 log2 ρ + c_2 log2 1/β + c_3 mean of min(1, ω(z) 2p) over |z| ≤ z_1,      ρ = values per ray
+//! PSNR ≈ c_0 + c_1 log2 ρ + c_2 log2 1/β + c_3 mean of min(1, ω(z) 2p) over |z| ≤ z_1
+//! ρ = values per ray
 //! ```
 //!
-//! The constants were fitted by least squares to 80 random designs on one scene ([`COEFFICIENTS`]); another scene moves c_0 most of all, so that the order of designs is what
-//! counts. `cargo xtask bench design` prints the rank correlation with solved designs that the fit has not seen.
+//! The constants were fitted by least squares to 80 random designs on one scene ([`COEFFICIENTS`]).
+//! Another scene mainly changes c_0, so use the ranking, not the value. `cargo xtask bench design`
+//! prints the rank correlation with solved designs outside the fit.
 
 use lumistack_display::Display;
 
@@ -18,10 +21,10 @@ use crate::table::Design;
 /// c_0 to c_3, dB.
 pub const COEFFICIENTS: [f64; 4] = [26.1, 7.7, 0.9, 14.7];
 
-/// Depths over which the bound is averaged.
+/// Number of depths over which the bound is averaged.
 const DEPTHS: usize = 65;
 
-/// log2 ρ, log2 1/β, and the mean share of detail.
+/// log2 ρ, log2 1/β, and the mean detail.
 pub fn features(display: &Display) -> [f64; 3] {
     let design = Design::of("", display);
     let own = 0.5 / display.field.pitch_mm;
@@ -44,7 +47,8 @@ pub fn predicted_db(display: &Display) -> f64 {
     c0 + rest.iter().zip(features(display)).map(|(c, feature)| c * feature).sum::<f64>()
 }
 
-/// Spearman's rank correlation of two lists of one length; ties share their mean rank. NaN where one of them is all the same.
+/// Spearman's rank correlation of two lists of equal length; ties have their mean rank. NaN if a
+/// list is constant.
 pub fn rank_correlation(first: &[f64], second: &[f64]) -> f64 {
     let [a, b] = [first, second].map(ranks);
     let mean = (a.len() as f64 - 1.0) / 2.0;

@@ -1,11 +1,12 @@
-//! Pictures of one size in rows and columns, with words beside them: one picture of all. Words are drawn as those of plots are; the pictures' pixels stay what they are, or
-//! become squares of several where they would be too small for their words.
+//! A contact sheet: pictures of one size in rows and columns, with text. Text uses the font of the
+//! plots. Pixels of the pictures stay unchanged; small pictures are enlarged by a whole factor to
+//! fit their captions.
 
 use std::fmt::Write as _;
 
 use lumistack_plot::{self as plot, FAMILY, PlotError};
 
-/// A picture and what is said under it.
+/// A picture and its caption.
 #[derive(Clone, Debug, Default)]
 pub struct Cell {
     /// Under the picture; empty for nothing.
@@ -19,29 +20,30 @@ pub struct Cell {
 pub struct Sheet {
     /// [columns, rows] of pixels of every picture.
     pub size: [usize; 2],
-    /// Lines of words over every column, the first larger.
+    /// Lines of text above every column, the first one larger.
     pub columns: Vec<Vec<String>>,
-    /// Words beside a row, and its pictures.
+    /// Text beside a row, and its pictures.
     pub rows: Vec<(String, Vec<Cell>)>,
 }
 
-/// Least width of a picture on the sheet, pixels.
+/// Smallest width of a picture on the sheet, pixels.
 const LEAST_WIDTH: usize = 200;
 const SPACE: usize = 8;
 const LINE: usize = 17;
-/// Room for the words beside rows.
+/// Width of the text beside rows.
 const SIDE: usize = 30;
 
 impl Sheet {
-    /// Draws it: [width, height] and the codes `[row][col][rgb]`.
+    /// Draws the sheet: [width, height] and the codes `[row][col][rgb]`.
     ///
     /// # Errors
-    /// If a picture has not as many pixels as it should have, or the whole is too large.
+    /// If the number of a picture's pixels is wrong, or the sheet is too large.
     pub fn drawn(&self) -> Result<([usize; 2], Vec<u8>), PlotError> {
         let [cols, rows] = self.size;
         if let Some(cell) = self.rows.iter().flat_map(|row| &row.1).find(|cell| cell.rgb.len() != 3 * cols * rows) {
             return Err(PlotError::new(format!("{} values in a picture of {cols} × {rows} pixels", cell.rgb.len())));
         }
+        // Lay out cells, enlarged by a whole factor, with room for headings and captions.
         let larger = LEAST_WIDTH.div_ceil(cols.max(1)).max(1);
         let [wide, high] = [larger * cols, larger * rows];
         let heads = self.columns.iter().map(Vec::len).max().unwrap_or(0);
@@ -49,6 +51,7 @@ impl Sheet {
         let left = |col: usize| SIDE + col * (wide + SPACE);
         let top = |row: usize| SPACE + heads * LINE + row * (high + LINE + SPACE);
         let size = [left(across), top(self.rows.len())];
+        // Draw all text as SVG, rasterize it, then copy the pictures over it.
         let mut svg = format!(
             "<svg width=\"{0}\" height=\"{1}\" viewBox=\"0 0 {0} {1}\" xmlns=\"http://www.w3.org/2000/svg\" font-family=\"{FAMILY}\">\n\
              <rect width=\"{0}\" height=\"{1}\" fill=\"white\"/>\n",
@@ -103,7 +106,7 @@ mod tests {
         };
         let ([width, height], rgb) = sheet.drawn().unwrap();
         assert_eq!(rgb.len(), 3 * width * height);
-        // every picture is twice as large
+        // every picture is enlarged by two
         for value in [10u8, 20, 30] {
             assert_eq!(rgb.chunks_exact(3).filter(|p| **p == [value; 3]).count(), 200 * 80, "{value}");
         }

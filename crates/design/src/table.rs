@@ -1,4 +1,4 @@
-//! Results of many designs: a table as CSV, and plots of it like the paper's Figures 7 and 8.
+//! Results of many designs: a table as CSV, and plots like the paper's Figures 7 and 8.
 
 use lumistack_display::{Backlight, Display};
 use schemars::JsonSchema;
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use lumistack_plot::{self as plot, Axes, COLOURS, Curve, Map, PlotError};
 
-/// One design: what it is and what it takes to build.
+/// One design: its parameters and hardware requirements.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Design {
     /// Name of the display that it varies.
@@ -17,24 +17,26 @@ pub struct Design {
     pub frames: usize,
     /// Brightness scale β.
     pub brightness: f64,
-    /// Mean distance of neighbouring layers, millimetres; of a single layer its distance from the backlight, 0 without one.
+    /// Mean distance between neighbouring layers, millimetres; for a single layer its distance to
+    /// the backlight, 0 without one.
     pub gap_mm: f64,
     /// [horizontal, vertical] full angles, degrees.
     pub fov_deg: [f64; 2],
-    /// [columns, rows] of lenslets; [0, 0] without.
+    /// [columns, rows] of lenslets; [0, 0] without lenslets.
     pub lenslets: [usize; 2],
     /// Depth from the rearmost part to the frontmost, millimetres.
     pub thickness_mm: f64,
     /// Panels: the layers, and the one behind the lenslets.
     pub panels: usize,
-    /// Refresh rate at which nothing flickers, hertz; 0 of a static display.
+    /// Refresh rate without flicker, hertz; 0 for a static display.
     pub refresh_hz: f64,
-    /// Values of the patterns per ray of the light field: degrees of freedom. At 1 and above every ray could have its own.
+    /// Stack values per ray of the light field: degrees of freedom. From 1 on every ray could have
+    /// its own value.
     pub values_per_ray: f64,
 }
 
 impl Design {
-    /// Of a display.
+    /// The design of a display.
     pub fn of(name: &str, display: &Display) -> Self {
         let layers = &display.layers;
         let d_mm = || layers.iter().map(|layer| layer.d_mm);
@@ -63,39 +65,41 @@ impl Design {
     }
 }
 
-/// A design and what it reached.
+/// A design and its results.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// The design.
     pub design: Design,
-    /// PSNR of seen pictures / β all over the zone, dB, where a scene was rendered.
+    /// PSNR of pixel-averaged views / β over the whole zone, dB, if a scene was rendered.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// The same of the worst tenth of the directions, dB.
+    /// The same for the worst tenth of the directions, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
     /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
     pub psnr_view_db: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw_db: f64,
-    /// PSNR of L̃/β at views between the target's, dB, where they are known.
+    /// PSNR of L̃/β at views between the target's, dB, if they are known.
     pub psnr_between_db: Option<f64>,
-    /// Of several times the worst one's PSNR of L̃/β against L, dB; the figures above are of all times' rays together.
+    /// For several time steps, the worst one's PSNR of L̃/β against L, dB. The figures above are
+    /// over all time steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
-    /// Of a job with several nodes: each. The figures above are the first one's.
+    /// For a job with several nodes, the results of each. The figures above are the first node's.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeRow>,
 }
 
 impl Row {
-    /// By which designs are ranked, dB: the score of the zone; of a light field that was given, and of a sequence, the PSNR at the target views.
+    /// Ranking criterion, dB: the zone score; for given light fields and sequences, the PSNR at the
+    /// target views.
     pub fn quality_db(&self) -> f64 {
         self.psnr_zone_db.unwrap_or(self.psnr_view_db)
     }
 }
 
-/// What one node reached with a design.
+/// Results of one node with a design.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NodeRow {
     /// Its name.
@@ -117,10 +121,11 @@ pub struct NodeRow {
     pub psnr_worst_db: Option<f64>,
 }
 
-/// Figures are cut here: an exact display has no finite one.
+/// Upper limit of figures: an exact display has an infinite PSNR.
 pub const MOST_DB: f64 = 200.0;
 
-/// The table as CSV: a line of names, a line per row. Of several times there is a column for the worst one, of several nodes columns for each.
+/// The table as CSV: a line of names, a line per row. Several time steps add a column for the worst
+/// one, several nodes add columns for each.
 pub fn csv(rows: &[Row]) -> String {
     let mut text = String::from(
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
@@ -173,7 +178,7 @@ pub fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// A number with at most so many decimals.
+/// A number with at most this many decimals.
 fn rounded(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
@@ -195,7 +200,7 @@ impl Axis {
     const ALL: [Self; 7] =
         [Self::Display, Self::Layers, Self::Frames, Self::Brightness, Self::Gap, Self::Fov, Self::Lenslets];
 
-    /// For labels, with its unit.
+    /// Label with its unit.
     fn label(self) -> &'static str {
         match self {
             Self::Display => "display",
@@ -212,7 +217,7 @@ impl Axis {
         ["display", "layers", "frames", "brightness", "gap", "fov", "lenslets"][self as usize]
     }
 
-    /// Place of a design along it.
+    /// Position of a design along it.
     fn number(self, design: &Design) -> f64 {
         match self {
             Self::Display => f64::NAN,
@@ -225,7 +230,7 @@ impl Axis {
         }
     }
 
-    /// Whether a design has a place along it.
+    /// Returns true if the design has a position along it.
     fn concerns(self, design: &Design) -> bool {
         match self {
             Self::Gap => design.layers > 1,
@@ -234,7 +239,7 @@ impl Axis {
         }
     }
 
-    /// Its value as text: one for each value.
+    /// Its value as text, distinct for each value.
     fn name(self, design: &Design) -> String {
         match self {
             Self::Display => design.display.clone(),
@@ -242,7 +247,7 @@ impl Axis {
         }
     }
 
-    /// With what it is, for titles.
+    /// The value with its name, for titles.
     fn told(self, design: &Design) -> String {
         let value = self.name(design);
         match self {
@@ -261,11 +266,11 @@ impl Axis {
 /// A plot of the table: the stem of its file name, and the SVG.
 pub type Plot = (String, String);
 
-/// More than so many of one kind tell nobody anything.
+/// Largest number of plots of one kind.
 const MOST_PLOTS: usize = 12;
-/// More than so many nobody asked for.
+/// Largest number of plots without a request.
 const FEW_PLOTS: usize = 6;
-/// What counts as good in the paper's figures.
+/// The paper's threshold of good quality.
 const GOOD_DB: f64 = 40.0;
 
 /// How many plots of a table.
@@ -281,13 +286,13 @@ pub enum Plots {
     All,
 }
 
-/// What a plot shows: a map over two axes, or curves along one for the values of another.
+/// The content of a plot: a map over two axes, or curves along one for the values of another.
 enum View {
     Map(Axis, Axis),
     Curves(Axis, Option<Axis>),
 }
 
-/// A plot that could be drawn: its name, what it shows, the rows that it shows, the axes on which these agree.
+/// A possible plot: its name, content, rows, and the axes along which these rows agree.
 struct Sketch {
     stem: String,
     view: View,
@@ -295,7 +300,8 @@ struct Sketch {
     others: Vec<Axis>,
 }
 
-/// Plots of what varies, by [`Row::quality_db`]: maps of it over two of N, M and β (Figures 7 and 8), and curves along single axes; and how many more there could be.
+/// Plots of the varied axes, by [`Row::quality_db`]: maps over two of N, M and β (Figures 7 and 8),
+/// and curves along single axes. Also returns the number of omitted plots.
 ///
 /// # Errors
 /// If drawing fails.
@@ -341,7 +347,7 @@ fn sketches(rows: &[Row]) -> Vec<Sketch> {
     found
 }
 
-/// The first maps, those of one pair, and the first curves along every axis that is not in them.
+/// The first maps, all of one pair, and the first curves along every other axis.
 fn few(all: Vec<Sketch>) -> Vec<Sketch> {
     let mut shown: Vec<Axis> = Vec::new();
     let mut pair = None;
@@ -362,7 +368,7 @@ fn few(all: Vec<Sketch>) -> Vec<Sketch> {
     chosen
 }
 
-/// The values of an axis in rising order, or of displays in the order in which they come.
+/// The values of an axis in rising order; displays in order of appearance.
 fn values(rows: &[Row], axis: Axis) -> Vec<String> {
     let mut found: Vec<(f64, String)> = Vec::new();
     for row in rows.iter().filter(|row| axis.concerns(&row.design)) {
@@ -377,7 +383,7 @@ fn values(rows: &[Row], axis: Axis) -> Vec<String> {
     found.into_iter().map(|(_, name)| name).collect()
 }
 
-/// Rows that agree on all of some axes, in the order in which they come.
+/// Groups of rows that agree on all of `axes`, in order of appearance.
 fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
     let mut found: Vec<(Vec<String>, Vec<Row>)> = Vec::new();
     for row in rows {
@@ -390,7 +396,7 @@ fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
     found.into_iter().map(|(_, part)| part).collect()
 }
 
-/// Whether designs are ranked by the zone.
+/// Returns true if designs are ranked by the zone score.
 fn of_zone(rows: &[Row]) -> bool {
     rows.iter().any(|row| row.psnr_zone_db.is_some())
 }
@@ -424,7 +430,7 @@ fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Resul
         columns,
         rows,
         values,
-        // the paper's mark is one of target views
+        // the paper's threshold refers to target views
         mark_from: (!of_zone(all)).then_some(GOOD_DB),
         range: if of_zone(all) { [lowest.min(15.0), 35.0] } else { [lowest.min(20.0), 50.0] },
     })
@@ -515,7 +521,7 @@ mod tests {
         }
         // a single layer has no distance to vary
         assert!(!all.iter().any(|stem| stem.contains("brightness") || stem.contains("gap")), "{all:?}");
-        // what the maps show needs no curves
+        // axes of the maps need no curves
         assert_eq!(stems(Plots::Few), ["psnr-frames-layers-01", "psnr-frames-layers-02"]);
         assert_eq!(plots(&rows(), Plots::None).unwrap(), (Vec::new(), all.len()));
         assert!(plots(&rows()[..1], Plots::All).unwrap().0.is_empty(), "one design is no trend");

@@ -1,8 +1,10 @@
-//! From a source to a light field in memory: choose views, put the plane in focus, crop and reduce, check values.
+//! Assembles a light field in memory from a source: selects views, focuses, crops and reduces,
+//! checks values.
 //!
-//! A camera at position p (in steps, right and up) sees content of disparity k (pixels a step) k·p pixels left of and below where the
-//! middle camera sees it. Reading view p from column c − k·p and row r + k·p puts that content on z = 0. The result keeps what every
-//! view has.
+//! A camera at position p (in steps, right and up) has content of disparity k (pixels a step) k·p
+//! pixels to the left of and below its position in the central camera. Reading view p from column c
+//! − k·p and row r + k·p moves that content to z = 0. The result is the part that all views have in
+//! common.
 
 use std::path::Path;
 
@@ -17,27 +19,27 @@ use crate::prefilter::{self, Footprint, Shares};
 use crate::resample::{Rect, area};
 use crate::source::Source;
 
-/// Largest amount of light that is taken for real: the largest half float.
+/// Largest accepted value: the largest half float.
 pub(crate) const LARGEST: f32 = 65504.0;
-/// Values below this are more than the overshoot of a filter.
+/// Smaller values are no overshoot of a filter.
 const OVERSHOOT: f32 = -1e-3;
-/// Pixels whose width and height differ by less count as square.
+/// Pixels count as square below this relative difference of width and height.
 const SQUARE: f64 = 0.01;
-/// A plane is looked for only if content moves by more than this, in pixels a view.
+/// The focus is searched only if disparities exceed this, in pixels a view.
 const STILL_PX: f64 = 0.5;
 
-/// A view of a light field that is not among those that are kept, but lies between them.
+/// A view between the kept ones that is not kept itself.
 #[derive(Clone, Debug)]
 pub struct LeftOut {
-    /// From where, as a grid of one view.
+    /// Its direction, as a grid of one view.
     pub grid: ViewGrid,
-    /// Linear, `[row][col][rgb]`, on the pixels of those that are kept.
+    /// Linear radiance, `[row][col][rgb]`, on the kept views' pixels.
     pub radiance: Vec<f32>,
 }
 
-/// What is read of a source, and as what.
+/// The parts of a source to read, and their geometry.
 pub(crate) struct Plan {
-    /// Views that are kept: [view rows, view columns].
+    /// Kept views: [view rows, view columns].
     picks: [Vec<usize>; 2],
     window: Window,
     pub(crate) geometry: FieldGeometry,
@@ -78,6 +80,7 @@ pub(crate) fn assemble(
     let shape = LightField::shape_of(&geometry);
     let count = Tensor::element_count(shape)
         .ok_or_else(|| FieldError::malformed(&path, "size", "an array that fits in memory", format!("{shape:?}")))?;
+    // Reserve memory for the result, and read views one at a time.
     let mut data = reserved(&path, count)?;
     let length = count / (shape[0] * shape[1]);
     let mut range = Range::default();
@@ -92,7 +95,7 @@ pub(crate) fn assemble(
         for (view, share) in &views {
             let mut values = source.reader.load(*view)?;
             check_values(source, *view, &mut values, &mut range)?;
-            // only now is the memory touched: a header may claim any size
+            // memory is touched only here: a header may claim any size
             data.resize((index + 1) * length, 0.0);
             let part = &mut data[index * length..];
             if views.len() == 1 {
@@ -105,6 +108,7 @@ pub(crate) fn assemble(
         }
         task.progress.advance(1, "");
     }
+    // Read the views between the kept ones in the same geometry.
     let mut left_out = Vec::with_capacity(others.len());
     for (view, grid) in others {
         task.cancel.check()?;
@@ -123,7 +127,7 @@ pub(crate) fn assemble(
     Ok((field, left_out))
 }
 
-/// Views between those that are kept, with their slopes: `most` of them at most, spread over all.
+/// Views between the kept ones, with their slopes: at most `most`, evenly spread.
 fn left_out(
     source: &Source,
     picks: &[Vec<usize>; 2],
@@ -132,7 +136,7 @@ fn left_out(
 ) -> Vec<([usize; 2], ViewGrid)> {
     let grid = &geometry.grid;
     let positions = positions(source);
-    // every view of an axis that lies between two kept ones, or is kept
+    // all views of an axis that are kept or lie between two kept ones
     let along = |axis: usize, slopes: &[f64]| -> Vec<(usize, f64)> {
         let (kept, positions) = (&picks[1 - axis], &positions[axis]);
         let mut found = vec![(kept[0], slopes[0])];
@@ -152,7 +156,7 @@ fn left_out(
             all.push(([*row, *col], ViewGrid::single(grid.projection, [*slope_x, *slope_y])));
         }
     }
-    // the golden section spreads any number of them
+    // the golden ratio spreads any number of them evenly
     let mut order: Vec<(f64, usize)> = (0..all.len()).map(|i| ((i as f64 * GOLDEN).fract(), i)).collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0));
     order.truncate(most);
@@ -163,7 +167,7 @@ fn left_out(
 /// (√5 − 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Which views are averaged for each that is kept: [view rows, view columns].
+/// The views averaged into each kept one: [view rows, view columns].
 fn averaged(
     source: &Source,
     flags: &GeometryFlags,
@@ -184,7 +188,7 @@ fn averaged(
     let along = |axis: usize, slopes: &[f64]| {
         let mut shares = prefilter::shares(slopes, &picks[1 - axis], &positions[axis], width[axis]);
         for list in &mut shares {
-            // views whose part of the plane is cut off by their own edge cannot help
+            // a view whose window is cut by its own border is excluded
             let room = source.size[axis] as f64 - window.size[axis] + 1e-6;
             list.retain(|(view, _)| (-1e-6..=room).contains(&(window.corner[axis] + window.shift[axis][*view])));
             let sum: f32 = list.iter().map(|(_, share)| share).sum();
@@ -214,12 +218,12 @@ fn picks(source: &Source, flags: &GeometryFlags) -> Result<[Vec<usize>; 2], Fiel
     Ok([pick(rows, kept_rows), pick(cols, kept_cols)])
 }
 
-/// Where each view is read.
+/// The window of every view.
 struct Window {
     corner: [f64; 2],
     size: [f64; 2],
     out_size: [usize; 2],
-    /// Added to the corner: per view column, per view row.
+    /// Offset of the corner: per view column, per view row.
     shift: [Vec<f64>; 2],
 }
 
@@ -246,7 +250,8 @@ impl Window {
         Ok(window)
     }
 
-    /// Makes pixels square and reduces to `resolution`. `pixel_aspect` = width over height of a file's pixel.
+    /// Makes pixels square and reduces to `resolution`. `pixel_aspect` is width over height of a
+    /// file's pixel.
     fn fit(&mut self, source: &Source, resolution: Option<[usize; 2]>, pixel_aspect: f64) -> Result<(), FieldError> {
         let pixel_aspect = if (pixel_aspect - 1.0).abs() < SQUARE { 1.0 } else { pixel_aspect };
         let rounded = |length: f64| (length.round() as usize).max(1);
@@ -268,7 +273,7 @@ impl Window {
         let axis = usize::from(aspect < wanted);
         let cropped =
             if axis == 0 { self.size[1] * wanted / pixel_aspect } else { self.size[0] * pixel_aspect / wanted };
-        // A rounding error must not crop a sliver off a picture of the right aspect.
+        // a rounding error must not crop a picture of the right aspect
         let cropped = if (cropped - self.size[axis]).abs() < 1e-6 { self.size[axis] } else { cropped };
         self.corner[axis] += 0.5 * (self.size[axis] - cropped);
         self.size[axis] = cropped;
@@ -282,7 +287,7 @@ impl Window {
     }
 }
 
-/// Positions of view columns (right) and view rows (up) around the middle, in steps.
+/// Positions of view columns (right) and view rows (up) around the centre, in steps.
 fn positions(source: &Source) -> [Vec<f64>; 2] {
     if let Some(cameras) = &source.hints.cameras {
         return cameras.positions.clone();
@@ -292,8 +297,8 @@ fn positions(source: &Source) -> [Vec<f64>; 2] {
     [centred(source.views[1], 1.0), centred(source.views[0], -1.0)]
 }
 
-/// Where the pictures may be unsheared: the disparity of their middle depth, a whole number of pixels, if all content is on one side of
-/// their plane; otherwise 0.
+/// Disparity of the focus for pictures that may be unsheared. If all content is on one side of
+/// their plane, it is that of the median depth, in whole pixels; otherwise 0.
 fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     if !source.hints.cameras.as_ref().is_some_and(|cameras| cameras.plane_unknown) {
         return Ok(0.0);
@@ -313,7 +318,8 @@ fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     Ok(focus_px)
 }
 
-/// Disparity between the two middle views: how far content moves left (down) when the viewpoint moves right (up) by one step.
+/// Disparity between the two central views: shift of content to the left (down) per step of the
+/// viewpoint to the right (up).
 fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError> {
     let positions = positions(source);
     let [rows, cols] = source.views;
@@ -333,7 +339,7 @@ fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError>
     Ok(motion.map(|m| Motion { low: -m.high / step, median: -m.median / step, high: -m.low / step }))
 }
 
-/// What was odd about values.
+/// Statistics of negative values.
 #[derive(Default)]
 struct Range {
     negative: usize,
@@ -349,7 +355,7 @@ impl Range {
     }
 }
 
-/// Refuses what is no amount of light; sets negative values to 0.
+/// Refuses values that are no radiance; sets small negative values to 0.
 fn check_values(
     source: &Source,
     [view_y, view_x]: [usize; 2],

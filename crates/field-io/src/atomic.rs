@@ -1,4 +1,5 @@
-//! Files that are either complete or absent: written beside the target, flushed to disk, then renamed over it.
+//! Files that are complete or absent: written beside the target, flushed to disk, then renamed over
+//! it.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -7,14 +8,15 @@ use std::time::Duration;
 
 use crate::FieldError;
 
-/// Begin and end of the names of temporary files.
+/// Prefix and suffix of the names of temporary files.
 const PREFIX: &str = ".lumistack-";
 const SUFFIX: &str = ".tmp";
 
-/// What [`fn@write`] lends to its closure: buffered, seekable.
+/// The writer passed to the closure of [`fn@write`]: buffered, seekable.
 pub type Writer<'a> = BufWriter<&'a mut File>;
 
-/// Writes a file through `fill`. When `fill` or the disk fails, the target stays as it was and nothing is left beside it.
+/// Writes a file through `fill`. If `fill` or the disk fails, the target stays unchanged and no
+/// temporary file remains.
 ///
 /// # Errors
 /// If the folder does not exist, the target is a folder, or writing fails.
@@ -23,7 +25,7 @@ pub fn write(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) 
     replace(path, fill).map_err(error)
 }
 
-/// Writes a file whose content is at hand.
+/// Writes a file from bytes.
 ///
 /// # Errors
 /// Those of [`fn@write`].
@@ -31,10 +33,11 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), FieldError> {
     write(path, |writer| writer.write_all(bytes))
 }
 
-/// Makes an output folder with its parents.
+/// Creates an output folder and its parents.
 ///
 /// # Errors
-/// If the path or one of its parents is a file (the message names it), or the folder cannot be made.
+/// If the path or one of its parents is a file (the message names it), or the folder cannot be
+/// created.
 pub fn create_folder(path: &Path) -> Result<(), FieldError> {
     for part in path.ancestors() {
         match fs::metadata(part) {
@@ -46,10 +49,10 @@ pub fn create_folder(path: &Path) -> Result<(), FieldError> {
     fs::create_dir_all(path).map_err(FieldError::io(path, "make the folder"))
 }
 
-/// Removes a file that may be absent: an index goes first when the files that it lists are about to change.
+/// Removes a file that may be absent. An index is removed before the files that it lists change.
 ///
 /// # Errors
-/// If the file is there and cannot be removed.
+/// If the file exists and cannot be removed.
 pub(crate) fn remove(path: &Path) -> Result<(), FieldError> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(FieldError::io(path, "remove")(error)),
@@ -66,7 +69,7 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
     }
     let mut beside = temporary_beside(folder)?;
-    // says that somebody writes it; where there are no locks, its age has to do
+    // The lock marks a live writer. Without locks, the file's age decides.
     let _ = beside.as_file().try_lock();
     {
         let mut writer = BufWriter::with_capacity(1 << 16, beside.as_file_mut());
@@ -79,10 +82,10 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
     Ok(())
 }
 
-/// Age below which a temporary file may be one whose writer has not locked it yet.
+/// A younger temporary file may have a writer that has not locked it yet.
 const YOUNG: Duration = Duration::from_secs(2);
 
-/// Whether a file is a temporary one of [`fn@write`] whose writer is gone: killed, or the machine stopped.
+/// Returns true for a temporary file of [`fn@write`] whose writer was killed or stopped.
 pub fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
@@ -96,13 +99,13 @@ pub fn is_abandoned(path: &Path) -> bool {
 fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
-    // Temporary files are private by default; results are as readable as the user's other files.
+    // temporary files are private by default; results are as readable as the user's other files
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(folder)
 }
 
-/// Makes the rename itself durable. A file system that cannot do this has still written the file, so failure is no error.
+/// Makes the rename durable. Failure is no error, since the file itself is written.
 fn sync_folder(folder: &Path) {
     if cfg!(unix)
         && let Ok(folder) = File::open(folder)

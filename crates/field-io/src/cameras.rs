@@ -1,8 +1,9 @@
 //! Folders with one picture per camera, named by row and column.
 //!
-//! Stanford archive: `NAME_RR_CC_<Y>_<X>[_...].png`, the numbers after row and column being the camera's centre. X is taken to grow to
-//! the right and Y downwards, and views are ordered by these centres, not by their index, since the direction of CC against X differs
-//! between scenes. Renderers that follow this scheme may append focal length and sensor width in millimetres; such cameras are parallel
+//! Stanford archive: `NAME_RR_CC_<Y>_<X>[_...].png`; the numbers after row and column are the
+//! camera's centre. X increases to the right and Y downwards. Views are ordered by these centres,
+//! not by their index, since the direction of CC against X differs between scenes. Renderers with
+//! this scheme may append focal length and sensor width in millimetres; such cameras are parallel
 //! and unsheared. Row and column numbers may have gaps (every third camera of a larger set).
 //!
 //! `RR_CC.png`: no centres; row 0 is the topmost, column 0 the leftmost.
@@ -18,7 +19,7 @@ use crate::geometry::{Cameras, Hints, place};
 use crate::picture::{Picture, has_picture_extension};
 use crate::source::{Kind, Source, Views};
 
-/// Centres closer than this, relative to the mean spacing, count as equal.
+/// Centres below this distance, relative to the mean spacing, count as equal.
 const SAME_CENTRE: f64 = 1e-3;
 
 /// Views that are pictures of one size.
@@ -30,7 +31,7 @@ pub(crate) struct PictureGrid {
 }
 
 impl PictureGrid {
-    /// `files` row by row, `views` = [vertical, horizontal]. Reads every header.
+    /// `files` are row by row, `views` is [vertical, horizontal]. Reads every header.
     pub(crate) fn new(files: Vec<PathBuf>, views: [usize; 2]) -> Result<Self, FieldError> {
         let size = Picture::size_of(&files[0])?;
         for file in &files[1..] {
@@ -73,7 +74,7 @@ impl Views for PictureGrid {
     }
 }
 
-/// What a picture's name says about its camera.
+/// Camera data in a picture's name.
 #[derive(Clone, Debug, PartialEq)]
 struct CameraName {
     prefix: String,
@@ -89,14 +90,14 @@ struct CameraName {
 pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, FieldError> {
     let mut cameras = Vec::new();
     for file in pictures(folder)? {
-        // the numbers count; what is no text in a prefix may be anything
+        // only the numbers matter; a prefix may have any encoding
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         if let Some(name) = parse_name(&stem) {
             cameras.push((name, file));
         }
     }
     let Some((first, _)) = cameras.first() else { return Ok(None) };
-    // Depth or disparity maps may lie beside the views under another prefix: the largest group is the light field.
+    // depth or disparity maps may have another prefix; the largest group is the light field
     let mut groups = BTreeMap::<&str, usize>::new();
     cameras.iter().for_each(|(name, _)| *groups.entry(&name.prefix).or_default() += 1);
     let prefix = groups.iter().max_by_key(|(_, count)| **count).map_or(&first.prefix[..], |(prefix, _)| prefix);
@@ -108,7 +109,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     grid(folder, cameras).map(Some)
 }
 
-/// All pictures of a folder, by name.
+/// All pictures of a folder, sorted by name.
 pub(crate) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, FieldError> {
     let list = || -> std::io::Result<Vec<PathBuf>> {
         let mut files = Vec::new();
@@ -142,6 +143,7 @@ fn parse_name(stem: &str) -> Option<CameraName> {
 }
 
 fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, FieldError> {
+    // Index pictures by row and column; each must be unique.
     let mut by_index = BTreeMap::<(u32, u32), (CameraName, PathBuf)>::new();
     for (name, file) in cameras {
         if let Some((_, other)) = by_index.get(&(name.row, name.col)) {
@@ -158,6 +160,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     };
     let mut rows = distinct(|key| key.0);
     let mut cols = distinct(|key| key.1);
+    // The grid must be complete.
     for &row in &rows {
         for &col in &cols {
             if !by_index.contains_key(&(row, col)) {
@@ -171,6 +174,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
             }
         }
     }
+    // Order rows and columns by the cameras' centres, if names contain them.
     let centres = Centres::new(&by_index, &rows, &cols);
     if let Some(centres) = &centres {
         let x = |col: &u32| centres.x[cols.binary_search(col).unwrap_or(0)];
@@ -180,6 +184,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
         sorted_rows.sort_by(|a, b| y(a).total_cmp(&y(b)));
         (cols, rows) = (sorted_cols, sorted_rows);
     }
+    // Build the reader and the cameras in that order.
     let in_order = || rows.iter().flat_map(|row| cols.iter().map(|col| &by_index[&(*row, *col)]));
     let lens = in_order().next().and_then(|(name, _)| name.lens);
     let views = [rows.len(), cols.len()];
@@ -202,14 +207,15 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     })
 }
 
-/// Mean camera centre of each column (X, right) and each row (Y, down), in the order of their numbers.
+/// Mean camera centre of each column (X, right) and each row (Y, down), in the order of their
+/// numbers.
 struct Centres {
     x: Vec<f64>,
     y: Vec<f64>,
 }
 
 impl Centres {
-    /// `None` if a name has no centre, or rows or columns do not differ by theirs.
+    /// `None` if a name has no centre, or the centres of rows or columns are not distinct.
     fn new(names: &BTreeMap<(u32, u32), (CameraName, PathBuf)>, rows: &[u32], cols: &[u32]) -> Option<Self> {
         let mut sums = (vec![0.0; cols.len()], vec![0.0; rows.len()]);
         for ((row, col), (name, _)) in names {
@@ -226,7 +232,7 @@ impl Centres {
         (differ(&x) && differ(&y)).then_some(Self { x, y })
     }
 
-    /// Positions in steps, right and up, in our order.
+    /// Positions in steps, right and up, in the order of this crate.
     fn positions(mut self) -> [Vec<f64>; 2] {
         self.x.sort_by(f64::total_cmp);
         self.y.sort_by(f64::total_cmp);
@@ -242,7 +248,8 @@ fn spacing(sorted: &[f64]) -> f64 {
     }
 }
 
-/// Shifted so that the middle between the first and the last is 0; positions that are whole steps apart are made exactly so.
+/// Positions shifted so that the centre of the first and last is 0; positions whole steps apart are
+/// made exact.
 fn middle_zero(positions: impl Iterator<Item = f64>) -> Vec<f64> {
     let positions: Vec<f64> = positions.collect();
     let middle = 0.5 * (positions.first().unwrap_or(&0.0) + positions.last().unwrap_or(&0.0));
@@ -274,7 +281,8 @@ mod tests {
             ("photo_7", None),
             ("input_Cam001", None),
         ] {
-            // "scene_2_01_02": the first pair of whole numbers is (2, 01), followed by a single number; the second pair ends the name
+            // "scene_2_01_02": the first pair of whole numbers is (2, 01), followed by one number;
+            // the second pair ends the name
             assert_eq!(parse_name(stem), expected, "{stem}");
         }
     }

@@ -1,4 +1,5 @@
-//! What is in a light field: geometry as far as the files give it, and the range of values, read view by view.
+//! Describes a light field: geometry as far as the files define it, and the range of values, read
+//! view by view.
 
 use std::path::Path;
 
@@ -11,24 +12,24 @@ use crate::geometry::{GeometryFlags, full_angle_deg};
 use crate::source::Kind;
 use crate::{FieldError, detect};
 
-/// Summary of a light field on disk; `None` where neither files nor flags say.
+/// Summary of a light field on disk; `None` where neither files nor flags define a value.
 #[derive(Clone, Debug, Serialize)]
 pub struct Description {
     /// Kind of files.
     pub kind: Kind,
-    /// Where it was found.
+    /// Its path.
     pub path: String,
     /// [horizontal, vertical] views.
     pub views: [usize; 2],
     /// [columns, rows] of every view.
     pub resolution: [usize; 2],
-    /// How the rays of one view relate.
+    /// Projection of one view's rays.
     pub projection: Option<ProjectionKind>,
-    /// Viewing distance of a perspective grid.
+    /// Viewing distance of a perspective grid, millimetres.
     pub distance_mm: Option<f64>,
-    /// Pixel pitch on z = 0.
+    /// Pixel pitch on z = 0, millimetres.
     pub pitch_mm: Option<f64>,
-    /// [horizontal, vertical] full angle.
+    /// [horizontal, vertical] full angle, degrees.
     pub fov_deg: Option<[f64; 2]>,
     /// Slopes of view columns, left to right.
     pub slope_x: Option<Vec<f64>>,
@@ -42,14 +43,16 @@ pub struct Description {
     pub mean: f64,
     /// Values that are infinite or not a number.
     pub not_finite: u64,
-    /// What the writer of our own folder noted.
+    /// Notes of the writer of a `lightfield.json` folder.
     pub info: Map<String, Value>,
 }
 
-/// Describes a light field of any kind that [`open`](crate::open) reads; holds one view (or one quilt) at a time.
+/// Describes a light field of any kind that [`open`](crate::open) reads; holds one view (or one
+/// quilt) at a time.
 ///
 /// # Errors
-/// Those of [`open`](crate::open), save for incomplete geometry and odd values, which are part of the answer.
+/// Those of [`open`](crate::open). Incomplete geometry and unusual values are no errors here, but
+/// part of the description.
 pub fn describe(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, FieldError> {
     let mut source = detect::detect(path, flags, task)?;
     let [rows, cols] = source.views;

@@ -1,4 +1,4 @@
-//! Which kind of light field a path is.
+//! Detects the kind of a light field.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,8 @@
-//! How far content moves between two neighbouring views: block matching along one axis.
+//! Disparity between two neighbouring views: block matching along one axis.
 //!
-//! For each textured block of the first picture, the shift that minimizes the sum of absolute differences of √luminance in the second;
-//! blocks whose minimum is not clearly lower than elsewhere are left out. Percentiles of the shifts describe the scene's depth range.
+//! For each textured block of the first picture: the shift with the smallest sum of absolute
+//! differences of √luminance in the second. Blocks without a distinct minimum are omitted.
+//! Percentiles of the shifts describe the scene's depth range.
 
 use lumistack_core::colour;
 
@@ -18,19 +19,19 @@ pub(crate) struct Motion {
 
 /// Block size across and along the axis of motion.
 const BLOCK: [usize; 2] = [12, 24];
-/// Largest shift that is tried, pixels.
+/// Largest shift, pixels.
 const REACH: usize = 64;
-/// About how many blocks are tried per axis.
+/// Approximate number of blocks per axis.
 const BLOCKS_PER_AXIS: usize = 40;
-/// Fewest blocks that make a measurement.
+/// Smallest number of blocks for a result.
 const FEWEST_BLOCKS: usize = 12;
-/// Mean step of √luminance between neighbours below which a block has no texture.
+/// Mean difference of √luminance between neighbours below which a block has no texture.
 const TEXTURE: f32 = 0.01;
-/// A minimum counts if all shifts farther away than two pixels are worse by this factor.
+/// A minimum is distinct if all shifts more than two pixels away are worse by this factor.
 const DISTINCT: f32 = 1.5;
 
-/// Motion along `axis` (0: columns, 1: rows) between two pictures `[row][col][rgb]` of `size` = [columns, rows]; `None` where too little
-/// texture is found to tell.
+/// Motion along `axis` (0: columns, 1: rows) between two pictures `[row][col][rgb]` of `size` =
+/// [columns, rows]; `None` with too little texture.
 pub(crate) fn motion(first: &[f32], second: &[f32], size: [usize; 2], axis: usize) -> Option<Motion> {
     let (length, lines) = (size[axis], size[1 - axis]);
     let first = Lines::new(first, size, axis);
@@ -54,7 +55,7 @@ pub(crate) fn motion(first: &[f32], second: &[f32], size: [usize; 2], axis: usiz
     Some(Motion { low: percentile(10), median: percentile(50), high: percentile(90) })
 }
 
-/// √luminance, lines parallel to the motion.
+/// √luminance, in lines parallel to the motion.
 struct Lines {
     length: usize,
     values: Vec<f32>,
@@ -112,7 +113,7 @@ mod tests {
 
     use super::*;
 
-    /// Matching a shifted copy is exact up to the parabola through the costs.
+    /// Tolerance of the parabola fit when a shifted copy is matched.
     const SUBPIXEL: f64 = 0.3;
 
     #[test]

@@ -1,4 +1,5 @@
-//! What can be wrong with files: every message names the file, the place in it, what was expected and what was found.
+//! Errors of files: every message contains the file, the place in it, the expected and the found
+//! value.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,27 +11,27 @@ use thiserror::Error;
 /// A light field or layer stack that cannot be read or written.
 #[derive(Debug, Error)]
 pub enum FieldError {
-    /// The operating system refused.
+    /// The operating system returned an error.
     #[error("{}: cannot {action}: {source}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What was tried: "read", "write", "list the folder".
+        /// The operation: "read", "write", "list the folder".
         action: &'static str,
-        /// Why it failed.
+        /// The system's error.
         #[source]
         source: io::Error,
     },
-    /// The content is not what it should be.
+    /// The content is malformed.
     #[error("{}: {place}: expected {expected}, found {found}", path.display())]
     Malformed {
         /// The file or folder.
         path: PathBuf,
-        /// Where in it: a key, an axis, an index.
+        /// The place in it: a key, an axis, an index.
         place: String,
-        /// What was needed.
+        /// The expected value.
         expected: String,
-        /// What was there.
+        /// The value found.
         found: String,
     },
     /// Two views of one light field differ in size.
@@ -48,35 +49,35 @@ pub enum FieldError {
         /// Its [columns, rows].
         second_size: [usize; 2],
     },
-    /// The files do not say where the views are, and nobody else did.
+    /// Neither files nor flags define the views' geometry.
     #[error("{}: {what} is not known: give {flag}", path.display())]
     MissingGeometry {
         /// The light field.
         path: PathBuf,
-        /// Which number.
+        /// The missing value.
         what: &'static str,
         /// The flag that supplies it, with an example.
         flag: &'static str,
     },
-    /// The geometry makes no sense.
+    /// The geometry is invalid.
     #[error("{}: {source}", path.display())]
     Geometry {
         /// The light field.
         path: PathBuf,
-        /// What is wrong.
+        /// The reason.
         #[source]
         source: GridError,
     },
-    /// The stack does not fit its display.
+    /// The stack does not match its display.
     #[error("{}: {source}", path.display())]
     Stack {
         /// The stack's folder.
         path: PathBuf,
-        /// What is wrong.
+        /// The reason.
         #[source]
         source: StackError,
     },
-    /// Somebody asked to stop.
+    /// The user cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }

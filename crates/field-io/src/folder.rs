@@ -1,4 +1,5 @@
-//! Our light-field folder: `lightfield.json` with the geometry of every view, and one half-float OpenEXR picture per view.
+//! Our light-field folder: `lightfield.json` with the geometry of every view, and one half-float
+//! OpenEXR picture per view.
 //!
 //! ```json
 //! { "schema": "lumistack/lightfield", "version": 1, "axes": ["view_y", "view_x", "row", "col", "rgb"], "linear": true,
@@ -7,7 +8,8 @@
 //!   "views": [{ "file": "view_00_00.exr", "view": [view_y, view_x], "slope": [s_x, s_y], "eye_mm": [x, y, z] }] }
 //! ```
 //!
-//! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The index is written last.
+//! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The
+//! index is written last.
 
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
@@ -32,9 +34,9 @@ use crate::{FieldError, atomic};
 pub(crate) const INDEX: &str = "lightfield.json";
 const SCHEMA: &str = "lumistack/lightfield";
 const VERSION: u32 = 1;
-/// Largest difference of a view's own slope from its row's and column's.
+/// Largest difference between a view's own slope and that of its row and column.
 const SLOPE_TOLERANCE: f64 = 1e-6;
-/// Views per axis above which an index is taken to be damaged.
+/// Views per axis above which an index counts as damaged.
 const VIEW_LIMIT: usize = 1 << 14;
 
 #[derive(Serialize)]
@@ -50,7 +52,7 @@ struct Index<'a> {
     distance_mm: Option<f64>,
     slope_x: &'a [f64],
     slope_y: &'a [f64],
-    /// Whether views are missing.
+    /// Views are missing.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     partial: bool,
     info: &'a Map<String, Value>,
@@ -67,7 +69,7 @@ struct ViewEntry {
     eye_mm: Option<[f64; 3]>,
 }
 
-/// What [`GeometryJson`] leaves over.
+/// Keys beside those of [`GeometryJson`].
 #[derive(Deserialize)]
 struct Listing {
     schema: String,
@@ -80,21 +82,22 @@ struct Listing {
     info: Map<String, Value>,
 }
 
-/// Rounds every value to the nearest half float, which is what a light field's folder stores: whoever factorizes the result works on
-/// exactly what is on disk.
+/// Rounds every value to the nearest half float, as a light field's folder stores it. A
+/// factorization of the result uses exactly the values on disk.
 pub fn round_to_half(values: &mut [f32]) {
     for value in values {
         *value = f16::from_f32(value.clamp(-LARGEST, LARGEST)).to_f32();
     }
 }
 
-/// Name of a view's file: `view_YY_XX.exr`, more digits where there are more than 100 views along an axis.
+/// Name of a view's file: `view_YY_XX.exr`, with more digits for more than 100 views along an axis.
 pub fn view_file_name(views: [usize; 2], view: [usize; 2]) -> String {
     let digits = (views[0].max(views[1]).saturating_sub(1)).to_string().len().max(2);
     format!("view_{:0digits$}_{:0digits$}.exr", view[0], view[1])
 }
 
-/// Writes a light field into a folder, which is made where it is missing. `info` goes into the index as it is.
+/// Writes a light field into a folder, which is created if missing. `info` is copied into the
+/// index.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.
@@ -102,18 +105,19 @@ pub fn write_field(folder: &Path, field: &LightField, info: &Map<String, Value>)
     atomic::create_folder(folder)?;
     atomic::remove(&folder.join(INDEX))?;
     let views: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
-    // compressing takes longer than writing
+    // compression takes longer than writing, so it runs in parallel
     views.par_iter().try_for_each(|&view| write_view(folder, field.geometry(), view, field.view(view)))?;
     write_index(folder, field.geometry(), info)
 }
 
-/// Writes one view, `[row][col][rgb]`, into an existing folder; for views that are made one by one.
+/// Writes one view, `[row][col][rgb]`, into an existing folder, for views that are rendered one by
+/// one.
 ///
 /// # Errors
 /// If a value is not finite, or the file cannot be written.
 ///
 /// # Panics
-/// If `rgb` does not hold the geometry's number of values.
+/// If the length of `rgb` is not that of the geometry.
 pub fn write_view(folder: &Path, geometry: &FieldGeometry, view: [usize; 2], rgb: &[f32]) -> Result<(), FieldError> {
     write_view_as(folder, geometry, view, rgb, Precision::Half)
 }
@@ -134,11 +138,12 @@ fn write_view_as(
     write_exr(&path, [geometry.cols, geometry.rows], rgb, precision)
 }
 
-/// [`write_field`] with some of the views only, [view_y, view_x], each once, in this precision. Their files are named as those of the whole field.
+/// [`write_field`] with a subset of the views, [view_y, view_x], each once, in this precision.
+/// Files have the same names as in the whole field.
 ///
-/// Views that make whole rows and columns are a light field of their own, and the index says so: it has their slopes only, and
-/// `info.part_of` tells which rows and columns of how many they are. Otherwise the index has the slopes of all views and `"partial": true`, and
-/// no reader takes the folder for a light field.
+/// Whole rows and columns form a light field of their own. Its index has their slopes only, and
+/// `info.part_of` lists the rows and columns and their total. Otherwise the index has the slopes of
+/// all views and `"partial": true`, and readers refuse the folder.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.
@@ -187,7 +192,7 @@ pub fn write_index(folder: &Path, geometry: &FieldGeometry, info: &Map<String, V
     write_index_of(folder, geometry, entries, false, info)
 }
 
-/// The index of a folder that holds these views of a geometry in these files.
+/// Writes the index of a folder with these views of a geometry in these files.
 fn write_index_of(
     folder: &Path,
     geometry: &FieldGeometry,
@@ -230,7 +235,8 @@ fn write_index_of(
 /// Reads a light field's folder, with the `info` of its index.
 ///
 /// # Errors
-/// If the index is malformed, a view is missing, damaged or of another size, or a value is not finite.
+/// If the index is malformed, a view is missing, damaged or of another size, or a value is not
+/// finite.
 pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value>), FieldError> {
     let mut source = source(folder)?;
     let info = std::mem::take(&mut source.info);
@@ -250,12 +256,14 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
     if geometry.linear == Some(false) {
         return Err(FieldError::malformed(&path, "linear", "true", "false"));
     }
+    // Partial folders are no light fields.
     if listing.partial {
         let count = |slopes: &Option<Vec<f64>>| slopes.as_ref().map_or(0, Vec::len);
         let all = count(&geometry.slope_y) * count(&geometry.slope_x);
         let expected = "all views of a light field, or whole rows and columns (`lumistack render` without --only-views renders the rest)";
         return Err(FieldError::malformed(&path, "views", expected, format!("{} of {all}", listing.views.len())));
     }
+    // Required keys and plausible counts, before files are opened.
     let missing = |key: &str| FieldError::malformed(&path, key, "a value", "none");
     let slope_x = geometry.slope_x.clone().ok_or_else(|| missing("slope_x"))?;
     let slope_y = geometry.slope_y.clone().ok_or_else(|| missing("slope_y"))?;
@@ -275,6 +283,7 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
         ));
     }
     let distance_mm = geometry.distance_mm;
+    // Check listed files against the slopes, and their size against the index.
     let files = listed_files(folder, &path, &listing.views, &slope_x, &slope_y, distance_mm)?;
     let reader = PictureGrid::new(files, views)?;
     let size = reader.size();
@@ -332,7 +341,7 @@ fn listed_files(
         if !plain || entry.file.is_empty() {
             return bad("file", "a name inside the folder".into(), entry.file.clone());
         }
-        // a link may still lead out; a file that is missing is an error when it is read
+        // a link may lead outside; a missing file is an error when it is read
         if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(name) {
             return bad("file", "a name inside the folder".into(), format!("{}: {refusal}", entry.file));
         }

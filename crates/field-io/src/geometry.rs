@@ -1,6 +1,7 @@
-//! Where the views of a light field are: what flags say, what files say, what is assumed.
+//! Geometry of a light field's views, from flags, files and defaults.
 //!
-//! Flags win over files, files over defaults. Every default that is used gives a warning that names its flag.
+//! Flags override files, and files override defaults. Every default in use causes a warning with
+//! the name of its flag.
 
 use std::path::Path;
 
@@ -15,10 +16,11 @@ use crate::FieldError;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GeometryFlags {
-    /// How the rays of one view relate. `distance_mm` alone implies perspective where the files do not say.
+    /// Projection of one view's rays. `distance_mm` alone implies perspective if the files do not
+    /// define it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub grid: Option<ProjectionKind>,
-    /// [horizontal, vertical] full angle over which the views that are kept spread, degrees.
+    /// [horizontal, vertical] full angle of the kept views, degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fov_deg: Option<[f64; 2]>,
     /// Pitch of the resulting pixels on z = 0, millimetres.
@@ -27,25 +29,28 @@ pub struct GeometryFlags {
     /// Viewing distance of a perspective grid, millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_mm: Option<f64>,
-    /// [horizontal, vertical] views to keep: evenly spaced, as wide apart as they fit, around the middle.
+    /// [horizontal, vertical] views to keep: evenly spaced, as wide as possible, around the centre.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub views: Option<[usize; 2]>,
-    /// [columns, rows] of tiles of a quilt whose name does not say.
+    /// [columns, rows] of tiles of a quilt whose name does not contain them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quilt: Option<[usize; 2]>,
     /// [horizontal, vertical] views of a single picture of tiles, view (0, 0) at the top left.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
-    /// [columns, rows] to reduce every view to, by area averaging after a crop to this aspect.
+    /// [columns, rows] of every view after reduction, by area averaging after a crop to this
+    /// aspect.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
-    /// Disparity that is put on z = 0: pixels of the files by which content moves left when the viewpoint moves right by one view.
+    /// Disparity that is moved to z = 0: shift of content to the left, in file pixels, per view to
+    /// the right.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub focus_px: Option<f64>,
     /// Reverse the order of views along [x, y].
     #[serde(skip_serializing_if = "is_unset")]
     pub mirror: [bool; 2],
-    /// Average every view that is kept over the slopes that the display cannot tell apart; see [`open_for`](crate::open_for).
+    /// Average every kept view over the slopes that the display cannot resolve; see
+    /// [`open_for`](crate::open_for).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub prefilter: bool,
 }
@@ -54,7 +59,7 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
     *mirror == [false; 2]
 }
 
-/// What is assumed where neither flags nor files say; `None` makes it an error.
+/// Defaults where neither flags nor files define a value; `None` causes an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
     /// Width of the light field on z = 0, millimetres.
@@ -63,7 +68,7 @@ pub struct GeometryDefaults {
     pub fov_deg: Option<[f64; 2]>,
 }
 
-/// What the files say.
+/// Geometry defined by the files.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Hints {
     pub(crate) projection: Option<ProjectionKind>,
@@ -73,24 +78,28 @@ pub(crate) struct Hints {
     /// Slopes of view columns (x) and view rows (y, up).
     pub(crate) slopes: [Option<Vec<f64>>; 2],
     pub(crate) cameras: Option<Cameras>,
-    /// Width over height of one view, where tiles may be anamorphic.
+    /// Width over height of one view, for anamorphic tiles.
     pub(crate) view_aspect: Option<f64>,
 }
 
-/// Cameras in a plane that look the same way.
+/// Cameras in a plane with a common viewing direction.
 #[derive(Clone, Debug)]
 pub(crate) struct Cameras {
-    /// Positions of view columns (x, right) and view rows (y, up), in steps: the mean distance of neighbours along x.
+    /// Positions of view columns (x, right) and view rows (y, up), in steps: the mean distance
+    /// between neighbours along x.
     pub(crate) positions: [Vec<f64>; 2],
     /// Focal length in pixels of the files.
     pub(crate) focal_px: Option<f64>,
-    /// Step over distance of the plane whose disparity is zero: 0 for parallel cameras, whose plane is infinitely far.
+    /// Step divided by the distance of the plane of zero disparity; 0 for parallel cameras, whose
+    /// plane is at infinity.
     pub(crate) slope_per_step: f64,
-    /// The pictures may be unsheared or sheared to any plane: find out from the pictures.
+    /// The pictures may be unsheared or sheared to any plane: the focus is searched in the
+    /// pictures.
     pub(crate) plane_unknown: bool,
 }
 
-/// Geometry as JSON files have it: our `lightfield.json`, and the file beside an array. Unknown keys are left alone.
+/// Geometry in JSON files: `lightfield.json`, and the file beside an array. Unknown keys are
+/// ignored.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(crate) struct GeometryJson {
     pub(crate) axes: Option<Vec<String>>,
@@ -106,7 +115,7 @@ pub(crate) struct GeometryJson {
 }
 
 impl GeometryJson {
-    /// Checks it against the `views` = [vertical, horizontal] of the data.
+    /// Checks it against the data's `views` = [vertical, horizontal].
     pub(crate) fn into_hints(self, path: &Path, views: [usize; 2]) -> Result<Hints, FieldError> {
         let axes = lumistack_display::LightField::AXES;
         if let Some(found) = &self.axes
@@ -133,24 +142,25 @@ impl GeometryJson {
     }
 }
 
-/// What the pixels of the result are, next to those of the files.
+/// Pixels of the result in relation to those of the files.
 pub(crate) struct Pixels {
     /// [columns, rows] of the result.
     pub(crate) size: [usize; 2],
-    /// Width of the part of a file's view that the result shows, file pixels.
+    /// Width of the used part of a file's view, file pixels.
     pub(crate) window_cols: f64,
-    /// Disparity in file pixels that was put on z = 0.
+    /// Disparity that was moved to z = 0, file pixels.
     pub(crate) focus_px: f64,
 }
 
-/// `count` of `available` indices: evenly spaced, as wide apart as they fit, around the middle.
+/// `count` of `available` indices: evenly spaced, as wide as possible, around the centre.
 pub(crate) fn pick(available: usize, count: usize) -> Vec<usize> {
     let stride = if count > 1 { (available - 1) / (count - 1) } else { 1 };
     let first = (available - 1 - (count - 1) * stride) / 2;
     (0..count).map(|index| first + index * stride).collect()
 }
 
-/// Settles the geometry of a light field of which the view rows `picks[0]` and columns `picks[1]` are kept.
+/// Resolves the geometry of a light field with the kept view rows `picks[0]` and columns
+/// `picks[1]`.
 pub(crate) fn resolve(
     path: &Path,
     flags: &GeometryFlags,
@@ -163,6 +173,7 @@ pub(crate) fn resolve(
     let pitch_mm = pitch(path, flags, defaults, hints, pixels, task)?;
     let own_slopes = physical_slopes(hints, picks, pixels);
     let (slopes, physical) = slopes(path, flags, defaults, hints, picks, own_slopes, task)?;
+    // Select the projection: flag, file, then perspective for known cameras or distances.
     let kind = flags.grid.or(hints.projection).unwrap_or(match flags.distance_mm {
         None if !physical => ProjectionKind::Oblique,
         _ => ProjectionKind::Perspective,
@@ -179,6 +190,7 @@ pub(crate) fn resolve(
             format!("its own viewing distance of {own_mm} mm is replaced by {given_mm} mm (--distance-mm)"),
         );
     }
+    // A perspective grid needs a viewing distance: flag, file, or the lens.
     let projection = match kind {
         ProjectionKind::Oblique => {
             if flags.distance_mm.is_some() {
@@ -236,7 +248,7 @@ fn pitch(
     Ok(width_mm / cols)
 }
 
-/// Slopes per axis (x, y), and whether they are the cameras' own.
+/// Slopes per axis (x, y), and true if they are the cameras' own.
 fn slopes(
     path: &Path,
     flags: &GeometryFlags,
@@ -248,6 +260,7 @@ fn slopes(
 ) -> Result<([Vec<f64>; 2], bool), FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
     let spread = |fov_deg: [f64; 2]| spread(path, fov_deg, hints, picks);
+    // First choice: the angles of the flags. Warn if they differ from the files' angles.
     if let Some(fov_deg) = flags.fov_deg {
         let slopes = spread(fov_deg)?;
         let of_file = |axis: usize| {
@@ -268,6 +281,7 @@ fn slopes(
         }
         return Ok((slopes, false));
     }
+    // Second choice: slopes in the files, then full angles in the files.
     let explicit = [0, 1].map(|axis| {
         let all = hints.slopes[axis].as_ref()?;
         Some(picks[1 - axis].iter().map(|&view| all[view]).collect::<Vec<f64>>())
@@ -286,6 +300,7 @@ fn slopes(
     if counts == [1, 1] {
         return Ok((filled([vec![0.0], vec![0.0]]), false));
     }
+    // Third choice: the default angles, with a warning; last the cameras' own slopes.
     if let Some(fov_deg) = defaults.fov_deg {
         let [x, y] = fov_deg;
         let mut message = format!("its views are spread over {x}° × {y}° (--fov sets the angles)");
@@ -304,7 +319,8 @@ fn slopes(
     own_slopes.map(|slopes| (filled(slopes), true)).ok_or_else(missing)
 }
 
-/// Views over full angles: at the centres of equal bins, or in proportion to where the cameras stood.
+/// Spreads views over full angles: at the centres of equal bins, or in proportion to the cameras'
+/// positions.
 fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]) -> Result<[Vec<f64>; 2], FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
     let uniform = ViewGrid::uniform(Projection::Oblique, counts, fov_deg).map_err(FieldError::geometry(path))?;
@@ -321,8 +337,8 @@ fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]
     }))
 }
 
-/// The slopes at which the cameras really saw the plane that is now z = 0: with disparity k at focal length f (both in pixels), a step
-/// to the side is k/f of the plane's distance.
+/// The cameras' true slopes to the plane that is now z = 0. With disparity k at focal length f
+/// (both in pixels), a step sideways is k/f of the plane's distance.
 fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> Option<[Vec<f64>; 2]> {
     let cameras = hints.cameras.as_ref()?;
     let per_step = cameras.slope_per_step + pixels.focus_px / cameras.focal_px?;
@@ -331,12 +347,12 @@ fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> O
     })
 }
 
-/// Whether what a flag says differs from what a file says by more than rounding.
+/// Returns true if a flag and a file differ by more than rounding.
 fn differ(own: f64, given: f64) -> bool {
     (own - given).abs() > 1e-6 * own.abs().max(given.abs()) + 1e-9
 }
 
-/// Full angle that views cover, bins included; 0 for one view.
+/// Full angle of the views, bins included; 0 for one view.
 pub(crate) fn full_angle_deg(slopes: &[f64]) -> f64 {
     match slopes {
         [first, .., last] => {

@@ -1,7 +1,8 @@
 //! Folders of the HCI 4D light field benchmark: `input_Cam%03d.png` and `parameters.cfg`.
 //!
-//! Camera i stands in row i / num_cams_x (0 the topmost) and column i % num_cams_x (0 the leftmost). With focal length f and baseline b,
-//! pictures are shifted so that the plane at `focus_distance_m` has no disparity: one step to the side is the slope b / focus distance.
+//! Camera i is in row i / num_cams_x (0 the topmost) and column i % num_cams_x (0 the leftmost).
+//! With baseline b, pictures are shifted so that the plane at `focus_distance_m` has no disparity.
+//! One step sideways is the slope b / focus distance.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,7 +17,7 @@ use crate::source::{Kind, Source};
 
 const PARAMETERS: &str = "parameters.cfg";
 
-/// Opens the folder if it holds `input_Cam` pictures.
+/// Opens the folder if it contains `input_Cam` pictures.
 pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, FieldError> {
     let mut numbered = BTreeMap::<usize, PathBuf>::new();
     for file in pictures(folder)? {
@@ -34,7 +35,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     }
     let path = folder.join(PARAMETERS);
     let parameters = if path.is_file() {
-        // Names and notes in the file may be in any encoding; only numbers are used.
+        // names and notes may have any encoding; only numbers are used
         let bytes = read_index(&path)?;
         Parameters { path, values: parse(&String::from_utf8_lossy(&bytes)) }
     } else {
@@ -76,7 +77,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     }))
 }
 
-/// Keys of `parameters.cfg`, whatever their section: they do not repeat.
+/// Keys of `parameters.cfg`, without their sections: they are unique.
 struct Parameters {
     path: PathBuf,
     values: BTreeMap<String, String>,
@@ -108,7 +109,7 @@ fn parse(text: &str) -> BTreeMap<String, String> {
     text.lines().filter(|line| !line.trim_start().starts_with(['#', ';'])).filter_map(pair).collect()
 }
 
-/// [vertical, horizontal].
+/// Number of cameras, [vertical, horizontal].
 fn grid_size(folder: &Path, parameters: &Parameters, count: usize, task: Task<'_>) -> Result<[usize; 2], FieldError> {
     if let (Some(cols), Some(rows)) = (parameters.count("num_cams_x")?, parameters.count("num_cams_y")?) {
         if count < rows * cols {

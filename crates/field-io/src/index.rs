@@ -1,4 +1,4 @@
-//! The JSON files that say what lies beside them.
+//! Index files: JSON that describes the files beside it.
 
 use std::path::Path;
 

@@ -1,14 +1,15 @@
 //! Light fields and layer stacks on disk.
 //!
 //! ```text
-//! our folder (EXR) ─┐
-//! .npy + .json ─────┤
-//! camera folders ───┼──▶ open() ──▶ LightField ──▶ write_field() ──▶ lightfield.json, view_YY_XX.exr
-//! quilts, tiles ────┘              LayerStack ──▶ write_stack() ──▶ stack.json, layer_L.npy, emission.npy
+//! lightfield.json + EXR ─┐
+//! .npy + .json ──────────┤
+//! camera folders ────────┼──▶ open() ──▶ LightField ──▶ write_field() ──▶ lightfield.json, view_YY_XX.exr
+//! quilts, tiles ─────────┘         LayerStack ──▶ write_stack() ──▶ stack.json, layer_L.npy, emission.npy
 //! ```
 //!
-//! Whatever the source, views come out in one order: view (0, 0) is the leftmost and topmost viewpoint, values are linear light. Every
-//! file is written beside its target and renamed, so nothing half-written is ever seen under its final name.
+//! All sources have one order of views: view (0, 0) is the leftmost and topmost viewpoint. Values
+//! are linear light. Every file is written beside its target and renamed, so a final name never
+//! belongs to a partial file.
 
 mod array;
 mod assemble;
@@ -43,5 +44,6 @@ pub use prefilter::Footprint;
 pub use source::Kind;
 pub use stack::{read_stack, read_stack_index, write_stack};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

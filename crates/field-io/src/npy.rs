@@ -1,7 +1,8 @@
 //! NumPy's array files: `.npy`, C order.
 //!
-//! Written: little-endian `float32`, so that `numpy.load` needs no adapter. Read: `float16/32/64` and `uint8/16` of either byte order,
-//! value by value range, so that a large array is never in memory as a whole unless the caller wants it.
+//! Written: little-endian `float32`, which `numpy.load` reads directly. Read: `float16/32/64` and
+//! `uint8/16` of either byte order. Ranges of values can be read, so that a large array need not
+//! fit into memory.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -12,14 +13,14 @@ use npyz::{DType, Endianness, NpyHeader, Order, TypeChar, WriteOptions, WriterBu
 
 use crate::{FieldError, atomic};
 
-/// Longest header that is read; NumPy's own limit is 10,000 characters.
+/// Longest header, bytes; NumPy's own limit is 10,000 characters.
 const HEADER_LIMIT: usize = 1 << 16;
-/// Digits that a header may hold: the product of its numbers then fits in 64 bits.
+/// Largest number of digits in a header, so that the product of its numbers fits into 64 bits.
 const DIGIT_LIMIT: usize = 18;
-/// Values that are converted at a time.
+/// Number of values converted at a time.
 const CHUNK: usize = 1 << 14;
 
-/// An array file that is open for reading.
+/// An array file, open for reading.
 #[derive(Debug)]
 pub struct NpyFile {
     path: PathBuf,
@@ -51,7 +52,7 @@ pub enum Scalar {
 /// If writing fails.
 ///
 /// # Panics
-/// If `data` does not have the shape's number of values.
+/// If the length of `data` is not that of the shape.
 pub fn write(path: &Path, shape: &[usize], data: &[f32]) -> Result<(), FieldError> {
     assert_eq!(shape.iter().product::<usize>(), data.len(), "values fill the shape");
     atomic::write(path, |writer| {
@@ -81,7 +82,7 @@ pub(crate) fn write_values(mut writer: impl Write, data: &[f32]) -> io::Result<(
 /// Reads a whole array as `f32`, with its shape.
 ///
 /// # Errors
-/// On a file that is no array, or is shorter than its header says.
+/// On a file that is no array, or is shorter than its header declares.
 pub fn read(path: &Path) -> Result<(Vec<usize>, Vec<f32>), FieldError> {
     let mut array = NpyFile::open(path)?;
     let count = array.len();
@@ -91,7 +92,7 @@ pub fn read(path: &Path) -> Result<(Vec<usize>, Vec<f32>), FieldError> {
 }
 
 impl NpyFile {
-    /// Opens an array and checks that the file is as long as its header says.
+    /// Opens an array and checks the file's length against its header.
     ///
     /// # Errors
     /// On a malformed header, Fortran order, other types of values, and a file that is too short.
@@ -137,15 +138,15 @@ impl NpyFile {
         self.shape.iter().product()
     }
 
-    /// Whether it holds no values.
+    /// Returns true if it has no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Reads the values from index `start` on into `values`; code values become 0..1.
+    /// Reads `values.len()` values from index `start`; code values are scaled to 0..1.
     ///
     /// # Errors
-    /// If the file cannot be read, or ends before.
+    /// If the file cannot be read, or ends early.
     pub fn read_values(&mut self, start: usize, values: &mut [f32]) -> Result<(), FieldError> {
         self.fill(start, values).map_err(FieldError::io(&self.path, "read"))
     }
@@ -179,7 +180,7 @@ impl Scalar {
         }
     }
 
-    /// Whether values are code values of pictures rather than amounts of light.
+    /// Returns true for code values of pictures, false for linear light.
     pub fn is_code(self) -> bool {
         matches!(self, Self::U8 | Self::U16)
     }
@@ -196,14 +197,14 @@ impl Scalar {
     }
 }
 
-/// Zeros, or an error where an attempt to take the memory would end the program.
+/// Zeros, or an error if the allocation would end the program.
 pub(crate) fn zeros(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
     let mut data = reserved(path, count)?;
     data.resize(count, 0.0);
     Ok(data)
 }
 
-/// Room for `count` values that nobody has touched yet, or an error as of [`zeros`].
+/// Untouched capacity for `count` values, or an error as for [`zeros`].
 pub(crate) fn reserved(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
     let mut data = Vec::new();
     if data.try_reserve_exact(count).is_err() {
@@ -213,7 +214,8 @@ pub(crate) fn reserved(path: &Path, count: usize) -> Result<Vec<f32>, FieldError
     Ok(data)
 }
 
-/// Checks what the header parser takes on trust (lengths, depth, overflow), then hands it the same bytes.
+/// Checks properties that the header parser assumes (lengths, depth, overflow), then parses the
+/// same bytes.
 fn read_header(path: &Path, file: &mut impl Read) -> Result<(NpyHeader, u64), FieldError> {
     let bad = |expected: &str, found: String| FieldError::malformed(path, "header", expected, found);
     let short = |_| bad("a NumPy array (.npy)", "the file ends within it".into());

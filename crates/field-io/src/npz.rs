@@ -1,6 +1,7 @@
 //! NumPy's archives: `.npz`, arrays of little-endian `float32` in an uncompressed ZIP file.
 //!
-//! Written front to back without seeking, part by part: memory does not grow with the arrays. The same values give the same bytes.
+//! Written front to back without seeking, in parts, so memory does not grow with the arrays. Equal
+//! values produce equal bytes.
 
 use std::io::{self, Write};
 
@@ -9,13 +10,13 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use crate::npy;
 
-/// Arrays from this many bytes on need the long form of ZIP's sizes.
+/// Arrays of at least this many bytes need ZIP's long form of sizes.
 const LARGE: u64 = 1 << 31;
 
-/// An archive that is being written.
+/// An archive in progress.
 pub struct NpzWriter<W: Write> {
     zip: ZipWriter<StreamWriter<W>>,
-    /// Values that the array still needs.
+    /// Number of values still to be written to the array.
     missing: usize,
 }
 
@@ -31,7 +32,7 @@ impl<W: Write> NpzWriter<W> {
     /// If writing fails.
     ///
     /// # Panics
-    /// If the array before is not complete.
+    /// If the previous array is incomplete.
     pub fn array(&mut self, name: &str, shape: &[usize]) -> io::Result<()> {
         self.check_complete();
         self.missing = shape.iter().product();
@@ -44,25 +45,25 @@ impl<W: Write> NpzWriter<W> {
         npy::write_header(&mut self.zip, shape)
     }
 
-    /// The next values of the array, in row-major order.
+    /// Writes the next values of the array, in row-major order.
     ///
     /// # Errors
     /// If writing fails.
     ///
     /// # Panics
-    /// If there are more than the shape has.
+    /// If there are more values than the shape has.
     pub fn values(&mut self, values: &[f32]) -> io::Result<()> {
         self.missing = self.missing.checked_sub(values.len()).expect("no more values than the shape has");
         npy::write_values(&mut self.zip, values)
     }
 
-    /// Ends the archive.
+    /// Completes the archive.
     ///
     /// # Errors
     /// If writing fails.
     ///
     /// # Panics
-    /// If the last array is not complete.
+    /// If the last array is incomplete.
     pub fn finish(self) -> io::Result<()> {
         self.check_complete();
         self.zip.finish().map(drop).map_err(io::Error::from)

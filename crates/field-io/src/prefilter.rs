@@ -1,33 +1,39 @@
-//! A display's prefilter for a light field that exists already: every view that is kept becomes the mean of those around it, over the slopes that the display cannot tell apart.
+//! A display's prefilter for a given light field: every kept view is averaged with its neighbours
+//! over the slopes that the display cannot resolve.
 //!
 //! ```text
-//! L'(x, s_i) = Σ_j w_ij L(x, s_j) / Σ_j w_ij        w_ij = length of [s_i − δs/2, s_i + δs/2] ∩ [s_j − Δs/2, s_j + Δs/2]
+//! L'(x, s_i) = Σ_j w_ij L(x, s_j) / Σ_j w_ij
+//! w_ij = length of [s_i − δs/2, s_i + δs/2] ∩ [s_j − Δs/2, s_j + Δs/2]
 //! ```
 //!
-//! with δs the [`angular_footprint`](lumistack_display::Display::angular_footprint) and Δs the step of the views that are there, per axis. A view stands for its bin of slopes, so footprints no
-//! wider than a bin change nothing: there is no telling what was seen between the views. The path tracer's `angular_filter = "display"` is this with as many views as one likes. A plane at z with a
-//! grating of frequency ω keeps, for δs = nΔs,
+//! δs is the [`angular_footprint`](lumistack_display::Display::angular_footprint) and Δs the step
+//! of the given views, per axis. A view stands for its bin of slopes, so footprints up to a bin
+//! have no effect: directions between views are unknown. The path tracer's
+//! `angular_filter = "display"` is the limit of many views. A plane at z with a grating of
+//! frequency ω keeps, for δs = nΔs,
 //!
 //! ```text
 //! sin(πω|z|nΔs)/(n sin(πω|z|Δs)) → sinc(ω z δs)        of its contrast
 //! ```
 //!
-//! Beyond the outermost views there is nothing: there the mean runs over what there is.
+//! At the outermost views the mean covers the available views only.
 
 use lumistack_display::FieldGeometry;
 
-/// The width of slopes [x, y] over which a light field of some geometry may be averaged for a display.
+/// The width of slopes [x, y] over which a light field may be averaged for a display, as a function
+/// of its geometry.
 pub type Footprint<'a> = &'a dyn Fn(&FieldGeometry) -> [f64; 2];
 
-/// Per view that is kept, along one axis: the views that are averaged for it, and their shares.
+/// For every kept view along one axis: the averaged views and their weights.
 pub(crate) type Shares = Vec<Vec<(usize, f32)>>;
 
-/// Every view for itself.
+/// Every view alone.
 pub(crate) fn alone(picks: &[usize]) -> Shares {
     picks.iter().map(|&view| vec![(view, 1.0)]).collect()
 }
 
-/// Shares along an axis. `slopes` are those of the views `picks` that are kept, `positions` of all views in any unit.
+/// Weights along an axis. `slopes` are those of the kept views `picks`, `positions` those of all
+/// views in any unit.
 pub(crate) fn shares(slopes: &[f64], picks: &[usize], positions: &[f64], width: f64) -> Shares {
     let ([first, .., last], [from, .., to]) = (slopes, picks) else { return alone(picks) };
     let scale = (last - first) / (positions[*to] - positions[*from]);
@@ -41,7 +47,7 @@ pub(crate) fn shares(slopes: &[f64], picks: &[usize], positions: &[f64], width: 
     };
     let of = |&picked: &usize| {
         let all = (0..positions.len()).map(|other| (other, share(picked, other)));
-        // rounding leaves slivers of bins that only touch
+        // rounding leaves slivers of adjacent bins
         let all: Vec<(usize, f64)> = all.filter(|(_, share)| *share > 1e-9 * bin).collect();
         let sum: f64 = all.iter().map(|(_, share)| share).sum();
         all.into_iter().map(|(other, share)| (other, (share / sum) as f32)).collect()
@@ -56,7 +62,7 @@ mod tests {
     #[test]
     fn shares_are_lengths() {
         let positions: Vec<f64> = (0..9).map(f64::from).collect();
-        // three of nine views are kept, 0.4 apart; a bin of all nine is 0.1
+        // three of nine views are kept, 0.4 apart; a bin of the nine is 0.1
         let of = |width: f64| shares(&[-0.4, 0.0, 0.4], &[0, 4, 8], &positions, width);
         let close = |found: &[(usize, f32)], expected: &[(usize, f32)]| {
             let near = |(a, b): (&(usize, f32), &(usize, f32))| a.0 == b.0 && (a.1 - b.1).abs() < 1e-6;
@@ -65,7 +71,7 @@ mod tests {
         assert_eq!(of(0.1), alone(&[0, 4, 8]));
         close(&of(0.2)[1], &[(3, 0.25), (4, 0.5), (5, 0.25)]);
         close(&of(0.3)[1], &[(3, 1.0 / 3.0), (4, 1.0 / 3.0), (5, 1.0 / 3.0)]);
-        // at the end what there is
+        // at the end, only the available views
         close(&of(0.3)[0], &[(0, 0.5), (1, 0.5)]);
         assert_eq!(shares(&[0.0], &[4], &positions, 1.0), alone(&[4]), "one view has no step");
     }

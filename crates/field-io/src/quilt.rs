@@ -1,10 +1,12 @@
 //! One picture of tiles.
 //!
-//! Quilt: `NAME_qs<columns>x<rows>[a<aspect>].ext`; view 0, the leftmost, is the bottom-left tile, then left to right, then up: horizontal
-//! parallax only. The aspect is width over height of a view, whose tile may be anamorphic. Sizes need not divide: tiles start at the
-//! bottom left and what remains at the top and right is unused.
+//! Quilt: `NAME_qs<columns>x<rows>[a<aspect>].ext`, horizontal parallax only. View 0, the leftmost,
+//! is the bottom-left tile; views continue to the right, then upwards. The aspect is width over
+//! height of a view; its tile may be anamorphic. Sizes need not divide: tiles start at the bottom
+//! left, and the rest at the top and right is unused.
 //!
-//! Tiles (by flag): view (0, 0) at the top left, one tile per view, both kinds of parallax; sizes must divide.
+//! Tiles (by flag): view (0, 0) at the top left, one tile per view, both kinds of parallax. Sizes
+//! must divide.
 
 use std::path::{Path, PathBuf};
 
@@ -13,10 +15,10 @@ use crate::geometry::{GeometryFlags, Hints};
 use crate::picture::Picture;
 use crate::source::{Kind, Source, Views};
 
-/// Most tiles per axis.
+/// Largest number of tiles per axis.
 const TILE_LIMIT: usize = 1000;
 
-/// Arrangement that a quilt's name gives.
+/// Layout in a quilt's name.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Layout {
     pub(crate) columns: usize,
@@ -24,7 +26,7 @@ pub(crate) struct Layout {
     pub(crate) aspect: Option<f64>,
 }
 
-/// Reads `_qs<columns>x<rows>[a<aspect>]` in a name.
+/// Parses `_qs<columns>x<rows>[a<aspect>]` in a name.
 pub(crate) fn layout_of(path: &Path) -> Option<Layout> {
     let stem = path.file_stem()?.to_string_lossy();
     let text = &stem[stem.rfind("_qs")? + 3..];
@@ -55,7 +57,7 @@ struct TileViews {
     picture: Option<Picture>,
 }
 
-/// Opens a picture of tiles; flags win over its name.
+/// Opens a picture of tiles; flags override its name.
 pub(crate) fn source(path: &Path, flags: &GeometryFlags) -> Result<Source, FieldError> {
     let size = Picture::size_of(path)?;
     if let Some([columns, rows]) = flags.tiles {

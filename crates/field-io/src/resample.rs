@@ -1,6 +1,8 @@
-//! Area averaging in linear light: an output pixel is the mean of the source rectangle that it covers.
+//! Area averaging in linear light: an output pixel is the mean of the source rectangle that it
+//! covers.
 //!
-//! One routine serves shifting (a rectangle that starts between pixels mixes two neighbours), cropping and reducing.
+//! One function serves shifts (a rectangle that starts between pixels mixes two neighbours), crops
+//! and reductions.
 
 /// A rectangle of a source picture in pixels; (0, 0) is the outer corner of the first pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,13 +11,14 @@ pub(crate) struct Rect {
     pub(crate) size: [f64; 2],
 }
 
-/// The pixels that one output pixel covers, and how much of each.
+/// The pixels covered by one output pixel, and their weights.
 struct Cover {
     first: usize,
     weights: Vec<f32>,
 }
 
-/// Averages the rectangle of `source` (`[row][col][rgb]`, `size` = [columns, rows]) into `out_size` pixels.
+/// Averages the rectangle of `source` (`[row][col][rgb]`, `size` = [columns, rows]) into `out_size`
+/// pixels.
 pub(crate) fn area(source: &[f32], size: [usize; 2], rect: Rect, out_size: [usize; 2], out: &mut [f32]) {
     let whole = Rect { corner: [0.0; 2], size: size.map(|n| n as f64) };
     if rect == whole && out_size == size {
@@ -42,7 +45,7 @@ pub(crate) fn area(source: &[f32], size: [usize; 2], rect: Rect, out_size: [usiz
 
 fn covers(start: f64, length: f64, count: usize, limit: usize) -> Vec<Cover> {
     let step = length / count as f64;
-    // Rectangles are meant to lie within the source; what rounding puts outside reads the edge.
+    // rectangles should lie within the source; parts outside by rounding read the border pixel
     let inside = |edge: f64| edge.clamp(0.0, limit as f64);
     let cover = |index: usize| {
         let from = inside(start + index as f64 * step);
@@ -62,7 +65,7 @@ fn covers(start: f64, length: f64, count: usize, limit: usize) -> Vec<Cover> {
 mod tests {
     use super::*;
 
-    /// Sums of a few weights in single precision.
+    /// Tolerance of sums of a few weights in single precision.
     const ROUNDING: f32 = 1e-6;
 
     fn averaged(values: &[f32], size: [usize; 2], corner: [f64; 2], span: [f64; 2], out: [usize; 2]) -> Vec<f32> {

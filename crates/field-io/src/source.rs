@@ -1,4 +1,5 @@
-//! What every kind of light field on disk has in common before its geometry is settled: a grid of views that can be read one at a time.
+//! A light field on disk before its geometry is resolved: a grid of views that can be read one at a
+//! time.
 
 use std::path::PathBuf;
 
@@ -12,7 +13,7 @@ use crate::geometry::Hints;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
-    /// Our own folder: `lightfield.json` and one OpenEXR picture per view.
+    /// A folder of this project: `lightfield.json` and one OpenEXR picture per view.
     Folder,
     /// One `.npy` array.
     Array,
@@ -28,11 +29,11 @@ pub enum Kind {
     Tiles,
 }
 
-/// Reads views in our order: `view` = [view_y, view_x], (0, 0) leftmost and topmost.
+/// Reads views in the order of this crate: `view` = [view_y, view_x], (0, 0) leftmost and topmost.
 pub(crate) trait Views {
     /// `[row][col][rgb]`, linear, as stored.
     fn load(&mut self, view: [usize; 2]) -> Result<Vec<f32>, FieldError>;
-    /// The file that holds a view.
+    /// The file that contains a view.
     fn file(&self, view: [usize; 2]) -> PathBuf;
 }
 
@@ -40,7 +41,7 @@ pub(crate) trait Views {
 pub(crate) struct Source {
     pub(crate) kind: Kind,
     pub(crate) path: PathBuf,
-    /// [vertical, horizontal].
+    /// Number of views, [vertical, horizontal].
     pub(crate) views: [usize; 2],
     /// [columns, rows] of every view.
     pub(crate) size: [usize; 2],
@@ -99,7 +100,7 @@ impl Views for Mirrored {
     }
 }
 
-/// Stands in while a reader is being wrapped.
+/// Placeholder while a reader is wrapped.
 struct NoViews;
 
 impl Views for NoViews {

@@ -1,5 +1,7 @@
-//! Layer stacks: `stack.json`, `layer_L.npy` (`float32`, `[frame][row][col][rgb]`, layer 0 rearmost) and, for a directional backlight,
-//! `emission.npy` (`[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`). All values are linear, 0..1. The index is written last.
+//! Layer stacks: `stack.json`, `layer_L.npy` (`float32`, `[frame][row][col][rgb]`, layer 0
+//! rearmost) and, for a directional backlight, `emission.npy`
+//! (`[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`). All values are linear, 0..1. The index
+//! is written last.
 
 use std::path::Path;
 
@@ -17,7 +19,7 @@ const COUNT_LIMIT: usize = 1000;
 /// Writes a stack into a folder, which is made where it is missing.
 ///
 /// # Errors
-/// If the stack does not fit the display, or the files cannot be written.
+/// If the stack does not match the display, or the files cannot be written.
 pub fn write_stack(folder: &Path, display: &Display, stack: &LayerStack) -> Result<(), FieldError> {
     stack.check(display).map_err(|source| FieldError::Stack { path: folder.to_path_buf(), source })?;
     let index = StackIndex::of(display, stack);
@@ -62,7 +64,7 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     for file in files {
         let plain = Path::new(file).file_name().is_some_and(|name| name.to_str() == Some(file));
         check(plain, "file", "a name inside the folder", file.clone())?;
-        // a link may still lead out; a file that is missing is an error when it is read
+        // a link may lead outside; a missing file is an error when it is read
         if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(file) {
             check(false, "file", "a name inside the folder", format!("{file}: {refusal}"))?;
         }
@@ -73,7 +75,8 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
 /// Reads a stack.
 ///
 /// # Errors
-/// If a file is missing, damaged or of another shape than the index says, or a value is not in 0..1.
+/// If a file is missing, damaged or of another shape than the index declares, or a value is not in
+/// 0..1.
 pub fn read_stack(folder: &Path) -> Result<LayerStack, FieldError> {
     let index = read_stack_index(folder)?;
     let mut layers = Vec::new();

@@ -3,19 +3,20 @@
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::{Cartesian2d, ChartContext, SVGBackend};
 
-/// The family of the SVG's text on machines that have it.
+/// Font family of the SVG's text, on machines that have it.
 pub const FAMILY: &str = "DejaVu Sans, sans-serif";
 
 pub(crate) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 pub(crate) type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-/// A description for those who do not see the plot.
+/// Adds a text description for screen readers.
 pub(crate) fn described(svg: &str, label: &str) -> String {
     let label = label.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
     svg.replacen("xmlns=", &format!("role=\"img\" aria-label=\"{label}\" xmlns="), 1)
 }
 
-/// A range around all values, never empty, widened by a share of its width on either side; `None` without values.
+/// A range of all values, never empty, widened by a fraction of its width on both sides; `None`
+/// without values.
 pub(crate) fn ends(values: impl Iterator<Item = f64>, widen: f64) -> Option<[f64; 2]> {
     let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
     let width = high - low;
@@ -26,7 +27,7 @@ pub(crate) fn ends(values: impl Iterator<Item = f64>, widen: f64) -> Option<[f64
     }
 }
 
-/// Decimals that tell tick labels apart.
+/// Decimals that distinguish tick labels.
 pub(crate) fn digits([low, high]: [f64; 2]) -> usize {
     match high - low {
         width if width >= 8.0 => 0,

@@ -1,7 +1,7 @@
-//! Plots: one SVG each, and PNGs made of the same SVG.
+//! Plots as SVG, and PNGs rasterized from the same SVG.
 //!
-//! [`curves`], [`areas`] and [`map`] stand alone, black on white, with headline and legend: the files of design tools.
-//! The plots of [`page`] are parts of an HTML page and take its text colour.
+//! [`curves`], [`areas`] and [`map`] are standalone plots of the design tools: black on white, with
+//! title and legend. The plots of [`page`] are embedded in an HTML page and use its text colour.
 
 mod chart;
 pub mod page;
@@ -14,7 +14,8 @@ pub use chart::FAMILY;
 pub use raster::{codes, png};
 pub use sheet::{Area, Axes, CAP_DB, COLOURS, Curve, Map, areas, curves, map};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// A plot that cannot be drawn.

@@ -1,4 +1,5 @@
-//! Plots within a page. Text, axes and grid take the page's text colour, so that they stay readable on light and dark.
+//! Plots within a page. Text, axes and grid use the page's text colour, so they are readable on
+//! light and dark backgrounds.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -10,29 +11,30 @@ use crate::chart::{Chart, Drawn, described, digits, ends};
 const SIZE: (u32, u32) = (560, 320);
 /// Readable on white and on near-black.
 const CURVE: RGBColor = RGBColor(46, 128, 242);
-/// More points than this are not marked: dots hide a long curve.
+/// Curves with more points have no markers, which would hide the curve.
 const DOTS: usize = 40;
 
-/// Shares per bar of equal width.
+/// Bars of equal width.
 #[derive(Clone, Copy, Debug)]
 pub struct Bars<'a> {
     /// Left end of the first bar.
     pub low: f64,
     /// Width of a bar.
     pub width: f64,
-    /// Heights, 0..1; drawn in percent.
+    /// Heights as fractions, 0..1; drawn in percent.
     pub shares: &'a [f64],
 }
 
-/// Draws a line through finite points, with the last value in decibels beside it. `labels` name the horizontal and the vertical axis.
+/// Draws a line through finite points, with the last value in decibels beside it. `labels` name the
+/// horizontal and the vertical axis.
 ///
 /// # Errors
-/// If there is no point.
+/// If there are no points.
 pub fn line(points: &[(f64, f64)], labels: [&str; 2]) -> Result<String, PlotError> {
     let none = || PlotError::new("no point");
     let x = ends(points.iter().map(|p| p.0), 0.0).ok_or_else(none)?;
     let y = ends(points.iter().map(|p| p.1), 0.06).ok_or_else(none)?;
-    // numbers of times and iterations have no halves between them
+    // numbers of time steps and iterations are whole
     let whole = points.iter().all(|(x, _)| x.fract() == 0.0);
     let x_digits = if whole && points.len() > 1 { 0 } else { decimals(x) };
     let x_labels = if whole { ((x[1] - x[0]) as usize + 1).min(8) } else { 8 };
@@ -48,7 +50,7 @@ pub fn line(points: &[(f64, f64)], labels: [&str; 2]) -> Result<String, PlotErro
     })
 }
 
-/// Draws bars in percent, a band from x to x behind them, and upright lines before them.
+/// Draws bars in percent, a band from x to x behind them, and vertical lines in front of them.
 ///
 /// # Errors
 /// If it cannot be drawn.
@@ -73,7 +75,8 @@ pub fn bars(bars: Bars<'_>, labels: [&str; 2], band: Option<[f64; 2]>, lines: &[
     })
 }
 
-/// Draws a curve above 0 and a horizontal line at `level`, which the vertical axis always reaches.
+/// Draws a curve of positive values and a horizontal line at `level`. The vertical axis always
+/// includes `level`.
 ///
 /// # Errors
 /// If it cannot be drawn.
@@ -92,12 +95,13 @@ fn text(size: i32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&BLACK)
 }
 
-/// Decimals of tick labels: a page has room for two.
+/// Decimals of tick labels, at most two, for lack of room.
 fn decimals(range: [f64; 2]) -> usize {
     digits(range).min(2)
 }
 
-/// Draws axes with labels, and `content` between them. The horizontal axis has about `x_labels` tick labels of `x_digits` decimals.
+/// Draws axes with labels, and `content` between them. The horizontal axis has about `x_labels`
+/// tick labels of `x_digits` decimals.
 fn framed(
     [x_label, y_label]: [&str; 2],
     [x, y]: [[f64; 2]; 2],

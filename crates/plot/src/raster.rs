@@ -1,4 +1,4 @@
-//! Pictures of SVGs. Text is drawn in a font that stands in the program.
+//! Rasterizes SVGs. Text uses a font embedded in the program.
 
 use std::sync::{Arc, OnceLock};
 
@@ -6,7 +6,7 @@ use resvg::{tiny_skia, usvg};
 
 use crate::PlotError;
 
-/// A part of DejaVu Sans.
+/// A subset of DejaVu Sans.
 const FONT: &[u8] = include_bytes!("../fonts/DejaVuSans-subset.ttf");
 
 /// Rasterizes an SVG at `scale` pixels per unit.
@@ -17,7 +17,7 @@ pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, PlotError> {
     raster(svg, scale)?.encode_png().map_err(PlotError::new)
 }
 
-/// Codes `[row][col][rgb]` of an SVG of [width, height] units that leaves nothing open, a pixel per unit.
+/// Codes `[row][col][rgb]` of an opaque SVG of [width, height] units, one pixel per unit.
 ///
 /// # Errors
 /// If it is no SVG, or of another size.

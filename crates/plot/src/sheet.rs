@@ -1,4 +1,4 @@
-//! Plots that stand alone: black on white, with headline and legend, in the font of their PNGs.
+//! Standalone plots: black on white, with title and legend, in the font of their PNGs.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -6,81 +6,83 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use crate::PlotError;
 use crate::chart::{Chart, Drawn, FAMILY, described, digits, ends};
 
-/// What curves and areas are drawn in.
+/// Axes of curves and areas.
 #[derive(Clone, Debug, Default)]
 pub struct Axes {
-    /// Headline.
+    /// Title.
     pub title: String,
     /// Label of the horizontal axis, with its unit.
     pub x_label: String,
     /// Label of the vertical axis, with its unit.
     pub y_label: String,
-    /// Ends of the horizontal axis; without them those of the points.
+    /// Ends of the horizontal axis; `None` uses those of the points.
     pub x: Option<[f64; 2]>,
-    /// Ends of the vertical axis; without them those of the points.
+    /// Ends of the vertical axis; `None` uses those of the points.
     pub y: Option<[f64; 2]>,
 }
 
 /// A line through points.
 #[derive(Clone, Debug, Default)]
 pub struct Curve {
-    /// What it is, for the legend; empty for none.
+    /// Name in the legend; empty for none.
     pub name: String,
-    /// Its points; those that are not finite break it.
+    /// Its points; points that are not finite interrupt it.
     pub points: Vec<[f64; 2]>,
-    /// Colour by its place in [`COLOURS`]; beyond them black.
+    /// Index in [`COLOURS`]; larger indices are black.
     pub colour: usize,
-    /// Whether it is dashed.
+    /// Draw a dashed line.
     pub dashed: bool,
-    /// Whether its points are marked.
+    /// Mark the points.
     pub dots: bool,
 }
 
-/// An area with an edge.
+/// A filled polygon.
 #[derive(Clone, Debug, Default)]
 pub struct Area {
-    /// What it is, for the legend.
+    /// Name in the legend.
     pub name: String,
     /// Its corners.
     pub corners: Vec<[f64; 2]>,
-    /// Colour by its place in [`COLOURS`].
+    /// Index in [`COLOURS`].
     pub colour: usize,
 }
 
-/// Values over two axes.
+/// A table of values, drawn as coloured cells.
 #[derive(Clone, Debug, Default)]
 pub struct Map {
-    /// Headline.
+    /// Title.
     pub title: String,
     /// Label of the columns.
     pub x_label: String,
     /// Label of the rows.
     pub y_label: String,
-    /// What the values are, with their unit.
+    /// Quantity and unit of the values.
     pub value_label: String,
     /// Names of the columns, from left to right.
     pub columns: Vec<String>,
     /// Names of the rows, from the bottom up.
     pub rows: Vec<String>,
-    /// `[row][column]`; NaN where there is none.
+    /// `[row][column]`; NaN for missing values.
     pub values: Vec<Vec<f64>>,
-    /// Values at and above this are framed.
+    /// Values at and above this have a frame.
     pub mark_from: Option<f64>,
-    /// Ends of the colours.
+    /// Values at the ends of the colour scale.
     pub range: [f64; 2],
 }
 
-/// Colours that stay apart for most eyes (Okabe and Ito).
+/// Colours that most colour-blind readers can distinguish (Okabe and Ito).
 pub const COLOURS: [[u8; 3]; 7] =
     [[0, 114, 178], [0, 158, 115], [230, 159, 0], [213, 94, 0], [204, 121, 167], [86, 180, 233], [120, 94, 20]];
 
 /// Width and height in SVG units.
 const SIZE: (u32, u32) = (760, 400);
 const LEGEND: u32 = 214;
-/// Points are whole numbers: curves are drawn so many times larger, or they would have steps.
+/// Coordinates are integers in plotters. Curves are drawn enlarged by this factor to avoid visible
+/// steps.
 const FINE: u32 = 4;
 
-/// Draws curves, before bars `[from, to, height as a share of the axis]` and levels (name, y).
+/// Draws curves in front of bars `[from, to, height as a fraction of the axis]` and levels (name,
+/// y).
 ///
 /// # Errors
 /// If there is nothing to draw.
@@ -131,7 +133,7 @@ pub fn curves(axes: &Axes, curves: &[Curve], bars: &[[f64; 3]], levels: &[(Strin
     })
 }
 
-/// Draws areas over one another, the largest first.
+/// Draws areas on top of one another, the largest first.
 ///
 /// # Errors
 /// If there is nothing to draw.
@@ -157,7 +159,7 @@ pub fn areas(axes: &Axes, areas: &[Area]) -> Result<String, PlotError> {
     })
 }
 
-/// Draws a map: a cell per value with its number, from dark blue to yellow.
+/// Draws a map: one cell per value with its number, coloured from dark blue to yellow.
 ///
 /// # Errors
 /// If it has no cells.
@@ -166,6 +168,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
     if rows == 0 || cols == 0 {
         return Err(PlotError::new("a map without cells"));
     }
+    // Size the cells so that the map stays within about 560 × 300 units.
     let cell = [(560 / cols as i32).clamp(34, 84), (300 / rows as i32).clamp(24, 46)];
     let [left, top, below] = [74, 44, 58];
     let size = ((left + cell[0] * cols as i32 + 26).max(420) as u32, (top + cell[1] * rows as i32 + below) as u32);
@@ -181,6 +184,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
         };
         write(map.title.clone(), left, 16, 15, HPos::Left, BLACK)?;
         write(map.value_label.clone(), left, 33, 12, HPos::Left, RGBColor(90, 90, 90))?;
+        // Draw cells row by row, from the bottom up, each with its number.
         for (row, (name, values)) in map.rows.iter().zip(&map.values).enumerate() {
             let y = top + cell[1] * (rows - 1 - row) as i32;
             write(name.clone(), left - 8, y + cell[1] / 2, 13, HPos::Right, BLACK)?;
@@ -202,6 +206,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
                 write(number, x + cell[0] / 2 - 1, y + cell[1] / 2 - 1, 12, HPos::Center, ink)?;
             }
         }
+        // Label the axes.
         let under = top + cell[1] * rows as i32;
         for (col, name) in map.columns.iter().enumerate() {
             let x = left + cell[0] * col as i32 + cell[0] / 2 - 1;
@@ -218,7 +223,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
     Ok(described(&svg, &map.title))
 }
 
-/// Numbers above this are printed as "more".
+/// Larger values are printed as "more".
 pub const CAP_DB: f64 = 60.0;
 
 struct Entry<'a> {
@@ -228,7 +233,7 @@ struct Entry<'a> {
     area: bool,
 }
 
-/// Axes, legend at the right, and what `content` draws.
+/// Draws axes, the legend on the right, and `content`.
 fn framed(
     axes: &Axes,
     x: [f64; 2],
@@ -238,6 +243,7 @@ fn framed(
 ) -> Result<String, PlotError> {
     let mut svg = String::new();
     let draw = |svg: &mut String| -> Drawn {
+        // Split the area into plot and legend, at the enlarged scale.
         let root = SVGBackend::with_string(svg, (FINE * SIZE.0, FINE * SIZE.1)).into_drawing_area();
         root.fill(&WHITE)?;
         let (plot, side) = root.split_horizontally(FINE * (SIZE.0 - if legend.is_empty() { 16 } else { LEGEND }));
@@ -251,7 +257,7 @@ fn framed(
             .build_cartesian_2d(x[0]..x[1], y[0]..y[1])?;
         let (x_digits, y_digits) = (digits(x), digits(y));
         let number = |value: f64, digits: usize| {
-            // no −0
+            // avoid −0
             let value = if value.abs() < 0.5 * 0.1f64.powi(digits as i32) { 0.0 } else { value };
             format!("{value:.digits$}").replace('-', "−")
         };
@@ -272,6 +278,7 @@ fn framed(
             .draw()?;
         content(&mut chart)?;
         drop(chart);
+        // Draw title and legend over the finished chart.
         root.draw(&Text::new(axes.title.clone(), (fine(14), fine(10)), text(15)))?;
         let mut at = 36;
         for entry in legend {
@@ -299,6 +306,7 @@ fn framed(
         Ok(())
     };
     draw(&mut svg).map_err(PlotError::new)?;
+    // Restore the nominal size; the view box keeps the enlarged coordinates.
     let [width, height] = [SIZE.0, SIZE.1].map(|side| (FINE * side, side));
     let svg = svg.replacen(
         &format!("width=\"{}\" height=\"{}\"", width.0, height.0),
@@ -312,7 +320,7 @@ fn colour(place: usize) -> RGBColor {
     COLOURS.get(place).map_or(BLACK, |&[r, g, b]| RGBColor(r, g, b))
 }
 
-/// From dark blue through green to yellow, rising in lightness.
+/// Colour scale from dark blue through green to yellow, with increasing lightness.
 fn heat(share: f64) -> RGBColor {
     const STOPS: [[f64; 3]; 5] =
         [[49.0, 38.0, 96.0], [52.0, 84.0, 140.0], [32.0, 138.0, 134.0], [98.0, 190.0, 92.0], [246.0, 226.0, 60.0]];
@@ -322,7 +330,7 @@ fn heat(share: f64) -> RGBColor {
     RGBColor(r, g, b)
 }
 
-/// The parts of a line between two heights, cut where it crosses them.
+/// The parts of a polyline between two heights, clipped at both.
 fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     let mut parts: Vec<Vec<(f64, f64)>> = Vec::new();
     let mut part: Vec<(f64, f64)> = Vec::new();
@@ -333,7 +341,7 @@ fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     }
     for pair in points.windows(2) {
         let ([x0, y0], [x1, y1]) = (pair[0], pair[1]);
-        // the share of the piece between the heights
+        // parameter along the segment at height y
         let at = |y: f64| if y1 == y0 { f64::NAN } else { (y - y0) / (y1 - y0) };
         let (a, b) = (at(low).min(at(high)), at(low).max(at(high)));
         let (from, to) = if y1 == y0 {
@@ -358,7 +366,7 @@ fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     parts
 }
 
-/// Lines of no more than so many letters, broken at spaces.
+/// Lines of at most `most` characters, broken at spaces.
 fn wrapped(text: &str, most: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ') {

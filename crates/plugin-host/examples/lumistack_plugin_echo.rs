@@ -1,4 +1,5 @@
-//! A presenter that tells what it is given, for the tests of the host: compiled into them, and loaded as a library.
+//! A presenter that echoes its input as events, for the tests of the host: compiled into them, and
+//! loaded as a library.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Mutex, PoisonError};
@@ -26,7 +27,7 @@ enum Given {
 pub struct Params {}
 
 impl OutputPlugin for Echo {
-    const DOC: &'static str = "Tells what it is given.";
+    const DOC: &'static str = "Echoes its input as events.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     const PRESENTS: bool = true;
     type Params = Params;

@@ -1,4 +1,5 @@
-//! A plugin that misbehaves as told, for the tests of the host: compiled into them, and loaded as a library.
+//! A plugin with selectable faults, for the tests of the host: compiled into them, and loaded as a
+//! library.
 
 use std::thread;
 use std::time::Duration;
@@ -12,7 +13,7 @@ pub struct Faulty {
     params: Params,
 }
 
-/// What to do wrong.
+/// Parameters: the fault to commit.
 #[derive(Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Params {
@@ -62,7 +63,7 @@ impl OutputPlugin for Faulty {
                     while !self.host.is_cancelled() {
                         thread::sleep(Duration::from_millis(1));
                     }
-                    // as if it had not noticed
+                    // commits despite the cancellation
                     file.commit()?;
                 }
                 _ => file.commit()?,

@@ -4,10 +4,11 @@ use std::sync::LazyLock;
 
 use lumistack_plugin::Export;
 
-/// Hash of the sources of the plugins' side of the boundary, for keys of kept results.
+/// Hash of the sources of the plugin interface's plugin side, for cache keys.
 pub const PLUGIN_FINGERPRINT: &str = lumistack_plugin::FINGERPRINT;
 
-/// Lists plugins: the feature that brings a crate in, and the module that ends with `export_plugin!`. The hash is that of the crate's sources.
+/// Lists plugins: the feature that enables a crate, and the module that ends with `export_plugin!`.
+/// The hash covers the crate's sources.
 macro_rules! plugins {
     ($($feature:literal: $krate:ident $(:: $module:ident)*;)*) => {
         pub(crate) static BUILT_IN: &[(&LazyLock<Export>, &str)] = &[$(
@@ -17,7 +18,7 @@ macro_rules! plugins {
     };
 }
 
-// an explicit list, since registration by linker section silently drops crates that nobody references
+// An explicit list, since registration by linker section silently drops crates without references.
 plugins! {
     "baselines": lumistack_plugin_baselines::directional_sequence;
     "baselines": lumistack_plugin_baselines::integral_imaging;
@@ -35,14 +36,14 @@ plugins! {
     "web-simulator": lumistack_plugin_web_simulator;
 }
 
-/// Whether two spellings name one plugin: hyphens and underscores are the same.
+/// Compares two ids; hyphens and underscores are equal.
 pub(crate) fn same_id(a: &str, b: &str) -> bool {
     let plain = |byte: u8| if byte == b'-' { b'_' } else { byte };
     a.len() == b.len() && a.bytes().zip(b.bytes()).all(|(a, b)| plain(a) == plain(b))
 }
 
-/// Hash of the sources of the compiled-in plugin `id`, for keys of kept results; `None` of others. A plugin's version stays the same while somebody works
-/// on it, its sources do not.
+/// Hash of the sources of the compiled-in plugin `id`, for cache keys; `None` for other plugins. A
+/// plugin's version does not change during development, its sources do.
 pub fn fingerprint_of(id: &str) -> Option<&'static str> {
     BUILT_IN.iter().find(|(export, _)| same_id(export.id(), id)).map(|(_, fingerprint)| *fingerprint)
 }

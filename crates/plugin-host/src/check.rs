@@ -1,4 +1,4 @@
-//! Whether an output would accept its parameters and the display, asked before any work begins.
+//! Checks that an output accepts its parameters and the display, before any work begins.
 
 use crate::serve::{Output, PluginKind, Services};
 use lumistack_core::{NoProgress, Task};
@@ -8,11 +8,12 @@ use serde_json::Value;
 
 use crate::{HostError, Registry};
 
-/// Opens the output plugin `id` for a display and for data of `port`, and closes it again unused. What it would warn of is left to [`run_output`](crate::run_output), which says it
-/// where it counts.
+/// Opens the output plugin `id` for a display and data of `port`, and closes it unused. Warnings
+/// are dropped here, since [`run_output`](crate::run_output) repeats them.
 ///
 /// # Errors
-/// If there is no such output, it is a presenter, or it refuses the parameters or the display; [`HostError::Cancelled`] when the user asked to stop.
+/// If there is no such output, it is a presenter, or it refuses the parameters or the display.
+/// [`HostError::Cancelled`] if the user cancelled.
 pub fn check_output(
     registry: &Registry,
     id: &str,
@@ -29,7 +30,7 @@ pub fn check_output(
     opened.map(drop).map_err(|error| HostError::of_plugin(PluginKind::Output, id, error))
 }
 
-/// A host on which nothing can be written.
+/// A host that refuses all files.
 struct Unused<'a> {
     task: Task<'a>,
     port: Port,
@@ -85,7 +86,7 @@ mod tests {
         assert!(error.contains("`view_row`"), "{error}");
         let error = check("quilt", json!({"columns": 4}), &display).unwrap_err();
         assert!(error.contains("both or neither"), "{error}");
-        // a stack is simulated at every tile's place, a light field has its own views alone
+        // a stack can be simulated at every tile's viewpoint, a light field has only its own views
         let views = json!({"columns": 7, "rows": 1, "missing_views": "refuse"});
         assert_eq!(check("quilt", views.clone(), &display), Ok(()));
         let error = check_output(&registry, "quilt", &views, &display, Port::LightField, task).unwrap_err();

@@ -1,4 +1,4 @@
-//! The services that a plugin gets: files in the staging folder, everything else passed on to the task.
+//! Services for a plugin: files go to the staging folder, all else to the task.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -10,7 +10,7 @@ use crate::serve::{Services, path_parts};
 use lumistack_core::Task;
 use lumistack_plugin::PluginError;
 
-/// A host whose files go to a folder.
+/// A host that writes files to a folder.
 pub(crate) struct DiskHost<'a> {
     folder: PathBuf,
     plugin: &'a str,
@@ -23,13 +23,13 @@ struct Files {
     opened: u64,
     open: BTreeMap<u64, OpenFile>,
     committed: BTreeSet<String>,
-    /// Lower-case names of all files, since some file systems take `A.png` and `a.png` for the same.
+    /// Lower-case names of all files, since some file systems treat `A.png` and `a.png` as equal.
     taken: BTreeSet<String>,
 }
 
 struct OpenFile {
     name: String,
-    /// Beside the committed files; the name starts with a dot, which plugins' files cannot.
+    /// Beside the committed files. The name starts with a dot, which plugins' files cannot.
     path: PathBuf,
     writer: BufWriter<File>,
 }
@@ -42,7 +42,7 @@ impl<'a> DiskHost<'a> {
     /// The committed files, sorted.
     ///
     /// # Errors
-    /// The names of files that are still open.
+    /// The names of files still open.
     pub(crate) fn into_files(self) -> Result<Vec<String>, Vec<String>> {
         let files = self.files.into_inner().unwrap_or_else(PoisonError::into_inner);
         if files.open.is_empty() {
@@ -75,7 +75,7 @@ impl Services for DiskHost<'_> {
     }
 
     fn file_open(&self, path: &str) -> Result<u64, PluginError> {
-        // stops also plugins that never ask
+        // stops plugins that never check for cancellation
         self.task.cancel.check()?;
         path_parts(path)?;
         let mut files = self.files();
@@ -99,7 +99,7 @@ impl Services for DiskHost<'_> {
 
     fn file_commit(&self, file: u64) -> Result<(), PluginError> {
         let OpenFile { name, path, writer } = self.files().open.remove(&file).ok_or_else(|| not_open(file))?;
-        // on disk before it gets its name, so that a name never stands for half a file
+        // synced before the rename, so that a final name never belongs to a partial file
         let written = writer.into_inner().map_err(io::IntoInnerError::into_error).and_then(|file| file.sync_all());
         written.map_err(cannot("write", &name))?;
         let target = path_parts(&name)?.iter().fold(self.folder.clone(), |path, part| path.join(part));
@@ -115,7 +115,7 @@ impl Services for DiskHost<'_> {
         let mut files = self.files();
         let OpenFile { name, path, writer } = files.open.remove(&file).ok_or_else(|| not_open(file))?;
         files.taken.remove(&name.to_lowercase());
-        // without writing what is still buffered
+        // without writing the buffered rest
         drop(writer.into_parts());
         fs::remove_file(&path).map_err(cannot("remove", &name))
     }

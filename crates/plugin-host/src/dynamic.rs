@@ -1,9 +1,10 @@
 //! Plugins in shared libraries.
 //!
-//! Plugins lie in a file `lumistack_plugin_<name>` (with the system's prefix and suffix for shared libraries), and each is found through a function
-//! `lumistack_plugin_entry_<id>` that the library exports. Name, kind of file, machine and exports are read without running the library's code. It is
-//! loaded when one of its plugins is asked for, in a child process (see [`crate::child`]), and never unloaded there: its threads, thread-local destructors and lent
-//! texts may outlive any use.
+//! A library file is named `lumistack_plugin_<name>`, with the system's prefix and suffix. It
+//! exports a function `lumistack_plugin_entry_<id>` per plugin. Name, file kind, machine and
+//! exports are read without running the library's code. The first use of a plugin loads it in a
+//! child process (see [`crate::child`]). It is never unloaded there: threads, thread-local
+//! destructors and borrowed texts may outlive any use.
 
 use std::env::consts::{ARCH, DLL_PREFIX, DLL_SUFFIX};
 use std::env::{split_paths, var_os};
@@ -21,27 +22,27 @@ use crate::child::{Launcher, Limits};
 use crate::registry::Library;
 use crate::{LoadError, Origin, Registry};
 
-/// Names more places, separated like those of `PATH`.
+/// Adds search paths, separated like those of `PATH`.
 const VARIABLE: &str = "LUMISTACK_PLUGIN_PATH";
-/// Stem of every plugin's file, before the id.
+/// Stem of a plugin library's file name, before the id.
 const STEM: &str = "lumistack_plugin_";
 
-/// Where plugins are looked for, in this order; of two with one id the first stays.
+/// Search paths for plugins, in this order. The first plugin of an id is kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct PluginPaths {
-    /// Files and folders that somebody named, and that must be there.
+    /// Files and folders named explicitly, which must exist.
     pub named: Vec<PathBuf>,
-    /// The user's own folder, which need not exist.
+    /// The user's plugin folder, which may be missing.
     pub user: Option<PathBuf>,
-    /// How a process for a plugin is started, where not as [`Launcher::set_for_process`] says.
+    /// Launcher of plugin processes; none uses that of [`Launcher::set_for_process`].
     pub launcher: Option<Launcher>,
-    /// How long a plugin may take, where not as the environment says; see [`Limits`].
+    /// Time limits of plugins; none reads them from the environment, see [`Limits`].
     pub limits: Option<Limits>,
 }
 
 impl PluginPaths {
-    /// The places given on the command line, then those of the environment variable `LUMISTACK_PLUGIN_PATH`, then the folder
-    /// `lumistack/plugins` among the user's data.
+    /// The paths of the command line, then those of the environment variable
+    /// `LUMISTACK_PLUGIN_PATH`, then the folder `lumistack/plugins` in the user's data folder.
     pub fn of_system(given: &[PathBuf]) -> Self {
         Self::of(given, var_os(VARIABLE), user_data())
     }
@@ -57,7 +58,7 @@ impl PluginPaths {
     }
 }
 
-/// Where this system keeps the data of a user's programs.
+/// The system's folder for user data of programs.
 fn user_data() -> Option<PathBuf> {
     let folder = |name: &str| var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     if cfg!(windows) {
@@ -70,9 +71,10 @@ fn user_data() -> Option<PathBuf> {
 }
 
 impl Registry {
-    /// Adds all plugins of these places. What is no library of a plugin goes to [`Registry::failed`], one entry each.
+    /// Adds all plugins of these paths. Files that are no plugin library are listed in
+    /// [`Registry::failed`], one entry each.
     ///
-    /// This runs no library's code: a plugin is loaded when it is first asked for, in a child process.
+    /// This runs no library code: the first use of a plugin loads it, in a child process.
     pub fn load(&mut self, paths: &PluginPaths) {
         let limits = paths.limits.map_or_else(Limits::of_system, Ok).unwrap_or_else(|(variable, found)| {
             self.failed.push(LoadError::Setting { variable, found });
@@ -90,7 +92,7 @@ impl Registry {
                 }
             };
             for file in files {
-                // a place that was named twice is no conflict
+                // one path named twice is no conflict
                 let real = fs::canonicalize(&file).unwrap_or_else(|_| file.clone());
                 if !seen.contains(&real) {
                     seen.push(real);
@@ -114,7 +116,7 @@ impl Registry {
     }
 }
 
-/// The file itself, or the plugins in a folder, sorted by name.
+/// The file itself, or the plugin libraries in a folder, sorted by name.
 fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
     if !fs::metadata(place)?.is_dir() {
         return Ok(vec![place.into()]);
@@ -131,7 +133,7 @@ fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// What a library's file is called after its stem.
+/// The part of a library's file name after the stem.
 fn name_of(path: &Path) -> Result<String, LoadError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let own = name
@@ -143,18 +145,21 @@ fn name_of(path: &Path) -> Result<String, LoadError> {
         .ok_or_else(|| LoadError::Name { path: path.into(), expected: format!("{DLL_PREFIX}{STEM}NAME{DLL_SUFFIX}") })
 }
 
-/// Opens a library in this process and takes the plugin `id`; `path` is absolute, since the loader looks for a bare name elsewhere.
+/// Opens a library in this process and takes the plugin `id`. `path` is absolute, since the loader
+/// searches other folders for a bare name.
 pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
-    // SAFETY: whoever names a plugin wants its code to run; the initializers of a library that was built as a plugin make no demands.
+    // SAFETY: the user named this plugin to be run; initializers of plugin libraries have no
+    // preconditions.
     let library = unsafe { Shared::new(path) }
-        .map_err(|error| LoadError::Open { path: path.into(), reason: said_by_loader(&error) })?;
+        .map_err(|error| LoadError::Open { path: path.into(), reason: loader_message(&error) })?;
     // never unloaded, whatever follows
     let library: &'static Shared = Box::leak(Box::new(library));
     let symbol = format!("{ENTRY_PREFIX}{id}");
-    // SAFETY: a function of this name is a plugin's entry, by the boundary's convention.
+    // SAFETY: a function of this name is a plugin's entry, by the convention of the interface.
     let entry = unsafe { library.get::<Entry>(symbol.as_bytes()) }
         .map_err(|_| LoadError::NoEntry { path: path.into(), symbol: symbol.clone() })?;
-    // SAFETY: as above; it returns null or a descriptor that lives as long as the library, which is never unloaded.
+    // SAFETY: as above; it returns null or a descriptor that lives as long as the library, which is
+    // never unloaded.
     let plugin = unsafe { Plugin::from_descriptor(entry()) }
         .map_err(|reason| LoadError::Descriptor { path: path.into(), reason })?;
     let found = &plugin.info().id;
@@ -165,12 +170,13 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     }
 }
 
-/// The system's own words, which libloading keeps behind its own.
-fn said_by_loader(error: &libloading::Error) -> String {
+/// The system's message, which libloading wraps.
+fn loader_message(error: &libloading::Error) -> String {
     std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string)
 }
 
-/// The plugins that a file exports, if it is a shared library for this machine. The system's own loader says "no such file" to some that are not.
+/// The plugins that a file exports, if it is a shared library for this machine. The file is checked
+/// here because system loaders report "no such file" for some other kinds.
 fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     let read = |source| LoadError::Read { path: path.into(), source };
     let other = |found: String| LoadError::NotALibrary { path: path.into(), found };
@@ -180,7 +186,8 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     }
     let data = ReadCache::new(file);
     match FileKind::parse(&data) {
-        // several machines in one file, from which the loader takes its own: one plugin of the file's name
+        // a file for several machines, of which the loader selects one: a single plugin, named as
+        // the file
         Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(vec![name]),
         Ok(_) => {}
         Err(_) => return Err(other("a file of another kind".into())),
@@ -201,7 +208,7 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     }
     let exports = library.exports().map_err(|error| other(format!("a damaged one: {error}")))?;
     let names = exports.iter().filter_map(|export| std::str::from_utf8(export.name()).ok());
-    // Mach-O puts an underscore before every name of C
+    // Mach-O prefixes C symbols with an underscore
     let ids = names.filter_map(|name| name.strip_prefix('_').unwrap_or(name).strip_prefix(ENTRY_PREFIX));
     let mut ids: Vec<String> = ids.filter(|id| is_plugin_id(id)).map(String::from).collect();
     ids.sort_unstable();
@@ -211,7 +218,7 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     Ok(ids)
 }
 
-/// This machine in the words of library files; `None` where nobody has looked it up.
+/// This machine's architecture in object files; `None` for machines without an entry here.
 fn native() -> Option<Architecture> {
     Some(match ARCH {
         "x86_64" => Architecture::X86_64,

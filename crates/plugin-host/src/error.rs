@@ -1,4 +1,4 @@
-//! What can go wrong with plugins and their outputs.
+//! Errors of plugins and their outputs.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -7,51 +7,51 @@ use crate::serve::PluginKind;
 use lumistack_plugin::PluginError;
 use thiserror::Error;
 
-/// Why an output was not written. Nothing new is in its folder then.
+/// An output was not written; its folder contains no new files.
 #[derive(Debug, Error)]
 pub enum HostError {
     /// No plugin has this id.
     #[error("unknown plugin `{id}`{}", nearest.as_ref().map_or_else(|| format!("; expected one of {}", known.join(", ")), |n| format!("; did you mean `{n}`?")))]
     UnknownPlugin {
-        /// What was asked for.
+        /// The requested id.
         id: String,
-        /// The id that is spelled most like it.
+        /// The most similar id.
         nearest: Option<String>,
         /// All ids.
         known: Vec<String>,
     },
-    /// A plugin of another kind.
+    /// The plugin is of another kind.
     #[error("plugin `{id}`: expected {expected}, found {found}")]
     OtherKind {
         /// The plugin.
         id: String,
-        /// What was needed.
+        /// The required kind.
         expected: PluginKind,
-        /// What it is.
+        /// The plugin's kind.
         found: PluginKind,
     },
-    /// A plugin that cannot be used.
+    /// The plugin cannot be used.
     #[error("plugin cannot be used: {0}")]
     BadPlugin(PluginError),
-    /// A plugin whose library cannot be used.
+    /// The plugin's library cannot be used.
     #[error("plugin `{id}` cannot be used: {reason}")]
     NotLoaded {
         /// The plugin.
         id: String,
-        /// The library, and what is wrong with it.
+        /// The library and its error.
         reason: String,
     },
-    /// Two plugins of one id.
+    /// Two plugins have the same id.
     #[error("two plugins have the id `{0}`")]
     DuplicatePlugin(String),
-    /// The plugin does not take these parameters or data.
+    /// The plugin refuses these parameters or data.
     #[error("{} `{plugin}`: {reason}", kind.name())]
     Refused {
         /// Its kind.
         kind: PluginKind,
         /// The plugin.
         plugin: String,
-        /// What it does not take.
+        /// The refused value and the reason.
         reason: String,
     },
     /// The plugin failed.
@@ -61,7 +61,7 @@ pub enum HostError {
         kind: PluginKind,
         /// The plugin.
         plugin: String,
-        /// Why.
+        /// The plugin's message.
         reason: String,
     },
     /// The plugin panicked.
@@ -74,7 +74,7 @@ pub enum HostError {
         /// The panic's message.
         reason: String,
     },
-    /// The plugin said that it is done while files were not.
+    /// The plugin finished while files were incomplete.
     #[error("output `{plugin}` finished without completing {}", files.join(", "))]
     Uncommitted {
         /// The plugin.
@@ -82,30 +82,30 @@ pub enum HostError {
         /// Files that were neither committed nor aborted.
         files: Vec<String>,
     },
-    /// The user asked to stop.
+    /// The user cancelled.
     #[error("cancelled")]
     Cancelled,
-    /// The output's folder cannot be one.
+    /// The output's path cannot be a folder.
     #[error("{}: expected a folder or a free name for one, found {found}", path.display())]
     NotAFolder {
         /// The path.
         path: PathBuf,
-        /// What is there.
+        /// The kind of file found.
         found: &'static str,
     },
-    /// The file system refused something.
+    /// The file system returned an error.
     #[error("{}: cannot {doing}: {source}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What was tried.
+        /// The operation.
         doing: &'static str,
-        /// Why not.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// Why a library gave no plugin. The program does without it.
+/// A library yields no plugin. The program continues without it.
 #[derive(Debug, Error)]
 pub enum LoadError {
     /// There is no such file or folder, or it cannot be read.
@@ -113,44 +113,44 @@ pub enum LoadError {
     Read {
         /// The file or folder.
         path: PathBuf,
-        /// The system's answer.
+        /// The system's error.
         source: io::Error,
     },
-    /// The name is not that of a library of plugins.
+    /// The name is not that of a plugin library.
     #[error("{}: expected a file named `{expected}`", path.display())]
     Name {
         /// The file.
         path: PathBuf,
-        /// What a plugin's file is called.
+        /// The expected file name.
         expected: String,
     },
-    /// Another kind of file.
+    /// The file is of another kind.
     #[error("{}: expected a shared library, found {found}", path.display())]
     NotALibrary {
         /// The file.
         path: PathBuf,
-        /// What it is.
+        /// The kind found.
         found: String,
     },
-    /// A library of another kind of machine.
+    /// The library is for another machine.
     #[error("{}: expected a library for {expected}, found one for {found}", path.display())]
     Machine {
         /// The file.
         path: PathBuf,
-        /// What this program runs on.
+        /// This machine.
         expected: String,
-        /// What the library was built for.
+        /// The library's machine.
         found: String,
     },
-    /// The system's loader does not take it.
+    /// The system's loader refuses the library.
     #[error("{}: cannot be loaded: {reason}", path.display())]
     Open {
         /// The file.
         path: PathBuf,
-        /// The loader's answer.
+        /// The loader's message.
         reason: String,
     },
-    /// No entry function.
+    /// The entry function is missing.
     #[error("{}: expected the function `{symbol}`, found none of that name", path.display())]
     NoEntry {
         /// The file.
@@ -158,12 +158,12 @@ pub enum LoadError {
         /// The function's name.
         symbol: String,
     },
-    /// The descriptor is of another version, or says nothing usable.
+    /// The descriptor is of another version, or invalid.
     #[error("{}: {reason}", path.display())]
     Descriptor {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The mismatch or the invalid part.
         reason: PluginError,
     },
     /// The name of the entry function and the descriptor differ.
@@ -171,26 +171,26 @@ pub enum LoadError {
     OtherId {
         /// The file.
         path: PathBuf,
-        /// By the function's name.
+        /// By the entry function's name.
         expected: String,
         /// By the descriptor.
         found: String,
     },
-    /// The process that loaded it ended, or had to be ended.
+    /// The process that loads the library ended, or was ended.
     #[error("{}: {cause}", path.display())]
     Ended {
         /// The file.
         path: PathBuf,
-        /// How it ended, and while what.
+        /// The cause, and the operation that ran.
         cause: String,
     },
-    /// The program that uses this crate has not said how a process for a plugin is started.
+    /// The program has set no launcher of plugin processes.
     #[error("{}: no program is known that loads plugins for this one", path.display())]
     NoLauncher {
         /// The file.
         path: PathBuf,
     },
-    /// A limit in the environment makes no sense.
+    /// A limit in the environment is invalid.
     #[error("{variable}: expected a number of seconds, 0 for any time, found `{found}`")]
     Setting {
         /// The variable.
@@ -198,14 +198,14 @@ pub enum LoadError {
         /// Its value.
         found: String,
     },
-    /// The id is taken; the plugin that was there first stays.
+    /// The id is in use; the first plugin is kept.
     #[error("{}: another plugin has the id `{id}` already: {first}", path.display())]
     Duplicate {
         /// The file.
         path: PathBuf,
         /// The id.
         id: String,
-        /// Where the plugin comes from that keeps the id.
+        /// Origin of the first plugin.
         first: crate::Origin,
     },
 }
@@ -217,7 +217,7 @@ impl HostError {
         move |source| Self::Io { path, doing, source }
     }
 
-    /// An error that the plugin with this id returned.
+    /// Converts an error that the plugin `id` returned.
     pub(crate) fn of_plugin(kind: PluginKind, id: &str, error: PluginError) -> Self {
         let plugin = id.to_string();
         match error {

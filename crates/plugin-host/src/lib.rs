@@ -1,19 +1,22 @@
-//! Plugin registry, and the host proper: outputs that end as files in a folder, and presenters ([`present`]).
+//! Plugin registry and host: outputs that write files into a folder, and presenters ([`present`]).
 //!
 //! ```text
-//! Registry ──get("images")──▶ Plugin ──run_output──▶ open, submit, finish  through the plugin's C functions
-//!                                                       │ file_open / append / commit
-//!                                                       ▼
-//!                                  .NAME.partial/  ──only after finish succeeded──▶  NAME/
+//! Registry ──get("images")──▶ Plugin ──run_output──▶ open, submit, finish (C functions)
+//!                                                     │ file_open / append / commit
+//!                                                     ▼
+//!                                  .NAME.partial/  ──after finish succeeded──▶  NAME/
 //! ```
 //!
-//! Importers, sources and nodes write no files; what they make comes back checked ([`import_scene`], [`make_field`], [`make_stack`]).
+//! Importers, sources and nodes write no files. Their results are checked and returned
+//! ([`import_scene`], [`make_field`], [`make_stack`]).
 //!
-//! With the feature `dynamic` the registry also loads plugins from shared libraries; see [`PluginPaths`]. They go through the same
-//! descriptor and the same functions as those that are compiled in, in a child process; see [`Launcher`].
+//! With the feature `dynamic` the registry also loads plugins from shared libraries; see
+//! [`PluginPaths`]. They use the same descriptor and functions as compiled-in plugins, in a child
+//! process; see [`Launcher`].
 //!
-//! Whatever a plugin does (fails midway, panics, is cancelled, names a file outside its folder), the output's folder keeps what it
-//! had, and the program goes on; so it does where a plugin of a library crashes or hangs.
+//! If a plugin fails, panics, is cancelled or names a file outside its folder, the output's folder
+//! stays unchanged and the program continues. The same holds if a plugin in a library crashes or
+//! hangs.
 
 mod built_in;
 mod check;
@@ -44,7 +47,8 @@ pub use present::{Asked, PresentContext, Told, present};
 pub use registry::Registry;
 pub use run::{OpenOutput, OutputContext, run_output, with_output};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 pub use lumistack_plugin::{Choice, Kind, Param, ParamError, PluginError, Port, Schema, Solution, Step, Time};

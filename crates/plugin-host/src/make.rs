@@ -1,4 +1,5 @@
-//! Importers, sources and nodes: messages, progress and cancellation go to the task, files nowhere.
+//! Runs importers, sources and nodes. Messages, progress and cancellation go to the task; files are
+//! refused.
 
 use lumistack_core::Task;
 use lumistack_display::{Display, LightField};
@@ -8,10 +9,11 @@ use serde_json::Value;
 use crate::serve::{self, Made, NodeData, Plugin, PluginKind, ReadAsset, Services};
 use crate::{HostError, Registry};
 
-/// Has the importer `id` turn the file `file` into a glTF document, not yet validated. `read` reads that file and those beside it.
+/// Runs the importer `id`: converts `file` into a glTF document, not yet validated. `read` reads
+/// that file and files beside it.
 ///
 /// # Errors
-/// If there is no such importer, it does not take the parameters, or it fails.
+/// If there is no such importer, it refuses the parameters, or it fails.
 pub fn import_scene(
     registry: &Registry,
     id: &str,
@@ -25,10 +27,11 @@ pub fn import_scene(
     })
 }
 
-/// Has the source `id` make the light field of one time.
+/// Runs the source `id` for one time step and returns its light field.
 ///
 /// # Errors
-/// If there is no such source, it does not take the parameters, it fails, or what it makes is no light field.
+/// If there is no such source, it refuses the parameters, it fails, or its result is no valid light
+/// field.
 pub fn make_field(
     registry: &Registry,
     id: &str,
@@ -42,10 +45,11 @@ pub fn make_field(
     })
 }
 
-/// Has the node `id` make the layer stack of one time.
+/// Runs the node `id` for one time step and returns its layer stack.
 ///
 /// # Errors
-/// If there is no such node, it does not take the parameters or the display, it fails, or what it makes does not fit the display.
+/// If there is no such node, it refuses the parameters or the display, it fails, or its result does
+/// not match the display.
 pub fn make_stack(
     registry: &Registry,
     id: &str,
@@ -74,7 +78,7 @@ fn make<T>(
     Ok(made)
 }
 
-/// A host without files.
+/// A host that refuses all files.
 struct TaskHost<'a> {
     kind: PluginKind,
     id: &'a str,

@@ -1,14 +1,14 @@
-//! Where plugins come from.
+//! Origins of plugins.
 
 use std::fmt;
 use std::path::PathBuf;
 
-/// Where a plugin came from.
+/// The origin of a plugin.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// It is part of the program.
+    /// Compiled into the program.
     CompiledIn,
-    /// This shared library.
+    /// Loaded from this shared library.
     Library(PathBuf),
 }
 

@@ -1,4 +1,4 @@
-//! Presenters that a program drives while they run.
+//! Presenters, which a program controls while they run.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -12,59 +12,59 @@ use serde_json::Value;
 use crate::serve::{Output, OutputData, PluginKind, Services};
 use crate::{HostError, Registry};
 
-/// Input of a presenter while it runs.
+/// Input of a running presenter.
 #[derive(Clone, Debug)]
 pub enum Asked {
-    /// New patterns, which replace those before.
+    /// A new layer stack, which replaces the previous one.
     Stack(LayerStack),
-    /// A command, in JSON of the plugin's own form.
+    /// A command, in the plugin's JSON.
     Command(Value),
 }
 
 /// Output of a presenter, from any thread.
 #[derive(Clone, Copy, Debug)]
 pub enum Told<'a> {
-    /// Something that the user should know.
+    /// A warning for the user.
     Warning(&'a str),
-    /// An event, in JSON of the plugin's own form.
+    /// An event, in the plugin's JSON.
     Event(&'a Value),
 }
 
-/// Subject and surroundings of a presentation.
+/// Inputs and callbacks of a presentation.
 pub struct PresentContext<'a> {
     /// The display.
     pub display: &'a Display,
-    /// Patterns that are there before it runs; none where the parameters say what is shown.
+    /// The layer stack submitted before it runs; none if the parameters set the content.
     pub first: Option<&'a LayerStack>,
-    /// Input that comes while it runs.
+    /// Receives input while it runs.
     pub asked: Receiver<Asked>,
-    /// Takes its output. Refused input comes back as a warning.
+    /// Called with its output. Refused input is reported as a warning.
     pub told: &'a (dyn Fn(Told<'_>) + Sync),
     /// Progress and cancellation.
     pub task: Task<'a>,
 }
 
-/// Time between two looks whether the presentation has ended.
-const LOOK: Duration = Duration::from_millis(50);
+/// Interval at which the end of the presentation is checked.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Runs the presenter `id` until it is closed. Call it on the main thread, where windows want to be. A presenter has no folder and writes no
-/// files.
+/// Runs the presenter `id` until it is closed. Call it on the main thread, which windows require. A
+/// presenter writes no files.
 ///
 /// # Errors
-/// If there is no such presenter, it does not take parameters, display or patterns, or it fails.
+/// If there is no such presenter, it refuses parameters, display or layer stacks, or it fails.
 pub fn present(registry: &Registry, id: &str, params: &Value, context: PresentContext<'_>) -> Result<(), HostError> {
     let PresentContext { display, first, asked, told, task } = context;
     let plugin = registry.output(id, true)?;
     let resolved = registry.check_params(id, params)?;
     let of_plugin = |error| HostError::of_plugin(PluginKind::Output, id, error);
-    let host = Audience { told, task };
+    let host = ForwardingHost { told, task };
     let output = Output::open(plugin, &host, &Value::Object(resolved), display).map_err(of_plugin)?;
     if let Some(stack) = first {
         output.submit(Time::default(), OutputData::LayerStack(stack, None)).map_err(of_plugin)?;
     }
     let ended = AtomicBool::new(false);
     let ran = std::thread::scope(|scope| {
-        scope.spawn(|| pass_on(&output, asked, told, &ended));
+        scope.spawn(|| forward_input(&output, asked, told, &ended));
         let ran = output.run();
         ended.store(true, Ordering::SeqCst);
         ran
@@ -72,11 +72,11 @@ pub fn present(registry: &Registry, id: &str, params: &Value, context: PresentCo
     ran.and_then(|()| output.finish()).map_err(of_plugin)
 }
 
-/// Passes input on until the presentation has ended.
-fn pass_on(output: &Output<'_>, asked: Receiver<Asked>, told: &(dyn Fn(Told<'_>) + Sync), ended: &AtomicBool) {
+/// Forwards input until the presentation has ended.
+fn forward_input(output: &Output<'_>, asked: Receiver<Asked>, told: &(dyn Fn(Told<'_>) + Sync), ended: &AtomicBool) {
     let mut time = Time::default();
     while !ended.load(Ordering::SeqCst) {
-        let done = match asked.recv_timeout(LOOK) {
+        let done = match asked.recv_timeout(POLL_INTERVAL) {
             Ok(Asked::Stack(stack)) => {
                 time.index += 1;
                 output.submit(time, OutputData::LayerStack(&stack, None))
@@ -92,13 +92,13 @@ fn pass_on(output: &Output<'_>, asked: Receiver<Asked>, told: &(dyn Fn(Told<'_>)
     }
 }
 
-/// A host without files, which passes output on.
-struct Audience<'a> {
+/// A host without files, which forwards events and warnings.
+struct ForwardingHost<'a> {
     told: &'a (dyn Fn(Told<'_>) + Sync),
     task: Task<'a>,
 }
 
-impl Services for Audience<'_> {
+impl Services for ForwardingHost<'_> {
     fn task(&self) -> Task<'_> {
         self.task
     }

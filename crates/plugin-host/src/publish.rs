@@ -1,7 +1,7 @@
-//! From the staging folder into place.
+//! Moves finished files from the staging folder into the output's folder.
 //!
-//! A new folder appears by one rename. In a folder that exists, every file is renamed into place, with the old ones set aside until all
-//! are there, so that an error halfway is undone.
+//! A new folder appears by a single rename. In an existing folder each file is renamed into place.
+//! Replaced files are kept aside until all are moved, so that an error is undone.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -12,9 +12,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::HostError;
 
-/// In every output's folder: which files the output wrote, so that the next one can remove what it no longer writes.
+/// In every output's folder: the list of its files, so that the next output removes those that it
+/// no longer writes.
 const LISTING: &str = ".lumistack-files.json";
-/// In the staging folder: the old files that were replaced.
+/// In the staging folder: the replaced files.
 const REPLACED: &str = ".replaced";
 
 #[derive(Serialize, Deserialize)]
@@ -25,21 +26,22 @@ struct Listing {
     files: Vec<String>,
 }
 
-/// A folder beside the output's, removed when dropped.
+/// A staging folder beside the output's, removed on drop.
 pub(crate) struct Staging {
     out_dir: PathBuf,
     path: PathBuf,
-    /// Folders above that had to be made, outermost first.
+    /// Parent folders that were created, outermost first.
     made: Vec<PathBuf>,
 }
 
 impl Staging {
-    /// Makes the staging folder `.NAME.partial` beside `out_dir`; one that a killed run left there is removed first.
+    /// Creates the staging folder `.NAME.partial` beside `out_dir`, after removing one left by a
+    /// killed run.
     pub(crate) fn new(out_dir: &Path) -> Result<Self, HostError> {
         let not_a_folder = |path: &Path, found| Err(HostError::NotAFolder { path: path.into(), found });
         let out_dir = match fs::metadata(out_dir) {
             Ok(found) if !found.is_dir() => return not_a_folder(out_dir, "a file"),
-            // a name for `.` or a link's target
+            // resolves `.` and links
             Ok(_) => fs::canonicalize(out_dir).map_err(HostError::io(out_dir, "read"))?,
             Err(_) => std::path::absolute(out_dir).map_err(HostError::io(out_dir, "read"))?,
         };
@@ -52,12 +54,12 @@ impl Staging {
             return not_a_folder(first_there, "a file");
         }
         let path = parent.join(format!(".{}.partial", name.to_string_lossy()));
-        // from here on, dropping `staging` removes what was made
+        // from here on, dropping `staging` removes the created folders
         let staging = Self { path, made: made.into_iter().rev().collect(), out_dir: out_dir.clone() };
         fs::create_dir_all(parent).map_err(HostError::io(parent, "make the folder"))?;
         match fs::remove_dir_all(&staging.path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                return Err(HostError::io(&staging.path, "remove what a stopped run left")(error));
+                return Err(HostError::io(&staging.path, "remove files of an interrupted run")(error));
             }
             _ => fs::create_dir(&staging.path).map_err(HostError::io(&staging.path, "make the folder"))?,
         }
@@ -71,8 +73,8 @@ impl Staging {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        // Nothing can be done about a failure here; the next output into the folder tries again. Folders that are in use are not
-        // empty and stay.
+        // A failure here cannot be handled; the next output into the folder tries again. Folders in
+        // use are not empty and stay.
         let _ = fs::remove_dir_all(&self.path);
         for folder in self.made.iter().rev() {
             let _ = fs::remove_dir(folder);
@@ -91,14 +93,14 @@ pub(crate) fn publish(staging: Staging, plugin: &str, files: &[String]) -> Resul
     let listing_path = staging.path.join(LISTING);
     fs::write(&listing_path, text).map_err(HostError::io(&listing_path, "write"))?;
 
-    // succeeds only for a folder that is empty or not there
+    // succeeds for an empty folder only; a missing one is fine, too
     match fs::remove_dir(out_dir) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => merge(&staging, files),
         _ => fs::rename(&staging.path, out_dir).map_err(HostError::io(out_dir, "move the output into place")),
     }
 }
 
-/// Moves files one by one into a folder that holds others.
+/// Moves files one by one into a folder with other files.
 fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
     let out_dir = &staging.out_dir;
     for file in files {
@@ -129,7 +131,7 @@ fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
         moves.undo();
         return Err(HostError::Io { path, doing: "replace", source });
     }
-    // folders that only held what is gone
+    // remove folders that the removed files leave empty
     for file in &stale {
         let parents = Path::new(file).ancestors().skip(1).take_while(|path| !path.as_os_str().is_empty());
         for parent in parents {
@@ -139,7 +141,7 @@ fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
     Ok(())
 }
 
-/// What the listing of an earlier output names; only names that an output can have.
+/// Files listed by an earlier output; names that an output cannot write are skipped.
 fn earlier_files(out_dir: &Path) -> Vec<String> {
     let listing = fs::read(out_dir.join(LISTING)).ok().and_then(|text| serde_json::from_slice::<Listing>(&text).ok());
     let mut files = listing.map_or_else(Vec::new, |listing| listing.files);
@@ -168,7 +170,8 @@ impl Moves {
 
     fn undo(self) {
         for (from, to) in self.done.into_iter().rev() {
-            // A rename that worked one way a moment ago; if it fails now, the other files are still put back.
+            // The rename succeeded in the other direction just before. If it fails now, the other
+            // files are still restored.
             let _ = fs::rename(to, from);
         }
         for folder in self.made.into_iter().rev() {

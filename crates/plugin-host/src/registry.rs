@@ -1,4 +1,4 @@
-//! All plugins of the program, and where each came from.
+//! All plugins of the program and their origins.
 
 use std::sync::OnceLock;
 
@@ -11,7 +11,8 @@ use serde_json::{Map, Value};
 use crate::built_in::{BUILT_IN, same_id};
 use crate::{HostError, LoadError};
 
-/// Plugins by id: those that are compiled in, and libraries, which are loaded when somebody asks for their plugin.
+/// Plugins by id: compiled-in ones, and libraries, which are loaded at the first use of their
+/// plugin.
 #[derive(Debug, Default)]
 pub struct Registry {
     plugins: Vec<Plugin>,
@@ -19,7 +20,7 @@ pub struct Registry {
     pub(crate) failed: Vec<LoadError>,
 }
 
-/// A library, loaded when its plugin is first needed.
+/// A library, loaded at the first use of its plugin.
 #[derive(Debug)]
 pub(crate) struct Library {
     id: String,
@@ -37,7 +38,7 @@ impl Library {
         Self { id, origin, launcher, limits, loaded: OnceLock::new() }
     }
 
-    /// The plugin, loaded in a child process where nobody asked for it before.
+    /// The plugin; the first call loads it in a child process.
     fn plugin(&self) -> Result<&Plugin, &LoadError> {
         self.loaded.get_or_init(|| self.load()).as_ref()
     }
@@ -51,15 +52,15 @@ impl Library {
 
     #[cfg(not(feature = "dynamic"))]
     fn load(&self) -> Result<Plugin, LoadError> {
-        unreachable!("without the feature `dynamic` nobody adds a library")
+        unreachable!("without the feature `dynamic` no library is added")
     }
 }
 
 impl Registry {
-    /// The plugins that are compiled in.
+    /// The compiled-in plugins.
     ///
     /// # Errors
-    /// If a plugin describes itself badly, a mistake in the plugin.
+    /// If a plugin's description is invalid, which is an error of the plugin.
     pub fn built_in() -> Result<Self, HostError> {
         let mut registry = Self::default();
         for (export, _) in BUILT_IN {
@@ -68,10 +69,10 @@ impl Registry {
         Ok(registry)
     }
 
-    /// Adds a plugin that is compiled in.
+    /// Adds a compiled-in plugin.
     ///
     /// # Errors
-    /// If another has its id.
+    /// If another plugin has its id.
     pub fn add(&mut self, plugin: Plugin) -> Result<(), HostError> {
         match self.plugins.binary_search_by(|other| other.info().id.cmp(&plugin.info().id)) {
             Ok(_) => Err(HostError::DuplicatePlugin(plugin.info().id.clone())),
@@ -82,10 +83,11 @@ impl Registry {
         }
     }
 
-    /// The plugin with this id, in which hyphens and underscores are the same. Its library, if it has one, is loaded in a child process where it was not before.
+    /// The plugin with this id; hyphens and underscores are equal. The first call loads its
+    /// library, if it has one, in a child process.
     ///
     /// # Errors
-    /// If there is none, which names the id that is spelled most like it, or its library cannot be used.
+    /// If there is none (the message names the most similar id), or its library cannot be used.
     pub fn get(&self, id: &str) -> Result<&Plugin, HostError> {
         if let Some(plugin) = self.plugins.iter().find(|plugin| same_id(&plugin.info().id, id)) {
             return Ok(plugin);
@@ -103,7 +105,7 @@ impl Registry {
         })
     }
 
-    /// The plugin with this id, which must be of this kind.
+    /// The plugin with this id and kind.
     ///
     /// # Errors
     /// If there is none, or it is of another kind.
@@ -116,7 +118,7 @@ impl Registry {
         Ok(plugin)
     }
 
-    /// The output with this id, which must present, or else write files.
+    /// The output with this id; `presents` requires a presenter, otherwise one that writes files.
     pub(crate) fn output(&self, id: &str, presents: bool) -> Result<&Plugin, HostError> {
         let plugin = self.get_kind(id, PluginKind::Output)?;
         if plugin.info().presents != presents {
@@ -127,7 +129,7 @@ impl Registry {
         Ok(plugin)
     }
 
-    /// Where a plugin came from; loads nothing.
+    /// The origin of a plugin. Loads no library.
     pub fn origin(&self, id: &str) -> Option<&Origin> {
         if self.plugins.iter().any(|plugin| same_id(&plugin.info().id, id)) {
             return Some(&Origin::CompiledIn);
@@ -135,8 +137,9 @@ impl Registry {
         self.libraries.iter().find(|library| same_id(&library.id, id)).map(|library| &library.origin)
     }
 
-    /// The importer of files with this extension: one that is compiled in, else, by loading all libraries, one of theirs. Of several the
-    /// first by id.
+    /// The importer of files with this extension, without the dot: a compiled-in one if there is
+    /// one. Otherwise all libraries are loaded and searched. If several match, the first by id is
+    /// returned.
     pub fn importer_of(&self, extension: &str) -> Option<&PluginInfo> {
         let takes = |info: &&PluginInfo| {
             info.kind == PluginKind::Importer && info.extensions.iter().any(|taken| taken == extension)
@@ -144,12 +147,12 @@ impl Registry {
         self.plugins.iter().map(Plugin::info).find(takes).or_else(|| self.infos().find(takes))
     }
 
-    /// What all plugins say about themselves; for listings, serializable. Loads all libraries.
+    /// Descriptions of all plugins, serializable, for listings. Loads all libraries.
     pub fn infos(&self) -> impl Iterator<Item = &PluginInfo> {
         self.entries().map(|(info, _)| info)
     }
 
-    /// The same with where each came from, by id.
+    /// Descriptions and origins of all plugins, sorted by id. Loads all libraries.
     pub fn entries(&self) -> impl Iterator<Item = (&PluginInfo, &Origin)> {
         let mut entries: Vec<_> = self.plugins.iter().map(|plugin| (plugin.info(), &Origin::CompiledIn)).collect();
         let loaded = self.libraries.iter().filter_map(|library| Some((library.plugin().ok()?.info(), &library.origin)));
@@ -158,17 +161,17 @@ impl Registry {
         entries.into_iter()
     }
 
-    /// Libraries and folders that gave no plugin, and why, as far as is known: a library that nobody asked for has not been loaded.
-    /// The program does without them.
+    /// Libraries and folders that yield no plugin, and the errors. A library that was not loaded
+    /// yet is not listed. The program continues without them.
     pub fn failed(&self) -> Vec<&LoadError> {
         let loaded = self.libraries.iter().filter_map(|library| library.loaded.get()?.as_ref().err());
         self.failed.iter().chain(loaded).collect()
     }
 
-    /// Checks parameters before the work that leads to the output begins, and fills in the defaults.
+    /// Checks parameters before the work for an output begins, and fills in defaults.
     ///
     /// # Errors
-    /// If there is no such plugin, or it does not take the parameters.
+    /// If there is no such plugin, or it refuses the parameters.
     pub fn check_params(&self, id: &str, params: &Value) -> Result<Map<String, Value>, HostError> {
         let info = self.get(id)?.info();
         let resolved = info.schema.resolve(params);

@@ -1,4 +1,4 @@
-//! One output from open to the files in place.
+//! Runs one output, from open until its files are in place.
 
 use std::path::{Path, PathBuf};
 
@@ -12,29 +12,30 @@ use crate::disk::DiskHost;
 use crate::publish::{Staging, publish};
 use crate::{HostError, Registry};
 
-/// What an output is made from and where it goes.
+/// Inputs and target of an output.
 #[derive(Clone, Copy)]
 pub struct OutputContext<'a> {
     /// The display.
     pub display: &'a Display,
     /// A layer stack or a light field.
     pub data: OutputData<'a>,
-    /// Place in the sequence; the default for a still.
+    /// Time step; the default for a still.
     pub time: Time,
-    /// The output's own folder, made if need be.
+    /// The output's folder; created if missing.
     pub out_dir: &'a Path,
-    /// Progress, warnings, cancellation.
+    /// Progress, warnings and cancellation.
     pub task: Task<'a>,
 }
 
-/// Writes one time with the output plugin `id`, which must not be a presenter. Returns the files, relative to `out_dir`, sorted.
+/// Writes one time step with the output plugin `id`, which must not be a presenter. Returns the
+/// files relative to `out_dir`, sorted.
 ///
-/// Files are collected beside `out_dir` and moved into it once the plugin has finished: replaced are files of the same names, and removed
-/// what an earlier output into this folder wrote and this one does not. Other files in it stay. At most one output may be written into
-/// a folder at a time.
+/// Files are staged beside `out_dir` and moved into it after the plugin has finished. Files of
+/// equal names are replaced. Files that an earlier output wrote into this folder and this one does
+/// not are removed. Other files stay. Only one output at a time may write into a folder.
 ///
 /// # Errors
-/// See [`HostError`]; `out_dir` then holds what it held before.
+/// See [`HostError`]; `out_dir` is then unchanged.
 pub fn run_output(
     registry: &Registry,
     id: &str,
@@ -45,26 +46,26 @@ pub fn run_output(
     with_output(registry, id, params, display, out_dir, task, |output| output.submit(time, data))
 }
 
-/// An output that takes times; see [`with_output`].
+/// An open output that accepts time steps; see [`with_output`].
 pub struct OpenOutput<'a> {
     output: &'a Output<'a>,
     id: &'a str,
 }
 
 impl OpenOutput<'_> {
-    /// Hands over one time. From any thread, in any order; times are numbered from 0.
+    /// Submits one time step, from any thread and in any order. Time steps are numbered from 0.
     ///
     /// # Errors
-    /// If the plugin does not accept the data or fails.
+    /// If the plugin refuses the data or fails.
     pub fn submit(&self, time: Time, data: OutputData<'_>) -> Result<(), HostError> {
         self.output.submit(time, data).map_err(|error| HostError::of_plugin(PluginKind::Output, self.id, error))
     }
 }
 
-/// As [`run_output`], with all times that `submit_all` hands to the output: for sequences, and for data that come one by one.
+/// As [`run_output`], for sequences: `submit_all` submits all time steps, one by one.
 ///
 /// # Errors
-/// As [`run_output`], and what `submit_all` returns.
+/// Those of [`run_output`] and of `submit_all`.
 pub fn with_output(
     registry: &Registry,
     id: &str,

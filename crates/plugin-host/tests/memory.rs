@@ -1,9 +1,10 @@
-//! Memory of the outputs: a 4K stack of three layers takes no more for twelve frames than for four.
+//! Memory of the outputs: a 4K stack of three layers needs no more for twelve frames than for four.
 //!
-//! Two figures of a process of its own per output and number of frames. `alive`: the most bytes that the output had allocated at one time, counted by the
-//! allocator; exact, and the same in every run. `resident`: the kernel's `VmHWM` of `/proc/self/status`, which also holds what the allocator did not give back;
-//! it settles within the first frames.
-//! Patterns are black: memory that was asked for as zeros and never written is not resident, so both figures hold what the output takes and not the stack.
+//! Each output and number of frames is measured in its own process, by two figures. `alive` is the
+//! peak of allocated bytes, counted by the allocator; it is exact and reproducible. `resident` is
+//! the kernel's `VmHWM` of `/proc/self/status`, which includes memory that the allocator has not
+//! returned. It settles within the first frames. The layers are black: zeroed memory that is never
+//! written is not resident, so both figures measure the output and not the stack.
 
 #![cfg(target_os = "linux")]
 
@@ -23,10 +24,10 @@ const SIZE: [usize; 2] = [3840, 2160];
 /// One plane of floats, mebibytes.
 const PLANE_MIB: f64 = (SIZE[0] * SIZE[1] * 3 * 4) as f64 / MIB;
 const MIB: f64 = (1 << 20) as f64;
-/// What eight more frames may take: names of files and entries of lists, mebibytes.
+/// Allowance for eight more frames: file names and list entries, mebibytes.
 const LISTS_MIB: f64 = 0.25;
 
-/// Every output that writes frames, and what all of them together take: name, plugin, parameters.
+/// Every output that writes frames, and all of them together: name, plugin, parameters.
 fn outputs() -> [(&'static str, &'static str, Value); 7] {
     let images = |wanted: &[&str]| {
         let chosen = |name: &str| wanted.contains(&name);
@@ -43,7 +44,7 @@ fn outputs() -> [(&'static str, &'static str, Value); 7] {
     ]
 }
 
-/// The system's allocator, counting.
+/// The system's allocator, with counters.
 struct Counting;
 
 static ALIVE: AtomicUsize = AtomicUsize::new(0);
@@ -53,24 +54,24 @@ fn took(bytes: usize) {
     MOST.fetch_max(ALIVE.fetch_add(bytes, Relaxed) + bytes, Relaxed);
 }
 
-// SAFETY: every call is the system allocator's own; the counters are beside it.
+// SAFETY: every call is forwarded to the system allocator; the counters are independent of it.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         took(layout.size());
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         took(layout.size());
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        // both blocks are there while one is copied into the other
+        // both blocks exist while one is copied into the other
         took(size);
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         let moved = unsafe { System.realloc(block, layout, size) };
         ALIVE.fetch_sub(layout.size(), Relaxed);
         moved
@@ -78,7 +79,7 @@ unsafe impl GlobalAlloc for Counting {
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
         ALIVE.fetch_sub(layout.size(), Relaxed);
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { System.dealloc(block, layout) };
     }
 }

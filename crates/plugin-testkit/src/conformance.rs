@@ -1,4 +1,4 @@
-//! The rules of the plugin boundary as checks.
+//! Checks of the plugin interface's rules.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
@@ -14,15 +14,16 @@ use crate::samples::{Sample, samples};
 
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// Checks a plugin that is compiled in; see [`conformance_of`].
+/// Checks a compiled-in plugin; see [`conformance_of`].
 ///
 /// # Errors
-/// The first rule that is broken.
+/// The first violated rule.
 pub fn conformance(export: &'static LazyLock<Export>) -> Result<(), Broken> {
     conformance_but_for(export, &[])
 }
 
-/// As [`conformance`], but leaves parameters at their defaults whose other values take too long or too much memory for a test.
+/// As [`conformance`], but keeps the parameters of `at_default` at their defaults: their other
+/// values need too much time or memory for a test.
 ///
 /// # Errors
 /// As [`conformance`].
@@ -30,16 +31,21 @@ pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str
     conformance_of(&rule("describes itself", Plugin::compiled_in(export))?, at_default)
 }
 
-/// Checks a plugin against every rule of the boundary that can be seen from outside, through its C functions.
+/// Checks a plugin against all rules of the plugin interface that can be observed from outside,
+/// through its C functions.
 ///
-/// An output describes itself, declares all its parameters with units and ranges and refuses others, takes all its ports, gives the same files again and from any
-/// thread, stops when asked, reports a full disk, leaves nothing open, and writes nowhere but through the host; most rules are tried with default parameters and again with
-/// everything switched on, but for the parameters in `at_default`. A node or a source makes the same again,
-/// stops when asked, and takes or refuses with a reason every display; an importer fails without a panic on files that are none. What an importer makes of
-/// real files is checked by [`import_conformance`](crate::import_conformance).
+/// An output describes itself, declares all its parameters with units and ranges, and refuses
+/// others. It accepts all its ports and produces identical files again, from any thread. It stops
+/// on cancellation, reports a full disk, leaves no file open, and writes through the host only.
+/// Most rules are checked with default parameters, and again with all switches on except the
+/// parameters of `at_default`.
+///
+/// A node or a source produces identical results again, stops on cancellation, and accepts every
+/// display or refuses it with a reason. An importer fails without a panic on invalid files;
+/// [`import_conformance`](crate::import_conformance) checks it on real files.
 ///
 /// # Errors
-/// The first rule that is broken.
+/// The first violated rule.
 pub fn conformance_of(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken> {
     described(plugin)?;
     let surroundings = listing();
@@ -58,7 +64,7 @@ pub fn conformance_of(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
 fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken> {
     let mut samples: Vec<Sample> =
         samples().into_iter().filter(|sample| plugin.info().ports.contains(&sample.port())).collect();
-    // a display that cannot be served is refused with a reason; one at least can
+    // unsupported displays are refused with a reason; at least one is supported
     let mut reasons = Vec::new();
     samples.retain(|sample| match write(plugin, &MemoryHost::new(), &json!({}), sample) {
         Err(PluginError::Refused(reason)) => {
@@ -81,14 +87,18 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
     can_be_abandoned(plugin, samples.first())
 }
 
-/// Checks that two builds of one plugin describe themselves alike and make the same bytes: for every sample with default parameters and with everything
-/// switched on, and for one sample, in turn, at the ends of every parameter's range. Returns how many files, stacks, light fields or documents were compared.
+/// Checks that two builds of one plugin have equal descriptions and produce equal bytes. Compared
+/// are all samples with default parameters and with all switches on, and one sample at the ends of
+/// every parameter's range. Returns the number of compared files, stacks, light fields or
+/// documents.
 ///
 /// # Errors
 /// The first difference.
 pub fn same_outputs(plugin: &Plugin, other: &Plugin, at_default: &[&str]) -> Result<usize, Broken> {
-    let told = |plugin: &Plugin| serde_json::to_value(plugin.info()).unwrap_or_default();
-    require("describes itself alike", told(plugin) == told(other), || format!("{}\n{}", told(plugin), told(other)))?;
+    let description = |plugin: &Plugin| serde_json::to_value(plugin.info()).unwrap_or_default();
+    require("describes itself alike", description(plugin) == description(other), || {
+        format!("{}\n{}", description(plugin), description(other))
+    })?;
     if plugin.info().kind != PluginKind::Output {
         let mut all = defaults_and_ends(plugin, at_default);
         return all.try_fold(0, |count, params| Ok(count + makers::same(plugin, other, &params)?));
@@ -140,7 +150,8 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
     Ok(())
 }
 
-/// Every switch on, as far as the plugin takes them together: each one in turn is switched on if what is on by then is still taken.
+/// All switches that the plugin accepts together: each in turn is switched on if the plugin accepts
+/// the combination.
 fn everything(plugin: &Plugin, sample: &Sample, at_default: &[&str]) -> Option<Value> {
     let mut on = Map::new();
     for param in varied(plugin, at_default) {
@@ -222,8 +233,8 @@ fn reports_failing_host(plugin: &Plugin, sample: &Sample, params: &Value) -> Res
     for append in moments.into_iter().filter(|append| *append < appends) {
         let host = MemoryHost::failing_at(append);
         let result = write(plugin, &host, params, sample);
-        let told = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no space left"));
-        require("passes on why the host could not write", told, || format!("append {append}: {result:?}"))?;
+        let description = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no space left"));
+        require("passes on why the host could not write", description, || format!("append {append}: {result:?}"))?;
         closed(&host, "the disk was full")?;
     }
     Ok(())
@@ -270,7 +281,7 @@ fn can_be_abandoned(plugin: &Plugin, sample: Option<&Sample>) -> Result<(), Brok
     closed(&host, "nothing was submitted")
 }
 
-/// One still from open to finish.
+/// One still, from open to finish.
 fn write(plugin: &Plugin, host: &MemoryHost, params: &Value, sample: &Sample) -> Result<(), PluginError> {
     let output = Output::open(plugin, host, params, &sample.display)?;
     let data: OutputData<'_> = sample.data();
@@ -280,7 +291,7 @@ fn write(plugin: &Plugin, host: &MemoryHost, params: &Value, sample: &Sample) ->
 
 fn appends(plugin: &Plugin, sample: &Sample, params: &Value) -> usize {
     let host = MemoryHost::new();
-    // a failure shows in the other checks
+    // other checks detect failures
     let _ = write(plugin, &host, params, sample);
     host.appends()
 }

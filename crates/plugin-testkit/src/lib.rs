@@ -1,4 +1,5 @@
-//! For the tests of plugins: the rules of the boundary as checks, a host that keeps files in memory, and sample data.
+//! Test kit for plugins: checks of the interface's rules, a host that keeps files in memory, and
+//! sample data.
 //!
 //! ```ignore
 //! #[test]
@@ -7,7 +8,8 @@
 //! }
 //! ```
 //!
-//! Tests of what a node makes begin with [`random_field`] and [`made_by`]; [`serve`] drives a plugin as a host does.
+//! Tests of a node's results start with [`random_field`] and [`made_by`]; [`serve`] runs a plugin
+//! as a host does.
 
 mod conformance;
 mod makers;

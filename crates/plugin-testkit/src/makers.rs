@@ -16,7 +16,7 @@ use crate::rules::{Broken, bad_parameters_are_refused, closed, defaults_and_ends
 
 type Made<T> = Result<T, PluginError>;
 
-/// Displays of every kind that a node may serve.
+/// Displays of all kinds that a node may support.
 fn displays() -> Vec<Display> {
     let of = |layers: &[f64], frames: usize| Display::uniform([8, 6], 1.0, [3, 2], [20.0, 14.0], layers, frames);
     let mut directional = of(&[0.0], 1);
@@ -25,10 +25,10 @@ fn displays() -> Vec<Display> {
     vec![of(&[-3.0, 3.0], 4), of(&[0.0], 2), of(&[-4.0, 0.0, 4.0], 3), directional]
 }
 
-/// A light field of random values as a display wants it, the same every time.
+/// A reproducible light field of random values in a display's geometry.
 ///
 /// # Errors
-/// If the display has no sound light field.
+/// If the display's geometry is invalid.
 pub fn random_field(display: &Display) -> Made<LightField> {
     let geometry = display.geometry().map_err(|error| PluginError::Failed(error.to_string()))?;
     let mut field = LightField::black(geometry).map_err(|error| PluginError::Failed(error.to_string()))?;
@@ -37,29 +37,29 @@ pub fn random_field(display: &Display) -> Made<LightField> {
     Ok(field)
 }
 
-/// What a node that is compiled in makes of a light field, with parameters as JSON.
+/// The layer stack of a compiled-in node for a light field, with parameters as JSON.
 ///
 /// # Errors
-/// What the node says.
+/// The node's error.
 pub fn made_by(node: &'static Export, params: &str, display: &Display, field: &LightField) -> Made<LayerStack> {
     let made = make_stack(&Plugin::compiled_in(node)?, &MemoryHost::new(), params, &NodeData::new(display, field))?;
     Ok(made.stack)
 }
 
-/// What a node makes, and what it tells of the way there, but for the time that took.
-type Told = (LayerStack, String);
+/// A node's layer stack and its reports, without the times.
+type Reported = (LayerStack, String);
 
-fn told(made: MadeStack) -> Told {
+fn reported(made: MadeStack) -> Reported {
     let steps: Vec<_> = made.steps.into_iter().map(|(step, _)| step).collect();
     (made.stack, format!("{steps:?} {:?}", made.solution))
 }
 
-fn stack_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<Told> {
-    make_stack(plugin, host, params, &NodeData::new(display, &random_field(display)?)).map(told)
+fn stack_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<Reported> {
+    make_stack(plugin, host, params, &NodeData::new(display, &random_field(display)?)).map(reported)
 }
 
-/// The same with weights per ray, patterns to begin from and another seed, which a node may leave aside.
-fn stack_from_all(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<Told> {
+/// The same with weights per ray, a start and another seed, which a node may ignore.
+fn stack_from_all(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<Reported> {
     let field = random_field(display)?;
     let [views_y, views_x, rows, cols, _] = field.radiance().shape();
     let mut stream = Stream::new(derive(6, &[]));
@@ -73,7 +73,7 @@ fn stack_from_all(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Di
     }
     let weights = Weights::PerRay(weights);
     let node = NodeData { weights: &weights, start: Some(&start), seed: 7, ..NodeData::new(display, &field) };
-    make_stack(plugin, host, params, &node).map(told)
+    make_stack(plugin, host, params, &node).map(reported)
 }
 
 fn field_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<LightField> {
@@ -96,6 +96,7 @@ fn maker_conformance<T: PartialEq>(
 ) -> Result<(), Broken> {
     let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
     let mut served = Vec::new();
+    // Each display is supported or refused with a reason; at least one is supported.
     for display in displays() {
         let host = MemoryHost::new();
         match make(plugin, &host, &defaults, &display) {
@@ -111,6 +112,7 @@ fn maker_conformance<T: PartialEq>(
         require("writes no files", written.is_empty(), || format!("{:?}", written.keys()))?;
     }
     require("serves some display", !served.is_empty(), || "it refuses every one".into())?;
+    // On supported displays: reproducibility, cancellation, and all parameter ranges.
     for (display, made) in &served {
         let again = rule("works twice", make(plugin, &MemoryHost::new(), &defaults, display))?;
         require("makes the same again", again == *made, || format!("{} layers", display.layers.len()))?;
@@ -132,7 +134,7 @@ fn maker_conformance<T: PartialEq>(
     bad_parameters_are_refused(plugin, |params| make(plugin, &MemoryHost::new(), params, display).err())
 }
 
-/// What is in no file of any format.
+/// Bytes that are no file of any format.
 fn garbage() -> [Vec<u8>; 4] {
     let mut stream = Stream::new(9);
     let noise = (0..4096).map(|_| (stream.next_f32() * 256.0) as u8).collect();
@@ -151,18 +153,19 @@ pub(crate) fn importer_conformance(plugin: &Plugin) -> Result<(), Broken> {
     }
     let missing = |_: &str| Err(PluginError::Failed("no such file".into()));
     let result = import(plugin, &MemoryHost::new(), &defaults, &file, &missing);
-    let told = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no such file"));
-    require("passes on why a file cannot be read", told, || format!("{result:?}"))?;
+    let reported = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no such file"));
+    require("passes on why a file cannot be read", reported, || format!("{result:?}"))?;
     bad_parameters_are_refused(plugin, |params| {
         import(plugin, &MemoryHost::new(), params, &file, &|_| Ok(Vec::new())).err()
     })
 }
 
-/// Checks what an importer makes of a real file: `files` are `file` and those beside it. It makes the same glTF document again, stops when asked, and
-/// fails without a panic on a file that is cut short anywhere.
+/// Checks an importer on a real file: `files` are `file` and those beside it. It must produce an
+/// identical glTF document again, stop on cancellation, and fail without a panic on truncated
+/// files.
 ///
 /// # Errors
-/// The first rule that is broken.
+/// The first violated rule.
 pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) -> Result<(), Broken> {
     let files: BTreeMap<&str, &[u8]> = files.iter().copied().collect();
     let read = |path: &str| {
@@ -195,7 +198,7 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
     Ok(())
 }
 
-/// Whether two builds make the same of these parameters; returns how many results were compared.
+/// Compares the results of two builds for these parameters; returns the number of compared results.
 pub(crate) fn same(plugin: &Plugin, other: &Plugin, params: &Value) -> Result<usize, Broken> {
     let params = rule("takes its own parameters", resolved(plugin, params))?;
     let mut count = 0;

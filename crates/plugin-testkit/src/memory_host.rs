@@ -1,4 +1,4 @@
-//! A host that keeps files and messages in memory, and can fail or cancel at a chosen moment.
+//! A host that keeps files and messages in memory, and can fail or cancel at a chosen append.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -12,9 +12,9 @@ use lumistack_plugin_host::serve::{LogLevel, Services, path_parts};
 pub struct MemoryHost {
     state: Mutex<State>,
     cancel: Cancel,
-    /// The number, from 0, of the append that fails.
+    /// The index of the append that fails.
     fail_at_append: Option<usize>,
-    /// The number, from 0, of the append after which the user has asked to stop.
+    /// The index of the append after which the user cancels.
     cancel_at_append: Option<usize>,
 }
 
@@ -31,22 +31,22 @@ struct State {
 }
 
 impl MemoryHost {
-    /// A host that does all it is asked to.
+    /// A host without failures.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// A host whose disk is full at append number `append`, from 0.
+    /// A host whose disk is full at append `append`, counted from 0.
     pub fn failing_at(append: usize) -> Self {
         Self { fail_at_append: Some(append), ..Self::default() }
     }
 
-    /// A host whose user asks to stop during append number `append`, from 0.
+    /// A host whose user cancels during append `append`, counted from 0.
     pub fn cancelled_at(append: usize) -> Self {
         Self { cancel_at_append: Some(append), ..Self::default() }
     }
 
-    /// Asks to stop.
+    /// Cancels.
     pub fn cancel(&self) {
         self.cancel.cancel();
     }
@@ -66,7 +66,7 @@ impl MemoryHost {
         self.state().appends
     }
 
-    /// Number of files that were opened although the user had already asked to stop.
+    /// Number of files opened after cancellation.
     pub fn opened_after_cancel(&self) -> usize {
         self.state().opened_after_cancel
     }
@@ -76,7 +76,7 @@ impl MemoryHost {
         self.state().messages.clone()
     }
 
-    /// Names of the stages that were begun, and how many of them have not ended.
+    /// Names of the stages begun, and the number of them still open.
     pub fn stages(&self) -> (Vec<String>, i64) {
         let state = self.state();
         (state.stages.clone(), state.depth)

@@ -1,4 +1,4 @@
-//! What the rules for all kinds of plugins share.
+//! Rules shared by all kinds of plugins.
 
 use lumistack_plugin::{Kind, Param, PluginError};
 use lumistack_plugin_host::serve::Plugin;
@@ -7,23 +7,24 @@ use thiserror::Error;
 
 use crate::memory_host::MemoryHost;
 
-/// A rule that a plugin breaks.
+/// A violated rule.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{rule}: {found}")]
 pub struct Broken {
     /// The rule.
     pub rule: &'static str,
-    /// What happened.
+    /// The observed behaviour.
     pub found: String,
 }
 
-/// Default parameters, and every end of every parameter's range.
+/// Default parameters, and all ends of all parameters' ranges.
 pub(crate) fn defaults_and_ends<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = Value> + 'a {
     let ends = varied(plugin, at_default).flat_map(allowed);
     std::iter::once(json!({})).chain(ends.map(|(name, value)| Value::Object(Map::from_iter([(name, value)]))))
 }
 
-/// The plugin itself refuses what its schema does not allow: a host in another language need not have checked.
+/// The plugin itself must refuse values outside its schema, since a host in another language may
+/// not check them.
 pub(crate) fn bad_parameters_are_refused(
     plugin: &Plugin,
     refusal: impl Fn(&str) -> Option<PluginError>,
@@ -43,7 +44,7 @@ pub(crate) fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Ite
     plugin.info().schema.params.iter().filter(|param| !at_default.contains(&param.name.as_str()))
 }
 
-/// The ends of a parameter's range, but for its default.
+/// The ends of a parameter's range, without its default.
 pub(crate) fn allowed(param: &Param) -> Vec<(String, Value)> {
     let values = match &param.kind {
         Kind::Bool { .. } => vec![json!(false), json!(true)],
@@ -57,7 +58,7 @@ pub(crate) fn allowed(param: &Param) -> Vec<(String, Value)> {
     others.map(|value| (param.name.clone(), value)).collect()
 }
 
-/// Values of the wrong type or beyond a parameter's range.
+/// Values of the wrong type or outside a parameter's range.
 fn forbidden(param: &Param) -> Vec<(String, Value)> {
     let values = match &param.kind {
         Kind::Bool { .. } => vec![json!("yes"), json!(1)],

@@ -1,4 +1,5 @@
-//! Small displays with data whose every value differs, so that swapped layers, frames, views or channels show.
+//! Small displays with distinct values everywhere, so that swapped layers, frames, views or
+//! channels are detected.
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{
@@ -11,7 +12,7 @@ use lumistack_plugin_host::serve::OutputData;
 /// A display with data for one port.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// What is special about it.
+    /// Its distinguishing property.
     pub name: &'static str,
     /// The display.
     pub display: Display,
@@ -55,7 +56,7 @@ impl Sample {
     }
 }
 
-/// All samples; those of a port with [`Sample::port`].
+/// All samples; select those of a port by [`Sample::port`].
 pub fn samples() -> Vec<Sample> {
     let layered = three_layers();
     let directional = one_directional_layer();

@@ -1,4 +1,4 @@
-//! What can go wrong between a host and a plugin.
+//! Errors between a host and a plugin.
 
 use lumistack_core::Cancelled;
 use lumistack_display::Display;
@@ -6,16 +6,16 @@ use thiserror::Error;
 
 use crate::ParamError;
 
-/// An error that crosses the boundary, in either direction.
+/// An error that crosses the plugin interface, in either direction.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum PluginError {
-    /// The user asked to stop; nothing is wrong with the input.
+    /// The user cancelled.
     #[error("cancelled")]
     Cancelled,
-    /// Parameters or data that the callee does not take.
+    /// The callee refuses parameters or data.
     #[error("{0}")]
     Refused(String),
-    /// The work failed.
+    /// The operation failed.
     #[error("{0}")]
     Failed(String),
     /// The callee panicked, with this message.
@@ -24,17 +24,18 @@ pub enum PluginError {
 }
 
 impl PluginError {
-    /// The work failed for a reason that another error gives, after what was being done.
+    /// The error of a failed operation, with the cause.
     pub fn failed(doing: &str, error: impl std::fmt::Display) -> Self {
         Self::Failed(format!("{doing}: {error}"))
     }
 
-    /// A display that the plugin does not serve.
+    /// The display is not supported by the plugin.
     pub fn display(display: &Display, expected: impl std::fmt::Display, found: impl std::fmt::Display) -> Self {
         Self::Refused(format!("display `{}`: expected {expected}, found {found}", display.name))
     }
 
-    /// Writing through a library failed. What the host itself said (see [`OutputFile`](crate::OutputFile)) comes back as it was.
+    /// The error of a write through a library. The host's own error (see
+    /// [`OutputFile`](crate::OutputFile)) is returned unchanged.
     pub fn from_io(doing: &str, error: std::io::Error) -> Self {
         match error.downcast::<Self>() {
             Ok(own) => own,

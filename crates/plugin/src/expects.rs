@@ -1,10 +1,11 @@
-//! What nodes ask of a display: each either is so or refuses the display by name, with what was expected and what was found.
+//! Requirements of nodes on a display. Each check names the display, the expected and the found
+//! property.
 
 use lumistack_display::{Backlight, Display, Formation, LensletBacklight};
 
 use crate::PluginError;
 
-/// So many layers.
+/// Requires this number of layers.
 ///
 /// # Errors
 /// On any other number.
@@ -18,10 +19,10 @@ pub fn layers(display: &Display, count: usize) -> Result<(), PluginError> {
     if found == count { Ok(()) } else { Err(PluginError::display(display, expected, found)) }
 }
 
-/// Layers that attenuate.
+/// Requires attenuating layers.
 ///
 /// # Errors
-/// If they do anything else.
+/// On any other formation.
 pub fn attenuating(display: &Display) -> Result<(), PluginError> {
     match display.formation {
         Formation::Attenuating => Ok(()),
@@ -29,10 +30,10 @@ pub fn attenuating(display: &Display) -> Result<(), PluginError> {
     }
 }
 
-/// A uniform backlight.
+/// Requires a uniform backlight.
 ///
 /// # Errors
-/// If it is a directional one.
+/// On a directional backlight.
 pub fn uniform_backlight(display: &Display) -> Result<(), PluginError> {
     match display.backlight {
         Backlight::Uniform => Ok(()),
@@ -40,10 +41,10 @@ pub fn uniform_backlight(display: &Display) -> Result<(), PluginError> {
     }
 }
 
-/// The directional backlight.
+/// Requires a directional backlight, and returns it.
 ///
 /// # Errors
-/// If there is none.
+/// On a uniform backlight.
 pub fn lenslets(display: &Display) -> Result<&LensletBacklight, PluginError> {
     match &display.backlight {
         Backlight::Lenslets(lenslets) => Ok(lenslets),

@@ -1,4 +1,4 @@
-//! A plugin's public face: its descriptor and its entry symbol.
+//! A plugin's exports: its descriptor and its entry symbol.
 
 use std::panic::catch_unwind;
 use std::sync::LazyLock;
@@ -10,7 +10,7 @@ use crate::output::vtable_of;
 
 use crate::{ImporterPlugin, NodePlugin, OutputPlugin, Schema, SourcePlugin};
 
-/// The descriptor of a plugin that was written against this crate's safe traits.
+/// The descriptor of a plugin written with this crate's safe traits.
 #[derive(Clone, Copy, Debug)]
 pub struct Export {
     id: &'static str,
@@ -18,25 +18,26 @@ pub struct Export {
 }
 
 impl Export {
-    /// Describes an output plugin. Called once per plugin, by [`export_plugin!`](crate::export_plugin): the texts are kept for good.
+    /// Describes an output plugin. [`export_plugin!`](crate::export_plugin) calls it once per
+    /// plugin; the texts are never freed.
     pub fn output<P: OutputPlugin>(id: &'static str, version: &'static str) -> Self {
         let ports = P::PORTS.iter().fold(0, |set, port| set | port.bit());
         Self::describe(kind::OUTPUT, ports, id, version, P::DOC, P::schema(), vtable_of::<P>())
     }
 
-    /// Describes an importer; as [`output`](Self::output).
+    /// Describes an importer; see [`output`](Self::output).
     pub fn importer<P: ImporterPlugin>(id: &'static str, version: &'static str) -> Self {
         let vtable = Box::leak(Box::new(importer_vtable::<P>()));
         Self::describe(kind::IMPORTER, port::FILE, id, version, P::DOC, P::schema(), vtable)
     }
 
-    /// Describes a source; as [`output`](Self::output).
+    /// Describes a source; see [`output`](Self::output).
     pub fn source<P: SourcePlugin>(id: &'static str, version: &'static str) -> Self {
         let vtable = Box::leak(Box::new(source_vtable::<P>()));
         Self::describe(kind::SOURCE, 0, id, version, P::DOC, P::schema(), vtable)
     }
 
-    /// Describes a node; as [`output`](Self::output).
+    /// Describes a node; see [`output`](Self::output).
     pub fn node<P: NodePlugin>(id: &'static str, version: &'static str) -> Self {
         let vtable = Box::leak(Box::new(node_vtable::<P>()));
         Self::describe(kind::NODE, port::LIGHT_FIELD, id, version, P::DOC, P::schema(), vtable)
@@ -78,13 +79,13 @@ impl Export {
     }
 }
 
-/// What a plugin's entry function returns: the descriptor, or null where describing it panics.
+/// The entry function of a plugin: returns the descriptor, or null if its construction panics.
 pub fn entry_of(plugin: &'static LazyLock<Export>) -> *const Descriptor {
     catch_unwind(|| &raw const *plugin.descriptor()).unwrap_or(std::ptr::null())
 }
 
-/// Whether a text can be a plugin's id, and so the end of its symbol and of its file's name: lower-case letters, digits and
-/// underscores, a letter first.
+/// Checks a plugin id, which ends the entry symbol and the file name: lower-case letters, digits
+/// and underscores, a letter first.
 pub const fn is_plugin_id(id: &str) -> bool {
     let id = id.as_bytes();
     let mut i = 0;
@@ -97,9 +98,11 @@ pub const fn is_plugin_id(id: &str) -> bool {
     !id.is_empty()
 }
 
-/// `export_plugin!("id", Type)` at the end of a plugin's file, a module of its own where a crate has several: the public static `PLUGIN`, which a host lists that has the plugin compiled
-/// in, and the symbol `lumistack_plugin_entry_<id>`, which a host looks for that loads it. The version is the crate's. Plugins of other kinds than
-/// outputs say so: `export_plugin!("id", Type as importer)`, `as source`, `as node`.
+/// `export_plugin!("id", Type)` stands at the end of a plugin's module. It defines the static
+/// `PLUGIN`, which a host with the plugin compiled in lists, and the symbol
+/// `lumistack_plugin_entry_<id>` for hosts that load libraries. The version is the crate's. Plugins
+/// other than outputs name their kind: `export_plugin!("id", Type as importer)`, `as source`,
+/// `as node`.
 #[macro_export]
 macro_rules! export_plugin {
     ($id:literal, $type:ty) => {
@@ -116,7 +119,7 @@ macro_rules! export_plugin {
             ::std::sync::LazyLock::new(|| $crate::Export::$kind::<$type>($id, ::std::env!("CARGO_PKG_VERSION")));
 
         #[doc = ::std::concat!("Where a loader finds the plugin `", $id, "`.")]
-        // SAFETY: the name ends in the plugin's id, which no other plugin of the program has.
+        // SAFETY: the name ends in the plugin's id, which is unique in the program.
         #[unsafe(export_name = ::std::concat!("lumistack_plugin_entry_", $id))]
         pub extern "C" fn lumistack_plugin_entry() -> *const $crate::abi::Descriptor {
             $crate::entry_of(&PLUGIN)

@@ -1,4 +1,4 @@
-//! The host as a plugin sees it: messages, progress, cancellation, and the only way for bytes to leave.
+//! The host's services for a plugin: messages, progress, cancellation, and files.
 
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,7 +13,8 @@ use serde_json::Value;
 use crate::wire::{call, needs};
 use crate::{PlaneView, PluginError, Port, ViewPoint};
 
-/// The host's services; clones share them. They end when the output is closed: a clone that outlives it gets errors.
+/// The host's services; clones share them. They end when the output is closed: later calls return
+/// errors.
 #[derive(Clone)]
 pub struct Host(Arc<RwLock<Option<Table>>>);
 
@@ -33,12 +34,13 @@ impl Host {
         Self(Arc::new(RwLock::new(Some(Table(table)))))
     }
 
-    /// Ends the services, once running calls have returned.
+    /// Ends the services, after running calls have returned.
     pub(crate) fn close(&self) {
         *self.0.write().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
-    /// Calls a service. The lock holds the table open meanwhile; services never call back into the plugin, so it is not taken twice.
+    /// Calls a service. The lock keeps the table valid meanwhile. Services never call back into the
+    /// plugin, so the lock is not taken twice.
     fn with<T>(&self, function: impl FnOnce(&HostServices) -> T) -> Option<T> {
         let guard = self.0.read().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: valid until `close`, which waits for the lock.
@@ -53,22 +55,23 @@ impl Host {
             .unwrap_or_else(|| Err(PluginError::Failed("the output is already closed".into())))
     }
 
-    /// Tells the user that something failed and that the plugin goes on without it.
+    /// Reports a failure after which the plugin continues.
     pub fn error(&self, message: &str) {
         self.log(level::ERROR, message);
     }
 
-    /// Tells the user what he should know.
+    /// Reports a warning to the user.
     pub fn warn(&self, message: &str) {
         self.log(level::WARN, message);
     }
 
-    /// Tells the user what he may want to know.
+    /// Reports information to the user.
     pub fn info(&self, message: &str) {
         self.log(level::INFO, message);
     }
 
-    /// For presenters: tells an event to the driver of the presentation, as JSON of the plugin's own form.
+    /// For presenters: sends an event, in the plugin's JSON, to the program that runs the
+    /// presentation.
     pub fn tell(&self, event: &Value) {
         let json = event.to_string();
         // SAFETY: as in `log`.
@@ -80,34 +83,37 @@ impl Host {
         self.with(|table| unsafe { (table.log)(table.context, level, Str::new(message)) });
     }
 
-    /// A stage of `total` steps of kind `unit` ("files") starts; it ends when the result is dropped.
+    /// Begins a stage of `total` steps of the given `unit` ("files"). It ends when the result is
+    /// dropped.
     pub fn stage(&self, name: &str, total: u64, unit: &str) -> Stage {
         // SAFETY: as in `log`.
         self.with(|table| unsafe { (table.progress_begin)(table.context, Str::new(name), total, Str::new(unit)) });
         Stage(self.clone())
     }
 
-    /// The port whose data an output will be given, where the host says so as it opens one; `None` elsewhere.
+    /// The port of the data that an output will receive, if the host knows it at `open`; otherwise
+    /// `None`.
     pub fn port(&self) -> Option<Port> {
         let bit = self.with(|table| table.port)?;
         Port::ALL.into_iter().find(|port| port.bit() == bit)
     }
 
-    /// Whether the user asked to stop. True once the output is closed.
+    /// Returns true after the user cancelled, or after the output was closed.
     pub fn is_cancelled(&self) -> bool {
         // SAFETY: as in `log`.
         self.with(|table| unsafe { (table.is_cancelled)(table.context) != 0 }).unwrap_or(true)
     }
 
     /// # Errors
-    /// When the user asked to stop, for use with `?` inside loops.
+    /// If the user cancelled; for use with `?` inside loops.
     pub fn check_cancelled(&self) -> Result<(), Cancelled> {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    /// Runs work of the program's own libraries: their progress and warnings go to the host, and its wish to stop to them.
+    /// Runs work of this project's libraries. Their progress and warnings go to the host, and the
+    /// host's cancellation goes to them.
     pub fn run<T>(&self, work: impl FnOnce(Task<'_>) -> T) -> T {
-        let told = Told { host: self, stages: Mutex::default() };
+        let forward = Forward { host: self, stages: Mutex::default() };
         let (cancel, done) = (Cancel::default(), AtomicBool::new(false));
         let ask = || {
             if self.is_cancelled() {
@@ -116,20 +122,21 @@ impl Host {
         };
         ask();
         std::thread::scope(|scope| {
-            let asks = scope.spawn(|| {
+            let checker = scope.spawn(|| {
                 while !done.load(Ordering::SeqCst) {
-                    std::thread::park_timeout(ASKS);
+                    std::thread::park_timeout(CANCEL_INTERVAL);
                     ask();
                 }
             });
-            // also where the work panics, or the scope would wait for good
-            let _done = Done { done: &done, asks: asks.thread().clone() };
-            work(Task { progress: &told, warnings: &told, cancel: &cancel })
+            // dropped after a panic, too; otherwise the scope would wait for ever
+            let _done = Done { done: &done, checker: checker.thread().clone() };
+            work(Task { progress: &forward, warnings: &forward, cancel: &cancel })
         })
     }
 
-    /// Starts a file. `path` is relative to the output's folder, with `/` between its parts. The file is written through
-    /// [`io::Write`] and appears once it is committed and the output has finished; a file that is dropped before leaves nothing.
+    /// Creates a file. `path` is relative to the output's folder, with `/` between its parts. The
+    /// file is written through [`io::Write`]. It appears after it is committed and the output has
+    /// finished; dropping it earlier discards it.
     ///
     /// # Errors
     /// If the path is absolute or leaves the folder, or the host cannot write.
@@ -143,7 +150,7 @@ impl Host {
     /// Writes a whole file; see [`Host::create`].
     ///
     /// # Errors
-    /// As [`Host::create`], or if the host cannot write the bytes.
+    /// Those of [`Host::create`], or if the host cannot write the bytes.
     pub fn write(&self, path: &str, bytes: &[u8]) -> Result<(), PluginError> {
         let mut file = self.create(path)?;
         file.append(bytes)?;
@@ -151,47 +158,48 @@ impl Host {
     }
 
     /// # Safety
-    /// `data` is what the running `submit` was given.
+    /// `data` is the argument of the running `submit`.
     pub(crate) unsafe fn simulate<'a>(&self, data: *const Data, from: ViewPoint) -> Result<PlaneView<'a>, PluginError> {
         let (kind, value) = from.to_abi();
         let view = View { size: size_of::<View>(), kind, value };
         let mut plane = Plane::empty();
-        // SAFETY: the caller's promise; `plane` says its own size.
+        // SAFETY: guaranteed by the caller; `size` of `plane` is set.
         self.call(|table, error| unsafe { (table.simulate)(table.context, data, &view, &mut plane, error) })?;
-        // SAFETY: the host filled the plane in; a simulated plane is the plugin's until it is released.
+        // SAFETY: the host filled the plane; the plugin owns a simulated plane until it is
+        // released.
         unsafe { PlaneView::new(plane) }
     }
 }
 
-/// How often [`Host::run`] asks whether to stop.
-const ASKS: Duration = Duration::from_millis(20);
+/// Interval at which [`Host::run`] checks for cancellation.
+const CANCEL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Ends the thread that asks.
+/// Ends the thread that checks for cancellation.
 struct Done<'a> {
     done: &'a AtomicBool,
-    asks: Thread,
+    checker: Thread,
 }
 
 impl Drop for Done<'_> {
     fn drop(&mut self) {
         self.done.store(true, Ordering::SeqCst);
-        self.asks.unpark();
+        self.checker.unpark();
     }
 }
 
-/// Passes on what the program's libraries tell.
-struct Told<'a> {
+/// Forwards progress and warnings of libraries to the host.
+struct Forward<'a> {
     host: &'a Host,
     stages: Mutex<Vec<Stage>>,
 }
 
-impl Told<'_> {
+impl Forward<'_> {
     fn stages(&self) -> MutexGuard<'_, Vec<Stage>> {
         self.stages.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Progress for Told<'_> {
+impl Progress for Forward<'_> {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         let stage = self.host.stage(stage, total, unit);
         self.stages().push(stage);
@@ -208,7 +216,7 @@ impl Progress for Told<'_> {
     }
 }
 
-impl Warnings for Told<'_> {
+impl Warnings for Forward<'_> {
     fn warn(&self, warning: Warning) {
         self.host.warn(&warning.to_string());
     }
@@ -220,16 +228,16 @@ impl std::fmt::Debug for Host {
     }
 }
 
-/// Ends a host's services unless they are kept: also on a panic in `open`.
+/// Closes a host's services on drop, unless they are kept; covers panics in `open`.
 pub(crate) struct CloseHost(Option<Host>);
 
 impl CloseHost {
     /// # Safety
-    /// `host` is a table of services that is valid until this is dropped or what it keeps is closed.
+    /// `host` is a table of services, valid until this is dropped or the kept host is closed.
     pub(crate) unsafe fn checked(host: *const HostServices) -> Result<Self, PluginError> {
-        // SAFETY: the caller's promise; the size comes first in every version.
+        // SAFETY: guaranteed by the caller; the size comes first in every version.
         needs(unsafe { (*host).size }, size_of::<HostServices>())?;
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         Ok(Self(Some(unsafe { Host::new(host) })))
     }
 
@@ -255,7 +263,7 @@ impl Drop for CloseHost {
 pub struct Stage(Host);
 
 impl Stage {
-    /// Some steps are done; `note` is a short figure to show beside the bar, or empty.
+    /// Completes steps; `note` is a short figure beside the progress bar, or empty.
     pub fn advance(&self, steps: u64, note: &str) {
         // SAFETY: the table's own context; the text is lent for the call.
         self.0.with(|table| unsafe { (table.progress_advance)(table.context, steps, Str::new(note)) });
@@ -269,8 +277,8 @@ impl Drop for Stage {
     }
 }
 
-/// A file that is being written; see [`Host::create`]. Errors of its [`io::Write`] hold a [`PluginError`], which
-/// [`PluginError::from_io`] takes out again.
+/// A file in progress; see [`Host::create`]. Errors of its [`io::Write`] contain a [`PluginError`],
+/// which [`PluginError::from_io`] extracts.
 #[derive(Debug)]
 pub struct OutputFile {
     host: Host,
@@ -280,7 +288,7 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Adds bytes at the end.
+    /// Appends bytes.
     ///
     /// # Errors
     /// If the host cannot write them.
@@ -290,10 +298,10 @@ impl OutputFile {
         self.host.call(|table, error| unsafe { (table.file_append)(table.context, file, Bytes::new(bytes), error) })
     }
 
-    /// Declares the file whole.
+    /// Completes the file.
     ///
     /// # Errors
-    /// If the host cannot finish it.
+    /// If the host cannot complete it.
     pub fn commit(mut self) -> Result<(), PluginError> {
         self.open = false;
         let file = self.file;
@@ -311,8 +319,8 @@ impl Drop for OutputFile {
     fn drop(&mut self) {
         if self.open {
             let file = self.file;
-            // The host drops what is still open when the output closes, so a failure here leaves nothing either.
-            // SAFETY: the table's own context.
+            // SAFETY: the table's own context. A failure is ignored: the host discards open files
+            // when the output closes.
             let _ = self.host.call(|table, error| unsafe { (table.file_abort)(table.context, file, error) });
         }
     }

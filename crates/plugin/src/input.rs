@@ -1,4 +1,4 @@
-//! Submitted data as a plugin sees them.
+//! Submitted data, from the plugin's side.
 
 use std::marker::PhantomData;
 
@@ -10,17 +10,17 @@ use crate::viewpoint::ViewPoint;
 use crate::wire::{Description, RayWeights, Start, call, lent_text};
 use crate::{Host, PlaneView, PluginError, Port};
 
-/// What one `submit` brings. More ports may come.
+/// The data of one `submit`. Further ports may be added.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Input<'a> {
-    /// The patterns of a tensor display.
+    /// The layer stack of a tensor display.
     LayerStack(StackInput<'a>),
     /// Linear radiance of many views.
     LightField(FieldInput<'a>),
 }
 
-/// Lent functions and pointers of one `submit`.
+/// Borrowed functions and pointers of one `submit`.
 #[derive(Debug)]
 struct Lent<'a> {
     data: *const Data,
@@ -33,7 +33,7 @@ unsafe impl Send for Lent<'_> {}
 // SAFETY: as above.
 unsafe impl Sync for Lent<'_> {}
 
-/// The patterns of a tensor display: layers rearmost first, values linear in 0..1.
+/// The layer stack of a tensor display: layers rearmost first, values linear in 0..1.
 #[derive(Debug)]
 pub struct StackInput<'a> {
     lent: Lent<'a>,
@@ -62,7 +62,7 @@ impl<'a> Input<'a> {
     /// `data` and all that it lends are valid for the lifetime.
     pub(crate) unsafe fn new(data: *const Data, host: Host) -> Result<Self, PluginError> {
         let lent = Lent { data, host, _submit: PhantomData };
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         let text = unsafe { lent_text((*data).description_json, "description of the data")? };
         let description =
             serde_json::from_str(text).map_err(|error| PluginError::failed("description of the data", error))?;
@@ -78,7 +78,7 @@ impl<'a> Input<'a> {
         })
     }
 
-    /// Which port the data belong to.
+    /// The port of the data.
     pub fn port(&self) -> Port {
         match self {
             Self::LayerStack(_) => Port::LayerStack,
@@ -100,7 +100,7 @@ impl StackInput<'_> {
         self.layers.len()
     }
 
-    /// [rows, cols] of a layer; layer 0 is the rearmost. `None` beyond the last.
+    /// [rows, cols] of a layer; layer 0 is the rearmost. `None` if there is no such layer.
     pub fn layer_size(&self, layer: usize) -> Option<[usize; 2]> {
         self.layers.get(layer).copied()
     }
@@ -120,23 +120,24 @@ impl StackInput<'_> {
         self.emission
     }
 
-    /// The light field that the patterns were made for.
+    /// Geometry of the light field that the stack was solved for.
     pub fn target(&self) -> &FieldGeometry {
         &self.target
     }
 
-    /// How deep the middle view of that light field sees, where the host knows.
+    /// Depth of that light field's central view, if the host has it.
     pub fn target_depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
 
-    /// Whether the views of that light field are lent; see [`target_view`](Self::target_view).
+    /// Returns true if the views of that light field can be read; see
+    /// [`target_view`](Self::target_view).
     pub fn has_target_views(&self) -> bool {
         self.target_views
     }
 
-    /// Radiance `[row][col][rgb]` of the light field that the patterns were made for, seen from `view` = [view_y, view_x]; `None` where the host
-    /// has only its geometry.
+    /// Radiance `[row][col][rgb]` of one view of the light field that the stack was solved for;
+    /// `view` is [view_y, view_x]. `None` if the host has only its geometry.
     ///
     /// # Errors
     /// If there is no such view, or the host cannot lend it.
@@ -161,7 +162,8 @@ impl StackInput<'_> {
     /// Emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame.
     ///
     /// # Errors
-    /// If the backlight is not directional or there is no such bin or frame, or the host cannot lend it.
+    /// If the backlight is not directional or there is no such bin or frame, or the host cannot
+    /// lend it.
     pub fn emission(&self, frame: usize, bin_y: usize, bin_x: usize) -> Result<PlaneView<'_>, PluginError> {
         // SAFETY: the context is the data's own.
         self.lent.plane(|data, plane, error| unsafe {
@@ -169,19 +171,20 @@ impl StackInput<'_> {
         })
     }
 
-    /// All patterns in one piece, a copy. `display` is the one that they are for.
+    /// A copy of the whole layer stack. `display` is the display of the output.
     ///
     /// # Errors
-    /// If the host cannot lend a plane, or the display is another one.
+    /// If the host cannot lend a plane, or the stack does not match the display.
     pub fn to_layer_stack(&self, display: &Display) -> Result<LayerStack, PluginError> {
         self.lent.patterns(display, self.brightness)
     }
 
-    /// The seen picture from a place: emitted linear radiance `[row][col][rgb]`, the mean over the area of each of the target's pixels. Divide by
-    /// [`brightness`](Self::brightness) for what an adapted viewer sees.
+    /// The simulated view from a viewpoint: emitted linear radiance `[row][col][rgb]`, the mean
+    /// over the area of each of the target's pixels. Divide by [`brightness`](Self::brightness) for
+    /// the view of an adapted viewer.
     ///
     /// # Errors
-    /// If the place makes no sense or the host cannot compute the view.
+    /// If the viewpoint is invalid, or the host cannot compute the view.
     pub fn simulate(&self, from: ViewPoint) -> Result<PlaneView<'_>, PluginError> {
         // SAFETY: the data are the running submit's.
         unsafe { self.lent.host.simulate(self.lent.data, from) }
@@ -189,12 +192,12 @@ impl StackInput<'_> {
 }
 
 impl FieldInput<'_> {
-    /// Pixels and views.
+    /// Resolution and views.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }
 
-    /// How deep the view [view rows / 2, view columns / 2] sees, where the host knows.
+    /// Depth of the central view, [view rows / 2, view columns / 2], if the host has it.
     pub fn depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
@@ -208,7 +211,7 @@ impl FieldInput<'_> {
         self.lent.plane(|data, plane, error| unsafe { (data.view_plane)(data.context, view[0], view[1], plane, error) })
     }
 
-    /// All views in one piece, a copy.
+    /// A copy of all views.
     ///
     /// # Errors
     /// If the host cannot lend a view, or lends one of another shape.
@@ -222,12 +225,12 @@ impl FieldInput<'_> {
         Ok(whole.with_depth(self.depth.clone()))
     }
 
-    /// Seed of everything random; 1 where the host says none.
+    /// Random seed; 1 if the host sets none.
     pub(crate) fn seed(&self) -> u64 {
         self.seed.unwrap_or(1)
     }
 
-    /// How much each ray counts.
+    /// Weights of the rays.
     pub(crate) fn weights(&self) -> Result<Weights, PluginError> {
         let wrong = |error: &dyn std::fmt::Display| PluginError::Failed(format!("weights: {error}"));
         let FieldGeometry { rows, cols, grid, .. } = &self.geometry;
@@ -256,7 +259,7 @@ impl FieldInput<'_> {
         Ok(weights)
     }
 
-    /// Patterns of the display from which to begin.
+    /// Layer stack to start from.
     pub(crate) fn start(&self, display: &Display) -> Result<Option<LayerStack>, PluginError> {
         self.start.map(|Start { brightness }| self.lent.patterns(display, brightness)).transpose()
     }
@@ -267,7 +270,7 @@ pub(crate) fn bins(frames: usize, [bins_y, bins_x]: [usize; 2]) -> impl Iterator
     (0..frames).flat_map(move |frame| (0..bins_y).flat_map(move |y| (0..bins_x).map(move |x| (frame, y, x))))
 }
 
-/// Copies a lent plane to where as many values belong.
+/// Copies a borrowed plane into a slice of the same length.
 fn fill(to: &mut [f32], plane: &PlaneView<'_>) -> Result<(), PluginError> {
     let values = plane.values();
     if values.len() != to.len() {
@@ -283,15 +286,15 @@ impl Lent<'_> {
         &self,
         fetch: impl FnOnce(&Data, *mut Plane, *const ErrorSink) -> Status,
     ) -> Result<PlaneView<'_>, PluginError> {
-        // SAFETY: promise of `Input::new`.
+        // SAFETY: guaranteed to `Input::new`.
         let data = unsafe { &*self.data };
         let mut plane = Plane::empty();
         call(|error| fetch(data, &mut plane, error))?;
-        // SAFETY: the host filled the plane in, and lends it at least until the submit returns.
+        // SAFETY: the host filled the plane, and lends it at least until the submit returns.
         unsafe { PlaneView::new(plane) }
     }
 
-    /// Copies the patterns that are lent.
+    /// Copies the borrowed layer stack.
     fn patterns(&self, display: &Display, brightness: f64) -> Result<LayerStack, PluginError> {
         let mut stack = LayerStack::filled(display, 0.0);
         stack.brightness = brightness;
@@ -319,7 +322,7 @@ impl Lent<'_> {
 }
 
 impl ViewPoint {
-    /// Where the view `view` = [view_y, view_x] of a geometry is seen from.
+    /// The viewpoint of `view` = [view_y, view_x] of a geometry.
     ///
     /// # Panics
     /// If there is no such view.

@@ -1,20 +1,24 @@
-//! What the panel behind a lens array must show so that the array emits given light fields: PAPER section 3.3 and 5.1.2's hardware.
+//! Picture of the panel behind a lens array, such that the array emits given light fields: PAPER
+//! sections 3.3 and 5.1.2.
 //!
-//! The panel stands in the lenses' focal plane. A point at offset u from a lens' axis leaves through that lens as a parallel beam of slope
+//! The panel stands in the lenses' focal plane. Light of a point at offset u from a lens's axis
+//! leaves that lens as a parallel beam of slope
 //!
 //! ```text
 //! s = −u / f
 //! ```
 //!
-//! whatever place of the lens it passes (a ray at height h of the lens arrives with slope (h − u)/f and is bent by −h/f). The light that the display
-//! model asks of lens (i, j) at slope s is emission bin floor(A/2 · (1 + s / tan(α/2))) per axis.
+//! at any point of the lens: a ray at height h arrives with slope (h − u)/f and is refracted by
+//! −h/f. In the display model lens (i, j) emits, at slope s, the value of bin
+//! floor(A/2 · (1 + s / tan(α/2))) per axis.
 //!
-//! Lens pitch and pixel pitch do not divide (2.54 mm are 8.98 pixels of 0.2827 mm), so every pixel of the panel asks where it lies: on which lens, and
-//! where behind it. Display millimetres, x right, y up, seen from the front.
+//! Lens pitch and pixel pitch are not commensurate (2.54 mm are 8.98 pixels of 0.2827 mm).
+//! Therefore lens and offset are computed for every pixel. Coordinates are display millimetres, x
+//! right, y up, seen from the front.
 
 use lumistack_display::LensletBacklight;
 
-/// A panel behind a lens array, as built: every length is a calibration.
+/// A panel behind a lens array, as built: all lengths are calibrated values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LensletPanel {
     /// [columns, rows] of the panel.
@@ -25,9 +29,9 @@ pub struct LensletPanel {
     pub lenslets: [usize; 2],
     /// Distance of lens axes, millimetres.
     pub lens_pitch_mm: f64,
-    /// Distance of panel and lenses as light travels in air: the lenses' focal length, millimetres.
+    /// Optical distance in air between panel and lenses, which is the focal length, millimetres.
     pub focal_mm: f64,
-    /// Turn of the array against the panel, counterclockwise seen from the front, degrees.
+    /// Rotation of the array against the panel, counterclockwise seen from the front, degrees.
     pub rotation_deg: f64,
     /// [x, y] of the array's centre, millimetres.
     pub offset_mm: [f64; 2],
@@ -37,7 +41,7 @@ pub struct LensletPanel {
     pub fov_deg: [f64; 2],
 }
 
-/// What a point of the panel belongs to.
+/// The lens and bin of a point of the panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Spot {
     /// [row, column] of the lens, from the top left.
@@ -47,8 +51,8 @@ pub struct Spot {
 }
 
 impl LensletPanel {
-    /// The array as the display file has it, in front of a panel. Where nobody measured the focal length it is the one at which a lens' picture fills the
-    /// horizontal bins: p / (2 tan(α/2)).
+    /// The array of the display file, in front of a panel. Without a measured focal length a lens's
+    /// image fills the horizontal bins: f = p / (2 tan(α/2)).
     pub fn new(backlight: &LensletBacklight, resolution: [usize; 2], pitch_mm: f64) -> Self {
         let lens = backlight.lens.clone().unwrap_or_default();
         let fitting_mm = backlight.pitch_mm / (2.0 * (0.5 * backlight.fov_deg[0].to_radians()).tan());
@@ -65,7 +69,8 @@ impl LensletPanel {
         }
     }
 
-    /// Lens and bin of the panel's point (x, y); none beside the array and where the slope lies outside the bins.
+    /// Lens and bin of the panel's point (x, y), millimetres; none outside the array, or if the
+    /// slope is outside the bins.
     pub fn spot(&self, [x_mm, y_mm]: [f64; 2]) -> Option<Spot> {
         let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
         let [dx, dy] = [x_mm - self.offset_mm[0], y_mm - self.offset_mm[1]];
@@ -83,7 +88,7 @@ impl LensletPanel {
             lens[axis] = index as usize;
             u[axis] = (position - index - 0.5) * self.lens_pitch_mm;
         }
-        // the offset from the axis of the lens in the display's directions, y down
+        // offset from the lens's axis in the display's directions, y down
         let u = [cos * u[0] + sin * u[1], cos * u[1] - sin * u[0]];
         let mut bin = [0usize; 2];
         for axis in 0..2 {
@@ -99,11 +104,13 @@ impl LensletPanel {
         Some(Spot { lenslet: [lens[1], lens[0]], bin: [bin[1], bin[0]] })
     }
 
-    /// The panel's picture `[row][col][rgb]` of an emission `planes[bin_y · bins_x + bin_x][lenslet_row][lenslet_col][rgb]`: the mean of `samples` ×
-    /// `samples` points of every pixel, so that light of a pixel on a border of bins or lenses is shared. One sample is the pixel's centre.
+    /// The panel's picture `[row][col][rgb]` of an emission
+    /// `planes[bin_y · bins_x + bin_x][lenslet_row][lenslet_col][rgb]`. A pixel is the mean of
+    /// `samples` × `samples` points, which antialiases borders of bins and lenses. One sample is
+    /// the pixel's centre.
     ///
     /// # Panics
-    /// If `planes` does not hold the emission.
+    /// If the size of `planes` is not that of the emission.
     pub fn picture(&self, planes: &[Vec<f32>], samples: usize) -> Vec<f32> {
         let [cols, rows] = self.resolution;
         let lens_cols = self.lenslets[0];
@@ -151,7 +158,7 @@ mod tests {
         LensletPanel::new(backlight(display), [168, 105], 0.2827)
     }
 
-    /// Every lens and bin has its own colour.
+    /// A distinct colour for every lens and bin.
     fn planes(panel: &LensletPanel) -> Vec<Vec<f32>> {
         let mut random = Stream::new(3);
         let count = 3 * panel.lenslets[0] * panel.lenslets[1];
@@ -165,8 +172,9 @@ mod tests {
         assert!((panel.focal_mm - 2.85).abs() < 0.005);
     }
 
-    /// The other way round, by ray optics alone: a ray that leaves the array at a place of a lens with a slope is traced back through the thin lens to
-    /// the panel; the pixel there must show what the display model says that the ray carries. The lens array is an explicit list of turned axes.
+    /// Oracle by ray optics: traces a ray from a point of the array, with a slope, back through the
+    /// thin lens to the panel. The pixel there must show the display model's value of that ray. The
+    /// lens array is an explicit list of rotated axes.
     #[test]
     fn a_traced_ray_carries_what_the_display_model_says() {
         let display = display();
@@ -175,7 +183,7 @@ mod tests {
         {
             let nominal = panel(&display);
             let built = LensletPanel {
-                // fine pixels: the trace is exact, only pixels that bin borders cross may differ
+                // fine pixels: the trace is exact, and only pixels on bin borders may differ
                 resolution: [168 * 4, 105 * 4],
                 pitch_mm: 0.2827 / 4.0,
                 rotation_deg,
@@ -198,7 +206,8 @@ mod tests {
                 let centre = turned(axis(lens[0], 18), -axis(lens[1], 11));
                 let height = [0, 1].map(|_| (f64::from(random.next_f32()) - 0.5) * built.lens_pitch_mm);
                 let slope = [0, 1].map(|_| (2.0 * f64::from(random.next_f32()) - 1.0) * 24f64.to_radians().tan());
-                // thin lens: slope before = slope after + height / f; from the lens plane back to the panel over f
+                // thin lens: slope before = slope after + height / f; then from the lens plane to
+                // the panel
                 let on_panel = [0, 1].map(|i| {
                     let before = slope[i] + height[i] / built.focal_mm;
                     centre[i] + height[i] - before * built.focal_mm
@@ -208,7 +217,7 @@ mod tests {
                 if !(col >= 0.0 && row >= 0.0 && col < built.resolution[0] as f64 && row < built.resolution[1] as f64) {
                     continue;
                 }
-                // a point behind the neighbouring lens leaves through that one
+                // light of a point behind a neighbouring lens leaves through that lens
                 let u = [0, 1].map(|i| on_panel[i] - centre[i]);
                 let own = [u[0] * angle.cos() + u[1] * angle.sin(), u[1] * angle.cos() - u[0] * angle.sin()];
                 if own.iter().any(|u| u.abs() > 0.5 * built.lens_pitch_mm) {
@@ -222,12 +231,14 @@ mod tests {
             }
             let share = same as f64 / all as f64;
             println!("{rotation_deg}°, {offset_mm:?}: {share:.4} of the rays");
-            // a bin is 7.2 fine pixels wide: half a pixel of rounding on either side of its borders, on both axes
+            // a bin is 7.2 fine pixels wide, with half a pixel of rounding at each border, on both
+            // axes
             assert!(share > 0.85, "{share}");
         }
     }
 
-    /// Pixel centres, exactly: the ray from a pixel's centre through the middle of its lens carries the same in the display model's own tables.
+    /// Exact test at pixel centres: the ray from a pixel's centre through its lens's centre has the
+    /// same value in the display model's tables.
     #[test]
     fn the_display_s_tables_agree_at_every_pixel() {
         let display = display();
@@ -243,7 +254,8 @@ mod tests {
                 (5.0 - spot.lenslet[0] as f64) * panel.lens_pitch_mm,
             ];
             let slope = [(centre[0] - x) / panel.focal_mm, (centre[1] - y) / panel.focal_mm];
-            // one pixel of a light field on the display's plane, where the ray from the lens' middle arrives
+            // one pixel of a light field on the display's plane, hit by the ray through the lens's
+            // centre
             let here = [0, 1].map(|i| centre[i] - backlight.d_mm * slope[i]);
             let single = Display {
                 backlight: Backlight::Lenslets(LensletBacklight {

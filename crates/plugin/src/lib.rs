@@ -1,4 +1,5 @@
-//! What a plugin author depends on: safe traits over the C boundary of `lumistack-plugin-abi`, a parameter schema, and the export macro.
+//! The crate for plugin authors: safe traits over the C interface of `lumistack-plugin-abi`, a
+//! parameter schema, and the export macro.
 //!
 //! An output plugin is a type that implements [`OutputPlugin`] and one line at the end of the file:
 //!
@@ -54,14 +55,17 @@
 //! # fn main() {}
 //! ```
 //!
-//! Importers, sources and nodes implement [`ImporterPlugin`], [`SourcePlugin`] or [`NodePlugin`], one function each, and end with
-//! `export_plugin!("id", Type as importer)` (`as source`, `as node`).
+//! Importers, sources and nodes implement [`ImporterPlugin`], [`SourcePlugin`] or [`NodePlugin`],
+//! one function each, and end with `export_plugin!("id", Type as importer)` (`as source`,
+//! `as node`).
 //!
-//! A crate of plugins is a plain library, with a module for each plugin where it has several. Compiled in, the host lists their `PLUGIN`s; loaded, the
-//! host finds the symbols `lumistack_plugin_entry_<id>` in `lumistack_plugin_<name>`. Both ways every call goes through the same C functions, and a panic of the
-//! plugin comes back as an error.
+//! A crate of plugins is a plain library, with one module per plugin if it has several. If it is
+//! compiled in, the host lists the modules' `PLUGIN`s. If it is loaded, the host finds the symbols
+//! `lumistack_plugin_entry_<id>` in `lumistack_plugin_<name>`. Both ways use the same C functions,
+//! and a panic of the plugin becomes an error.
 //!
-//! The other side of the boundary is `lumistack-plugin-host`; tests of a plugin take it from `lumistack-plugin-testkit`. [`wire`] holds what both sides share.
+//! The host's side is `lumistack-plugin-host`; tests of a plugin use it through
+//! `lumistack-plugin-testkit`. [`wire`] contains the code shared by both sides.
 
 pub mod encoding;
 mod error;
@@ -103,5 +107,6 @@ pub use lumistack_plugin_abi as abi;
 pub use serde;
 pub use serde_json;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

@@ -1,4 +1,5 @@
-//! Plugins that make something: importers, sources and nodes. Each trait is one function; what it returns goes to the host piece by piece.
+//! Importers, sources and nodes. Each trait has one function, whose result is sent to the host in
+//! parts.
 
 use lumistack_display::{Display, LayerStack, LightField};
 use lumistack_plugin_abi::{
@@ -15,71 +16,78 @@ use crate::time::Time;
 use crate::wire::{Geometry, answer, append, call, dense, display_from_json, lent_text, needs};
 use crate::{Host, PluginError, Schema};
 
-/// A plugin that turns files of some format into scenes.
+/// A plugin that converts files of a format into scenes.
 pub trait ImporterPlugin: 'static {
-    /// What it does, for people; the first sentence stands in lists.
+    /// Description for users; listings show its first sentence.
     const DOC: &'static str;
-    /// Extensions of the files that it takes: lower case, without the dot.
+    /// File extensions that it reads: lower case, without the dot.
     const EXTENSIONS: &'static [&'static str];
 
     /// The schema's parameters as a struct: one field each, of the same name.
     type Params: DeserializeOwned;
 
-    /// Its parameters. Checked before `import`, which therefore gets every parameter, of the right type and in range.
+    /// Its parameters. They are checked before `import`, which receives all of them, of the right
+    /// type and in range.
     fn schema() -> Schema;
 
-    /// Reads the file `file`, and others beside it, through `assets`, and returns a glTF 2.0 document, `.glb` or `.gltf`. The host validates it like
-    /// any other; files that it refers to are read beside the imported file.
+    /// Reads the file `file`, and others beside it, through `assets`. Returns a glTF 2.0 document,
+    /// `.glb` or `.gltf`. The host validates it, and reads files that it references beside the
+    /// imported file.
     ///
     /// # Errors
-    /// If the file makes no sense, with the place in it.
+    /// If the file is invalid; the message names the place in it.
     fn import(host: &Host, params: Self::Params, file: &str, assets: &Assets<'_>) -> Result<Vec<u8>, PluginError>;
 }
 
 /// A plugin that makes light fields.
 pub trait SourcePlugin: 'static {
-    /// What it does, for people; the first sentence stands in lists.
+    /// Description for users; listings show its first sentence.
     const DOC: &'static str;
 
     /// The schema's parameters as a struct: one field each, of the same name.
     type Params: DeserializeOwned;
 
-    /// Its parameters. Checked before `make`, which therefore gets every parameter, of the right type and in range.
+    /// Its parameters. They are checked before `make`, which receives all of them, of the right
+    /// type and in range.
     fn schema() -> Schema;
 
-    /// Makes the light field of one time: linear radiance, finite and not below 0. Wanted is the display's own geometry
-    /// ([`Display::geometry`]); another is taken as it is.
+    /// Makes the light field of one time step: linear radiance, finite and at least 0. Its geometry
+    /// should be the display's ([`Display::geometry`]); another one is accepted.
     ///
     /// # Errors
-    /// If it cannot be made; [`PluginError::Cancelled`] when the user asked to stop.
+    /// If it cannot be made; [`PluginError::Cancelled`] if the user cancelled.
     fn make(host: &Host, params: Self::Params, display: &Display, time: Time) -> Result<LightField, PluginError>;
 }
 
-/// A plugin that turns light fields into the layer stacks of a display.
+/// A plugin that solves a display's layer stacks for light fields.
 pub trait NodePlugin: 'static {
-    /// What it does, for people; the first sentence stands in lists.
+    /// Description for users; listings show its first sentence.
     const DOC: &'static str;
 
     /// The schema's parameters as a struct: one field each, of the same name.
     type Params: DeserializeOwned;
 
-    /// Its parameters. Checked before `make`, which therefore gets every parameter, of the right type and in range.
+    /// Its parameters. They are checked before `make`, which receives all of them, of the right
+    /// type and in range.
     fn schema() -> Schema;
 
-    /// Makes the patterns of one time. The stack must fit the display, with values in 0..1, and its `brightness` is the β by which what is shown is to be
-    /// divided. Weights and patterns to begin from are offers: a node that has no use for them makes what it makes without.
+    /// Solves the layer stack of one time step. The stack must match the display, with values in
+    /// 0..1. Its `brightness` is β: the display emits β times the target. Weights and the start are
+    /// optional input; a node may ignore them.
     ///
     /// # Errors
-    /// [`PluginError::Refused`] if the display is not of the kind that the plugin serves; [`PluginError::Cancelled`] when the user asked to stop.
+    /// [`PluginError::Refused`] if the plugin does not support the display;
+    /// [`PluginError::Cancelled`] if the user cancelled.
     fn make(params: Self::Params, input: &NodeInput<'_>) -> Result<LayerStack, PluginError>;
 }
 
-/// Files that an importer may read: the imported one, and those beside it.
+/// Files that an importer may read: the imported one and those beside it.
 #[derive(Debug)]
 pub struct Assets<'a>(&'a abi::Assets);
 
 impl Assets<'_> {
-    /// Reads a whole file; `path` is relative to the folder of the imported file, with `/` between its parts.
+    /// Reads a whole file; `path` is relative to the folder of the imported file, with `/` between
+    /// its parts.
     ///
     /// # Errors
     /// If there is no such file, or the host does not allow it.
@@ -117,7 +125,7 @@ unsafe extern "C" fn import<P: ImporterPlugin>(
     error: *const ErrorSink,
 ) -> Status {
     let work = || {
-        // SAFETY: the host lends all of it until this call returns.
+        // SAFETY: the host lends all arguments until this call returns.
         let (params, host) = unsafe { (params_of(P::schema(), params_json)?, CloseHost::checked(host)?) };
         // SAFETY: as above.
         let (file, assets, scene) = unsafe { (lent_text(file, "file name")?, &*assets, &*scene) };
@@ -140,7 +148,7 @@ unsafe extern "C" fn make_field<P: SourcePlugin>(
     error: *const ErrorSink,
 ) -> Status {
     let work = || {
-        // SAFETY: the host lends all of it until this call returns.
+        // SAFETY: the host lends all arguments until this call returns.
         let (params, host) = unsafe { (params_of(P::schema(), params_json)?, CloseHost::checked(host)?) };
         // SAFETY: as above.
         let (display, time, sink) =
@@ -173,7 +181,7 @@ unsafe extern "C" fn make_stack<P: NodePlugin>(
     error: *const ErrorSink,
 ) -> Status {
     let work = || {
-        // SAFETY: the host lends all of it until this call returns.
+        // SAFETY: the host lends all arguments until this call returns.
         let (params, host) = unsafe { (params_of(P::schema(), params_json)?, CloseHost::checked(host)?) };
         // SAFETY: as above.
         let (display, time, sink) =
@@ -189,9 +197,11 @@ unsafe extern "C" fn make_stack<P: NodePlugin>(
             other => return Err(PluginError::unexpected(&other)),
         };
         let input = NodeInput { host: host.get(), display, time, field, sink };
+        // Run the node and check its stack before anything is sent.
         let made = P::make(params, &input)?;
         made.check(&input.display)
             .map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
+        // Send brightness, layers and emission, plane by plane.
         // SAFETY: the sink's own context; planes are lent for the call.
         call(|error| unsafe { (sink.brightness)(sink.context, made.brightness, error) })?;
         for (n, layer) in made.layers.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What a node is given, and what it tells about how it made the patterns.
+//! A node's input, and its reports on the solution.
 
 use lumistack_display::{Display, LayerStack, Weights};
 use lumistack_plugin_abi::{StackSink, Str};
@@ -9,7 +9,7 @@ use crate::time::Time;
 use crate::wire::call;
 use crate::{Host, PluginError};
 
-/// One light field of which a node makes the patterns of a display.
+/// A light field and the display to solve for.
 #[derive(Debug)]
 pub struct NodeInput<'a> {
     pub(crate) host: Host,
@@ -19,29 +19,30 @@ pub struct NodeInput<'a> {
     pub(crate) sink: &'a StackSink,
 }
 
-/// Where an iterative method stands.
+/// State of an iterative solver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// Iterations done; 0 at the start.
+    /// Iterations completed; 0 at the start.
     pub iteration: u32,
-    /// What the method makes small.
+    /// The objective that the solver minimizes.
     pub objective: f64,
-    /// PSNR of what is shown against the target, dB; NaN where it is not known.
+    /// PSNR of the displayed light field against the target, dB; NaN if unknown.
     pub psnr_view: f64,
 }
 
-/// How an iterative method came to the patterns.
+/// Summary of a solution.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Solution {
-    /// Name of the method.
+    /// Name of the solver.
     pub solver: String,
-    /// Where it began, a word.
+    /// Name of the start.
     pub start: String,
-    /// Levels of half the resolution each that came before the first iteration.
+    /// Number of coarser levels before the first iteration, each at half the resolution.
     pub coarse_levels: u32,
-    /// Root mean square of the change of the emission that a further exact step would make.
+    /// KKT residual: root mean square change of the emission by one further exact step.
     pub unsettled: f64,
-    /// PSNR in dB for panels of few bits: of continuous, rounded and re-optimized patterns. `None` where panels have many.
+    /// PSNR in dB for panels of few bits: of continuous, rounded and re-optimized masks. `None` for
+    /// panels of many bits.
     pub levels: Option<[f64; 3]>,
 }
 
@@ -56,51 +57,52 @@ impl NodeInput<'_> {
         &self.display
     }
 
-    /// Place in a sequence.
+    /// The time step.
     pub fn time(&self) -> Time {
         self.time
     }
 
-    /// The light field, of the display's own geometry.
+    /// The light field, in the display's geometry.
     pub fn field(&self) -> &FieldInput<'_> {
         &self.field
     }
 
-    /// Seed of everything random.
+    /// Random seed.
     pub fn seed(&self) -> u64 {
         self.field.seed()
     }
 
-    /// How much each ray of the light field counts.
+    /// Weights of the light field's rays.
     ///
     /// # Errors
-    /// If the host cannot lend them, or they are no weights.
+    /// If the host cannot lend them, or they are invalid.
     pub fn weights(&self) -> Result<Weights, PluginError> {
         self.field.weights()
     }
 
-    /// Patterns from which to begin, such as those of the time before; `None` where there are none.
+    /// Layer stack to start from, such as that of the previous time step; `None` if there is none.
     ///
     /// # Errors
-    /// If the host cannot lend them.
+    /// If the host cannot lend it.
     pub fn start(&self) -> Result<Option<LayerStack>, PluginError> {
         self.field.start(&self.display)
     }
 
-    /// Reports where an iterative method stands, for the curve of convergence in reports. In order, the start first.
+    /// Reports the solver's state, for the convergence plot of the report. Call it in order, first
+    /// for the start.
     ///
     /// # Errors
-    /// If the host does not take it.
+    /// If the host refuses it.
     pub fn step(&self, step: Step) -> Result<(), PluginError> {
         let Step { iteration, objective, psnr_view } = step;
-        // SAFETY: the sink's own context, valid for as long as the input is lent.
+        // SAFETY: the sink's own context, valid as long as the input.
         call(|error| unsafe { (self.sink.step)(self.sink.context, iteration, objective, psnr_view, error) })
     }
 
-    /// Reports how the patterns were found; once.
+    /// Reports the summary of the solution, once.
     ///
     /// # Errors
-    /// If the host does not take it.
+    /// If the host refuses it.
     pub fn solution(&self, solution: &Solution) -> Result<(), PluginError> {
         let json = serde_json::to_string(solution).map_err(|error| PluginError::failed("solution", error))?;
         // SAFETY: as in `step`; the text is lent for the call.

@@ -1,4 +1,4 @@
-//! Output plugins: the trait, and the C functions through which a host drives it.
+//! Output plugins: the trait, and the C functions that hosts call.
 
 use std::ffi::c_void;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,37 +16,42 @@ use crate::time::Time;
 use crate::wire::{answer, display_from_json, lent_text, needs, panic_text};
 use crate::{Host, PluginError, Port, Schema};
 
-/// A plugin that takes what the graph makes and puts it somewhere. Its life: [`open`](Self::open), [`submit`](Self::submit) for every time,
-/// [`run`](Self::run) for presenters, [`finish`](Self::finish); or it is dropped where the work is abandoned.
+/// A plugin that writes or shows results. Calls in order: [`open`](Self::open),
+/// [`submit`](Self::submit) for every time step, [`run`](Self::run) for presenters,
+/// [`finish`](Self::finish). If the output is abandoned, it is dropped instead.
 pub trait OutputPlugin: Sized + Send + Sync + 'static {
-    /// What it does, for people; the first sentence stands in lists.
+    /// Description for users; listings show its first sentence.
     const DOC: &'static str;
-    /// What it accepts.
+    /// The ports that it accepts.
     const PORTS: &'static [Port];
-    /// Whether it presents something until the user closes it; see [`run`](Self::run).
+    /// A presenter, which runs until the user closes it; see [`run`](Self::run).
     const PRESENTS: bool = false;
 
     /// The schema's parameters as a struct: one field each, of the same name.
     type Params: DeserializeOwned;
 
-    /// Its parameters. Checked before `open`, which therefore gets every parameter, of the right type and in range.
+    /// Its parameters. They are checked before `open`, which receives all of them, of the right
+    /// type and in range.
     fn schema() -> Schema;
 
-    /// Starts an output. Hosts also open one before the work that leads to its data, to see whether it would be accepted, and drop it unused; so all that
-    /// parameters and display tell is refused here, and nothing is written or shown yet.
+    /// Opens an output. A host may open and drop one before the work for its data begins, as a
+    /// check. Therefore refuse here all that parameters and display reveal, and write or show
+    /// nothing yet.
     ///
     /// # Errors
-    /// [`PluginError::Refused`] if parameters contradict one another or the display cannot be served.
+    /// [`PluginError::Refused`] if parameters contradict one another or the display is not
+    /// supported.
     fn open(host: Host, params: Self::Params, display: Display) -> Result<Self, PluginError>;
 
-    /// Takes one time. Called from any thread, also from several at once, and in any order.
+    /// Submits one time step. Called from any thread, also concurrently, and in any order.
     ///
     /// # Errors
-    /// If the data cannot be put where they belong; [`PluginError::Cancelled`] when the user asked to stop.
+    /// If the data cannot be written or shown; [`PluginError::Cancelled`] if the user cancelled.
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError>;
 
-    /// For presenters: runs on the main thread until the user closes the presentation or asks to stop. Every [`submit`](Self::submit) meanwhile
-    /// replaces what is presented: only the newest state counts. [`Host::tell`] tells events.
+    /// For presenters: runs on the main thread until the user closes the presentation or cancels.
+    /// Every [`submit`](Self::submit) meanwhile replaces the presented data. [`Host::tell`] sends
+    /// events.
     ///
     /// # Errors
     /// If the presentation fails.
@@ -54,7 +59,8 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
         Ok(())
     }
 
-    /// For presenters: obeys a command while [`run`](Self::run) runs, JSON of the plugin's own form. Called from any thread.
+    /// For presenters: executes a command, in the plugin's JSON, while [`run`](Self::run) runs.
+    /// Called from any thread.
     ///
     /// # Errors
     /// [`PluginError::Refused`] if it is no command of the plugin.
@@ -62,10 +68,10 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
         Err(PluginError::Refused(format!("no command is taken, found {command}")))
     }
 
-    /// No more data will come.
+    /// Finishes the output: no more data follow.
     ///
     /// # Errors
-    /// If what remains cannot be written.
+    /// If the remaining data cannot be written.
     fn finish(self) -> Result<(), PluginError>;
 }
 
@@ -74,12 +80,12 @@ pub(crate) const fn vtable_of<P: OutputPlugin>() -> &'static OutputVtable {
     &Instance::<P>::VTABLE
 }
 
-/// What the C handle points to.
+/// The object behind the C handle.
 struct Instance<P> {
-    /// Gone once finished. Submits hold the lock for reading.
+    /// `None` once finished. Submits hold the read lock.
     plugin: RwLock<Option<P>>,
     host: Host,
-    /// A plugin that panicked may be half-changed and is not called again.
+    /// A plugin that panicked may be inconsistent and is not called again.
     panicked: AtomicBool,
 }
 
@@ -94,7 +100,7 @@ impl<P: OutputPlugin> Instance<P> {
         command: if P::PRESENTS { Some(command::<P>) } else { None },
     };
 
-    /// Runs a call of the plugin and notes whether it panicked.
+    /// Runs a call of the plugin and records panics.
     fn guarded(&self, error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
         // SAFETY: the host passes null or a valid sink to every function.
         let status = unsafe {
@@ -129,7 +135,8 @@ unsafe extern "C" fn open<P: OutputPlugin>(
     error: *const ErrorSink,
 ) -> Status {
     let start = || {
-        // SAFETY: the host lends the texts, and the table until `close` returns; where there will be no `close`, `CloseHost` ends it.
+        // SAFETY: the host lends the texts, and the table until `close` returns. If `close` will
+        // not be called, `CloseHost` ends it.
         let (params, display, host) = unsafe {
             (params_of(P::schema(), params_json)?, lent_text(display_json, "display")?, CloseHost::checked(host)?)
         };
@@ -137,7 +144,7 @@ unsafe extern "C" fn open<P: OutputPlugin>(
         let plugin = P::open(host.get(), params, display)?;
         let (plugin, panicked) = (RwLock::new(Some(plugin)), AtomicBool::new(false));
         let boxed = Box::new(Instance { plugin, host: host.keep(), panicked });
-        // SAFETY: the host provides the place for the handle.
+        // SAFETY: the host provides memory for the handle.
         unsafe { *instance = Box::into_raw(boxed).cast() };
         Ok(())
     };
@@ -194,10 +201,10 @@ unsafe extern "C" fn finish<P: OutputPlugin>(instance: *mut c_void, error: *cons
 }
 
 unsafe extern "C" fn close<P: OutputPlugin>(instance: *mut c_void) {
-    // SAFETY: the handle of `open`, given back once.
+    // SAFETY: the handle of `open`, released once.
     let this = unsafe { Box::from_raw(instance.cast::<Instance<P>>()) };
     let host = this.host.clone();
-    // A destructor that panics must not unwind into the host; there is nobody left to tell but the log.
+    // a panicking destructor must not unwind into the host, and only the log can report it
     if let Err(payload) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| drop(this))) {
         host.warn(&format!("panicked while closing: {}", panic_text(payload)));
     }

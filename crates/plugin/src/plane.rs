@@ -1,4 +1,4 @@
-//! Lent planes of numbers.
+//! Borrowed planes of values.
 
 use std::borrow::Cow;
 use std::marker::PhantomData;
@@ -7,7 +7,7 @@ use lumistack_plugin_abi::{Plane, dtype};
 
 use crate::PluginError;
 
-/// A lent plane `[row][col][channel]` of `f32`; given back when dropped.
+/// A borrowed plane `[row][col][channel]` of `f32`; released on drop.
 #[derive(Debug)]
 pub struct PlaneView<'a> {
     plane: Plane,
@@ -15,14 +15,15 @@ pub struct PlaneView<'a> {
 }
 
 impl PlaneView<'_> {
-    /// Checks a plane that the other side filled in; gives it back when it is of another kind.
+    /// Checks a plane that the other side filled in, and releases it if it is of another kind.
     ///
     /// # Errors
     /// If it does not have three axes of `f32`, or has no data.
     ///
     /// # Safety
-    /// The plane's pointer, shape, strides and type describe memory that stays readable and unchanged for the lifetime, or until `release` is
-    /// called, and all its elements lie within `isize::MAX` bytes of the first.
+    /// The plane's pointer, shape, strides and type describe memory that stays readable and
+    /// unchanged for the lifetime, or until `release` is called. All its elements lie within
+    /// `isize::MAX` bytes of the first.
     pub unsafe fn new(plane: Plane) -> Result<Self, PluginError> {
         let view = Self { plane, _lent: PhantomData };
         if plane.dtype != dtype::F32 || plane.ndim != 3 {
@@ -48,12 +49,12 @@ impl PlaneView<'_> {
         self.plane.shape[1]
     }
 
-    /// Number of channels: 3 (red, green, blue) for everything that a host lends today.
+    /// Number of channels; hosts lend planes of 3 (red, green, blue), and weights of 1.
     pub fn channels(&self) -> usize {
         self.plane.shape[2]
     }
 
-    /// One value, whatever the strides.
+    /// One value, for any strides.
     ///
     /// # Panics
     /// If an index is out of range.
@@ -65,11 +66,12 @@ impl PlaneView<'_> {
         );
         let [r, c, k, _] = self.plane.strides;
         let offset = row as isize * r + col as isize * c + channel as isize * k;
-        // SAFETY: the index is in range, so `offset` leads to an element (promise of `new`); it need not be aligned.
+        // SAFETY: the index is in range, so `offset` leads to an element (guaranteed to `new`). It
+        // may be unaligned.
         unsafe { self.plane.data.cast::<u8>().offset(offset).cast::<f32>().read_unaligned() }
     }
 
-    /// All values as one slice `[row][col][channel]`, where they lie so in memory.
+    /// All values as one slice `[row][col][channel]`, if they are contiguous in memory.
     pub fn as_slice(&self) -> Option<&[f32]> {
         let element = size_of::<f32>() as isize;
         let [rows, cols, channels, _] = self.plane.shape;
@@ -79,7 +81,8 @@ impl PlaneView<'_> {
         if !ordered || !data.is_aligned() || self.count() == 0 {
             return None;
         }
-        // SAFETY: aligned, and the strides say that the elements are neighbours (promise of `new`).
+        // SAFETY: aligned, and the strides say that the elements are neighbours (guaranteed to
+        // `new`).
         Some(unsafe { std::slice::from_raw_parts(data, rows * cols * channels) })
     }
 
@@ -99,7 +102,7 @@ impl PlaneView<'_> {
         self.values().into_owned()
     }
 
-    /// All values `[row][col][channel]`, copied only where they lie otherwise in memory.
+    /// All values `[row][col][channel]`; copied only if they are not contiguous in memory.
     pub fn values(&self) -> Cow<'_, [f32]> {
         self.as_slice().map_or_else(|| self.iter_rows().flatten().collect(), Cow::Borrowed)
     }

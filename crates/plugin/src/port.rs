@@ -1,9 +1,9 @@
-//! Ports: types of what flows between parts of a job.
+//! Ports: data types of connections between parts of a job.
 
 use lumistack_plugin_abi::port;
 use serde::{Deserialize, Serialize};
 
-/// A type of the graph's edges.
+/// The data type of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Port {
@@ -11,9 +11,9 @@ pub enum Port {
     Scene,
     /// Linear radiance of many views.
     LightField,
-    /// The patterns of a tensor display.
+    /// The layer stack of a tensor display.
     LayerStack,
-    /// A file that another part wrote.
+    /// A file written by another part.
     File,
 }
 

@@ -1,4 +1,5 @@
-//! Parameters of a plugin: one description from which help, defaults, validation and forms come.
+//! Parameters of a plugin: one description, from which help, defaults, validation and forms are
+//! derived.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -8,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use thiserror::Error;
 
-/// All parameters of a plugin, in the order in which help shows them.
+/// All parameters of a plugin, in the order of the help.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Schema {
     /// The parameters; names are unique.
@@ -26,7 +27,7 @@ pub struct Param {
     /// Unit of a number, for example `mm`; `1` for a plain one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
-    /// What it does, a sentence.
+    /// Its meaning, one sentence.
     pub help: String,
 }
 
@@ -69,8 +70,8 @@ pub enum Kind {
         /// Value when none is given.
         default: String,
     },
-    /// The path of a file that the plugin reads, none when empty. A host makes it independent of the working directory. A text that begins
-    /// with `{` is the content itself.
+    /// The path of a file that the plugin reads; empty for none. Hosts make it absolute. A text
+    /// that begins with `{` is the content itself.
     File,
 }
 
@@ -79,7 +80,7 @@ pub enum Kind {
 pub struct Choice {
     /// The word.
     pub value: String,
-    /// What it means.
+    /// Its meaning.
     pub help: String,
 }
 
@@ -89,17 +90,17 @@ impl Param {
         Self::new(name, Kind::Bool { default }, help)
     }
 
-    /// A whole number of a range.
+    /// A whole number in a range.
     pub fn int(name: &str, default: i64, range: RangeInclusive<i64>, help: &str) -> Self {
         Self::new(name, Kind::Int { default, min: *range.start(), max: *range.end() }, help)
     }
 
-    /// A number of a range.
+    /// A number in a range.
     pub fn float(name: &str, default: f64, range: RangeInclusive<f64>, help: &str) -> Self {
         Self::new(name, Kind::Float { default, min: *range.start(), max: *range.end() }, help)
     }
 
-    /// One of several words, each with what it means.
+    /// One of several words, each with its meaning.
     pub fn choice<'a>(
         name: &str,
         default: &str,
@@ -121,7 +122,7 @@ impl Param {
         Self::new(name, Kind::File, help)
     }
 
-    /// Gives a number its unit.
+    /// Sets the unit of a number.
     #[must_use]
     pub fn unit(mut self, unit: &str) -> Self {
         self.unit = Some(unit.into());
@@ -132,7 +133,7 @@ impl Param {
         Self { name: name.into(), kind, unit: None, help: help.into() }
     }
 
-    /// The value when none is given.
+    /// The default value.
     pub fn default_value(&self) -> Value {
         match &self.kind {
             Kind::Bool { default } => Value::from(*default),
@@ -143,7 +144,7 @@ impl Param {
         }
     }
 
-    /// What may be given, for people: `0 to 1 mm`, `one of panel, srgb, linear`.
+    /// The allowed values, for messages: `0 to 1 mm`, `one of panel, srgb, linear`.
     pub fn expected(&self) -> String {
         let unit = self.unit.as_ref().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" {unit}"));
         match &self.kind {
@@ -158,8 +159,8 @@ impl Param {
         }
     }
 
-    /// The value in the form that plugins get (a float parameter is a float even where a whole number was given), if it is
-    /// of the right type and in range.
+    /// The value in the form passed to plugins, if it is of the right type and in range. A whole
+    /// number becomes a float for a float parameter.
     fn accept(&self, value: &Value) -> Option<Value> {
         match &self.kind {
             Kind::Bool { .. } => value.is_boolean().then(|| value.clone()),
@@ -187,10 +188,11 @@ impl Schema {
         Self { params: params.into_iter().collect() }
     }
 
-    /// Checks the parameters that were given (an object) and fills in the defaults of the others.
+    /// Checks the given parameters (an object) and fills in the defaults of the others.
     ///
     /// # Errors
-    /// On a parameter that does not exist (naming the one that is spelled most like it), is of the wrong type or out of range.
+    /// On a parameter that does not exist (the message names the most similar one), is of the wrong
+    /// type or out of range.
     pub fn resolve(&self, given: &Value) -> Result<Map<String, Value>, ParamError> {
         let empty = Map::new();
         let given = match given {
@@ -230,7 +232,7 @@ impl Schema {
     /// Checks the schema itself: unique names, help, defaults in range.
     ///
     /// # Errors
-    /// What is wrong, for the plugin's author.
+    /// A message for the plugin's author.
     pub fn check(&self) -> Result<(), String> {
         for (i, param) in self.params.iter().enumerate() {
             let name = &param.name;
@@ -252,15 +254,15 @@ impl Schema {
     }
 }
 
-/// A parameter that a plugin does not take.
+/// A parameter that the plugin refuses.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum ParamError {
     /// There is no such parameter.
     #[error("unknown parameter `{name}`{}", hint(nearest.as_deref(), known))]
     Unknown {
-        /// What was given.
+        /// The given name.
         name: String,
-        /// The parameter that is spelled most like it.
+        /// The most similar parameter.
         nearest: Option<String>,
         /// All parameters.
         known: Vec<String>,
@@ -272,13 +274,13 @@ pub enum ParamError {
         name: String,
         /// Type and range.
         expected: String,
-        /// What was given.
+        /// The given value.
         found: String,
     },
     /// Not a set of parameters.
     #[error("parameters: expected an object of names and values, found {found}")]
     NotAnObject {
-        /// What was given.
+        /// The given value.
         found: String,
     },
 }

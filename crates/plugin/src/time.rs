@@ -1,29 +1,29 @@
-//! Times of a sequence.
+//! Time steps of a sequence.
 
 use lumistack_plugin_abi as abi;
 
 use crate::PluginError;
 use crate::wire::needs;
 
-/// Place in a sequence.
+/// One time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Time {
-    /// Number of the time in this output, from 0; a still has only 0.
+    /// Number of the time step in this output, from 0; a still has only 0.
     pub index: u64,
     /// Time in the scene, seconds.
     pub seconds: f64,
 }
 
 impl Time {
-    /// Its form at the C boundary.
+    /// The C struct.
     pub fn to_abi(self) -> abi::Time {
         abi::Time { size: size_of::<abi::Time>(), index: self.index, seconds: self.seconds }
     }
 
     /// # Safety
-    /// `time` is lent for the call, and says its own size.
+    /// `time` is lent for the call, and its `size` is set.
     pub(crate) unsafe fn from_abi(time: *const abi::Time) -> Result<Self, PluginError> {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             needs((*time).size, size_of::<abi::Time>())?;
             Ok(Self { index: (*time).index, seconds: (*time).seconds })

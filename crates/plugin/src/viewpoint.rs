@@ -1,9 +1,9 @@
-//! Where the display is looked at from.
+//! Viewpoints on the display.
 
-/// A place to look at the display from.
+/// A viewpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ViewPoint {
-    /// A parallel projection of slope (s_x, s_y), as from far away.
+    /// A parallel projection of slope (s_x, s_y), as from a large distance.
     Slope([f64; 2]),
     /// An eye at (x, y, z) millimetres in display space, z > 0.
     Eye([f64; 3]),

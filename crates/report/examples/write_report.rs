@@ -1,11 +1,13 @@
-//! Factorizes a square-gridded `.npy` light field and writes its report, for looking at the page while working on it:
+//! Factorizes a square-gridded `.npy` light field and writes its report, to develop the page:
 //!
 //! ```text
-//! cargo run --release -p lumistack-report --example write_report -- LIGHTFIELD.npy PITCH_MM FOV_DEG DISPLAY OUT_DIR [SOLVER]
+//! cargo run --release -p lumistack-report --example write_report -- \
+//!     LIGHTFIELD.npy PITCH_MM FOV_DEG DISPLAY OUT_DIR [SOLVER]
 //! ```
 //!
-//! DISPLAY is `layers:N:M` (N layers 40 mm apart, M frames), `lenslets:M` (one layer and a directional backlight) or `held-out:N:M`, where every
-//! second view is a target and the views between them are held out.
+//! DISPLAY is `layers:N:M` (N layers 40 mm apart, M frames), `lenslets:M` (one layer and a
+//! directional backlight) or `held-out:N:M`. In the last one every second view is a target and the
+//! views between them are held out.
 
 use std::error::Error;
 use std::path::Path;
@@ -106,7 +108,7 @@ fn read_field(path: &Path, pitch_mm: f64, fov_deg: f64) -> Result<LightField, Bo
     Ok(LightField::new(geometry, Tensor::from_vec(LightField::AXES, shape, npy.into_vec()?)?)?)
 }
 
-/// Every second view, and the views that are between on both axes.
+/// Every second view, and the views between them on both axes.
 fn split(field: &LightField) -> Result<(LightField, Option<LightField>), Box<dyn Error>> {
     let pick = |first: usize| -> Result<LightField, Box<dyn Error>> {
         let all = field.geometry();

@@ -1,4 +1,5 @@
-//! The depth budget: how much of what is seen lies where the display can show it, and how far it moves from view to view.
+//! The depth budget: the fraction of hits in the display's depth of field, and the disparity
+//! between views.
 
 use lumistack_core::metrics::percentile;
 use lumistack_display::{Display, FieldGeometry};
@@ -6,37 +7,39 @@ use serde_json::{Value, json};
 
 use crate::format::{self, figure};
 
-/// Bars of a histogram.
+/// Number of bars of a histogram.
 const BARS: usize = 60;
-/// Points of the curve of the bound.
+/// Number of points of the bound's curve.
 const CURVE_POINTS: usize = 241;
-/// Depths that histograms leave out at either end.
+/// Fraction of depths that histograms omit at either end.
 const STRAY: f64 = 0.005;
-/// With less of the scene in the depth of field than this, the display is the wrong one for the scene, or the window stands in the wrong place.
+/// Below this fraction in the depth of field, the display does not suit the scene or the window is
+/// misplaced.
 const FEW: f64 = 0.75;
 
-/// What a scene's depth asks of a display. Shares are of the rays that meet a surface.
+/// Depth statistics of a scene on a display. Fractions are of rays with a hit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthBudget {
-    /// [low, high] depths at which the display shows the finest detail of the light field's pixels, millimetres; `None` where there are none.
+    /// [low, high] depths at which the display shows the finest detail of the light field's pixels,
+    /// millimetres; `None` if there are none.
     pub depth_of_field_mm: Option<[f64; 2]>,
-    /// Share within, over all views, 0..1; NaN where nothing is seen.
+    /// Fraction in the depth of field, over all views, 0..1; NaN without hits.
     pub inside: f64,
-    /// Share within, in the middle view.
+    /// Fraction in the depth of field, in the central view.
     pub inside_middle: f64,
     /// 2nd, 25th, 50th, 75th and 98th percentile of the depth, millimetres towards the viewer.
     pub depth_mm: [f64; 5],
-    /// Median, 98th percentile and largest displacement between neighbouring views, pixels.
+    /// Median, 98th percentile and maximum disparity between neighbouring views, pixels.
     pub disparity_px: [f64; 3],
-    /// Share that moves by more than a pixel between neighbouring views.
+    /// Fraction with a disparity above one pixel.
     pub beyond_a_pixel: f64,
-    /// How far the window was moved back to fit, millimetres.
+    /// Distance by which the window was moved back to fit the scene, millimetres.
     pub moved_back_mm: f64,
     /// Factor on parallax; 1 for the scene as it is.
     pub depth_scale: f64,
-    /// Whether either was changed so that the scene fits.
+    /// The window or the parallax was changed to fit the scene.
     pub fitted: bool,
-    /// Shares of rays by depth, and by displacement in pixels.
+    /// Fractions of rays by depth, and by disparity in pixels.
     pub(crate) by_depth: Histogram,
     pub(crate) by_disparity: Histogram,
     /// (z in millimetres, highest spatial frequency relative to the light field's own).
@@ -45,7 +48,7 @@ pub struct DepthBudget {
     pub(crate) layers_mm: Vec<f64>,
 }
 
-/// Shares per bar of equal width.
+/// Fractions in bars of equal width.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Histogram {
     pub(crate) low: f64,
@@ -54,7 +57,8 @@ pub(crate) struct Histogram {
 }
 
 impl DepthBudget {
-    /// Measures depths in the display space of a display: `z_mm` of all views' rays, NaN where a ray meets nothing, and those of the middle view.
+    /// Measures depths in display space: `z_mm` of all views' rays, millimetres, NaN without a hit,
+    /// and those of the central view.
     pub fn measure(display: &Display, geometry: &FieldGeometry, z_mm: &[f32], middle: &[f32]) -> Self {
         let depth_of_field_mm = display.depth_of_field(geometry.pitch_mm);
         let seen = |z_mm: &[f32]| -> Vec<f32> { z_mm.iter().copied().filter(|z| z.is_finite()).collect() };
@@ -62,6 +66,7 @@ impl DepthBudget {
             z_mm.iter().filter(|z| which(f64::from(**z))).count() as f64 / z_mm.len() as f64
         };
         let inside = |z: f64| depth_of_field_mm.is_some_and(|[low, high]| (low..=high).contains(&z));
+        // Collect hits, and disparities at the widest view spacing.
         let (mut all, middle) = (seen(z_mm), seen(middle));
         let step = geometry.grid.bin_width().into_iter().fold(0.0, f64::max);
         let moves = |z: f64| geometry.disparity_px(z, step).abs();
@@ -69,6 +74,7 @@ impl DepthBudget {
         let at = |values: &mut [f32], share: f64| {
             if values.is_empty() { f64::NAN } else { f64::from(percentile(values, share)) }
         };
+        // Histogram ranges: without outliers, and including layers and depth of field.
         let (stray_low, stray_high) = (at(&mut all, STRAY), at(&mut all, 1.0 - STRAY));
         let layers_mm: Vec<f64> = display.layers.iter().map(|layer| layer.d_mm).collect();
         let shown = layers_mm.iter().copied().chain(depth_of_field_mm.into_iter().flatten());
@@ -79,6 +85,7 @@ impl DepthBudget {
         };
         let (low, high) = ends(stray_low.min(f64::MAX), stray_high.max(f64::MIN));
         let most = at(&mut moved, 1.0 - STRAY).max(1.2);
+        // Sample the bound over the histogram's range, relative to the pixels' own cutoff.
         let own = 0.5 / geometry.pitch_mm;
         let z_at = |i: usize| low + (high - low) * i as f64 / (CURVE_POINTS - 1) as f64;
         let bound = (0..CURVE_POINTS).map(z_at).map(|z| (z, display.spatial_cutoff(z) / own));
@@ -99,12 +106,12 @@ impl DepthBudget {
         }
     }
 
-    /// Whether any surface is seen.
+    /// Returns true if any ray has a hit.
     pub fn is_seen(&self) -> bool {
         !self.inside.is_nan()
     }
 
-    /// The budget in one line.
+    /// The budget as one sentence.
     pub fn sentence(&self) -> String {
         if !self.is_seen() {
             return "no surface is seen".into();
@@ -124,7 +131,7 @@ impl DepthBudget {
         format!("{lies}{fitted}; between neighbouring views it moves by up to {most} px (98 %), {largest} px at most")
     }
 
-    /// How the scene was made to fit.
+    /// Describes the changes that fit the scene.
     fn fitting(&self) -> String {
         let moved = self.moved_back_mm;
         let mut done = Vec::new();
@@ -138,7 +145,7 @@ impl DepthBudget {
         format!(", for which {} (`fit_depth = \"off\"` leaves it)", done.join(" and "))
     }
 
-    /// What to do about a scene that does not fit.
+    /// Advice for a scene that does not fit; `None` if it fits.
     pub fn advice(&self) -> Option<String> {
         if !self.is_seen() || self.inside >= FEW {
             return None;
@@ -150,7 +157,7 @@ impl DepthBudget {
         ))
     }
 
-    /// For report.json and for machines.
+    /// JSON for report.json.
     pub fn to_json(&self) -> Value {
         let [p2, p25, p50, p75, p98] = self.depth_mm.map(figure);
         let [median, most, largest] = self.disparity_px.map(figure);
@@ -189,7 +196,7 @@ impl Histogram {
 mod tests {
     use super::*;
 
-    /// Three layers 40 mm apart; 5 views over 20° are 0.0705 apart in slope.
+    /// Three layers 40 mm apart; 5 views over 20° have a slope step of 0.0705.
     fn display() -> Display {
         Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2)
     }
@@ -198,7 +205,7 @@ mod tests {
     fn shares_and_displacements_are_counted() {
         let display = display();
         let geometry = display.geometry().unwrap();
-        // a quarter each at −100, −10, 10 and 79 mm, and rays that meet nothing
+        // a quarter each at −100, −10, 10 and 79 mm, and rays without a hit
         let mut z_mm = vec![f32::NAN; 50];
         [-100.0, -10.0, 10.0, 79.0].into_iter().for_each(|z| z_mm.extend([z; 25]));
         let budget = DepthBudget::measure(&display, &geometry, &z_mm, &[10.0, f32::NAN]);

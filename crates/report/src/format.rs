@@ -1,4 +1,5 @@
-//! Numbers as people read them. Units stand in the text around them unless the function's name says otherwise.
+//! Formats numbers for readers. Units are in the surrounding text unless the function's name or doc
+//! states them.
 
 use serde_json::Value;
 
@@ -12,7 +13,7 @@ pub(crate) fn figure(value: f64) -> Value {
     }
 }
 
-/// Decibels with one decimal; "∞" for equal pictures, "–" where nothing was compared.
+/// Decibels with one decimal; "∞" for equal pictures, "–" without compared rays.
 pub(crate) fn decibels(value: f64) -> String {
     match value {
         v if v.is_nan() => "–".into(),
@@ -30,7 +31,7 @@ pub(crate) fn decibels_fine(value: f64) -> String {
     }
 }
 
-/// A share or a count in two or three digits.
+/// A fraction or a count in two or three digits.
 pub(crate) fn number_short(value: f64) -> String {
     match value.abs() {
         v if v >= 99.5 => format!("{value:.0}"),
@@ -39,7 +40,7 @@ pub(crate) fn number_short(value: f64) -> String {
     }
 }
 
-/// SSIM or FLIP with three decimals; "–" where nothing was compared.
+/// SSIM or FLIP with three decimals; "–" without compared rays.
 pub(crate) fn similarity(value: f64) -> String {
     if value.is_nan() { "–".into() } else { minus(format!("{value:.3}")) }
 }
@@ -69,7 +70,7 @@ pub(crate) fn duration_short(seconds: f64) -> String {
     }
 }
 
-/// Two digits after the point at most, none that are zero.
+/// At most two decimals, without trailing zeros.
 fn number_short_round(value: f64) -> String {
     format!("{value:.2}").trim_end_matches('0').trim_end_matches('.').into()
 }
@@ -88,7 +89,7 @@ pub(crate) fn number(value: f64) -> String {
     minus(if text == "-0" { "0".into() } else { text.into() })
 }
 
-/// A share of 1 as a percentage that says 100 % only for everything.
+/// A fraction of 1 as a percentage; 100 % is reserved for exactly 1.
 pub(crate) fn percent(share: f64) -> String {
     if share < 1.0 { format!("{:.1} %", (share * 100.0).min(99.9)) } else { "100 %".into() }
 }
@@ -98,7 +99,8 @@ pub(crate) fn counted(count: usize, noun: &str) -> String {
     if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
 }
 
-/// A relative path as a link that cannot name a scheme or leave its own meaning: bytes outside the unreserved set are percent-encoded.
+/// A relative path as a link that cannot contain a scheme: bytes outside the unreserved set are
+/// percent-encoded.
 pub(crate) fn relative_href(path: &str) -> String {
     let mut href = String::from("./");
     for byte in path.trim_start_matches(['/', '\\']).bytes() {

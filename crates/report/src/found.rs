@@ -1,9 +1,9 @@
-//! What is found out beside the views.
+//! Results beside the views' figures.
 
 use crate::light::Light;
 use crate::limits::Limit;
 
-/// What was found out beside the views' own figures.
+/// Brightness, limits and masks of a run.
 pub(crate) struct Found {
     pub(crate) light: Light,
     pub(crate) limits: Vec<Limit>,

@@ -1,4 +1,4 @@
-//! The report of a job that feeds several nodes from one light field: what each display shows of it, on one page.
+//! The report of a job with several nodes for one light field: all displays on one page.
 //!
 //! # report.json
 //!
@@ -7,8 +7,8 @@
 //! | `schema`, `version` | `"lumistack/graph-report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_view` | dB, the first node's |
-//! | `nodes` | list of `id`, `plugin`, `display`, `report` (path), `psnr_view`, `psnr_raw`, `held_out_psnr_view`, `psnr_zone`, `brightness`, `layers`, `frames`, `seconds`, `outputs` (paths of those that were written) |
-//! | `outputs` | paths of what was made of the light field itself |
+//! | `nodes` | list of `id`, `plugin`, `display`, `report` (path), `psnr_view`, `psnr_raw`, `held_out_psnr_view`, `psnr_zone`, `brightness`, `layers`, `frames`, `seconds`, `outputs` (paths of files written) |
+//! | `outputs` | paths of files written for the light field itself |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
 use lumistack_core::Warning;
@@ -20,9 +20,9 @@ use crate::{Output, ReportError, Thumbnail, page};
 /// One node.
 #[derive(Clone, Debug)]
 pub struct GraphNode {
-    /// Its name in the job.
+    /// Its id in the job.
     pub id: String,
-    /// What made its patterns.
+    /// The plugin that solved its layer stack.
     pub plugin: String,
     /// Its display's name.
     pub display: String,
@@ -32,9 +32,9 @@ pub struct GraphNode {
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// `psnr_view` at in-between views, dB.
+    /// `psnr_view` of in-between views, dB.
     pub held_out_psnr_view: Option<f64>,
-    /// PSNR of seen pictures all over the zone, dB.
+    /// Zone PSNR: pixel-averaged views over the whole zone, dB.
     pub psnr_zone: Option<f64>,
     /// β.
     pub brightness: f64,
@@ -44,37 +44,37 @@ pub struct GraphNode {
     pub frames: usize,
     /// Time from the light field to the outputs, seconds.
     pub seconds: f64,
-    /// What was written of it; paths relative to this report.
+    /// Files written for it; paths relative to this report.
     pub outputs: Vec<Output>,
     /// Central view of the display, L̃/β.
     pub shown: Thumbnail,
 }
 
-/// Everything that the report shows.
+/// Input of the graph report.
 #[derive(Clone, Copy, Debug)]
 pub struct GraphInput<'a> {
-    /// Headline.
+    /// Title.
     pub title: &'a str,
     /// Central view of the light field.
     pub wanted: &'a Thumbnail,
     /// All nodes, in the order of the job.
     pub nodes: &'a [GraphNode],
-    /// What was written of the light field.
+    /// Files written for the light field itself.
     pub outputs: &'a [Output],
     /// The resolved job.
     pub settings: &'a Value,
     /// Warnings of the whole run.
     pub warnings: &'a [Warning],
-    /// The command line that made the run.
+    /// The command line of the run.
     pub command: Option<&'a str>,
     /// Lumistack's version.
     pub version: &'a str,
 }
 
-/// Makes the two files of the report, `report.html` and `report.json`; writes none.
+/// Builds the two files of the report, `report.html` and `report.json`, as texts; writes no files.
 ///
 /// # Errors
-/// If a picture cannot be made.
+/// If a picture cannot be encoded.
 pub fn graph(input: &GraphInput) -> Result<(String, Value), ReportError> {
     let paths = |outputs: &[Output]| {
         let written = outputs.iter().filter(|output| output.failed.is_none());

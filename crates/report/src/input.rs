@@ -1,4 +1,4 @@
-//! What a report is made of, and what is made.
+//! Input and output of a report.
 
 use lumistack_core::{Cancelled, Warning};
 use lumistack_display::{
@@ -8,10 +8,10 @@ use thiserror::Error;
 
 use crate::depth::DepthBudget;
 
-/// One iteration of the solver, as the pipeline recorded it.
+/// One iteration of the solver, recorded by the pipeline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iteration {
-    /// Full updates done so far.
+    /// Full updates completed.
     pub iteration: u32,
     /// Σ w (βL − L̃)² (eq. 27).
     pub objective: f64,
@@ -21,138 +21,143 @@ pub struct Iteration {
     pub seconds: f64,
 }
 
-/// How the solver came to the patterns.
+/// Summary of the solution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {
-    /// Name of the solver that was used.
+    /// Name of the solver.
     pub solver: String,
-    /// How the patterns started.
+    /// Name of the start.
     pub start: String,
-    /// Levels of half the resolution at which it began.
+    /// Number of coarser levels at the start, each at half the resolution.
     pub coarse_levels: u32,
-    /// How far the patterns are from the first-order (KKT) conditions: root mean square change of the emission that one more exact coordinate step of
-    /// a value would make.
+    /// KKT residual: root mean square change of the emission by one further exact coordinate step
+    /// of a value.
     pub unsettled: f64,
-    /// `psnr_view` (dB) of the continuous patterns, of their values rounded to the panels' levels, and of the patterns re-optimized on the
-    /// levels, which are the result; where layers have few bits.
+    /// For layers of few bits, `psnr_view` (dB) of three stacks: continuous, rounded to the panels'
+    /// levels, and re-optimized on the levels, which is the result.
     pub levels: Option<[f64; 3]>,
 }
 
 /// One stage of the run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stage {
-    /// Name for people: "render", "factorize".
+    /// Name for readers: "render", "factorize".
     pub name: String,
     /// Wall time in this run, seconds.
     pub seconds: f64,
-    /// Whether its result came from an earlier run.
+    /// The result was cached by an earlier run.
     pub cached: bool,
 }
 
-/// What a denoiser did to one view or to all, in exposed radiance, all channels together. Pairs are a value and its standard error.
+/// Effect of a denoiser on one view or on all, in exposed radiance, over all channels. Pairs are a
+/// value and its standard error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DenoisedView {
     /// Mean of the unbiased picture.
     pub mean: f64,
-    /// Mean of the filtered picture minus that.
+    /// Mean of the filtered picture minus `mean`.
     pub mean_change: [f64; 2],
     /// Mean squared error of the unbiased picture.
     pub mse_before: [f64; 2],
-    /// Mean squared error of the filtered one.
+    /// Mean squared error of the filtered picture.
     pub mse_after: [f64; 2],
 }
 
-/// What a denoiser did to the target.
+/// Effect of a denoiser on the target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Denoising<'a> {
-    /// Its name, for people.
+    /// Its name, for readers.
     pub name: &'a str,
     /// Over all views.
     pub overall: DenoisedView,
     /// Per view, in the order of the target's grid.
     pub views: Vec<DenoisedView>,
-    /// The middle view as rendered, `[row][col][rgb]`, of the target's size, as displayed.
+    /// The central view as rendered, `[row][col][rgb]`, in the target's size and exposure.
     pub unbiased: &'a [f32],
-    /// The middle view filtered, likewise.
+    /// The filtered central view, in the same form.
     pub filtered: &'a [f32],
 }
 
-/// How right the display is all over its zone.
+/// Quality of the display over its whole zone.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ZoneFigures {
-    /// Errors of the seen pictures, direction by direction.
+    /// Errors of pixel-averaged views, per direction.
     pub score: ZoneScore,
-    /// Whether they are views of a given light field that the solver left out, rather than renders.
+    /// The references are views of a given light field that were withheld from the solver, rather
+    /// than renders.
     pub left_out: bool,
-    /// Directions whose references have enough samples for SSIM and FLIP, and to be looked at.
+    /// Directions whose references have enough samples for SSIM, FLIP and display on the page.
     pub views: Vec<ZoneView>,
 }
 
-/// A direction to look at.
+/// A direction on the page.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ZoneView {
-    /// From where: a grid of one view.
+    /// The direction: a grid of one view.
     pub direction: ViewGrid,
     /// Its error.
     pub score: DirectionScore,
-    /// The scene's picture from there, `[row][col][rgb]` of the target's size.
+    /// The scene's picture in this direction, `[row][col][rgb]` in the target's size.
     pub target: Vec<f32>,
-    /// The seen picture that the display shows there.
+    /// The display's pixel-averaged view in this direction.
     pub seen: EmittedView,
 }
 
 /// A file or folder that the run wrote.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Output {
-    /// What it is, for people.
+    /// Its description, for readers.
     pub label: String,
     /// Path relative to the report, with `/` between parts.
     pub path: String,
-    /// Why nothing was written; `None` where it was.
+    /// The reason if nothing was written; `None` on success.
     pub failed: Option<String>,
 }
 
-/// Everything that a report shows.
+/// Input of a report.
 #[derive(Clone, Copy, Debug)]
 pub struct ReportInput<'a> {
-    /// Headline, usually the scene's or the job's name.
+    /// Title, usually the scene's or the job's name.
     pub title: &'a str,
     /// The display.
     pub display: &'a Display,
-    /// Its patterns.
+    /// Its layer stack.
     pub stack: &'a LayerStack,
-    /// What the display should show.
+    /// The target light field.
     pub target: &'a LightField,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
-    /// Views that the solver did not see, usually at [`lumistack_display::ViewGrid::in_between`]. Without them in-between views are shown as
-    /// simulated only.
+    /// Views withheld from the solver, usually at [`lumistack_display::ViewGrid::in_between`].
+    /// Without them in-between views are shown as simulated only.
     pub held_out: Option<&'a LightField>,
-    /// Views beyond the target's, usually at [`lumistack_display::ViewGrid::outside`]. Without them such views are shown as simulated only.
+    /// Extrapolated views, outside the target's, usually at
+    /// [`lumistack_display::ViewGrid::outside`]. Without them such views are shown as simulated
+    /// only.
     pub outside: Option<&'a LightField>,
-    /// How right the display is all over its zone. `None` where the scene's pictures from there are not known.
+    /// Quality of the display over its whole zone. `None` without reference pictures.
     pub zone: Option<&'a ZoneFigures>,
-    /// Pixels of a view per degree of visual angle, for FLIP; usually [`Flip::DEFAULT_PIXELS_PER_DEGREE`](lumistack_core::metrics::Flip).
+    /// Pixels of a view per degree of visual angle, for FLIP; usually
+    /// [`Flip::DEFAULT_PIXELS_PER_DEGREE`](lumistack_core::metrics::Flip).
     pub pixels_per_degree: f64,
     /// The solver's history; may be empty.
     pub convergence: &'a [Iteration],
-    /// What the solver says of itself, where a solver ran.
+    /// The solver's summary, if a solver ran.
     pub solution: Option<&'a Solution>,
     /// Timings; may be empty.
     pub stages: &'a [Stage],
-    /// The resolved job, every default written out.
+    /// The resolved job, with all defaults.
     pub settings: &'a serde_json::Value,
-    /// What a denoiser did to the target, where one was used.
+    /// Effect of a denoiser on the target, if one was used.
     pub denoising: Option<&'a Denoising<'a>>,
-    /// Facts about the scene (name, triangles, ...), where there is one.
+    /// Facts about the scene (name, triangles, ...), if there is one.
     pub scene: Option<&'a serde_json::Value>,
-    /// What the scene's depth asks of the display, where a scene was rendered.
+    /// Depth statistics, if a scene was rendered.
     pub depth: Option<&'a DepthBudget>,
     /// Warnings of all stages.
     pub warnings: &'a [Warning],
-    /// What else the run wrote.
+    /// Other files of the run.
     pub outputs: &'a [Output],
-    /// The command line that made the run.
+    /// The command line of the run.
     pub command: Option<&'a str>,
     /// Lumistack's version.
     pub version: &'a str,
@@ -165,9 +170,9 @@ pub struct Report {
     pub html: String,
     /// Content of `report.json`.
     pub json: serde_json::Value,
-    /// Headline: PSNR of seen pictures all over the zone, dB.
+    /// Main figure: PSNR of pixel-averaged views over the whole zone, dB.
     pub psnr_zone: Option<f64>,
-    /// The same of the worst tenth of the directions, dB.
+    /// The same for the worst tenth of the directions, dB.
     pub psnr_zone_worst: Option<f64>,
     /// PSNR of all target rays, L̃/β against L, dB.
     pub psnr_view: f64,
@@ -175,20 +180,20 @@ pub struct Report {
     pub psnr_raw: f64,
     /// `psnr_view` of the held-out views, dB.
     pub held_out_psnr_view: Option<f64>,
-    /// `psnr_view` of the views beyond the zone, dB.
+    /// `psnr_view` of the views outside the zone, dB.
     pub outside_psnr_view: Option<f64>,
 }
 
-/// A report that cannot be made.
+/// The report cannot be built.
 #[derive(Debug, Error)]
 pub enum ReportError {
-    /// The patterns are not the display's.
+    /// The layer stack does not match the display.
     #[error("layer stack: {0}")]
     Stack(#[from] StackError),
-    /// The weights are not the target's.
+    /// The weights do not match the target.
     #[error(transparent)]
     Weights(#[from] WeightError),
-    /// The work was stopped.
+    /// The run was cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
     /// A picture could not be encoded.

@@ -1,4 +1,4 @@
-//! report.json; the keys are documented at the crate's root.
+//! Builds report.json; the crate's root documents the keys.
 
 use lumistack_display::Projection;
 use serde_json::{Value, json};

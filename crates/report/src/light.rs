@@ -1,7 +1,8 @@
-//! Absolute brightness: how much of its backlight a display lets out.
+//! Absolute brightness: the fraction of the backlight's luminance that a display emits.
 //!
-//! The mean of L̃ over all rays that count, as luminance, relative to a backlight (or, of layers that emit, an emission) of 1; and what fully
-//! open layers would let out, mean over the central view.
+//! `emitted` is the mean luminance of L̃ over all rays that count, relative to a backlight (or, for
+//! emissive layers, an emission) of 1. `open` is the mean over the central view for fully open
+//! layers.
 
 use lumistack_core::colour::luminance;
 use lumistack_core::metrics::Mean;
@@ -17,7 +18,7 @@ pub(crate) struct Light {
     pub(crate) emitted: f64,
     /// Mean of L, before β.
     pub(crate) wanted: f64,
-    /// Of a display whose every pixel is at its brightest; NaN where no ray meets it.
+    /// For a display with all pixels at their brightest; NaN if no ray hits it.
     pub(crate) open: f64,
 }
 
@@ -29,10 +30,10 @@ pub(crate) fn light(input: &ReportInput, target: &FieldScore) -> Light {
     }
 }
 
-/// Mean luminance, seen from straight ahead, of a display at its brightest.
+/// Mean luminance, from straight ahead, of a display at its brightest.
 fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
     let mut display = Display { frames: 1, ..display.clone() };
-    // the brightest rotation is 90° in all; more would darken again
+    // a total rotation of 90° is the brightest; more would darken again
     let rotation: f64 = display.layers.iter().map(|layer| layer.peak).sum();
     let share = if display.formation == Formation::Polarization { (1.0 / rotation).min(1.0) } else { 1.0 };
     display.layers.iter_mut().for_each(|layer| layer.peak *= share);
@@ -52,13 +53,13 @@ impl Light {
     pub(crate) fn sentence(&self, input: &ReportInput) -> String {
         let display = input.display;
         if self.emitted.is_nan() {
-            return "No ray that counts meets the display.".into();
+            return "No ray that counts hits the display.".into();
         }
         let mut text = format!(
             "On average the display emits {} of {}: the target's mean luminance is {}, and β is {}.",
             format::percent(self.emitted),
             match display.formation {
-                Formation::Additive => "what one fully driven layer emits",
+                Formation::Additive => "the emission of one fully driven layer",
                 _ => "its backlight's luminance",
             },
             format::number(self.wanted),
@@ -67,11 +68,11 @@ impl Light {
         let peaks: Vec<f64> = display.layers.iter().map(|layer| layer.peak).collect();
         if display.formation == Formation::Attenuating && self.open.is_finite() {
             text += &if self.open > 1.0 - 1e-6 {
-                " Fully open layers would let all of it through.".into()
+                " Fully open layers would transmit all of it.".into()
             } else {
                 let listed = peaks.iter().map(|peak| format::number(*peak)).collect::<Vec<_>>().join(" · ");
                 format!(
-                    " Fully open layers let {} through (peak transmittances {listed}); the other {} is lost whatever is shown.",
+                    " Fully open layers transmit {} (peak transmittances {listed}); the other {} is always lost.",
                     format::percent(self.open),
                     format::percent(1.0 - self.open)
                 )
@@ -79,7 +80,7 @@ impl Light {
         }
         if self.open < input.stack.brightness - 1e-6 {
             text += &format!(
-                " A white as bright as β asks for, {}, is out of reach: the brightest that this display can show is {}.",
+                " A white of brightness β, {}, is out of reach: the brightest that this display can show is {}.",
                 format::percent(input.stack.brightness),
                 format::percent(self.open)
             );

@@ -1,7 +1,8 @@
-//! What limits the result, measured on the finished patterns: variants of the forward model and shares of the squared error, no new solution.
+//! Limits of the result, measured on the solved stack by variants of the forward model and by
+//! fractions of the squared error. Nothing is solved again.
 //!
-//! Every figure in dB says how much better psnr_view would be without one effect, everything else as it is. Effects overlap, so figures do
-//! not add up. Variants are simulated for the central view and the corners.
+//! Each figure in dB is the gain of psnr_view without one effect, all else unchanged. Effects
+//! overlap, so figures do not add up. Variants are simulated for the central view and the corners.
 
 mod depth;
 mod hardware;
@@ -39,7 +40,7 @@ pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Resu
         return Ok(Vec::new());
     }
     if base.sum == 0.0 {
-        // nothing limits a perfect result
+        // a perfect result has no limits
         return Ok(vec![solver::frames(input, target, None)]);
     }
     let error = |variant| errors.iter().find(|(other, _)| *other == variant).map(|(_, error)| *error);

@@ -1,4 +1,4 @@
-//! Simulates every view once: its figures, and the pictures that the page compares.
+//! Simulates every view once: its figures, and the pictures of the page.
 
 mod names;
 mod score;
@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use sheets::SheetPair;
 use shown::Shown;
 
-/// What the report knows about the views.
+/// Figures and pictures of the views.
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
     pub(crate) target: FieldScore,
@@ -32,23 +32,23 @@ pub(crate) struct Measured {
     pub(crate) rows: Vec<Comparison>,
     /// Factor by which the pictures of `rows` are smaller than the views.
     pub(crate) rows_shrunk: usize,
-    /// Factor by which those of `headline` are.
+    /// The same factor for `headline`.
     pub(crate) headline_shrunk: usize,
     pub(crate) sheets: Sheets,
-    /// Whether any ray of the shown views does not count.
+    /// Some rays of the shown views do not count.
     pub(crate) has_dropped_rays: bool,
 }
 
-/// How seen pictures look, over the directions of the zone that can be looked at.
+/// SSIM and FLIP over the zone's directions with reference pictures.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ZoneLooks {
     pub(crate) ssim: Mean,
     pub(crate) flip: Mean,
 }
 
-/// Pixels of the headline's four pictures together.
+/// Pixel budget of the headline's four pictures.
 const HEADLINE_BUDGET: usize = 2_000_000;
-/// Pixels of all other comparisons together.
+/// Pixel budget of all other comparisons.
 const ROWS_BUDGET: usize = 4_000_000;
 
 pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, ReportError> {
@@ -57,7 +57,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let mut sheets = SheetPair::new(input.target.geometry());
     let keep = outstanding_views(grid);
     let geometry = input.target.geometry();
-    // looking around, an eye sees the area of every pixel
+    // the view explorer shows pixel-averaged views
     let mut place = |view, _: &EmittedView| sheets.place(view, input, &judge.simulator.seen(geometry, view));
     let (target, mut shown) = field(&judge, input.target, input.weights, &keep, task, &mut place)?;
     if let Some(worst) = target.worst_view().filter(|worst| !keep.contains(worst)) {
@@ -70,7 +70,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     }
     let targets = shown.len();
     let zone = input.zone.map(|zone| zone_looks(&judge, zone, &mut shown));
-    // its references have more samples than the target's views, and it is one that eyes see
+    // the zone's references have more samples than the target's views
     let median_of_zone = (shown.len() > targets).then(|| shown.len() - 1);
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {
@@ -86,7 +86,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let held_out = others(input.held_out, between)?;
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
-    // held-out views are often far worse: on one scale the target views' differences would vanish
+    // held-out views are often far worse; a common scale would hide differences of the target views
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =
@@ -113,7 +113,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     })
 }
 
-/// Figures of the zone's directions that can be looked at; the worst and, last, the median of them are shown.
+/// Figures of the zone's directions with reference pictures. The worst and, last, the median one
+/// are shown.
 fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
     let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();
     let looks = views.iter().fold(ZoneLooks::default(), |sum, (_, figures)| ZoneLooks {

@@ -19,7 +19,7 @@ use crate::{Found, ReportError, ReportInput};
 
 const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = include_str!("page/script.js");
-/// Nothing may be fetched: pictures are data URIs, style and script are inline.
+/// No network requests: pictures are data URIs, style and script are inline.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
 
 /// Pictures with fewer columns than this are enlarged with sharp pixels.
@@ -65,7 +65,7 @@ pub(crate) fn render(
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// A page of its own: style, script and the dialog for pictures at full size.
+/// A standalone page: style, script and the dialog for pictures at full size.
 pub(crate) fn document(title: &str, version: &str, header: &Markup, main: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
@@ -98,7 +98,7 @@ pub(crate) fn document(title: &str, version: &str, header: &Markup, main: &Marku
     page.into_string()
 }
 
-/// A picture that fills its place and opens at full size.
+/// A picture that fills its container and opens at full size.
 fn picture(embedded: &Embedded, description: &str) -> Markup {
     let class = if embedded.cols < SHARP_COLS { "zoom sharp" } else { "zoom" };
     html! {
@@ -106,12 +106,12 @@ fn picture(embedded: &Embedded, description: &str) -> Markup {
     }
 }
 
-/// A picture with a line below it.
+/// A picture with a caption.
 fn figure(embedded: &Embedded, description: &str, caption: &str) -> Markup {
     html! { figure { (picture(embedded, description)) figcaption { (caption) } } }
 }
 
-/// A bar of colours with its ends named.
+/// A colour bar with labels at its ends.
 fn legend(anchors: &[[u8; 3]], labels: &[String]) -> Markup {
     let stops: Vec<String> = anchors.iter().map(|[r, g, b]| format!("rgb({r} {g} {b})")).collect();
     html! {

@@ -1,4 +1,5 @@
-//! Pictures of the patterns: every layer's mean over frames and how much it changes, every frame, close-ups, and the backlight's emission.
+//! Pictures of the masks: each layer's mean over frames and its change, every frame, close-ups, and
+//! the backlight's emission.
 
 mod place;
 
@@ -10,39 +11,40 @@ use crate::picture::{self, Embedded, Encoding, Linear};
 use crate::{ReportError, ReportInput};
 pub(crate) use place::Window;
 
-/// All patterns, encoded.
+/// All masks, encoded.
 #[derive(Clone, Debug)]
 pub(crate) struct Patterns {
-    /// Of the backlight, where it is directional.
+    /// For the backlight, if it is directional.
     pub(crate) emission: Option<Emission>,
     /// Rearmost layer first.
     pub(crate) layers: Vec<Sheet>,
-    /// Factor by which pictures of single frames are smaller than the patterns.
+    /// Factor by which pictures of single frames are smaller than the masks.
     pub(crate) shrunk: usize,
-    /// Factor by which the large pictures are.
+    /// The same factor for the large pictures.
     pub(crate) large_shrunk: usize,
 }
 
 /// One layer.
 #[derive(Clone, Debug)]
 pub(crate) struct Sheet {
-    /// Mean over frames; of one frame that frame.
+    /// Mean over frames; for one frame, that frame.
     pub(crate) mean: Embedded,
-    /// Standard deviation over frames times [`CHANGE`], where there are several.
+    /// Standard deviation over frames times [`CHANGE`], for several frames.
     pub(crate) change: Option<Embedded>,
     pub(crate) frames: Vec<Embedded>,
-    /// A part where patterns change finely from frame to frame, every pixel as it is, where the whole is larger.
+    /// A part with fine changes between frames, at full resolution; `None` if the whole layer is
+    /// shown so.
     pub(crate) closeup: Option<CloseUp>,
 }
 
-/// A part of a layer's green channel as grey, contrast stretched: channels are solved one by one, and the fine patterns of three of them at once look
-/// like noise.
+/// Part of a layer's green channel as grey, with stretched contrast. Channels are solved
+/// separately, and fine patterns of all three at once resemble noise.
 #[derive(Clone, Debug)]
 pub(crate) struct CloseUp {
     pub(crate) window: Window,
-    /// Values that are shown as black and as white.
+    /// Values shown as black and as white.
     pub(crate) stretch: [f32; 2],
-    /// Mean over frames, where there are several.
+    /// Mean over frames, for several frames.
     pub(crate) mean: Option<Embedded>,
     pub(crate) frames: Vec<Embedded>,
 }
@@ -50,9 +52,9 @@ pub(crate) struct CloseUp {
 /// The backlight, one picture per frame each.
 #[derive(Clone, Debug)]
 pub(crate) struct Emission {
-    /// Lenslets as tiles, and in every tile its angular bins.
+    /// One tile per lenslet, which contains its angular bins.
     pub(crate) panel: Sheet,
-    /// What the lenslets emit into the central bin: one pixel per lenslet.
+    /// Emission into the central bin: one pixel per lenslet.
     pub(crate) central_bin: Vec<Embedded>,
     /// Row and column of that bin.
     pub(crate) bin: [usize; 2],
@@ -61,12 +63,12 @@ pub(crate) struct Emission {
 /// Factor on the standard deviation over frames, which is at most ½ for values in 0..1.
 pub(crate) const CHANGE: f32 = 2.0;
 
-/// Pixels of all single frames together; as JPEG of noise-like patterns about 4 MB of text.
+/// Pixel budget of all single frames; as JPEG of noise-like masks about 4 MB of text.
 const BUDGET: usize = 2_400_000;
-/// Pixels of the large pictures together.
+/// Pixel budget of the large pictures.
 const LARGE_BUDGET: usize = 1_400_000;
 
-/// How many pixels pictures lose, and how they are written.
+/// Reduction factor and encoding of pictures.
 #[derive(Clone, Copy)]
 struct Size {
     shrunk: usize,
@@ -115,7 +117,7 @@ pub(crate) fn encode(input: &ReportInput, task: Task) -> Result<Patterns, Report
     })
 }
 
-/// `transmittance[frame][row][col][rgb]` as pictures.
+/// Encodes `transmittance[frame][row][col][rgb]` as pictures.
 fn encode_sheet(
     layer: &Tensor<4>,
     window: Option<Window>,
@@ -152,9 +154,9 @@ fn encode_sheet(
 
 /// The same part of every frame and of their mean, on one scale.
 fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp, ReportError> {
-    /// Shares of the values that may be clipped at either end.
+    /// Fraction of values that may be clipped at either end.
     const CLIPPED: f64 = 0.01;
-    /// A stretch by so little would not be seen.
+    /// A smaller stretch would be invisible.
     const LITTLE: f32 = 0.02;
     let [frames, rows, cols, _] = layer.shape();
     let part = |whole: &Linear| whole.cropped(window.row, window.col, window.rows, window.cols).green();
@@ -162,7 +164,7 @@ fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp,
         (0..frames).map(|frame| part(&Linear::new(rows, cols, layer.block([frame]), 1.0))).collect();
     let mut values: Vec<f32> = parts.iter().flat_map(|part| part.data.iter().copied()).collect();
     let [low, high] = [CLIPPED, 1.0 - CLIPPED].map(|share| percentile(&mut values, share));
-    // a flat part, and one that fills the range anyhow, stay as they are
+    // a flat part, or one that fills the range, stays unchanged
     let worth_it = high - low > 1e-3 && (low > LITTLE || high < 1.0 - LITTLE);
     let stretch = if worth_it { [low, high] } else { [0.0, 1.0] };
     let embed = |part: &Linear| part.stretched(stretch).encoded().embedded(Encoding::Png);
@@ -183,7 +185,7 @@ fn encode_emission(
 ) -> Result<Emission, ReportError> {
     let [frames, bins_y, bins_x, rows, cols, _] = emission.shape();
     let bin = [bins_y / 2, bins_x / 2];
-    // with a single bin the panel is this picture already
+    // with a single bin the panel equals this picture
     let central = (0..frames).filter(|_| bins_y * bins_x > 1).map(|frame| {
         Ok(Linear::new(rows, cols, emission.block([frame, bin[0], bin[1]]), 1.0).encoded().embedded(Encoding::Png)?)
     });
@@ -192,7 +194,8 @@ fn encode_emission(
     Ok(Emission { panel, central_bin, bin })
 }
 
-/// `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]` as `[frame][lenslet_row·bins_y + bin_y][lenslet_col·bins_x + bin_x][rgb]`.
+/// Arranges `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]` as
+/// `[frame][lenslet_row·bins_y + bin_y][lenslet_col·bins_x + bin_x][rgb]`.
 fn panel_tensor(emission: &Tensor<6>) -> Tensor<4> {
     let [frames, bins_y, bins_x, lenslet_rows, lenslet_cols, _] = emission.shape();
     let mut panel = Tensor::zeros(LayerStack::LAYER_AXES, [frames, lenslet_rows * bins_y, lenslet_cols * bins_x, 3]);

@@ -1,4 +1,4 @@
-//! Pictures for the page: linear light to 8-bit sRGB, the signed difference map, shrinking, data URIs.
+//! Pictures of the page: linear light to 8-bit sRGB, signed difference maps, reduction, data URIs.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -40,26 +40,28 @@ pub(crate) enum Encoding {
     Jpeg,
 }
 
-/// JPEG quality at which block artifacts stay well below what a display itself does to a picture.
+/// JPEG quality whose block artefacts are well below a display's own errors.
 const JPEG_QUALITY: u8 = 90;
 
-/// Pixels up to which pictures that belong together stay lossless: as noise, the worst case, they become 4 MB of text.
+/// Pixel budget up to which a group of pictures is lossless: noise, the worst case, takes 4 MB of
+/// text.
 const LOSSLESS_PIXELS: usize = 1_000_000;
 
 impl Encoding {
-    /// For so many pixels together.
+    /// The encoding for a total number of pixels.
     pub(crate) fn for_pixels(pixels: usize) -> Self {
         if pixels <= LOSSLESS_PIXELS { Self::Png } else { Self::Jpeg }
     }
 }
 
 impl Linear {
-    /// Takes values that fill the shape; `scale` multiplies each.
+    /// Values in the given shape, multiplied by `scale`.
     pub(crate) fn new(rows: usize, cols: usize, data: &[f32], scale: f32) -> Self {
         Self { rows, cols, data: data.iter().map(|value| value * scale).collect() }
     }
 
-    /// Every block of `factor` × `factor` pixels becomes its mean, in linear light; blocks at the right and bottom may be smaller.
+    /// Replaces every block of `factor` × `factor` pixels by its mean, in linear light; blocks at
+    /// the right and bottom may be smaller.
     pub(crate) fn shrunk(&self, factor: usize) -> Self {
         if factor <= 1 {
             return self.clone();
@@ -96,7 +98,7 @@ impl Linear {
         Self { data: self.data.chunks_exact(3).flat_map(|rgb| [rgb[1]; 3]).collect(), ..*self }
     }
 
-    /// Values with `low` moved to 0 and `high` to 1; `low` < `high`.
+    /// Maps `low` to 0 and `high` to 1; `low` < `high`.
     pub(crate) fn stretched(&self, [low, high]: [f32; 2]) -> Self {
         Self { data: self.data.iter().map(|value| (value - low) / (high - low)).collect(), ..*self }
     }
@@ -107,8 +109,8 @@ impl Linear {
     }
 }
 
-/// Signed error of every pixel, in linear light: the channel that is furthest off, simulated minus target; `None` where the ray does not
-/// count. No channel's error can hide behind another's.
+/// Signed error of every pixel, in linear light: simulated minus target, in the channel with the
+/// largest error. `None` for rays that do not count.
 pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(usize) -> bool) -> Vec<Option<f32>> {
     let pixels = simulated.chunks_exact(3).zip(target.chunks_exact(3)).enumerate();
     pixels
@@ -119,9 +121,10 @@ pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(us
         .collect()
 }
 
-/// The largest amplification of 1, 2, 5, 10, ... under which 99 of 100 errors stay within the colour map.
+/// The largest amplification of 1, 2, 5, 10, ... with which 99 of 100 errors stay within the colour
+/// map.
 pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -> u32 {
-    /// Errors below this are not worth showing.
+    /// Smaller errors are not amplified.
     const SMALLEST: f32 = 1e-4;
     let mut sizes: Vec<f32> = errors.flatten().map(|e| e.abs()).filter(|e| e.is_finite()).collect();
     if sizes.is_empty() {
@@ -134,7 +137,8 @@ pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -
     steps.into_iter().rev().find(|step| *step as f32 <= room).unwrap_or(1)
 }
 
-/// Colours of [`difference`], from −1 (too dark) through 0 to +1 (too bright). Distinguishable without red-green vision.
+/// Colours of [`difference`], from −1 (too dark) through 0 to +1 (too bright). Distinguishable
+/// without red-green vision.
 pub(crate) const DIVERGING: [[u8; 3]; 5] =
     [[20, 64, 140], [103, 163, 214], [247, 247, 244], [240, 146, 88], [158, 22, 34]];
 
@@ -142,7 +146,8 @@ pub(crate) const DIVERGING: [[u8; 3]; 5] =
 pub(crate) const SEQUENTIAL: [[u8; 3]; 5] =
     [[60, 16, 88], [62, 78, 140], [38, 140, 140], [96, 196, 100], [250, 228, 60]];
 
-/// Colours of a FLIP map, from no difference to the largest: matplotlib's magma at equal steps, as FLIP's authors draw theirs.
+/// Colours of a FLIP map, from no difference to the largest: matplotlib's magma at equal steps, as
+/// in the FLIP paper.
 pub(crate) const MAGMA: [[u8; 3]; 9] = [
     [0, 0, 4],
     [28, 16, 68],
@@ -155,7 +160,7 @@ pub(crate) const MAGMA: [[u8; 3]; 9] = [
     [252, 253, 191],
 ];
 
-/// A colour of a map; `t` in 0..1 is clamped, NaN gives the middle.
+/// A colour of a map; `t` is clamped to 0..1, NaN maps to the middle.
 pub(crate) fn map_colour(anchors: &[[u8; 3]], t: f32) -> [u8; 3] {
     let steps = anchors.len() - 1;
     let position = if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) } * steps as f32;
@@ -231,7 +236,7 @@ impl Picture {
     }
 }
 
-/// The smallest factor that brings `pictures` of `rows` × `cols` down to `budget` pixels together.
+/// The smallest factor that reduces pictures of these sizes to `budget` pixels in total.
 pub(crate) fn shrink_factor(sizes: &[(usize, usize)], budget: usize) -> usize {
     let longest = sizes.iter().map(|(rows, cols)| *rows.max(cols)).max().unwrap_or(1);
     let total = |factor: usize| -> usize {

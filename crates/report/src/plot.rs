@@ -5,7 +5,7 @@ use lumistack_plot::page::{self, Bars};
 use crate::depth::{DepthBudget, Histogram};
 use crate::{Iteration, ReportError};
 
-/// One plot: PSNR against something that grows.
+/// Horizontal axis of a convergence plot.
 pub(crate) struct Axis {
     /// Label with its unit.
     pub(crate) label: &'static str,
@@ -13,13 +13,13 @@ pub(crate) struct Axis {
     pub(crate) position: fn(&Iteration) -> f64,
 }
 
-/// The two ways to read convergence.
+/// The two axes of convergence plots.
 pub(crate) const AXES: [Axis; 2] = [
     Axis { label: "iteration", position: |it| it.iteration as f64 },
     Axis { label: "time since the solver's start, s", position: |it| it.seconds },
 ];
 
-/// The bound is drawn up to this.
+/// Largest ordinate of the bound's plot.
 const MOST_DETAIL: f64 = 6.0;
 
 /// Draws `psnr_view` over an axis; `None` when there is no finite point.
@@ -43,7 +43,7 @@ pub(crate) fn line(points: &[(f64, f64)], label: &str, value_label: &str) -> Res
     Ok(page::line(points, [label, value_label])?)
 }
 
-/// Shares of what is seen by depth, with the depth of field and the layers.
+/// Fractions of hits by depth, with the depth of field and the layers.
 ///
 /// # Errors
 /// If it cannot be drawn.
@@ -52,7 +52,7 @@ pub(crate) fn depths(budget: &DepthBudget) -> Result<String, ReportError> {
     shares(&budget.by_depth, label, budget.depth_of_field_mm, &budget.layers_mm)
 }
 
-/// Shares of what is seen by how far it moves from view to view.
+/// Fractions of hits by disparity between neighbouring views.
 ///
 /// # Errors
 /// If it cannot be drawn.
@@ -66,14 +66,14 @@ pub(crate) fn disparities(budget: &DepthBudget) -> Result<String, ReportError> {
 /// # Errors
 /// If it cannot be drawn.
 pub(crate) fn bound(budget: &DepthBudget) -> Result<String, ReportError> {
-    // near a single layer the bound rises without limit
+    // near a single layer the bound is infinite
     let points: Vec<(f64, f64)> = budget.bound.iter().map(|(z, bound)| (*z, bound.min(MOST_DETAIL))).collect();
     Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / pixel's own"])?)
 }
 
 fn shares(histogram: &Histogram, label: &str, band: Option<[f64; 2]>, lines: &[f64]) -> Result<String, ReportError> {
     let bars = Bars { low: histogram.low, width: histogram.width, shares: &histogram.shares };
-    Ok(page::bars(bars, [label, "share of what is seen, %"], band, lines)?)
+    Ok(page::bars(bars, [label, "fraction of hits, %"], band, lines)?)
 }
 
 #[cfg(test)]

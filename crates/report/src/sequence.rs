@@ -1,8 +1,9 @@
-//! The report of a sequence: error, flicker and cost of every time, on one page.
+//! The report of a sequence: error, flicker and cost of every time step, on one page.
 //!
-//! Flicker over time is what changes in front of the viewer and should not: with e_t = L̃_t/β − L_t the error of a ray at time t, the rms of
-//! e_t − e_(t−1) over rays and channels. It is given in dB as `psnr_change`, −20·log10 of that rms: the PSNR of the change that is shown against the change that
-//! is wanted. `psnr_still` runs over the rays alone whose target stands still.
+//! Flicker is the unwanted change between time steps: with e_t = L̃_t/β − L_t the error of a ray at
+//! time t, it is the rms of e_t − e_(t−1) over rays and channels. `psnr_change` is −20·log10 of
+//! that rms, in dB: the PSNR of the displayed change against the target's change. `psnr_still`
+//! covers only rays with a constant target.
 //!
 //! # report.json
 //!
@@ -10,10 +11,10 @@
 //! |---|---|
 //! | `schema`, `version` | `"lumistack/sequence-report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
-//! | `psnr_view`, `psnr_raw`, `psnr_change`, `psnr_still` | dB over all times together; null where nothing was compared |
+//! | `psnr_view`, `psnr_raw`, `psnr_change`, `psnr_still` | dB over all time steps; null without compared rays |
 //! | `brightness` | β |
-//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start` (`"warm"` from the patterns of the time before, else the fresh start that was taken), `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (share of rays that stand still; these three null at the first time), `iterations`, `seconds` of the solver, `cached` |
-//! | `nodes` | of a job with several nodes: list of `id` and of each the keys from `psnr_view` to `times`; those above are the first one's |
+//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start` (`"warm"` from the stack of the previous time step, else the name of the fresh start), `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (fraction of rays with a constant target; these three null at the first time step), `iterations`, `seconds` of the solver, `cached` |
+//! | `nodes` | for a job with several nodes: list of `id` and the keys from `psnr_view` to `times` per node; those above are the first node's |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
 use lumistack_core::Warning;
@@ -27,7 +28,7 @@ use crate::{ReportError, page};
 /// Longer side of a thumbnail, pixels.
 const THUMBNAIL: usize = 200;
 
-/// A small picture of what is seen: linear light, 0..1 after scaling.
+/// A small picture in linear light, 0..1 after scaling.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Thumbnail(Linear);
 
@@ -46,30 +47,30 @@ impl Thumbnail {
     }
 }
 
-/// One time.
+/// One time step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceTime {
     /// Its folder: "t0001".
     pub name: String,
-    /// Where its light field comes from.
+    /// Source of its light field.
     pub source: String,
-    /// Path of its own report relative to the sequence's, where it has one.
+    /// Path of its own report relative to the sequence's, if it has one.
     pub report: Option<String>,
-    /// Of L̃/β against L.
+    /// Error of L̃/β against L.
     pub error: SquaredError,
-    /// Of the change shown since the time before against the change wanted.
+    /// Error of the change of L̃/β since the previous time step against the change of L.
     pub change: Option<SquaredError>,
-    /// The same over the rays whose target stands still, where there are any.
+    /// The same over rays with a constant target, if there are any.
     pub still: Option<SquaredError>,
-    /// How its patterns started: "warm" from those of the time before, else the name of a fresh start.
+    /// Its start: "warm" from the previous time step's stack, otherwise the name of a fresh start.
     pub start: String,
     /// PSNR before the first iteration, dB; NaN where unknown.
     pub psnr_start: f64,
     /// Iterations of the solver.
     pub iterations: u32,
-    /// Time of the solver; NaN where unknown.
+    /// Time of the solver, seconds; NaN where unknown.
     pub seconds: f64,
-    /// Whether its patterns came from an earlier run.
+    /// Its stack was cached by an earlier run.
     pub cached: bool,
     /// Central view of the target.
     pub wanted: Thumbnail,
@@ -86,35 +87,35 @@ impl SequenceTime {
         self.still.map_or(f64::NAN, SquaredError::psnr)
     }
 
-    /// Share of rays that stand still, 0..1; NaN at the first time.
+    /// Fraction of rays with a constant target, 0..1; NaN at the first time step.
     pub(crate) fn still_share(&self) -> f64 {
         self.change.map_or(f64::NAN, |all| self.still.map_or(0, |still| still.count) as f64 / all.count as f64)
     }
 }
 
-/// A display over all times.
+/// A display over all time steps.
 #[derive(Clone, Copy, Debug)]
 pub struct SequenceSeries<'a> {
-    /// The node's name; `None` where there is one display.
+    /// The node's id; `None` for a single display.
     pub id: Option<&'a str>,
-    /// All times, in order.
+    /// All time steps, in order.
     pub times: &'a [SequenceTime],
     /// β.
     pub brightness: f64,
 }
 
-/// Everything that the report of a sequence shows.
+/// Input of a sequence's report.
 #[derive(Clone, Copy, Debug)]
 pub struct SequenceInput<'a> {
-    /// Headline.
+    /// Title.
     pub title: &'a str,
-    /// Every display over all times: one, or each node's.
+    /// Every display over all time steps: one, or one per node.
     pub series: &'a [SequenceSeries<'a>],
     /// The resolved job.
     pub settings: &'a Value,
-    /// Warnings of all times.
+    /// Warnings of all time steps.
     pub warnings: &'a [Warning],
-    /// The command line that made the run.
+    /// The command line of the run.
     pub command: Option<&'a str>,
     /// Lumistack's version.
     pub version: &'a str,
@@ -131,22 +132,22 @@ pub struct SequenceReport {
     pub series: Vec<SequenceFigures>,
 }
 
-/// Figures of a display over all times together.
+/// Figures of a display over all time steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SequenceFigures {
-    /// Number of times.
+    /// Number of time steps.
     pub times: usize,
     /// PSNR of L̃/β against L, dB.
     pub psnr_view: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw: f64,
-    /// PSNR of changes, dB; `None` of a single time.
+    /// PSNR of changes, dB; `None` for a single time step.
     pub psnr_change: Option<f64>,
-    /// The same over rays that stand still; `None` where there are none.
+    /// The same over rays with a constant target; `None` if there are none.
     pub psnr_still: Option<f64>,
 }
 
-/// Makes the report of a sequence; writes no files.
+/// Builds the report of a sequence; writes no files.
 ///
 /// # Errors
 /// If a picture or a plot cannot be made.

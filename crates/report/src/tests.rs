@@ -1,4 +1,5 @@
-//! Reports of small synthetic displays of every kind, checked as text, as HTML and against the display crate's own score.
+//! Reports of small synthetic displays of every kind, checked as text, as HTML and against the
+//! display crate's own score.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -78,7 +79,7 @@ fn built(input: &ReportInput) -> Result<Report, ReportError> {
     build(input, Task::quiet(&Collector::default(), &Cancel::default()))
 }
 
-/// Checks what every page must keep; returns the number of its embedded pictures.
+/// Checks rules of every page; returns the number of its embedded pictures.
 fn check_page(html: &str) -> usize {
     check_balanced(html);
     check_links(html);
@@ -98,7 +99,7 @@ fn check_page(html: &str) -> usize {
     pictures
 }
 
-/// Every element that opens closes, in order; attributes are quoted, so `>` ends a tag.
+/// Checks that all elements are closed in order. Attributes are quoted, so `>` ends a tag.
 fn check_balanced(html: &str) {
     const VOID: [&str; 4] = ["meta", "img", "input", "br"];
     let mut open: Vec<String> = Vec::new();
@@ -125,7 +126,7 @@ fn check_balanced(html: &str) {
     assert!(open.is_empty(), "left open: {open:?}");
 }
 
-/// Where a page has links to its sections, they lead to all of them, in order.
+/// If a page links to its sections, the links lead to all of them, in order.
 fn check_links(html: &str) {
     let names = |before: &str| -> Vec<String> {
         html.split(before).skip(1).map(|rest| rest[..rest.find('"').unwrap()].to_string()).collect()
@@ -300,9 +301,9 @@ fn unusable_input_is_an_error() {
 
 #[test]
 fn large_displays_stay_small_files() {
-    /// What a browser and a mail attachment still take, bytes.
+    /// A size that browsers and mail attachments support, bytes.
     const LARGEST: usize = 15_000_000;
-    // the paper's prototype at its full mask size, with noise: the worst case for every encoder
+    // the paper's prototype at full mask size, with noise: the worst case for every encoder
     let display = display(3, 12, [2, 2], [840, 525], "");
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let report = built(&plain(&display, &stack, &target)).unwrap();
@@ -312,7 +313,7 @@ fn large_displays_stay_small_files() {
 
 #[test]
 fn the_simulated_view_is_divided_by_the_brightness() {
-    // one clear pixel at β = 0.2 over a target of 1 must be shown as white, not as 0.2
+    // one clear pixel at β = 0.2 with a target of 1 is shown as white, not as 0.2
     let display = display(1, 1, [1, 1], [1, 1], "");
     let mut target = LightField::black(display.geometry().unwrap()).unwrap();
     target.radiance_mut().data_mut().fill(1.0);

@@ -1,13 +1,14 @@
-//! The views that are measured and shown one by one. A display that is solved for hundreds of views has pages for some of them: what eyes see is
-//! judged all over the zone, at no view in particular.
+//! Selects the views that are measured and shown one by one. A solution for hundreds of views has
+//! pictures of some; quality is measured over the whole zone.
 
 use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
 
-/// Views per axis, at most.
+/// Largest number of views per axis.
 const MOST: usize = 7;
 
-/// Some views of a light field, spread over all of it with the middle and the outermost ones, and their weights; `None` where there are few enough.
+/// Evenly spread views of a light field, with the central and the outermost ones, and their
+/// weights; `None` if there are few enough.
 pub(crate) fn thinned(field: &LightField, weights: &Weights) -> Option<(LightField, Weights)> {
     let geometry = field.geometry();
     let views = geometry.grid.views();

@@ -1,3 +1,3 @@
-//! The plugins as one library, as the loader takes it.
+//! The plugins as one library, as the loader requires.
 
 extern crate lumistack_plugin_baselines;

@@ -1,15 +1,15 @@
-//! Node plugin `directional_sequence`: a time-sequential directional backlight (Travis 1990), the direct mode of one layer before a light field
-//! emitter.
+//! Node plugin `directional_sequence`: a time-sequential directional backlight (Travis 1990), the
+//! direct mode of one layer in front of a light field emitter.
 //!
-//! In every frame the backlight sends light into some of its directions only, in turn, and the layer shows the view from there. Of A directions
-//! and M frames
+//! In every frame the backlight emits into a subset of its directions, and the layer shows the view
+//! from there. With A directions and M frames
 //!
 //! ```text
 //! direction k is lit in frame ⌊k·M/A⌋        β = 1/M · Π peak of the layers
 //! ```
 //!
-//! so that with a frame for every direction all views come out whole, at 1/A of the light; with fewer, neighbouring directions share a frame and the layer
-//! shows their mean.
+//! With one frame per direction all views are exact, at 1/A of the light. With fewer frames,
+//! neighbouring directions share a frame and the layer shows their mean.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
@@ -44,15 +44,18 @@ impl NodePlugin for DirectionalSequence {
             return Err(PluginError::display(display, expected, frames));
         }
         if frames < directions {
-            host.warn(&format!("{frames} frames for {directions} directions: several share a frame and what it shows"));
+            host.warn(&format!(
+                "{frames} frames for {directions} directions: several directions share a frame and its picture"
+            ));
         }
+        // Light each direction in its frame, and open all layers.
         let frame_of = |bin_y: usize, bin_x: usize| (bin_y * bins_x + bin_x) * frames / directions;
         let geometry = field.geometry();
         let map = RayMap::new(display, geometry);
         let Some(backlight) = &map.backlight else {
             return Err(PluginError::display(display, "a directional backlight", "none"));
         };
-        // the layer nearest to the display's plane shows the views, the others stay open
+        // the layer nearest to the display's plane shows the views, the others are clear
         let nearest = (0..display.layers.len())
             .min_by(|&a, &b| display.layers[a].d_mm.abs().total_cmp(&display.layers[b].d_mm.abs()));
         let shown = nearest.unwrap_or(0);
@@ -69,6 +72,7 @@ impl NodePlugin for DirectionalSequence {
             }
         }
 
+        // Average the target over the rays through each pixel of the showing layer, per frame.
         let layer = &map.layers[shown];
         let shape = [frames, layer.rows, layer.cols, 3];
         let count = Tensor::<4>::element_count(shape)

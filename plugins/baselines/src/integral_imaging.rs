@@ -1,13 +1,15 @@
-//! Node plugin `integral_imaging`: the lens array alone (Lippmann 1908), the baseline of displays with a directional backlight.
+//! Node plugin `integral_imaging`: the lens array alone (Lippmann 1908), the baseline of displays
+//! with a directional backlight.
 //!
-//! The layers stay open. What a lenslet emits into one of its bins is the mean of the target over the rays that read it,
+//! All layers are clear. The emission of a lenslet into a bin is the mean of the target over the
+//! rays through both,
 //!
 //! ```text
 //! b[bin, lenslet] = mean of L(r) over the rays r of that lenslet and bin
 //! ```
 //!
-//! which is the best that it can show (least squares). Every frame is the same: there is nothing to gain from more. All the light is used, β = Π peak of
-//! the layers, and every lenslet is one pixel of the picture.
+//! which is the least-squares optimum. All frames are equal, since more frames add nothing. The
+//! light is used fully, β = Π peak of the layers, and each lenslet is one pixel of the picture.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
@@ -40,6 +42,7 @@ impl NodePlugin for IntegralImaging {
         let (Some(backlight), Some(shape)) = (&map.backlight, LayerStack::emission_shape(display)) else {
             return Err(PluginError::display(display, "a directional backlight", "none"));
         };
+        // Open all layers; the light is used fully.
         let [dark, bright] = lenslets.range();
         let mut stack = LayerStack::filled(display, dark);
         for (values, layer) in stack.layers.iter_mut().zip(&display.layers) {
@@ -47,6 +50,7 @@ impl NodePlugin for IntegralImaging {
         }
         stack.brightness = display.layers.iter().map(|layer| layer.peak).product();
 
+        // Average the target over the rays of each lenslet and bin.
         let [frames, bins_y, bins_x, rows, cols, _] = shape;
         let count = Tensor::<5>::element_count([bins_y, bins_x, rows, cols, 3])
             .ok_or_else(|| PluginError::Refused(format!("a backlight of shape {shape:?} is too large")))?;
@@ -69,6 +73,7 @@ impl NodePlugin for IntegralImaging {
             }
             stage.advance(1, "");
         }
+        // All frames show the same emission.
         if let Some(emission) = &mut stack.emission {
             for frame in 0..frames {
                 for (values, (sum, &rays)) in emission

@@ -1,4 +1,4 @@
-//! Node plugins: the displays that tensor displays are compared with, a module each.
+//! Node plugins: baselines of tensor displays, one module each.
 
 pub mod directional_sequence;
 pub mod integral_imaging;
@@ -6,5 +6,6 @@ pub mod log_tomography;
 pub mod parallax_barrier;
 pub mod two_layer_nmf;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

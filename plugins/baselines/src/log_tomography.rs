@@ -1,13 +1,16 @@
-//! Node plugin `log_tomography`: a static stack of layers by tomography (Wetzstein et al. 2011), the baseline without time multiplexing.
+//! Node plugin `log_tomography`: a static stack of layers by tomography (Wetzstein et al. 2011),
+//! the baseline without time multiplexing.
 //!
-//! In logarithms a product of layers is a sum, and a light field the projections of a volume of layers:
+//! In logarithms the product of layers is a sum, and a light field is the projections of a volume
+//! of layers:
 //!
 //! ```text
-//! minimize Σ_r (Σ_n x_n[j_n(r)] − a_r)²,   x = −log f ≥ 0,   a_r = −log max(β L(r), darkest),   0 ≤ x ≤ −log f_min
+//! minimize Σ_r (Σ_n x_n[j_n(r)] − a_r)²,   x = −log f,   a_r = −log max(β L(r), darkest),   0 ≤ x ≤ −log f_min
 //! ```
 //!
-//! solved by projected gradients with the row and column sums of the projection as step sizes (SIRT; Gregor and Benson 2008) and Nesterov's extrapolation.
-//! Every frame is the same, and channels are independent.
+//! It is solved by projected gradients with the projection's row and column sums as step sizes
+//! (SIRT; Gregor and Benson 2008) and Nesterov's extrapolation. All frames are equal, and channels
+//! are independent.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
@@ -37,7 +40,7 @@ impl NodePlugin for LogTomography {
                 "darkest",
                 0.01,
                 1e-6..=0.5,
-                "What counts as black, relative to white: logarithms of less would outweigh all else.",
+                "Black threshold relative to white; logarithms of smaller values would dominate the objective.",
             )
             .unit("1"),
         ])
@@ -52,7 +55,7 @@ impl NodePlugin for LogTomography {
         let mut volume = Volume::new(display, &map)?;
         let [rows, cols] = [geometry.rows, geometry.cols];
         let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
-        // what each ray must lose, [view][row][col][rgb]
+        // required attenuation of each ray, [view][row][col][rgb]
         let mut wanted = Vec::new();
         for &view in &views {
             let lent = field.view(view)?;
@@ -63,6 +66,7 @@ impl NodePlugin for LogTomography {
                 }));
             }
         }
+        // Projected gradient steps with Nesterov's extrapolation.
         let stage = host.stage("log tomography", u64::from(params.iterations), "steps");
         let (mut momentum, mut before) = (1.0f32, volume.values.clone());
         let mut at = volume.values.clone();
@@ -81,6 +85,7 @@ impl NodePlugin for LogTomography {
             momentum = next;
             stage.advance(1, "");
         }
+        // Convert x = −log f to masks; all frames are equal.
         let mut stack = LayerStack::filled(display, 0.0);
         for (n, layer) in display.layers.iter().enumerate() {
             let [darkest, brightest] = layer.range();
@@ -93,13 +98,13 @@ impl NodePlugin for LogTomography {
     }
 }
 
-/// x = −log f of every layer, `[layer][row][col][rgb]`, and what a step needs.
+/// x = −log f of every layer, `[layer][row][col][rgb]`, and the data of a step.
 struct Volume {
     values: Vec<Vec<f32>>,
     gradient: Vec<Vec<f32>>,
     /// Number of rays per pixel.
     rays: Vec<Vec<f32>>,
-    /// [least, most] of x.
+    /// [smallest, largest] x.
     range: Vec<[f32; 2]>,
 }
 
@@ -111,9 +116,9 @@ impl Volume {
             let count = Tensor::<3>::element_count(shape)
                 .ok_or_else(|| PluginError::Refused(format!("a layer of shape {shape:?} is too large")))?;
             let [darkest, brightest] = layer.range();
-            // a layer that can be quite black is as good as that at e⁻¹²
+            // limit black to e⁻¹², below which differences are invisible
             let range = [-brightest.ln(), -darkest.max(6e-6).ln()];
-            // each takes its share of the mean
+            // start from the mean attenuation, split evenly over layers
             let start = (-display.brightness.ln() as f32 / display.layers.len() as f32).clamp(range[0], range[1]);
             volume.values.push(vec![start; count]);
             volume.gradient.push(vec![0.0; count]);
@@ -162,7 +167,8 @@ impl Volume {
         }
     }
 
-    /// A step from `at`: every ray is a sum over N layers, every pixel in so many rays.
+    /// A gradient step from `at`: each ray is a sum over N layers, and each pixel's sum is divided
+    /// by its number of rays.
     fn step(&mut self, at: &[Vec<f32>]) {
         let layers = at.len() as f32;
         for n in 0..at.len() {
@@ -178,7 +184,7 @@ impl Volume {
     }
 }
 
-/// The pixel of a layer that a ray meets.
+/// The pixel of a layer that a ray hits.
 fn met(layer: &LayerMap, view: [usize; 2], row: usize, col: usize) -> Option<usize> {
     let (y, x) = (layer.y.of_view(view[0])[row], layer.x.of_view(view[1])[col]);
     let nearest = |tap: lumistack_plugin::display::Tap| if tap.t < 0.5 { tap.first } else { tap.second } as usize;

@@ -1,17 +1,19 @@
-//! Node plugin `parallax_barrier`: a time-multiplexed parallax barrier (Ives 1903; pinholes: integral imaging), the baseline that two-layer
-//! tensor displays are compared with.
+//! Node plugin `parallax_barrier`: a time-multiplexed parallax barrier (Ives 1903; pinholes:
+//! integral imaging), the baseline of two-layer tensor displays.
 //!
-//! The front layer is a mask of slits (or pinholes) with a period of P_x × P_y mask pixels, one pixel each, that moves from frame to frame; the rear
-//! layer shows through them what the viewer should see. In frame m the mask is open where
+//! The front layer is a mask of slits (or pinholes), one pixel wide, with a period of P_x × P_y
+//! mask pixels, which moves from frame to frame. The rear layer shows the picture behind the slits.
+//! In frame m the mask is open where
 //!
 //! ```text
 //! (col, row) ≡ (k mod P_x, k div P_x)  (mod P_x, P_y),   k = ⌊m·P/M⌋,  P = P_x·P_y
 //! ```
 //!
-//! and a rear pixel takes the mean of the target over the rays that pass through it and an open pixel, which for a mask of zeros and
-//! ones is the best that it can show (least squares). Rays of different views through one slit end at different rear pixels as long as the period
-//! is no less than the number of views; then every ray is right where it is not blocked. It is open in one frame of P, so the display emits
-//! β = 1/P times the target: with M = P frames everywhere, with fewer only on every so many pixels.
+//! A rear pixel is the mean of the target over the rays through it and an open pixel, which is the
+//! least-squares optimum for a mask of zeros and ones. If the period is at least the number of
+//! views, rays of different views through one slit hit different rear pixels; then every unblocked
+//! ray is exact. A pixel is open in one frame of P, so the display emits β = 1/P times the target:
+//! everywhere with M = P frames, on a subset of the pixels with fewer.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
@@ -36,13 +38,13 @@ impl NodePlugin for ParallaxBarrier {
 
     fn schema() -> Schema {
         Schema::new([
-            Param::int("period_x", 0, 0..=256, "Distance of neighbouring slits; 0 for the number of views per row.")
+            Param::int("period_x", 0, 0..=256, "Distance between neighbouring slits; 0 for the number of views per row.")
                 .unit("mask pixels"),
             Param::int(
                 "period_y",
                 0,
                 0..=256,
-                "Distance of neighbouring pinholes along columns; 1 for slits from top to bottom, 0 for the number of views per column.",
+                "Distance between neighbouring pinholes along columns; 1 for slits from top to bottom, 0 for the number of views per column.",
             )
             .unit("mask pixels"),
         ])
@@ -50,7 +52,7 @@ impl NodePlugin for ParallaxBarrier {
 
     fn make(params: BarrierParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
         let (host, display, field) = (input.host(), input.display(), input.field());
-        // a picture and a mask in front of it
+        // one picture layer and one mask layer
         expects::layers(display, 2)?;
         expects::attenuating(display)?;
         expects::uniform_backlight(display)?;
@@ -81,7 +83,7 @@ impl NodePlugin for ParallaxBarrier {
         let shape = [display.frames, rear.rows, rear.cols, 3];
         let count = Tensor::<4>::element_count(shape)
             .ok_or_else(|| PluginError::Refused(format!("a rear layer of shape {shape:?} is too large")))?;
-        // per rear pixel: the sum of the target over the rays that get through, and their number
+        // per rear pixel: sum of the target over the unblocked rays, and their number
         let (mut sums, mut rays) = (vec![0.0f32; count], vec![0u32; count / 3]);
         let stage = host.stage("parallax barrier", (views_y * views_x) as u64, "views");
         for [view_y, view_x] in geometry.grid.iter() {
@@ -119,13 +121,14 @@ impl NodePlugin for ParallaxBarrier {
     }
 }
 
-/// Whether the mask is open at a front pixel [row, col].
+/// Returns true if the mask is open at a front pixel [row, col].
 fn is_open(pixel: [usize; 2], frame: usize, frames: usize, period: [usize; 2]) -> bool {
     let k = frame * period[0] * period[1] / frames;
     pixel[1] % period[1] == k % period[1] && pixel[0] % period[0] == k / period[1] % period[0]
 }
 
-/// Where one axis of a ray meets the rear and the front layer, if it meets both.
+/// Pixels of the rear and the front layer that a ray hits, along one axis; none if it misses
+/// either.
 fn taps(rear: &LayerMap, front: &LayerMap, view: usize, ray: usize, along_y: bool) -> Option<[usize; 2]> {
     let axis = |layer: &LayerMap| {
         let tap = if along_y { layer.y.of_view(view)[ray] } else { layer.x.of_view(view)[ray] };

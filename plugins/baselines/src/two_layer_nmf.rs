@@ -1,15 +1,17 @@
-//! Node plugin `two_layer_nmf`: content-adaptive parallax barriers (Lanman et al. 2010), two layers and several frames by weighted nonnegative matrix
-//! factorization.
+//! Node plugin `two_layer_nmf`: content-adaptive parallax barriers (Lanman et al. 2010): two layers
+//! and several frames, by weighted nonnegative matrix factorization.
 //!
-//! The light field of two layers is a matrix, rows for the rear layer's pixels and columns for the front's, known where rays are; M frames make it one
-//! of rank M. The factors follow the multiplicative rule from random starting values (the weighted rule of Blondel et al. 2008), one layer after the other:
+//! The light field of two layers is a matrix with a row per rear pixel and a column per front
+//! pixel; entries with rays are known. With M frames its rank is M. Factors start from random
+//! values and follow the multiplicative rule (the weighted rule of Blondel et al. 2008), one layer
+//! after the other:
 //!
 //! ```text
-//! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G],    G likewise,    clamped to 0..1
+//! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G], G likewise, clamped to 0..1
 //! ```
 //!
-//! which is eq. (16) of tensor displays for N = 2. It is here by itself so that the older method stands beside newer ones with its own rule, whatever the job's
-//! solver is.
+//! This is eq. (16) of tensor displays for N = 2. The plugin always uses this rule, whichever
+//! solver the job selects, so that the older method can be compared with newer ones.
 
 use lumistack_factorizer::{FactorizeError, Multiplicative, Problem, Settings, Solver, StartKind};
 use lumistack_plugin::core::{Cancel, Collector, Task};
@@ -36,7 +38,7 @@ impl NodePlugin for TwoLayerNmf {
     fn schema() -> Schema {
         Schema::new([
             Param::int("iterations", 50, 1..=10_000, "Updates of both layers.").unit("1"),
-            Param::int("seed", 1, 0..=i64::from(i32::MAX), "Seed of the starting patterns.").unit("1"),
+            Param::int("seed", 1, 0..=i64::from(i32::MAX), "Random seed of the start.").unit("1"),
         ])
     }
 
@@ -56,7 +58,7 @@ impl NodePlugin for TwoLayerNmf {
         };
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let failed = |error: FactorizeError| PluginError::Failed(error.to_string());
-        // the start, and then update by update, so that the host can stop it in between
+        // one update at a time after the start, so that the host can cancel between updates
         let start = Settings { iterations: 0, ..settings };
         let task = Task::quiet(&warnings, &cancel);
         let start = lumistack_factorizer::factorize(&problem, &start, None, task, &mut |_| {}).map_err(failed)?;

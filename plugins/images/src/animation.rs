@@ -1,7 +1,7 @@
 //! An animated PNG of a viewer who swings through the viewing zone.
 //!
-//! With φ = 2πt/T, in units of views around the grid's centre: x = (A_x − 1)/2 · sin φ, and on an ellipse y = (A_y − 1)/2 · cos φ. The last picture
-//! leads into the first.
+//! With φ = 2πt/T, in units of views around the grid's centre: x = (A_x − 1)/2 · sin φ, and on an
+//! ellipse y = (A_y − 1)/2 · cos φ. The animation loops without a jump.
 
 use std::f64::consts::TAU;
 use std::io::BufWriter;
@@ -15,19 +15,19 @@ use lumistack_plugin::{Host, PluginError};
 use crate::encode::png_error;
 use crate::views::ViewSource;
 
-/// How the viewer moves.
+/// The viewer's path.
 pub(crate) struct Swing {
-    /// Pictures of one period.
+    /// Number of pictures in one period.
     pub(crate) pictures: u32,
     pub(crate) pictures_per_second: u16,
-    /// Up and down too.
+    /// Move up and down as well.
     pub(crate) ellipse: bool,
-    /// Most columns of the animation; 0 for those of the views.
+    /// Largest width of the animation, pixels; 0 for that of the views.
     pub(crate) width: usize,
 }
 
 impl Swing {
-    /// Places [view_y, view_x] of all pictures, in units of views.
+    /// Positions [view_y, view_x] of all pictures, in units of views.
     pub(crate) fn path(&self, views: [usize; 2]) -> Vec<[f64; 2]> {
         let half = views.map(|count| (count as f64 - 1.0) / 2.0);
         let place = |i: u32| {
@@ -38,7 +38,7 @@ impl Swing {
         (0..self.pictures).map(place).collect()
     }
 
-    /// Columns and rows of the animation.
+    /// [columns, rows] of the animation.
     pub(crate) fn size(&self, [rows, cols]: [usize; 2]) -> [usize; 2] {
         if self.width == 0 || self.width >= cols {
             return [cols, rows];
@@ -46,7 +46,7 @@ impl Swing {
         [self.width, ((rows * self.width) as f64 / cols as f64).round().max(1.0) as usize]
     }
 
-    /// Writes it picture by picture.
+    /// Writes the animation, picture by picture.
     pub(crate) fn write(&self, host: &Host, path: &str, source: &ViewSource<'_>) -> Result<(), PluginError> {
         let geometry = source.geometry();
         let [rows, cols] = [geometry.rows, geometry.cols];
@@ -74,7 +74,7 @@ impl Swing {
     }
 }
 
-/// A picture of [`cols`, `rows`] in fewer pixels, [`width`, `height`].
+/// A picture of [`cols`, `rows`] reduced to [`width`, `height`].
 pub(crate) fn reduced(rgb: Vec<f32>, [cols, rows]: [usize; 2], [width, height]: [u32; 2]) -> Vec<f32> {
     if [cols, rows] == [width as usize, height as usize] {
         return rgb;

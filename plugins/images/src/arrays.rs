@@ -1,4 +1,4 @@
-//! NumPy archives: the values themselves, linear `float32`, written plane by plane.
+//! NumPy archives of the values, linear `float32`, written plane by plane.
 
 use std::io::{self, BufWriter};
 
@@ -8,8 +8,8 @@ use lumistack_plugin::{Host, PlaneView, PluginError, StackInput};
 
 use crate::views::ViewSource;
 
-/// `layer_L` `[frame][row][col][rgb]`, layer 0 rearmost, `d_mm` `[layer]`, and for a directional backlight `emission`
-/// `[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
+/// `layer_L` `[frame][row][col][rgb]`, layer 0 rearmost, `d_mm` `[layer]`, and for a directional
+/// backlight `emission` `[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
 pub(crate) fn write_stack(
     host: &Host,
     path: &str,
@@ -58,7 +58,7 @@ pub(crate) fn write_views(host: &Host, path: &str, source: &ViewSource<'_>) -> R
 
 type Archive<'a> = NpzWriter<&'a mut BufWriter<lumistack_plugin::OutputFile>>;
 
-/// What may come out of writing: the host's own errors, or the archive's.
+/// An error of a write: the host's own, or the archive's.
 enum Failure {
     Plugin(PluginError),
     Io(io::Error),

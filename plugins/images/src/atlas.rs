@@ -1,7 +1,8 @@
-//! One sheet with the patterns of all layers and frames, for engines that load a single texture.
+//! One sheet with the masks of all layers and frames, for engines that load a single texture.
 //!
-//! Tiles stand side by side without a gap: one row of tiles per frame, in it the layers from rear (left) to front. `atlas.json` says where each is.
-//! The sheet is written row by row, so memory does not grow with the number of frames.
+//! Tiles are adjacent without gaps: one row of tiles per frame, with the layers from rear (left) to
+//! front. `atlas.json` lists their positions. The sheet is written row by row, so memory does not
+//! grow with the number of frames.
 
 use std::io::{BufWriter, Write};
 
@@ -24,7 +25,7 @@ struct Index<'a> {
     tiles: Vec<Tile>,
 }
 
-/// One pattern: columns x..x + width and rows y..y + height of the sheet, from its top left corner.
+/// One mask: columns x..x + width and rows y..y + height of the sheet, from its top left corner.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Tile {
@@ -36,8 +37,9 @@ struct Tile {
     height: usize,
 }
 
-/// Writes the sheet and its index; returns [columns, rows]. `transfer` is how all patterns' codes stand for light, if
-/// they do so alike; `samples(layer, frame)` = 8-bit samples `[row][col][rgb]` of a pattern.
+/// Writes the sheet and its index; returns [columns, rows]. `transfer` is the common transfer
+/// function of all masks, if there is one. `samples(layer, frame)` returns a mask's 8-bit samples
+/// `[row][col][rgb]`.
 pub(crate) fn write(
     host: &Host,
     folder: &str,
@@ -45,6 +47,7 @@ pub(crate) fn write(
     transfer: Option<&Transfer>,
     mut samples: impl FnMut(usize, usize) -> Result<Vec<u8>, PluginError>,
 ) -> Result<[usize; 2], PluginError> {
+    // Compute the positions of all tiles: a band per frame, layers side by side.
     let sizes: Vec<[usize; 2]> = (0..stack.layer_count()).filter_map(|layer| stack.layer_size(layer)).collect();
     let width: usize = sizes.iter().map(|size| size[1]).sum();
     let band = sizes.iter().map(|size| size[0]).max().unwrap_or(0);
@@ -64,6 +67,7 @@ pub(crate) fn write(
     let index =
         Index { schema: "lumistack/atlas", version: 1, file: "atlas.png", width, height, tiles: tiles.collect() };
     let side = |n: usize| u32::try_from(n).map_err(|error| PluginError::failed("atlas", error));
+    // Stream the sheet row by row, with one frame's masks in memory.
     let mut file = host.create(&format!("{folder}atlas.png"))?;
     let mut writer = BufWriter::new(&mut file);
     let mut encoder = png::Encoder::new(&mut writer, side(width)?, side(height)?);
@@ -74,21 +78,21 @@ pub(crate) fn write(
     encoder.set_compression(png::Compression::Fast);
     let mut encoder = encoder.write_header().map_err(png_error)?;
     let mut rows = encoder.stream_writer().map_err(png_error)?;
-    let stage = host.stage("atlas", (stack.frames() * sizes.len()) as u64, "patterns");
+    let stage = host.stage("atlas", (stack.frames() * sizes.len()) as u64, "masks");
     let mut line = vec![0; 3 * width];
     for frame in 0..stack.frames() {
-        let mut patterns = Vec::new();
+        let mut masks = Vec::new();
         for layer in 0..sizes.len() {
             host.check_cancelled()?;
-            patterns.push(samples(layer, frame)?);
+            masks.push(samples(layer, frame)?);
             stage.advance(1, "");
         }
         for row in 0..band {
             line.fill(0);
             let mut x = 0;
-            for (pattern, &[layer_rows, cols]) in patterns.iter().zip(&sizes) {
+            for (mask, &[layer_rows, cols]) in masks.iter().zip(&sizes) {
                 if row < layer_rows {
-                    line[3 * x..3 * (x + cols)].copy_from_slice(&pattern[3 * row * cols..3 * (row + 1) * cols]);
+                    line[3 * x..3 * (x + cols)].copy_from_slice(&mask[3 * row * cols..3 * (row + 1) * cols]);
                 }
                 x += cols;
             }
@@ -100,6 +104,7 @@ pub(crate) fn write(
     let flushed = writer.into_inner().map(drop).map_err(|error| error.into_error());
     flushed.map_err(|error| PluginError::from_io("atlas", error))?;
     file.commit()?;
+    // Write the index after the sheet is complete.
     let text = serde_json::to_string_pretty(&index).expect("an index holds nothing that JSON cannot");
     host.write(&format!("{folder}atlas.json"), format!("{text}\n").as_bytes())?;
     Ok([width, height])

@@ -1,4 +1,4 @@
-//! From linear values to PNG.
+//! Encodes linear values as PNG.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Channels, Transfer};
@@ -7,14 +7,14 @@ use lumistack_plugin::encoding::{Dither, codes8, codes16, panel_codes};
 /// Codes of a panel.
 #[derive(Clone, Copy)]
 pub(crate) struct PanelCodes {
-    /// Bits per channel, if they are fewer than the file's.
+    /// Bits per channel, if fewer than the file's.
     pub(crate) bits: Option<u32>,
     pub(crate) dither: Dither,
-    /// Number of the layer and frame, so that threshold maps do not line up.
+    /// Number of the layer and frame, which decorrelates threshold maps.
     pub(crate) pattern: usize,
 }
 
-/// Samples of a PNG, `[row][col][rgb]`, 8 bits: codes of values in 0..1.
+/// 8-bit samples of a PNG, `[row][col][rgb]`: codes of values in 0..1.
 pub(crate) fn samples8(transfer: &Transfer, panel: Option<PanelCodes>, size: [usize; 2], rgb: &[f32]) -> Vec<u8> {
     match panel {
         None => codes8(transfer, rgb),
@@ -26,7 +26,7 @@ pub(crate) fn samples8(transfer: &Transfer, panel: Option<PanelCodes>, size: [us
     }
 }
 
-/// Samples of a PNG, 16 bits.
+/// 16-bit samples of a PNG.
 pub(crate) fn samples16(transfer: &Transfer, panel: Option<PanelCodes>, size: [usize; 2], rgb: &[f32]) -> Vec<u16> {
     match panel {
         None => codes16(transfer, rgb),
@@ -38,13 +38,14 @@ pub(crate) fn samples16(transfer: &Transfer, panel: Option<PanelCodes>, size: [u
     }
 }
 
-/// A code of few bits as one of a file with more: code · top / (2^bits − 1), rounded. The file's highest bits are the code.
+/// A code of few bits as one of a file with more: code · top / (2^bits − 1), rounded. The file's
+/// highest bits are the code.
 fn spread(code: u16, bits: u32, top: u32) -> u32 {
     let own = (1u32 << bits) - 1;
     ((u64::from(code) * u64::from(top) + u64::from(own / 2)) / u64::from(own)) as u32
 }
 
-/// The bytes of a PNG with 8 bits per channel, whose codes stand for light by `transfer`.
+/// The bytes of a PNG with 8 bits per channel, with codes by `transfer`.
 pub(crate) fn png8(samples: &[u8], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
     png_bytes(samples, size, png::BitDepth::Eight, transfer)
 }
@@ -74,7 +75,8 @@ fn png_bytes(
     Ok(bytes)
 }
 
-/// Tells readers how codes stand for light: by the sRGB chunk or the gamma. PNG has no word for measured curves and for one per channel.
+/// Declares the transfer function of the codes in the sRGB or gamma chunk. PNG cannot declare
+/// measured curves or one per channel.
 pub(crate) fn say_encoding<W: std::io::Write>(encoder: &mut png::Encoder<'_, W>, transfer: &Transfer) {
     match transfer {
         Transfer::Srgb => encoder.set_source_srgb(png::SrgbRenderingIntent::RelativeColorimetric),
@@ -86,7 +88,7 @@ pub(crate) fn say_encoding<W: std::io::Write>(encoder: &mut png::Encoder<'_, W>,
     }
 }
 
-/// What a PNG encoder that writes to the host's file says.
+/// The error of a PNG encoder that writes to the host's file.
 pub(crate) fn png_error(error: png::EncodingError) -> PluginError {
     match error {
         png::EncodingError::IoError(error) => PluginError::from_io("PNG encoder", error),

@@ -1,13 +1,16 @@
 //! Light fields as the folders of two public archives.
 //!
-//! * `hci/`: `input_Cam%03d.png`, numbered row by row from the top left, `parameters.cfg` and `gt_disp_lowres.pfm`. Cameras stand at distance D on a plane,
-//!   b = D·Δs apart, with shifted sensors: disparity = b·f·(1/Z − 1/D) pixels a camera, f = D / pixel pitch, which is Δs·D·z/((D − z)·pitch) of content at
-//!   z towards the viewer, and Δs·z/pitch of parallel projections. The map is that of the middle view, where the host knows how deep it sees; else it holds
-//!   NaN, and the range is that of the depths which the display shows.
-//! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, the camera's centre in millimetres, X right, Y down.
+//! * `hci/`: `input_Cam%03d.png`, numbered row by row from the top left, `parameters.cfg` and
+//!   `gt_disp_lowres.pfm`. Cameras are on a plane at distance D, b = D·Δs apart, with shifted
+//!   sensors. Disparity is b·f·(1/Z − 1/D) pixels a camera, f = D / pixel pitch. That is Δs·D·z/((D
+//!   − z)·pitch) for content at z towards the viewer, and Δs·z/pitch for parallel projections. The
+//!   map is that of the central view, if the host has its depth. Otherwise it contains NaN, and the
+//!   range is that of the display's depth of field.
+//! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, with the camera's centre in millimetres, X right, Y
+//!   down.
 //!
-//! A light field of parallel projections has no cameras at a distance. Its pictures are the same and so is their order; distances are then
-//! those of cameras on a plane at a nominal D.
+//! A light field of parallel projections has no cameras at a distance. Its pictures and their order
+//! are the same; distances are those of cameras on a plane at a nominal D.
 
 use lumistack_plugin::display::{FieldGeometry, Projection, SeenDepth, Transfer};
 use lumistack_plugin::{Host, PluginError};
@@ -15,34 +18,35 @@ use lumistack_plugin::{Host, PluginError};
 use crate::encode::{png8, png16, samples8, samples16};
 use crate::views::ViewSource;
 
-/// Width or height of the sensor that is written, whichever is larger; any would do, since only its ratio to the focal length counts.
+/// Larger side of the written sensor, millimetres. Any value would do, since only its ratio to the
+/// focal length matters.
 const SENSOR_MM: f64 = 36.0;
-/// Largest relative difference of steps that count as equal.
+/// Largest relative difference of equal steps.
 const SAME_STEP: f64 = 1e-3;
 
-/// Which archive.
+/// The archive's format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Archive {
     Hci,
     Stanford,
 }
 
-/// What goes into the folders.
+/// Cameras of a folder.
 pub(crate) struct Cameras<'a> {
     pub(crate) geometry: &'a FieldGeometry,
-    /// Distance of the cameras of a light field of parallel projections, millimetres.
+    /// Camera distance for a light field of parallel projections, millimetres.
     pub(crate) nominal_mm: f64,
 }
 
-/// How folders are written.
+/// Settings of a folder.
 pub(crate) struct Settings<'a> {
-    /// Distance of the cameras of a light field of parallel projections, millimetres.
+    /// Camera distance for a light field of parallel projections, millimetres.
     pub(crate) nominal_mm: f64,
     /// Pictures of 16 bits instead of 8.
     pub(crate) sixteen_bits: bool,
     /// Date, authors and contact in `parameters.cfg`.
     pub(crate) meta: [&'a str; 3],
-    /// The depths that the display shows sharply, millimetres.
+    /// The display's depth of field, millimetres.
     pub(crate) shown_mm: Option<[f64; 2]>,
 }
 
@@ -58,23 +62,23 @@ impl Cameras<'_> {
         self.geometry.grid.projection == Projection::Oblique
     }
 
-    /// Name of a view's picture inside the output.
+    /// Path of a view's picture inside the output.
     pub(crate) fn file(&self, archive: Archive, [y, x]: [usize; 2]) -> String {
         let grid = &self.geometry.grid;
         match archive {
             Archive::Hci => format!("hci/input_Cam{:03}.png", y * grid.slope_x.len() + x),
             Archive::Stanford => {
                 let (down, right) = (-grid.slope_y[y] * self.distance_mm(), grid.slope_x[x] * self.distance_mm());
-                // without the sign of a zero
+                // avoid the sign of a negative zero
                 format!("stanford/out_{y:02}_{x:02}_{:.6}_{:.6}.png", down + 0.0, right + 0.0)
             }
         }
     }
 
-    /// Difference of slope from view to view.
+    /// Slope step between views.
     ///
     /// # Errors
-    /// If it is not the same between all: the format has one baseline.
+    /// If steps differ: the format has one baseline.
     pub(crate) fn step(&self) -> Result<f64, PluginError> {
         let grid = &self.geometry.grid;
         let steps = |slopes: &[f64]| slopes.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect::<Vec<_>>();
@@ -89,7 +93,8 @@ impl Cameras<'_> {
         Ok(if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 })
     }
 
-    /// Pixels by which content at z_mm moves to the left from a view to the next on the right; infinite z is the horizon.
+    /// Shift of content at z_mm to the left from a view to the next on the right, pixels; infinite
+    /// z is the horizon.
     fn disparity(&self, step: f64, z_mm: f64) -> f64 {
         let moved_mm = match self.geometry.grid.projection {
             Projection::Oblique => z_mm,
@@ -100,7 +105,8 @@ impl Cameras<'_> {
         step * moved_mm / self.geometry.pitch_mm
     }
 
-    /// The middle view's disparities, `[row][col]`: NaN where nothing is known, or where parallel projections see nothing.
+    /// The central view's disparities, `[row][col]`: NaN without depth, or where parallel
+    /// projections have no hit.
     fn disparities(&self, step: f64, depth: Option<&SeenDepth>) -> Vec<f32> {
         let [rows, cols] = [self.geometry.rows, self.geometry.cols];
         let horizon = self.disparity(step, f64::NEG_INFINITY);
@@ -119,7 +125,7 @@ impl Cameras<'_> {
     fn parameters(&self, step: f64, disparities: &[f32], settings: &Settings<'_>) -> String {
         let grid = &self.geometry.grid;
         let distance_mm = self.distance_mm();
-        // the widest that means anything is a picture's width
+        // disparities are limited to a picture's width
         let most = self.geometry.rows.max(self.geometry.cols) as f64;
         let shown = settings.shown_mm.map(|[low, high]| {
             let disparity = |z_mm: f64| {
@@ -133,7 +139,7 @@ impl Cameras<'_> {
                 let value = f64::from(*value);
                 Some(range.map_or([value; 2], |[low, high]| [low.min(value), high.max(value)]))
             });
-        // the benchmark's readers ask for numbers
+        // the benchmark's readers require numbers
         let [least, largest] = known.or(shown).unwrap_or([0.0; 2]);
         let [shown_least, shown_largest] = shown.unwrap_or([least, largest]);
         let disparity_note = if known.is_some() {
@@ -162,13 +168,13 @@ impl Cameras<'_> {
             step * distance_mm,
             distance_mm / 1000.0,
             distance_mm / 1000.0,
-            // pixels by which the plane of focus would move without the sensors' shift
+            // shift of the plane of focus without the sensors' shift, pixels
             step * distance_mm / self.geometry.pitch_mm,
         )
     }
 }
 
-/// Writes all views of a folder, and what belongs to them.
+/// Writes all views of a folder, and its other files.
 pub(crate) fn write(
     host: &Host,
     archive: Archive,
@@ -208,7 +214,8 @@ pub(crate) fn write(
     Ok(files)
 }
 
-/// A portable float map of one channel: a head of text, then little-endian numbers, the lowest row first.
+/// A portable float map of one channel: a text header, then little-endian numbers, the lowest row
+/// first.
 fn pfm(values: &[f32], [rows, cols]: [usize; 2]) -> Vec<u8> {
     let mut bytes = format!("Pf\n{cols} {rows}\n-1.0\n").into_bytes();
     for row in values.chunks_exact(cols).rev() {

@@ -1,25 +1,28 @@
-//! Output plugin `images`: layer patterns, backlight patterns and views as pictures, arrays, animations and light-field folders.
+//! Output plugin `images`: layer patterns, backlight patterns and views as pictures, arrays,
+//! animations and light-field folders.
 //!
-//! Of a layer stack (`L` layer, 0 = rearmost; `MM` frame; `YY`, `XX` view row and column):
+//! Files of a layer stack (`L` layer, 0 = rearmost; `MM` frame; `YY`, `XX` view row and column):
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
-//! | `layer_L_frame_MM.png` | the pattern of one layer in one frame, in the panel's code values: from the darkest state that `black_level` and `peak` allow to the brightest |
-//! | `backlight_frame_MM.png` | what the panel behind the lenslets roughly shows, one cell per lenslet; see [`pictures`] |
-//! | `panel_frame_MM.png` | what the panel behind the lenslets shows, pixel by pixel; see [`lumistack_plugin::lenslets`] |
-//! | `simulated_YY_XX.png` | what an adapted viewer sees from one place of the target's view grid: emitted radiance / β |
-//! | `atlas.png`, `atlas.json` | the patterns of all layers and frames on one sheet, and where each is |
-//! | `sheet.png` | all patterns and views for people: reduced, each under what it is |
-//! | `stack.npz` | the patterns' values |
-//! | `images.json` | for every file: what it shows, encoding, whether it is linear |
+//! | `layer_L_frame_MM.png` | the mask of one layer in one frame, in the panel's code values: from its darkest state (`black_level`) to its brightest (`peak`) |
+//! | `backlight_frame_MM.png` | approximate picture of the panel behind the lenslets, one cell per lenslet; see [`pictures`] |
+//! | `panel_frame_MM.png` | picture of the panel behind the lenslets, in panel pixels; see [`lumistack_plugin::lenslets`] |
+//! | `simulated_YY_XX.png` | the simulated view of the target's grid for an adapted viewer: emitted radiance / β |
+//! | `atlas.png`, `atlas.json` | the masks of all layers and frames on one sheet, and their positions |
+//! | `sheet.png` | contact sheet: all masks and views, reduced, with captions |
+//! | `stack.npz` | the masks' values |
+//! | `images.json` | content and encoding of every file |
 //!
-//! Of a light field: `view_YY_XX.png` of every view. Of both: `swing.png`, an animation; `views.exr`, all views as one multi-view OpenEXR file;
-//! `views.npz`; the folders `hci/` and `stanford/`. Views of a layer stack are what an adapted viewer sees.
+//! Files of a light field: `view_YY_XX.png` for every view. Files of both: `swing.png`, an animation;
+//! `views.exr`, all views as one multi-view OpenEXR file; `views.npz`; the folders `hci/` and
+//! `stanford/`. Views of a layer stack are simulated for an adapted viewer.
 //!
-//! 16-bit PNGs end in `_16bit.png`, EXR and NPZ files hold the values themselves, linear, and a PNG whose
-//! codes are proportional to light because the job asked for it ends in `_linear.png`. Later times of a sequence go to `t0001/`, `t0002/`, ....
+//! 16-bit PNGs end in `_16bit.png`. EXR and NPZ files contain the values themselves, linear. PNGs
+//! with codes proportional to light, on request, end in `_linear.png`. Later time steps of a sequence
+//! go to `t0001/`, `t0002/`, and so on.
 //!
-//! Memory does not grow with the number of frames; `views.exr` takes that of all views as it stores them, twice.
+//! Memory does not grow with the number of frames. `views.exr` needs that of all views, twice.
 
 mod animation;
 mod arrays;
@@ -41,7 +44,8 @@ use lumistack_plugin::{Display, Host, Input, OutputPlugin, PluginError, Port, Sc
 use manifest::Entry;
 pub use params::ImagesParams;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// The plugin.

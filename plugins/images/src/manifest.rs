@@ -1,4 +1,4 @@
-//! `images.json`: what each picture is.
+//! `images.json`: a description of each picture.
 
 use lumistack_plugin::display::Transfer;
 use lumistack_plugin::serde::Serialize;
@@ -23,14 +23,14 @@ pub(crate) struct Entry {
     pub(crate) content: Content,
     #[serde(flatten)]
     pub(crate) format: Format,
-    /// Whether stored values are proportional to light.
+    /// Stored values are linear light.
     pub(crate) linear: bool,
     /// Columns and rows of a picture.
     #[serde(flatten)]
     pub(crate) size: Option<Size>,
-    /// Number of the time in the sequence.
+    /// Number of the time step in the sequence.
     pub(crate) time: u64,
-    /// Time in the scene.
+    /// Time in the scene, seconds.
     pub(crate) time_seconds: f64,
 }
 
@@ -42,7 +42,7 @@ pub(crate) struct Size {
     pub(crate) height: usize,
 }
 
-/// What a file shows.
+/// The content of a file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "content", rename_all = "snake_case")]
 pub(crate) enum Content {
@@ -54,7 +54,7 @@ pub(crate) enum Content {
     SimulatedView { view: [usize; 2], slope: [f64; 2], divided_by: f64 },
     /// Radiance.
     View { view: [usize; 2], slope: [f64; 2] },
-    /// What the panel behind the lenslets shows, pixel by pixel.
+    /// Picture of the panel behind the lenslets, in panel pixels.
     LensletPanel {
         frame: usize,
         panel_pitch_mm: f64,
@@ -64,15 +64,17 @@ pub(crate) enum Content {
         offset_mm: [f64; 2],
         pixels_per_lens: f64,
     },
-    /// All views of the grid in one file: of every view its name there, its place in the grid and its slope.
+    /// All views of the grid in one file: for each its name there, its position in the grid and its
+    /// slope.
     Views { views: Vec<NamedView>, divided_by: f64 },
-    /// A viewer who swings through the zone: slope of every picture, `nearest` where they are the nearest of a light field's views.
+    /// A viewer's swing through the zone: slope of every picture. `nearest` is set if these are the
+    /// nearest of a light field's views.
     Animation { slopes: Vec<[f64; 2]>, nearest: bool, pictures_per_second: u16, divided_by: f64 },
-    /// All patterns on one sheet; `index` is the file that says where.
+    /// All masks on one sheet; the file `index` lists their positions.
     Atlas { index: String },
-    /// Patterns and views for people, reduced and labelled.
+    /// Masks and views, reduced and labelled.
     Sheet,
-    /// Arrays of all patterns, or of all views.
+    /// Arrays of all masks, or of all views.
     Arrays { names: Vec<String> },
     /// A view in a folder of a public archive.
     ArchiveView { archive: &'static str, view: [usize; 2], slope: [f64; 2], divided_by: f64 },
@@ -87,11 +89,11 @@ pub(crate) struct NamedView {
     pub(crate) slope: [f64; 2],
 }
 
-/// How a picture is stored.
+/// The storage of a picture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "format", rename_all = "snake_case")]
 pub(crate) enum Format {
-    /// Code values; of a panel with fewer bits than the file, `panel_bits`, and how values in between are shown.
+    /// Code values. For a panel with fewer bits than the file, `panel_bits` and the dithering.
     Png {
         bits: u32,
         encoding: Transfer,

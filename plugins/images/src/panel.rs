@@ -1,4 +1,4 @@
-//! The panel behind the lens array, pixel by pixel.
+//! The panel behind the lens array, in panel pixels.
 
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight};
 use lumistack_plugin::lenslets::LensletPanel;
@@ -6,10 +6,10 @@ use lumistack_plugin::{Host, PluginError, StackInput};
 
 use crate::ImagesParams;
 
-/// The panel and the lenses as built: the display file's, with what was measured in its place.
+/// The panel and the lenses as built: the display file's, overridden by measured values.
 ///
 /// # Errors
-/// If the backlight has no lenses.
+/// If the backlight has no lenslets.
 pub(crate) fn lenslet_panel<'a>(
     display: &'a Display,
     params: &ImagesParams,

@@ -78,7 +78,7 @@ pub(crate) fn schema() -> Schema {
     Schema::new([
         Param::bool("png8", true, "Write PNG pictures of 8 bits per channel."),
         Param::bool("png16", false, "Write PNG pictures of 16 bits per channel."),
-        Param::bool("exr", false, "Write OpenEXR pictures, one per pattern and view, which hold linear values."),
+        Param::bool("exr", false, "Write OpenEXR pictures of linear values, one per mask and view."),
         Param::choice(
             "exr_depth",
             "half",
@@ -94,28 +94,28 @@ pub(crate) fn schema() -> Schema {
         Param::bool(
             "atlas",
             false,
-            "Write atlas.png, the patterns of all layers (left to right, rear first) and frames (top to bottom) on one sheet of 8 bits, and atlas.json, which says where each is.",
+            "Write atlas.png, one 8-bit sheet with the masks of all layers (left to right, rear first) and frames (top to bottom), and atlas.json, their positions.",
         ),
         Param::bool(
             "sheet",
             false,
-            "Write sheet.png for people: all patterns and the chosen views, reduced, each under what it is, with a legend.",
+            "Write sheet.png, a contact sheet: all masks and the selected views, reduced, with captions and a legend.",
         ),
         Param::choice(
             "encode",
             "panel",
             [
-                ("panel", "Patterns by their panels' transfer functions and ranges; views sRGB."),
+                ("panel", "Masks by their panels' transfer functions and ranges; views sRGB."),
                 ("srgb", "Everything sRGB."),
                 ("linear", "Codes proportional to light."),
             ],
-            "How linear values become the code values of PNG pictures.",
+            "Encoding of linear values as code values of PNG pictures.",
         ),
         Param::int(
             "bits",
             0,
             0..=16,
-            "Bits per channel that the panels show of patterns in PNG pictures; 0 for those of the display file, else of the picture. A code of fewer bits than the picture's stands in its highest bits.",
+            "Bits per channel of the panels, for masks in PNG pictures; 0 for those of the display file, otherwise of the picture. A code of fewer bits fills the picture's highest bits.",
         )
         .unit("bits"),
         Param::choice(
@@ -125,9 +125,9 @@ pub(crate) fn schema() -> Schema {
                 ("none", "The nearest code."),
                 ("ordered", "A regular threshold map of 8 × 8 pixels."),
                 ("blue_noise", "A threshold map of 64 × 64 pixels without low frequencies."),
-                ("diffusion", "The error of a pixel is passed to its neighbours (Floyd and Steinberg)."),
+                ("diffusion", "Error diffusion to neighbouring pixels (Floyd and Steinberg)."),
             ],
-            "How patterns show values between two codes of their panel; the mean light is kept.",
+            "Dithering of masks between two codes of their panel; it preserves the mean light.",
         ),
         Param::choice(
             "views",
@@ -137,7 +137,7 @@ pub(crate) fn schema() -> Schema {
                 ("some", "The views at the centre and the corners of the target's grid."),
                 ("all", "Every view of the target's grid."),
             ],
-            "Which views of a layer stack are simulated. The views of a light field are always written.",
+            "Simulated views of a layer stack. The views of a light field are always written.",
         ),
         Param::choice(
             "animation",
@@ -147,64 +147,64 @@ pub(crate) fn schema() -> Schema {
                 ("side", "From side to side, at the grid's middle height."),
                 ("ellipse", "On an ellipse that touches the grid's outermost views."),
             ],
-            "Write swing.png, an animated PNG of a viewer who swings through the viewing zone. Views of a layer stack are simulated in between, of a light field the nearest are taken.",
+            "Write swing.png, an animated PNG of a viewpoint that swings through the viewing zone. A layer stack is simulated at every position; a light field shows its nearest view.",
         ),
-        Param::int("animation_pictures", 48, 2..=1000, "Pictures of the animation, which then begins again.").unit("pictures"),
+        Param::int("animation_pictures", 48, 2..=1000, "Pictures per period of the animation, which loops.").unit("pictures"),
         Param::int("animation_rate", 24, 1..=120, "Pictures per second of the animation.").unit("Hz"),
-        Param::int("animation_width", 640, 0..=16384, "Most columns of the animation; larger views are reduced. 0 keeps the views' own.")
+        Param::int("animation_width", 640, 0..=16384, "Largest width of the animation; larger views are reduced. 0 keeps the views' width.")
             .unit("px"),
         Param::bool(
             "hci",
             false,
-            "Write the folder hci/ as the 4D light field benchmark has it: input_Cam000.png, ..., parameters.cfg and gt_disp_lowres.pfm.",
+            "Write the folder hci/ in the format of the 4D light field benchmark: input_Cam000.png, ..., parameters.cfg and gt_disp_lowres.pfm.",
         ),
         Param::text("hci_date", "unknown", "Date of the light field in hci/parameters.cfg."),
-        Param::text("hci_authors", "unknown", "Who made it, names separated by commas, in hci/parameters.cfg."),
-        Param::text("hci_contact", "unknown", "Whom to ask about it, in hci/parameters.cfg."),
+        Param::text("hci_authors", "unknown", "Authors of the light field, separated by commas, in hci/parameters.cfg."),
+        Param::text("hci_contact", "unknown", "Contact for the light field, in hci/parameters.cfg."),
         Param::bool(
             "stanford",
             false,
-            "Write the folder stanford/ as the Stanford archive has it: out_RR_CC_Y_X.png, the camera's centre in millimetres, X right, Y down.",
+            "Write the folder stanford/ in the format of the Stanford archive: out_RR_CC_Y_X.png, the camera's centre in millimetres, X right, Y down.",
         ),
         Param::float(
             "camera_distance_mm",
             1000.0,
             1.0..=1e6,
-            "Distance of the cameras in hci/ and stanford/ where views are parallel projections, which have none; perspective views keep their own.",
+            "Camera distance in hci/ and stanford/ for parallel projections, which have none; perspective views keep their own.",
         )
         .unit("mm"),
         Param::bool(
             "lenslet_panel",
             false,
-            "Write panel_frame_MM.png: for a directional backlight what its panel shows behind the lens array, pixel by pixel.",
+            "Write panel_frame_MM.png: for a directional backlight, the picture of the panel behind the lens array, in panel pixels.",
         ),
         Param::int("panel_columns", 0, 0..=32768, "Columns of the panel behind the lenses; 0 for the display file's.").unit("px"),
         Param::int("panel_rows", 0, 0..=32768, "Rows of the panel behind the lenses; 0 for the display file's.").unit("px"),
         Param::float("panel_pitch_mm", 0.0, 0.0..=100.0, "Pixel pitch of the panel behind the lenses; 0 for the display file's.").unit("mm"),
-        Param::float("lens_pitch_mm", 0.0, 0.0..=1000.0, "Measured distance of lens axes; 0 for the display file's.").unit("mm"),
+        Param::float("lens_pitch_mm", 0.0, 0.0..=1000.0, "Measured distance between lens axes; 0 for the display file's.").unit("mm"),
         Param::float(
             "lens_focal_mm",
             0.0,
             0.0..=1000.0,
-            "Measured focal length of the lenses, as light travels in air; 0 for the one at which a lens fills the horizontal angle of the bins.",
+            "Measured focal length of the lenses in air; 0 for the one with which a lens fills the horizontal angle of the bins.",
         )
         .unit("mm"),
         Param::float(
             "lens_rotation_deg",
             0.0,
             -45.0..=45.0,
-            "Measured turn of the lens array against the panel, counterclockwise seen from the front.",
+            "Measured rotation of the lens array against the panel, counterclockwise from the front.",
         )
         .unit("°"),
-        Param::float("lens_offset_x_mm", 0.0, -1000.0..=1000.0, "Measured shift of the lens array to the right, beside the display file's offset.")
+        Param::float("lens_offset_x_mm", 0.0, -1000.0..=1000.0, "Measured shift of the lens array to the right, added to the display file's offset.")
             .unit("mm"),
-        Param::float("lens_offset_y_mm", 0.0, -1000.0..=1000.0, "Measured shift of the lens array upwards, beside the display file's offset.")
+        Param::float("lens_offset_y_mm", 0.0, -1000.0..=1000.0, "Measured shift of the lens array upwards, added to the display file's offset.")
             .unit("mm"),
         Param::int(
             "lens_samples",
             4,
             1..=16,
-            "Points per pixel and axis over which a pixel that straddles bins or lenses is averaged; 1 takes the pixel's centre.",
+            "Sample points per pixel and axis, averaged for pixels across borders of bins or lenses; 1 uses the pixel's centre.",
         )
         .unit("points"),
     ])
@@ -223,7 +223,7 @@ impl Encode {
         }
     }
 
-    /// The transfer function of pictures that belong to no panel.
+    /// The transfer function of pictures without a panel.
     pub(crate) fn of_other(self) -> &'static Transfer {
         match self {
             Self::Panel | Self::Srgb => &SRGB,
@@ -249,22 +249,22 @@ impl ImagesParams {
     }
 
     /// # Errors
-    /// If nothing is wanted that a light field has.
+    /// If no requested output applies to a light field.
     pub(crate) fn check_field(&self) -> Result<(), PluginError> {
         if self.writes_views() {
             return Ok(());
         }
-        let text = "parameters: a light field has neither patterns nor a panel, and nothing else is to be written";
+        let text = "parameters: a light field has neither masks nor a panel, and no other output is enabled";
         Err(PluginError::Refused(text.into()))
     }
 
-    /// Whether anything is wanted that is made of views; an atlas is of patterns alone.
+    /// Returns true if any requested output uses views; an atlas uses masks alone.
     fn writes_views(&self) -> bool {
         let others = self.exr_multi_view || self.npz || self.sheet || self.hci || self.stanford;
         self.writes_pictures() || others || self.animation != Animation::None
     }
 
-    /// Whether single pictures are wanted at all.
+    /// Returns true if single pictures are requested.
     pub(crate) fn writes_pictures(&self) -> bool {
         self.png8 || self.png16 || self.exr
     }

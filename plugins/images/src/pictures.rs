@@ -1,17 +1,19 @@
-//! Pictures that are more than one plane.
+//! Pictures of more than one plane.
 
-/// What the panel behind the lenslets roughly shows: every lenslet is a cell of bins_y × bins_x pixels.
+/// Approximate picture of the panel behind the lenslets: each lenslet is a cell of bins_y × bins_x
+/// pixels.
 ///
-/// A lenslet sends light of a point of its cell to the opposite side: slope s = −u/f for a point at u from the lenslet's axis and focal
-/// length f. So, seen from the viewer, the bin of the leftmost slope (bin_x = 0) is the rightmost pixel of the cell, and the bin of the
-/// topmost slope (bin_y = 0) the lowest. The picture has lenslet_rows · bins_y rows and lenslet_cols · bins_x columns. A real
-/// panel's pixels do not divide the lenslet pitch so evenly; resampling to them is the panel driver's work.
+/// A lenslet sends light of a point of its cell to the opposite side: slope s = −u/f for a point at
+/// u from the lenslet's axis and focal length f. From the viewer's side, the bin of the leftmost
+/// slope (bin_x = 0) is the rightmost pixel of the cell, and the bin of the topmost slope (bin_y =
+/// 0) the lowest. The picture has lenslet_rows · bins_y rows and lenslet_cols · bins_x columns. A
+/// real panel's pixels do not divide the lenslet pitch evenly; the panel driver resamples to them.
 ///
-/// `bins` = [bins_y, bins_x], `lenslets` = [rows, cols], `bin(bin_y, bin_x)` = emission `[lenslet_row][lenslet_col][rgb]`; returns
-/// `[row][col][rgb]`.
+/// `bins` = [bins_y, bins_x], `lenslets` = [rows, cols], `bin(bin_y, bin_x)` = emission
+/// `[lenslet_row][lenslet_col][rgb]`; returns `[row][col][rgb]`.
 ///
 /// # Errors
-/// What `bin` returns.
+/// Those of `bin`.
 pub fn backlight_picture<E>(
     bins: [usize; 2],
     lenslets: [usize; 2],
@@ -32,8 +34,8 @@ pub fn backlight_picture<E>(
     Ok(picture)
 }
 
-/// The views [view_y, view_x] at the centre and the corners of a grid of `views` = [view rows, view columns], each once. Where there is no
-/// centre, the one above and left of it.
+/// The views [view_y, view_x] at the centre and the corners of a grid of `views` = [view rows, view
+/// columns], each once. Without a centre, the one above and left of it is taken.
 pub fn centre_and_corners(views: [usize; 2]) -> Vec<[usize; 2]> {
     let (last_y, last_x) = (views[0] - 1, views[1] - 1);
     let mut chosen = vec![[last_y / 2, last_x / 2], [0, 0], [0, last_x], [last_y, 0], [last_y, last_x]];

@@ -1,7 +1,7 @@
-//! A sheet for people: every pattern and the chosen views, reduced, with what each is written above it.
+//! A contact sheet: all masks and the selected views, reduced, each with a caption.
 //!
-//! One row of cells per frame, in it the layers from rear (left) to front; below them the views. The sheet is written row by row, so memory does not
-//! grow with the number of frames.
+//! One row of cells per frame, with the layers from rear (left) to front; the views follow below.
+//! The sheet is written row by row, so memory does not grow with the number of frames.
 
 use std::io::{BufWriter, Write};
 
@@ -14,23 +14,23 @@ use crate::animation::reduced;
 use crate::encode::png_error;
 use crate::views::ViewSource;
 
-/// Columns of a cell, at least and at most; smaller pictures keep their size.
+/// Smallest and largest width of a cell, pixels; smaller pictures keep their size.
 const CELL: [usize; 2] = [224, 384];
 /// Pixels between cells and around the sheet.
 const GAP: usize = 12;
-/// Rows of a line of text.
+/// Height of a line of text, pixels.
 const LINE: usize = 20;
-/// Code of the paper.
+/// Code of the background.
 const PAPER: u8 = 24;
 /// Code of the text.
 const INK: u8 = 232;
 
-/// A picture that is made when its turn comes.
+/// A picture that is computed when it is written.
 pub(crate) struct Cell<'a> {
     pub(crate) caption: String,
     /// [rows, cols].
     pub(crate) size: [usize; 2],
-    /// Gives linear values `[row][col][rgb]`.
+    /// Returns linear values `[row][col][rgb]`.
     pub(crate) rgb: Box<dyn Fn() -> Result<Vec<f32>, PluginError> + 'a>,
 }
 
@@ -84,6 +84,7 @@ pub(crate) fn view<'a>(source: &'a ViewSource<'_>, view: [usize; 2]) -> Cell<'a>
 
 /// Writes the sheet; returns [columns, rows]. `bands` are rows of cells.
 pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>>]) -> Result<[usize; 2], PluginError> {
+    // Lay out cells, captions and bands.
     let cells = || bands.iter().flatten();
     let cell = cells().map(|cell| cell.shown()[1]).max().unwrap_or(0).max(CELL[0]);
     let across = bands.iter().map(Vec::len).max().unwrap_or(1).max(2);
@@ -102,6 +103,7 @@ pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>
     let top = GAP + head.len() * LINE + GAP;
     let height = top + heights.iter().map(|[_, all]| all).sum::<usize>();
 
+    // Stream the sheet band by band.
     let side = |n: usize| u32::try_from(n).map_err(|error| PluginError::failed("sheet", error));
     let mut file = host.create(path)?;
     let mut writer = BufWriter::new(&mut file);
@@ -137,7 +139,7 @@ pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>
     Ok([width, height])
 }
 
-/// A part of the sheet, over its whole width.
+/// A full-width part of the sheet.
 struct Paper {
     width: usize,
     rgb: Vec<u8>,
@@ -171,7 +173,7 @@ impl Paper {
     }
 }
 
-/// Columns of a letter.
+/// Width of a letter, pixels.
 fn advance() -> usize {
     get_raster_width(FontWeight::Regular, RasterHeight::Size16)
 }
@@ -181,7 +183,7 @@ fn raster(letter: char) -> Option<noto_sans_mono_bitmap::RasterizedChar> {
     of(letter).or_else(|| of('?'))
 }
 
-/// A text broken between words into lines of at most `width` pixels; a longer word is cut off.
+/// Breaks a text between words into lines of at most `width` pixels; a longer word is cut off.
 fn lines(text: &str, width: usize) -> Vec<String> {
     let most = (width / advance()).max(1);
     let mut lines: Vec<String> = Vec::new();

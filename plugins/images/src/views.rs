@@ -1,14 +1,14 @@
-//! Views of whatever was submitted, as an adapted viewer sees them.
+//! Views of the submitted data, for an adapted viewer.
 
 use lumistack_plugin::display::{FieldGeometry, Projection, SeenDepth};
 use lumistack_plugin::{FieldInput, PluginError, StackInput, ViewPoint};
 
-/// Where views come from.
+/// The source of views.
 #[derive(Clone, Copy)]
 pub(crate) enum ViewSource<'a> {
     /// Simulated, divided by β.
     Stack(&'a StackInput<'a>),
-    /// The views themselves.
+    /// The light field's views.
     Field(&'a FieldInput<'a>),
 }
 
@@ -20,7 +20,7 @@ impl ViewSource<'_> {
         }
     }
 
-    /// How deep the middle view sees, where the host knows.
+    /// Depth of the central view, if the host has it.
     pub(crate) fn depth(&self) -> Option<&SeenDepth> {
         match self {
             Self::Stack(stack) => stack.target_depth(),
@@ -36,7 +36,8 @@ impl ViewSource<'_> {
         }
     }
 
-    /// The view at a place between those of the grid, `at` = [view_y, view_x] in units of views. A light field gives the nearest it has.
+    /// The view at a position between those of the grid, `at` = [view_y, view_x] in units of views.
+    /// A light field returns its nearest view.
     pub(crate) fn between(&self, at: [f64; 2]) -> Result<Vec<f32>, PluginError> {
         match self {
             Self::Stack(stack) => {
@@ -54,7 +55,7 @@ impl ViewSource<'_> {
         }
     }
 
-    /// What a viewer sees who is adapted to the display is what it emits, divided by this.
+    /// Factor β: an adapted viewer sees the emission divided by it.
     pub(crate) fn divided_by(&self) -> f64 {
         match self {
             Self::Stack(stack) => stack.brightness(),
@@ -63,7 +64,7 @@ impl ViewSource<'_> {
     }
 }
 
-/// The view of the grid that is nearest to a place between them.
+/// The view of the grid nearest to a position between views.
 pub(crate) fn nearest(geometry: &FieldGeometry, at: [f64; 2]) -> [usize; 2] {
     let views = geometry.grid.views();
     [0, 1].map(|axis| (at[axis].round().max(0.0) as usize).min(views[axis] - 1))
@@ -76,7 +77,7 @@ fn adapted(stack: &StackInput<'_>, from: ViewPoint) -> Result<Vec<f32>, PluginEr
     Ok(values)
 }
 
-/// Slope at a place between views, which is at least 0 and at most the last.
+/// Slope at a position between views, from 0 to the last view.
 pub(crate) fn slope_at(slopes: &[f64], at: f64) -> f64 {
     let first = (at.floor() as usize).min(slopes.len() - 1);
     let second = (first + 1).min(slopes.len() - 1);

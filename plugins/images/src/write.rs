@@ -1,4 +1,4 @@
-//! From lent planes to files.
+//! Writes borrowed planes to files.
 
 use std::borrow::Cow;
 
@@ -17,7 +17,7 @@ use crate::sheet::Cell;
 use crate::views::{ViewSource, nearest, slope_at};
 use crate::{Images, arrays, atlas, panel, sheet};
 
-/// Linear values on their way to a file.
+/// Linear values to be written.
 struct Picture<'a> {
     /// Path without suffixes.
     stem: String,
@@ -27,11 +27,11 @@ struct Picture<'a> {
     /// `[row][col][rgb]`.
     rgb: Cow<'a, [f32]>,
     transfer: &'a Transfer,
-    /// The panel that the codes drive; none for codes that stand for the values themselves.
+    /// The panel driven by the codes; none for codes of the values themselves.
     panel: Option<Panel<'a>>,
 }
 
-/// What codes drive, from its darkest state to its brightest.
+/// The panel driven by codes, from its darkest state to its brightest.
 #[derive(Clone, Copy)]
 struct Panel<'a> {
     kind: PanelKind<'a>,
@@ -54,7 +54,7 @@ impl Panel<'_> {
 }
 
 impl Images {
-    /// Writes all that is wanted of a layer stack.
+    /// Writes all requested files of a layer stack.
     pub(crate) fn write_stack(&self, time: Time, stack: &StackInput<'_>) -> Result<Vec<Entry>, PluginError> {
         let mut entries = Vec::new();
         if self.params.writes_pictures() {
@@ -68,7 +68,7 @@ impl Images {
             let first = transfers.next().filter(|first| transfers.all(|other| other == *first));
             let [width, height] = atlas::write(&self.host, &folder, stack, first, samples)?;
             let content = Content::Atlas { index: format!("{folder}atlas.json") };
-            // each tile has its panel's transfer function
+            // every tile has its panel's transfer function
             let format = self.png_format(8, self.params.encode.of_panel(&self.display.layers[0].transfer), None);
             let linear = self.params.encode == Encode::Linear;
             entries.push(entry(format!("{folder}atlas.png"), content, format, linear, Some([height, width]), time));
@@ -88,7 +88,7 @@ impl Images {
         Ok(entries)
     }
 
-    /// Writes all that is wanted of a light field.
+    /// Writes all requested files of a light field.
     pub(crate) fn write_field(&self, time: Time, field: &FieldInput<'_>) -> Result<Vec<Entry>, PluginError> {
         self.params.check_field()?;
         let grid = &field.geometry().grid;
@@ -124,7 +124,7 @@ impl Images {
         Ok(entries)
     }
 
-    /// All layers and frames, and the backlight's frames.
+    /// Writes all layers and frames, and the backlight's frames.
     fn write_patterns(&self, time: Time, stack: &StackInput<'_>, entries: &mut Vec<Entry>) -> Result<(), PluginError> {
         let (layers, frames) = (stack.layer_count(), stack.frames());
         let folder = folder(time);
@@ -187,7 +187,7 @@ impl Images {
         Ok(())
     }
 
-    /// The views of the target's grid that were chosen.
+    /// Writes the selected views of the target's grid.
     fn write_simulated(&self, time: Time, stack: &StackInput<'_>, entries: &mut Vec<Entry>) -> Result<(), PluginError> {
         let grid = &stack.target().grid;
         let views = match self.params.views {
@@ -212,7 +212,7 @@ impl Images {
         Ok(())
     }
 
-    /// Everything on one sheet, with what it is.
+    /// Writes the contact sheet.
     fn write_sheet(&self, time: Time, source: &ViewSource<'_>) -> Result<Entry, PluginError> {
         let (geometry, path) = (source.geometry(), format!("{}sheet.png", folder(time)));
         let grid = &geometry.grid;
@@ -223,10 +223,8 @@ impl Images {
                 bands.extend((0..stack.frames()).map(|frame| sheet::patterns(&self.display, stack, frame)));
                 legend += "Patterns: one row per frame, layers from rear (left) to front; what a pixel lets through (emits, turns), 0 to 1, \
                            shown in sRGB.\n";
-                legend += &format!(
-                    "Views: what an adapted viewer sees from there, light divided by {:.3}, shown in sRGB.",
-                    stack.brightness()
-                );
+                legend +=
+                    &format!("Views: for an adapted viewer, light divided by {:.3}, in sRGB.", stack.brightness());
                 let chosen = match self.params.views {
                     Views::None => Vec::new(),
                     Views::Some => centre_and_corners(grid.views()),
@@ -247,7 +245,7 @@ impl Images {
         Ok(entry(path, Content::Sheet, format, false, Some([height, width]), time))
     }
 
-    /// What is made of views, wherever they come from.
+    /// Writes all outputs made of views, of either kind of data.
     fn write_from_views(
         &self,
         time: Time,
@@ -322,7 +320,7 @@ impl Images {
         Ok(())
     }
 
-    /// Writes one picture in every chosen format.
+    /// Writes one picture in every requested format.
     fn write_picture(
         &self,
         time: Time,
@@ -364,7 +362,7 @@ impl Images {
         Ok(())
     }
 
-    /// 8-bit samples of a pattern, for the atlas.
+    /// 8-bit samples of a mask, for the atlas.
     fn layer_samples(&self, stack: &StackInput<'_>, layer: usize, frame: usize) -> Result<Vec<u8>, PluginError> {
         let own = self.layer_of(layer)?;
         let plane = stack.layer(layer, frame)?;
@@ -418,7 +416,7 @@ fn entry(file: String, content: Content, format: Format, linear: bool, size: Opt
     Entry { file, content, format, linear, size, time: time.index, time_seconds: time.seconds }
 }
 
-/// The first time of a sequence, or a still, stands beside the manifest.
+/// Folder of a time step: the first one, or a still, is beside the manifest.
 fn folder(time: Time) -> String {
     if time.index == 0 { String::new() } else { format!("t{:04}/", time.index) }
 }
@@ -427,7 +425,7 @@ fn view_name([y, x]: [usize; 2], [rows, cols]: [usize; 2]) -> String {
     format!("{y:0y_digits$}_{x:0x_digits$}", y_digits = digits(rows, 2), x_digits = digits(cols, 2))
 }
 
-/// Digits that number `count` things from 0, so that names sort.
+/// Digits to number `count` items from 0, so that names sort.
 fn digits(count: usize, least: usize) -> usize {
     count.saturating_sub(1).to_string().len().max(least)
 }

@@ -1,4 +1,4 @@
-//! The plugin through its C functions: what is read back from the files is what went in.
+//! The plugin through its C functions: files are read back and compared with the input.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,9 +17,10 @@ use lumistack_plugin_images::PLUGIN;
 use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_testkit::{MemoryHost, Sample, conformance, samples};
 
-/// Rounding to the nearest code: half a code, and the error of f32 arithmetic in units of a 16-bit code.
+/// Tolerance of rounding to the nearest code: half a code, and the error of f32 arithmetic in units
+/// of a 16-bit code.
 const HALF_CODE: f32 = 0.5 + 0.02;
-/// Rounding to 11 significant bits.
+/// Tolerance of rounding to 11 significant bits.
 const HALF_FLOAT: f32 = 1.0 / 2048.0;
 /// Smallest step of half floats, for values near 0.
 const HALF_FLOAT_STEP: f32 = 1.0 / (1 << 24) as f32;
@@ -34,7 +35,7 @@ fn write(sample: &Sample, params: Value) -> Result<Files, PluginError> {
     Ok(host.files())
 }
 
-/// Code values of a PNG with the number of its bits.
+/// Code values of a PNG, and its bits.
 fn png(files: &Files, name: &str) -> ([usize; 2], Vec<u16>, u32) {
     let decoded = image::load_from_memory(files.get(name).unwrap_or_else(|| panic!("no {name}"))).unwrap();
     let size = [decoded.height() as usize, decoded.width() as usize];
@@ -45,7 +46,7 @@ fn png(files: &Files, name: &str) -> ([usize; 2], Vec<u16>, u32) {
     }
 }
 
-/// All codes lie within half a code of the values' encoding.
+/// Asserts that all codes are within half a code of the encoded values.
 fn assert_png(files: &Files, name: &str, size: [usize; 2], values: &[f32], transfer: &Transfer) {
     let (found_size, codes, bits) = png(files, name);
     assert_eq!(found_size, size, "{name}");
@@ -55,7 +56,7 @@ fn assert_png(files: &Files, name: &str, size: [usize; 2], values: &[f32], trans
         let channel = i % 3;
         let exact = encode(transfer, channel, value) * top;
         assert!((f32::from(code) - exact).abs() <= HALF_CODE, "{name}[{i}]: code {code}, value {value} = {exact}");
-        // the linear value that a panel shows differs by no more than the codes around it do
+        // the linear value differs by no more than the neighbouring codes
         let around =
             [exact - HALF_CODE, exact + HALF_CODE].map(|code| decode(transfer, channel, (code / top).clamp(0.0, 1.0)));
         let shown = decode(transfer, channel, f32::from(code) / top);
@@ -264,7 +265,7 @@ fn a_measured_panel_of_few_bits_shows_the_right_mean_light() {
         assert_eq!(entry["dither"], if dither == "none" { Value::Null } else { json!(dither) });
         assert_eq!((rows, cols), (6, 8));
     }
-    // the panel's own bits, where the job names none
+    // the panel's own bits, if the job sets none
     (sample.display.layers[0].transfer, sample.display.layers[0].bits) = (Transfer::gamma(2.2), Some(2));
     let files = write(&sample, json!({})).unwrap();
     assert!(png(&files, "layer_0_frame_00.png").1.iter().all(|code| code % 85 == 0));
@@ -282,7 +283,7 @@ fn the_panel_behind_the_lenses_is_what_the_optics_ask_for() {
     let (size, values) = exr(&files, "panel_frame_00.exr");
     assert_eq!(size, [61, 90]);
     assert_png(&files, "panel_frame_00.png", size, &values, &Transfer::Srgb);
-    // lenses of 2 mm in 4 × 3, 3 × 2 bins over 40°: a straightforward search for the lens, in f64
+    // lenses of 2 mm in 4 × 3, 3 × 2 bins over 40°: direct search for the lens, in f64
     let (angle, half) = (2f64.to_radians(), 20f64.to_radians().tan());
     for (row, col) in (0..61).flat_map(|row| (0..90).map(move |col| (row, col))) {
         let point = [(col as f64 - 44.5) * 0.1, (30.0 - row as f64) * 0.1];
@@ -304,7 +305,8 @@ fn the_panel_behind_the_lenses_is_what_the_optics_ask_for() {
     assert!(matches!(&uniform, PluginError::Refused(text) if text.contains("`lenslet_panel`")), "{uniform:?}");
 }
 
-/// What NumPy, Pillow and OpenEXR's own bindings read, as JSON; none where they are not installed.
+/// Values read by NumPy, Pillow and OpenEXR's own bindings, as JSON; none if they are not
+/// installed.
 fn read_by_others(files: &Files) -> Option<Value> {
     let python = lumistack_testkit::skip::python_with("numpy, PIL, OpenEXR")?;
     let folder = tempfile::tempdir().unwrap();
@@ -361,7 +363,7 @@ fn others_read_arrays_atlas_animation_and_multi_view_pictures() {
             assert_eq!(pixels[3 * (row * 22 + col) + i % 3], f32::from(*code), "{name}");
         }
     }
-    // twelve pictures; the first is seen from the top centre, the fourth from the right
+    // twelve pictures; the first is from the top centre, the fourth from the right
     let swing = &read["swing.png"];
     assert_eq!((&swing["size"], &swing["frames"], &swing["loop"]), (&json!([8, 6]), &json!(12), &json!(0)));
     assert!((swing["duration_ms"].as_f64().unwrap() - 40.0).abs() < 1e-9);
@@ -452,14 +454,16 @@ fn an_hci_folder_keeps_its_geometry() {
     assert!((distance_mm - 600.0).abs() < 1e-9);
 }
 
-/// Depth of a slanted plane before the display on the left and nothing on the right, as coarse as half the pixels.
+/// Depth of a slanted plane in front of the display on the left and no hit on the right, at half
+/// the horizontal resolution.
 fn slanted(geometry: &FieldGeometry) -> SeenDepth {
     let (rows, cols) = (geometry.rows, geometry.cols.div_ceil(2));
     let z = |i: usize| (i % cols < cols / 2).then(|| -40.0 + 10.0 * (i % cols) as f32 + 5.0 * (i / cols) as f32);
     SeenDepth { rows, cols, z_mm: (0..rows * cols).map(z).collect() }
 }
 
-/// A folder as a reader of the benchmark's format finds it, without any of our code; `None` where there is no Python.
+/// A folder as a reader of the benchmark's format parses it, without this project's code; `None`
+/// without Python.
 fn read_as_the_benchmark(files: &Files) -> Option<Value> {
     let folder = tempfile::tempdir().unwrap();
     for (name, bytes) in files.iter().filter(|(name, _)| name.starts_with("hci/")) {
@@ -496,7 +500,7 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
             assert_eq!((&parameters["contact"], &parameters["date"]), (&json!("a@example.org"), &json!("unknown")));
             assert_eq!((&parameters["width"], &parameters["height"]), (&json!(8), &json!(5)));
             assert_eq!(parameters["depth_map_scale"], json!(1.0));
-            // baseline and focus as the benchmark's own formula takes them: b f / D in pixels
+            // baseline and focus by the benchmark's formula: b f / D in pixels
             let number = |key: &str| parameters[key].as_f64().unwrap_or_else(|| panic!("{key}: {parameters}"));
             let focal_px = number("focal_length_mm") / number("sensor_size_mm") * 8.0;
             let offset = number("baseline_mm") * focal_px / (1000.0 * number("focus_distance_m"));
@@ -519,7 +523,8 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
             };
             assert!(!note.contains("is not known"), "{note}");
             for (i, found) in disparities.iter().enumerate() {
-                // from the cameras: f b (1/Z - 1/D), Z the distance from the cameras; of parallel views as if D were far away
+                // from the cameras: f b (1/Z − 1/D), Z the distance from the cameras; for parallel
+                // views the limit of large D
                 let z = depth.z_mm[i / 8 * 4 + i % 8 / 2].map(f64::from);
                 let expected = match (projection, z) {
                     (Projection::Oblique, Some(z)) => Some(0.1 * z / 0.5),
@@ -576,7 +581,7 @@ fn pngs_say_how_their_codes_stand_for_light() {
     assert!(has(&files, stanford, "sRGB"));
 }
 
-/// Opens a folder as the rest of the program does, without any default for its geometry.
+/// Opens a folder as the rest of the program does, without defaults for its geometry.
 fn open(path: &Path, flags: &GeometryFlags) -> LightField {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let defaults = GeometryDefaults { width_mm: None, fov_deg: None };
@@ -584,7 +589,7 @@ fn open(path: &Path, flags: &GeometryFlags) -> LightField {
     lumistack_plugin::field_io::open(path, &flags, &defaults, Task::quiet(&warnings, &cancel)).unwrap()
 }
 
-/// The archive's format knows no angles.
+/// The archive's format contains no angles.
 fn stanford_fov(path: &Path) -> Option<[f64; 2]> {
     (!path.join("parameters.cfg").exists()).then_some([20.0, 10.0])
 }

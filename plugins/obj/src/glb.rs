@@ -10,13 +10,13 @@ use crate::mtl::{Look, Map};
 use crate::paths::forward;
 use crate::up::Up;
 
-/// glTF's numbers for what a component is and what a buffer is for.
+/// glTF's constants for component types and buffer targets.
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
 const VERTICES: u32 = 34962;
 const INDICES: u32 = 34963;
 
-/// Arrays, one behind the other, and what describes them.
+/// Concatenated arrays, and their descriptions.
 #[derive(Default)]
 struct Arrays {
     bytes: Vec<u8>,
@@ -25,7 +25,7 @@ struct Arrays {
 }
 
 impl Arrays {
-    /// Adds an array of elements of `kind`; returns the number of its accessor.
+    /// Adds an array of elements of `kind`; returns the index of its accessor.
     fn add(
         &mut self,
         bytes: impl Iterator<Item = [u8; 4]>,
@@ -49,7 +49,7 @@ impl Arrays {
     }
 }
 
-/// The document of all meshes under one node that turns and scales them.
+/// The document: all meshes under one node that rotates and scales them.
 pub(crate) fn document(models: &[Model], materials: &[Look], up: Up, scale: f64) -> Result<Vec<u8>, PluginError> {
     let mut arrays = Arrays::default();
     let meshes: Vec<Value> = models
@@ -150,7 +150,7 @@ fn add_materials(root: &mut Value, materials: &[Look]) {
     }
 }
 
-/// Pictures and textures, each once.
+/// Unique pictures and textures.
 #[derive(Default)]
 struct Pictures {
     images: Vec<Value>,
@@ -187,7 +187,7 @@ const CLAMP_TO_EDGE: u32 = 33071;
 
 const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
 
-/// glTF's emission lies in 0..1, with a factor for more.
+/// glTF's emission is in 0..1; a factor allows more.
 fn emit(material: &mut Value, emission: [f32; 3]) {
     let most = emission.iter().fold(1.0f32, |most, value| most.max(*value));
     material["emissiveFactor"] = json!(emission.map(|value| (value / most).clamp(0.0, 1.0)));

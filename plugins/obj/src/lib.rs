@@ -1,4 +1,5 @@
-//! Importer plugin `obj`: Wavefront OBJ with the materials of its MTL files, as a glTF 2.0 document (`.glb`).
+//! Importer plugin `obj`: Wavefront OBJ with the materials of its MTL files, as a glTF 2.0 document
+//! (`.glb`).
 //!
 //! | OBJ, MTL | glTF |
 //! |---|---|
@@ -10,7 +11,8 @@
 //! | `Ns` | roughness = 1 − √(Ns / 1000), as Blender writes it |
 //! | `Pr`, `Pm` | roughness and metallic, where the file has them |
 //!
-//! Lines, points and curves are left out; other maps too, with a warning. OBJ has no unit and no agreed upward axis: `scale` and `up` say them.
+//! Lines, points and curves are left out; other maps too, with a warning. OBJ has no unit and no
+//! agreed upward axis: `scale` and `up` say them.
 
 mod glb;
 mod mtl;
@@ -30,7 +32,8 @@ use crate::mtl::Look;
 use crate::paths::forward;
 use crate::up::Up;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// The plugin.
@@ -55,7 +58,7 @@ impl ImporterPlugin for Obj {
                 "up",
                 "y",
                 [("y", "The y axis, as most programs write it."), ("z", "The z axis, as CAD programs do.")],
-                "Which axis of the file points upwards.",
+                "The file's upward axis.",
             ),
             Param::float("scale", 1.0, 1e-9..=1e9, "Size of the file's unit.").unit("scene units"),
         ])
@@ -71,14 +74,14 @@ impl ImporterPlugin for Obj {
         let looks = RefCell::new(Vec::new());
         let library = |path: &Path| {
             let found = materials(host, assets, file, &forward(path));
-            // the reader of shapes only finds materials by their names
+            // the parser of shapes resolves materials by name only
             let known = found.iter().enumerate().map(|(i, look)| (look.name.clone(), i)).collect::<HashMap<_, _>>();
             let nameless = vec![Material::default(); found.len()];
             looks.borrow_mut().extend(found);
             Ok((nameless, known))
         };
         let (models, _) = tobj::load_obj_buf(&mut shapes, &options, library).map_err(|error| {
-            // faces are looked at where their object ends
+            // faces are parsed at the end of their object
             PluginError::Failed(format!("{file}: up to line {}: {error}", line.get()))
         })?;
         host.check_cancelled()?;
@@ -91,7 +94,8 @@ impl ImporterPlugin for Obj {
     }
 }
 
-/// The materials of a library, or of several whose names stand in one line. A file that is missing is a warning.
+/// The materials of one library, or of several whose names are on one line. A missing file causes a
+/// warning.
 fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<Look> {
     let read = |name: &str| {
         let bytes = assets.read(name)?;
@@ -103,7 +107,7 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<L
         Ok(looks) => return looks,
         Err(error) => error,
     };
-    // a name may contain spaces, and several names are separated by them
+    // a name may contain spaces, which also separate several names
     if !names.contains(char::is_whitespace) {
         warn(error);
         return Vec::new();

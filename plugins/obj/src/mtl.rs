@@ -1,14 +1,15 @@
-//! MTL files: the look of materials.
+//! MTL files: materials.
 //!
-//! A colour has one value or three. A map has options before its file, whose name may contain spaces. `-s` and `-o` scale and shift the texture
-//! coordinates, (u, v) ↦ s · (u, v) + o with v upwards; `-clamp on` repeats the edge. Other options that would change the look are named in a
-//! warning, as is a line that cannot be read; the rest of the file counts.
+//! A colour has one value or three. A map has options before its file, whose name may contain
+//! spaces. `-s` and `-o` scale and shift the texture coordinates, (u, v) ↦ s · (u, v) + o with v
+//! upwards; `-clamp on` repeats the edge. Other options that would change the appearance cause a
+//! warning, and so do invalid lines; the rest of the file is used.
 //!
 //! Source: Alias|Wavefront, *Object files*, version 4.2, appendix B1, "MTL material format".
 
 use crate::text::joined;
 
-/// The look of one material; what the file does not say is `None`.
+/// One material; values absent in the file are `None`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Look {
     pub(crate) name: String,
@@ -28,7 +29,7 @@ pub(crate) struct Look {
     pub(crate) diffuse_map: Option<Map>,
 }
 
-/// A picture and how it lies on the surface.
+/// A picture and its texture mapping.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Map {
     pub(crate) file: String,
@@ -37,13 +38,13 @@ pub(crate) struct Map {
     pub(crate) clamp: bool,
 }
 
-/// Maps that have no effect; one warning tells of each kind.
+/// Maps without effect; each kind causes one warning.
 const OTHER_MAPS: [&str; 17] = [
     "map_ka", "map_ks", "map_ke", "map_ns", "map_d", "map_tr", "map_bump", "bump", "map_pr", "map_pm", "map_ps",
     "norm", "disp", "decal", "refl", "map_refl", "map_disp",
 ];
 
-/// Reads the materials of a file. `warn` takes a line's number and what is wrong with it.
+/// Parses the materials of a file. `warn` takes a line number and a message.
 pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<Look> {
     let mut looks: Vec<Look> = Vec::new();
     let mut left_out: Vec<String> = Vec::new();
@@ -51,6 +52,7 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<Look
         let line = line.trim();
         let (key, rest) = line.split_once(|c: char| c.is_whitespace()).unwrap_or((line, ""));
         let rest = rest.trim();
+        // Keys apply to the last `newmtl`; keys before the first are ignored.
         if key == "newmtl" {
             looks.push(Look { name: rest.to_owned(), ..Look::default() });
             continue;
@@ -95,7 +97,7 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<Look
     looks
 }
 
-/// One value stands for all three; `xyz` before them says that they are CIE tristimulus values.
+/// One value stands for all three channels; the prefix `xyz` marks CIE tristimulus values.
 fn color(text: &str) -> Option<[f32; 3]> {
     let (text, is_xyz) = match text.strip_prefix("xyz") {
         Some(rest) => (rest, true),
@@ -127,7 +129,7 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
     let mut map = Map { file: String::new(), scale: [1.0; 2], offset: [0.0; 2], clamp: false };
     let mut rest = text.trim();
     while let Some((option, after)) = option(rest) {
-        // at most so many words follow, of which those of numbers may be fewer
+        // the option has at most this many arguments; optional numbers may be absent
         let most = match option {
             "-blendu" | "-blendv" | "-bm" | "-boost" | "-cc" | "-clamp" | "-imfchan" | "-texres" | "-type" => 1,
             "-mm" => 2,
@@ -148,7 +150,7 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
             "-s" => map.scale = pair(1.0),
             "-o" => map.offset = pair(0.0),
             "-clamp" => map.clamp = words.first().is_some_and(|word| word.eq_ignore_ascii_case("on")),
-            // how a picture is filtered is the renderer's choice
+            // texture filtering is the renderer's choice
             "-blendu" | "-blendv" | "-texres" => {}
             _ => unused(option),
         }
@@ -158,7 +160,7 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
     (!rest.is_empty()).then_some(map)
 }
 
-/// An option at the start, and what follows it.
+/// An option at the start, and the rest of the text.
 fn option(text: &str) -> Option<(&str, &str)> {
     const OPTIONS: [&str; 13] = [
         "-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-mm", "-o", "-s", "-t", "-texres", "-type",

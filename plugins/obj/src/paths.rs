@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-/// A path of an OBJ or MTL file, which may come from Windows.
+/// A path of an OBJ or MTL file, with forward slashes; Windows programs write backslashes.
 pub(crate) fn forward(path: &Path) -> String {
     path.to_string_lossy().replace('\\', "/").trim_start_matches("./").to_string()
 }

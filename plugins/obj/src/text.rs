@@ -1,14 +1,16 @@
-//! The lines of OBJ and MTL files, as any program writes them, in the way that the reader of shapes takes them.
+//! Normalizes the lines of OBJ and MTL files of all programs for the parser of shapes.
 //!
-//! A line goes on after a backslash at its end, `#` begins a note, names and notes may be in any encoding, and `vt` may have one coordinate. Faces may name
-//! vertices that are not there, which the reader refuses only as long as its arithmetic on their numbers does not overflow.
+//! A line continues after a backslash at its end, and `#` begins a comment. Names and comments may
+//! have any encoding, and `vt` may have one coordinate. Faces may refer to vertices that do not
+//! exist; the parser refuses them only if its index arithmetic does not overflow.
 
 use std::borrow::Cow;
 use std::cell::Cell;
 use std::io::{self, BufRead, Read};
 use std::rc::Rc;
 
-/// The text of a file. What is not UTF-8 is taken for Latin-1, line by line: names then still differ where their bytes do.
+/// The text of a file. Lines that are not UTF-8 are decoded as Latin-1, so that distinct names stay
+/// distinct.
 pub(crate) fn decode(bytes: &[u8]) -> Cow<'_, str> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     if let Ok(text) = std::str::from_utf8(bytes) {
@@ -21,7 +23,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Cow<'_, str> {
     Cow::Owned(bytes.split_inclusive(|&byte| byte == b'\n').map(line).collect())
 }
 
-/// Lines with what follows them after a backslash, and the number of the first of each.
+/// Lines joined with their continuations, and the number of the first line of each.
 pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
     let mut lines = text.lines().enumerate();
     std::iter::from_fn(move || {
@@ -35,7 +37,8 @@ pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> 
     })
 }
 
-/// The shapes of an OBJ file, line by line, for a reader that is stricter than the format. Where it stopped, [`line`](Self::line) says.
+/// The shapes of an OBJ file, line by line, for a parser that is stricter than the format.
+/// [`line`](Self::line) returns the current line, for errors.
 pub(crate) struct Shapes<'a> {
     lines: Box<dyn Iterator<Item = (usize, Cow<'a, str>)> + 'a>,
     current: Vec<u8>,
@@ -44,13 +47,13 @@ pub(crate) struct Shapes<'a> {
     counts: Counts,
 }
 
-/// Positions, texture coordinates and normals so far, from whose ends negative indices count.
+/// Positions, texture coordinates and normals so far; negative indices count back from these.
 type Counts = [i64; 3];
 
-/// The keys of [`Counts`], in the order in which a face names them.
+/// The keys of [`Counts`], in the order of a face's corner.
 const COUNTED: [&str; 3] = ["v", "vt", "vn"];
 
-/// An index beyond all that a file can hold, for which the reader gives its own error.
+/// An index beyond any file's length, for which the parser reports its own error.
 const NOWHERE: i64 = u32::MAX as i64;
 
 impl<'a> Shapes<'a> {
@@ -58,7 +61,7 @@ impl<'a> Shapes<'a> {
         Self { lines: Box::new(joined(text)), current: Vec::new(), at: 0, line: Rc::default(), counts: [0; 3] }
     }
 
-    /// Number of the line that was taken last.
+    /// Number of the line that was read last.
     pub(crate) fn line(&self) -> Rc<Cell<usize>> {
         self.line.clone()
     }
@@ -96,7 +99,7 @@ fn write_shape(line: &str, counts: &mut Counts, out: &mut Vec<u8>) {
     let (key, rest) = line.split_once(|c: char| c.is_whitespace()).unwrap_or((line, ""));
     match key {
         "v" | "vt" | "vn" | "f" | "l" | "p" => {
-            // names may contain the mark of notes, numbers do not
+            // names may contain `#`, numbers do not
             let numbers = rest.split('#').next().unwrap_or_default().trim();
             out.extend(key.bytes());
             out.push(b' ');
@@ -119,7 +122,7 @@ fn write_shape(line: &str, counts: &mut Counts, out: &mut Vec<u8>) {
     }
 }
 
-/// Writes `v/vt/vn` of a face's corner, with [`NOWHERE`] for what lies before the first or beyond what can be counted.
+/// Writes `v/vt/vn` of a face's corner, with [`NOWHERE`] for indices out of range.
 fn write_corner(corner: &str, counts: &Counts, out: &mut Vec<u8>) {
     for (place, index) in corner.split('/').enumerate() {
         if place > 0 {

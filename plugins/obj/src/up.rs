@@ -1,4 +1,4 @@
-//! Which axis is up.
+//! The upward axis.
 
 use lumistack_plugin::serde::Deserialize;
 

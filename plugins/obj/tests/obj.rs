@@ -1,4 +1,4 @@
-//! OBJ files through the plugin's C function and our glTF reader.
+//! OBJ files through the plugin's C function and this project's glTF reader.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use lumistack_plugin_obj::PLUGIN;
 use lumistack_plugin_testkit::serve::{LogLevel, Plugin, import, resolved};
 use lumistack_plugin_testkit::{MemoryHost, conformance, import_conformance};
 
-/// A quad and a triangle with two materials, in the way that modelling programs write them.
+/// A quad and a triangle with two materials, as modelling programs write them.
 const OBJ: &str = "mtllib looks.mtl\no Card\nv 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n\
     usemtl red\nf 1/1/1 2/2/1 3/3/1 4/4/1\no Roof\nv 0 1 -3\nusemtl lamp\nf 3//1 4//1 5//1\n";
 const MTL: &str = "newmtl red\nKd 0.5 0.25 0.125\nNs 250\nnewmtl lamp\nKd 0 0 0\nKe 4 2 1\nPr 0.75\n";
@@ -87,7 +87,7 @@ fn files_that_make_no_sense_are_named() {
         ("", "expected faces, found none"),
         ("v 1 2\nf 1 2 3\n", "a.obj: up to line 1: "),
         ("f 1 2 3\n", "a.obj: up to line 1: "),
-        // indices on which the reader's arithmetic would overflow
+        // indices on which the parser's arithmetic would overflow
         (
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//-2 2//1 3//1\n",
             "a.obj: up to line 5: face normal index out of bounds",
@@ -101,8 +101,9 @@ fn files_that_make_no_sense_are_named() {
     assert_eq!(error.to_string(), "a.obj: no such file");
 }
 
-/// What other readers take: one value for a grey, one texture coordinate, options before a picture's name, a line that goes on in the next, notes after
-/// numbers, several libraries in one line, and bytes that are not UTF-8.
+/// Legal variants that other readers accept: one value for a grey, one texture coordinate, options
+/// before a picture's name, continued lines, comments after numbers, several libraries in one line,
+/// and bytes that are not UTF-8.
 #[test]
 fn legal_files_of_other_programs_load() {
     let obj = b"# \xE4\nmtllib one.mtl two.mtl\no K\xE4se\nv 0 0 0 # corner\nv 1 0 0\nv 0 1 0\nvt 0.5\nvt 1\nvt 0\n\
@@ -135,7 +136,8 @@ fn legal_files_of_other_programs_load() {
     assert!(warnings.take().is_empty());
     assert_eq!(scene.triangle_count(), 2);
     assert_eq!(scene.materials[0].base_color.to_array(), [0.5, 0.5, 0.5, 1.0]);
-    // the corner at u = 0.5, v = 0: u' = 2 · 0.5 + 0.25, v' = 3 · 0 + 0.5, which is 0.5 from the top as well
+    // the corner at u = 0.5, v = 0: u' = 2 · 0.5 + 0.25, v' = 3 · 0 + 0.5, which is 0.5 from the
+    // top as well
     let texture = scene.materials[1].base_color_texture.expect("a picture");
     let mesh = scene.meshes.iter().find(|mesh| mesh.material == 1).unwrap();
     let corner = mesh.positions.iter().position(|position| position.to_array() == [0.0; 3]).unwrap();

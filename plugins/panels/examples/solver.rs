@@ -1,8 +1,10 @@
-//! A solver beside running panels: a thread that hands over new stacks whenever it has one, and for a while has none. The panels go on meanwhile.
+//! A solver beside running panels: a thread that submits new stacks, and stalls for a while. The
+//! panels continue meanwhile.
 //!
-//! `cargo run -p lumistack-plugin-panels --features window --example solver -- 8` shows three layers on the first three outputs for eight seconds. The thread gives
-//! a stack every 0.3 s, holds still from the third to the fifth second (not with `steady` as the second word), and goes on. Printed are the submissions as lines
-//! of refresh, place, pictures, seconds.
+//! `cargo run -p lumistack-plugin-panels --features window --example solver -- 8` shows three
+//! layers on the first three outputs for eight seconds. The thread submits a stack every 0.3 s and
+//! stalls from the third to the fifth second (not with `steady` as the second argument). The
+//! program prints submissions as lines of refresh, place, stack number, seconds.
 
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
@@ -13,7 +15,7 @@ use lumistack_plugin::serde_json::{from_value, json};
 use lumistack_plugin_host::{Asked, HostError, PresentContext, Registry, Told, present};
 use lumistack_plugin_panels::presentation::Event;
 
-/// A stack of its own for every number: all pixels of a layer alike, frame by frame another shade.
+/// A distinct stack for every number: each layer uniform, each frame another shade.
 fn stack(display: &Display, number: usize) -> LayerStack {
     let mut stack = LayerStack::filled(display, 1.0);
     for layer in &mut stack.layers {
@@ -37,7 +39,7 @@ fn main() -> Result<(), HostError> {
                 std::thread::sleep(Duration::from_millis(300));
                 let stalls = !steady && (3.0..3.3).contains(&begun.elapsed().as_secs_f64());
                 if stalls {
-                    // anything may hold a solver up
+                    // stand-in for any delay of a solver
                     std::thread::sleep(Duration::from_secs(2));
                 }
                 if send.send(Asked::Stack(stack(&display, number))).is_err() {

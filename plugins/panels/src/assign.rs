@@ -1,4 +1,4 @@
-//! Which output shows which layer.
+//! Assigns outputs to the panels of a display.
 
 use lumistack_plugin::display::{Backlight, Display};
 use thiserror::Error;
@@ -8,60 +8,60 @@ use crate::Shows;
 /// An output of the computer: a monitor or a panel behind an adapter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Output {
-    /// Its name, which stays from start to start.
+    /// Its name, stable across sessions.
     pub name: String,
-    /// [x, y] of its upper left corner among all outputs, pixels.
+    /// [x, y] of its upper left corner in the layout of all outputs, pixels.
     pub position: [i32; 2],
     /// [columns, rows].
     pub size: [usize; 2],
-    /// What the platform says of its refresh rate, hertz.
+    /// Refresh rate reported by the platform, hertz.
     pub refresh_hz: Option<f64>,
 }
 
-/// Outputs that cannot serve a display.
+/// The outputs do not match the display.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum AssignError {
-    /// There is none.
+    /// There are no outputs.
     #[error(
-        "outputs: expected {needed}, one for each of {wanted}; found none: is a monitor on, and does this session have a screen?"
+        "outputs: expected {needed}, one for each of {wanted}; found none: check that a monitor is on and that this session has a screen"
     )]
     None {
-        /// How many.
+        /// Number of outputs required.
         needed: usize,
-        /// What they would show.
+        /// The panels to show.
         wanted: String,
     },
-    /// There are too few.
+    /// There are too few outputs.
     #[error("outputs: expected {needed}, one for each of {wanted}; found {found}")]
     TooFew {
-        /// How many.
+        /// Number of outputs required.
         needed: usize,
-        /// What they would show.
+        /// The panels to show.
         wanted: String,
-        /// Those that are there.
+        /// The outputs present.
         found: String,
     },
-    /// The display file names one that is not there.
+    /// The display file names an output that is not present.
     #[error("{key}: expected one of the outputs {found}, found \"{name}\"")]
     Unknown {
         /// The key of the display file.
         key: String,
-        /// What it says.
+        /// Its value.
         name: String,
-        /// Those that are there.
+        /// The outputs present.
         found: String,
     },
-    /// The display file names one twice.
-    #[error("{key}: expected an output that nothing else is shown on, found \"{name}\" again")]
+    /// The display file names an output twice.
+    #[error("{key}: expected an output that no other panel uses, found \"{name}\" again")]
     Twice {
         /// The key of the display file.
         key: String,
-        /// What it says.
+        /// Its value.
         name: String,
     },
 }
 
-/// The key of the display file that names the output.
+/// The key of the display file that names a panel's output.
 pub fn key(shows: Shows) -> String {
     match shows {
         Shows::Backlight => "backlight.panel.output".into(),
@@ -69,7 +69,7 @@ pub fn key(shows: Shows) -> String {
     }
 }
 
-/// The output that the display file names.
+/// The output that the display file names for a panel.
 pub fn named(display: &Display, shows: Shows) -> Option<&str> {
     let panel = match (shows, &display.backlight) {
         (Shows::Layer(n), _) => display.layers[n].panel.as_ref(),
@@ -79,11 +79,12 @@ pub fn named(display: &Display, shows: Shows) -> Option<&str> {
     panel.and_then(|panel| panel.output.as_deref())
 }
 
-/// An output for everything that the display shows, rear to front: those that the display file names, and for what it does not the other outputs from left
-/// to right (of two at the same place the upper one, then by name).
+/// Assigns an output to every panel, rear to front. Panels without a named output take the free
+/// outputs from left to right, then top to bottom, then by name.
 ///
 /// # Errors
-/// If there are too few, or one is named that is not there, or twice.
+/// If there are too few outputs, or the display file names one that is not present, or names one
+/// twice.
 pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Output)>, AssignError> {
     let all = Shows::all(display);
     let (needed, wanted) = (all.len(), list(all.iter().map(Shows::to_string)));
@@ -119,26 +120,27 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
     Ok(chosen.collect())
 }
 
-/// What became of an output that shows something.
+/// A change of an assigned output.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
-    /// It is there no more.
+    /// It is no longer present.
     Gone,
-    /// It has another size or, where that matters, place.
+    /// Its size changed, or its position where that matters.
     Other(Output),
 }
 
-/// Whether an output is still what it was, by its name; `placed` where it also matters where it lies among the others.
+/// Compares an output with the one of the same name in `now`; none if it is unchanged. Positions
+/// count only with `placed`.
 pub fn change(was: &Output, now: &[Output], placed: bool) -> Option<Change> {
     let Some(is) = now.iter().find(|output| output.name == was.name) else { return Some(Change::Gone) };
     let same = is.size == was.size && (!placed || is.position == was.position);
     (!same).then(|| Change::Other(is.clone()))
 }
 
-/// [left, top, columns, rows] of the rectangle around outputs.
+/// Upper left corner [x, y] and size [columns, rows] of the bounding rectangle of outputs.
 ///
 /// # Panics
-/// If there is none.
+/// If there are no outputs.
 pub fn bounds<'a>(outputs: impl IntoIterator<Item = &'a Output>) -> ([i32; 2], [usize; 2]) {
     let corners = outputs.into_iter().map(|output| {
         let end = [0, 1].map(|axis| output.position[axis] + output.size[axis] as i32);
@@ -204,7 +206,7 @@ mod tests {
         assert_eq!(error, "layers[1].panel.output: expected one of the outputs A, C, D, found \"B\"");
         let twice = display(&[Some("A"), Some("A")]);
         let error = names(&twice, &[output("A", 0), output("B", 1)]).unwrap_err().to_string();
-        assert!(error.starts_with("layers[1].panel.output: expected an output that nothing else"), "{error}");
+        assert!(error.starts_with("layers[1].panel.output: expected an output that no other panel"), "{error}");
     }
 
     #[test]

@@ -1,8 +1,9 @@
-//! Hands what is ready to a thread that must not wait.
+//! A mailbox: passes the newest value to a thread that must not block.
 
 use std::sync::{Mutex, PoisonError, TryLockError};
 
-/// A place for one thing: the newest that is ready. Who takes never waits, not even for the lock: what cannot be had now is there the next time.
+/// Holds at most one value: the newest. [`take`](Self::take) never blocks, not even on the lock; a
+/// value that is locked now is returned by a later call.
 #[derive(Debug)]
 pub struct Feed<T>(Mutex<Option<T>>);
 
@@ -13,12 +14,12 @@ impl<T> Default for Feed<T> {
 }
 
 impl<T> Feed<T> {
-    /// Puts the newest there; gives back one that nobody took.
+    /// Stores `new`; returns the previous value if it was not taken.
     pub fn put(&self, new: T) -> Option<T> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).replace(new)
     }
 
-    /// Takes what is there, without waiting.
+    /// Takes the value without blocking; none if there is none, or the lock is held.
     pub fn take(&self) -> Option<T> {
         match self.0.try_lock() {
             Ok(mut place) => place.take(),
@@ -37,7 +38,7 @@ mod tests {
         let feed = Feed::default();
         assert_eq!(feed.take(), None);
         assert_eq!((feed.put(1), feed.put(2), feed.take(), feed.take()), (None, Some(1), Some(2), None));
-        // somebody who holds the place for long costs nothing but the newest
+        // a held lock delays the value and blocks no reader
         feed.put(3);
         let held = feed.0.lock().unwrap();
         assert_eq!(feed.take(), None);

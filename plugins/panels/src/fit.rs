@@ -1,19 +1,22 @@
-//! Whether masks and panels go together, and how to show masks on panels that they were not made for.
+//! Compares mask sizes with panel sizes, and scales masks to panels of other sizes.
 //!
-//! A mask is W·p millimetres wide, a panel's upright picture w pixels of pitch s. The mask covers W·p / s of them. To fit, all panels get one pitch
+//! A mask is W·p millimetres wide; a panel's upright picture has w pixels of pitch s. The mask
+//! covers W·p / s of them. To fit, all panels get one pitch
 //!
 //! ```text
-//! s = max over panels and axes of W·p / w,  then made smaller until every pixel of the finest mask is a whole number of panel pixels where it has one at all
+//! s = max over panels and axes of W·p / w
 //! ```
 //!
-//! which is no longer that of the panels: everything is shown larger or smaller than it was made for, and distances would have to follow.
+//! It is then reduced until a pixel of the finest mask covers a whole number of panel pixels, if it
+//! covers at least one. This pitch differs from the panels' own, so the scene is scaled. The
+//! distances between the panels would have to be scaled by the same ratio.
 
 use lumistack_plugin::display::{Backlight, Display};
 
 use crate::assign::Output;
 use crate::{Place, Shows};
 
-/// [columns, rows] of panel pixels that what is shown covers, and those that there are.
+/// [columns, rows] of panel pixels that the mask covers, and [columns, rows] of the panel.
 pub fn cover(display: &Display, shows: Shows, output: [usize; 2]) -> ([f64; 2], [f64; 2]) {
     let place = Place::new(display, shows, output);
     let ([cols, rows], pitch_mm) = match (shows, &display.backlight) {
@@ -25,7 +28,7 @@ pub fn cover(display: &Display, shows: Shows, output: [usize; 2]) -> ([f64; 2], 
     ([cols, rows].map(|count| count as f64 * pitch_mm / place.pitch_mm), there.map(|count| count as f64))
 }
 
-/// What of a display does not go with the outputs that it is shown on.
+/// One message for every mismatch between a display and the outputs assigned to it.
 pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
     let mut found = Vec::new();
     for (shows, Output { name, size, .. }) in assigned {
@@ -34,55 +37,63 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
             (_, Backlight::Lenslets(backlight)) => ("backlight".into(), backlight.panel_resolution),
             _ => continue,
         };
+        // The declared resolution must be that of the output.
         if let Some(declared) = declared.filter(|declared| declared != size) {
             found.push(format!(
-                "{key}.panel_resolution: expected the {} × {} pixels of output {name}, found {} × {}: is it the right output, and at its panel's own resolution?",
+                "{key}.panel_resolution: expected the {} × {} pixels of output {name}, found {} × {}: check that it is the right output, at its panel's native resolution",
                 size[0], size[1], declared[0], declared[1]
             ));
         }
+        // The mask should neither exceed the panel nor cover less than half of it.
         let (covers, there) = cover(display, *shows, *size);
         let text = format!(
             "{shows} covers {:.0} × {:.0} pixels, and output {name} has {} × {}",
             covers[0], covers[1], there[0], there[1]
         );
-        // less than a pixel beyond is rounding, and the outer lenses of an array may be cut
+        // Less than a pixel of overlap is rounding. The outer lenses of an array may be cut.
         let slack = match (shows, &display.backlight) {
             (Shows::Backlight, Backlight::Lenslets(backlight)) => covers[0] / backlight.lenslets[0].max(1) as f64,
             _ => 1.0,
         };
         if (0..2).any(|axis| covers[axis] > there[axis] + slack) {
-            found.push(format!("{text}: what lies beyond is not shown (panel_pitch_mm says how large a panel's pixels are; --fit shows all)"));
+            found.push(format!(
+                "{text}: the rest is not shown (check panel_pitch_mm, the size of a panel's pixels; --fit shows all)"
+            ));
         } else if (0..2).all(|axis| covers[axis] < 0.5 * there[axis]) {
-            found.push(format!("{text} (panel_pitch_mm says how large a panel's pixels are; --fit fills the panels)"));
+            found.push(format!("{text} (check panel_pitch_mm, the size of a panel's pixels; --fit fills the panels)"));
         }
     }
+    // All outputs should have the same refresh rate, within 1 %.
     let rates = assigned.iter().filter_map(|(_, output)| Some((output.refresh_hz?, &output.name)));
     let slowest = rates.clone().min_by(|a, b| a.0.total_cmp(&b.0));
     let fastest = rates.max_by(|a, b| a.0.total_cmp(&b.0));
     if let Some((slow, fast)) = slowest.zip(fastest).filter(|(slow, fast)| fast.0 > 1.01 * slow.0) {
         found.push(format!(
-            "output {} refreshes at {:.2} Hz and output {} at {:.2} Hz: the slower sets the pace, and frames stay unequally long on the faster",
+            "output {} refreshes at {:.2} Hz and output {} at {:.2} Hz: all panels refresh at the slower rate, and frame durations on the faster output vary",
             slow.1, slow.0, fast.1, fast.0
         ));
     }
     found
 }
 
-/// The display on panels of another pitch, so that everything fits, and that pitch.
+/// The display with one panel pitch for all panels, so that every mask fits; and that pitch,
+/// millimetres.
 pub fn fitted(display: &Display, assigned: &[(Shows, Output)]) -> (Display, f64) {
     let wanted = assigned.iter().map(|(shows, output)| {
         let (covers, there) = cover(display, *shows, output.size);
         let pitch_mm = Place::new(display, *shows, output.size).pitch_mm;
         pitch_mm * (covers[0] / there[0]).max(covers[1] / there[1])
     });
+    // The smallest pitch with which every mask fits its panel.
     let mut pitch_mm = wanted.fold(0.0, f64::max);
+    // Reduce it to a whole number of panel pixels per pixel of the finest mask.
     let finest = display.layers.iter().map(|layer| layer.pitch_mm).fold(f64::INFINITY, f64::min);
     let whole = (finest / pitch_mm + 1e-9).floor();
     if whole >= 1.0 {
         pitch_mm = finest / whole;
     }
     let mut display = display.clone();
-    // what was measured in millimetres is of other panels
+    // homographies were measured in millimetres of the real panels and no longer apply
     for layer in &mut display.layers {
         layer.panel_pitch_mm = Some(pitch_mm);
         layer.panel.iter_mut().for_each(|panel| panel.homography = None);
@@ -113,7 +124,7 @@ mod tests {
     fn masks_fill_the_smallest_panel_by_whole_pixels() {
         let display = Display::uniform([10, 6], 4.0, [1, 1], [10.0, 10.0], &[0.0, 5.0], 1);
         let outputs = outputs(&[[64, 48], [55, 30]]);
-        // 55 / 10 and 30 / 6 pixels are 5 for one
+        // 55 / 10 and 30 / 6 allow 5 panel pixels per mask pixel
         let (display, pitch_mm) = fitted(&display, &outputs);
         assert_eq!(pitch_mm, 4.0 / 5.0);
         for (shows, output) in &outputs {
@@ -129,7 +140,7 @@ mod tests {
         let outputs = outputs(&[[40, 30]]);
         let found = misfits(&display, &outputs);
         assert!(
-            found[0].starts_with("layer 0 covers 100 × 60 pixels, and output O0 has 40 × 30: what lies"),
+            found[0].starts_with("layer 0 covers 100 × 60 pixels, and output O0 has 40 × 30: the rest"),
             "{found:?}"
         );
         let (display, pitch_mm) = fitted(&display, &outputs);
@@ -168,7 +179,7 @@ mod tests {
         let mut outputs = outputs(&[[100, 90], [100, 90]]);
         (outputs[0].0, outputs[1].0) = (Shows::Backlight, Shows::Layer(0));
         let (display, pitch_mm) = fitted(&display, &outputs);
-        // 42 mm on 100 pixels, and then two for a mask pixel
+        // 42 mm on 100 pixels, then rounded to two per mask pixel
         assert_eq!(pitch_mm, 0.5);
         let Backlight::Lenslets(backlight) = &display.backlight else { unreachable!() };
         assert_eq!(

@@ -1,7 +1,9 @@
-//! The 2D mode at full resolution (section 5.1.2): one panel shows a picture with all its pixels, the others are as if they were not there.
+//! 2D mode at full resolution (section 5.1.2): one panel shows a picture with all its pixels; the
+//! other panels are clear.
 //!
-//! The picture fills the width or the height of the display's field, whichever it meets first, with its own proportions; a panel pixel takes the mean of the
-//! light of the picture's pixels that lie under it, or mixes four where they are larger.
+//! The picture keeps its aspect ratio and fills the field's width or height, whichever is the
+//! tighter. A panel pixel takes the mean linear light of the picture pixels below it. Where picture
+//! pixels are larger, it interpolates between four.
 
 use image::Rgb32FImage;
 use image::imageops::{FilterType, resize};
@@ -10,8 +12,9 @@ use lumistack_plugin::display::{Display, Formation, LayerStack};
 
 use crate::{Picture, Place, Shows};
 
-/// Codes of a panel in the 2D mode, `[row][col][red, green, blue, 255]`: the picture (`[row][col][rgb]`, sRGB codes) if it `shows` it, or clear. A panel behind
-/// lenses is lit evenly.
+/// Codes `[row][col][red, green, blue, 255]` of one panel in the 2D mode. `picture` (sRGB codes) is
+/// given for the panel that shows it; without it the panel is clear. A panel behind lenslets is lit
+/// evenly.
 pub fn flat_codes(display: &Display, shows: Shows, output: [usize; 2], picture: Option<&image::RgbImage>) -> Vec<u8> {
     let (neutral, field) = (display.formation.neutral(), &display.field);
     let Some(picture) = picture else {
@@ -21,17 +24,19 @@ pub fn flat_codes(display: &Display, shows: Shows, output: [usize; 2], picture: 
         return Picture::new(&one, shows, output).codes(&stack, 0, None);
     };
     let Shows::Layer(n) = shows else { return flat_codes(display, shows, output, None) };
-    // the mask becomes one of panel pixels over the field's area, and everything else is as for any mask
+    // Build a mask of panel pixels over the field's area, so that `Picture` handles the rest.
     let place = Place::new(display, shows, output);
     let [cols, rows] =
         field.resolution.map(|count| ((count as f64 * field.pitch_mm / place.pitch_mm).round() as usize).max(1));
     let scale = (cols as f64 / f64::from(picture.width())).min(rows as f64 / f64::from(picture.height()));
     let [width, height] =
         [picture.width(), picture.height()].map(|count| ((f64::from(count) * scale).round() as u32).max(1));
+    // Resample in linear light.
     let linear = Rgb32FImage::from_fn(picture.width(), picture.height(), |x, y| {
         image::Rgb(picture.get_pixel(x, y).0.map(|code| srgb_decode(f32::from(code) / 255.0)))
     });
     let fitted = resize(&linear, width, height, FilterType::Triangle);
+    // Reduce the display to this one layer, at panel resolution.
     let mut one = Display { frames: 1, ..display.clone() };
     one.layers.truncate(n + 1);
     one.layers.drain(..n);
@@ -46,9 +51,9 @@ pub fn flat_codes(display: &Display, shows: Shows, output: [usize; 2], picture: 
         let value = stack.layers[0].block_mut([0, top + y as usize, left + x as usize]);
         for (value, light) in value.iter_mut().zip(pixel.0) {
             let light = light.clamp(0.0, 1.0);
-            // between crossed polarizers light is sin² of the rotation
+            // crossed polarizers transmit sin² of the rotation
             let shown = if crossed { light.sqrt().asin() * std::f32::consts::FRAC_2_PI } else { light };
-            // the whole range of the panel, from its black to its white
+            // use the panel's whole range, black to white
             *value = low + shown * (high - low);
         }
     }
@@ -74,7 +79,7 @@ mod tests {
         let expected: Vec<u8> = picture.pixels().flat_map(|p| [p.0[0], p.0[1], p.0[2], 255]).collect();
         assert_eq!(shown, expected, "the panel's transfer function is the picture's");
         assert!(flat_codes(&display, Shows::Layer(0), [16, 12], None).iter().all(|code| *code == 255));
-        // a picture of other proportions stands in the middle
+        // a picture of another aspect ratio is centred
         let wide = image::RgbImage::from_pixel(16, 4, image::Rgb([200; 3]));
         let shown = flat_codes(&display, Shows::Layer(1), [16, 12], Some(&wide));
         let rows: Vec<u8> = shown.chunks_exact(4 * 16).map(|row| row[4 * 5]).collect();

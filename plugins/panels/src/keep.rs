@@ -1,10 +1,11 @@
-//! Calibration back into the display file: the text stays as somebody wrote it, with its comments, and only the values change.
+//! Writes calibration into the display file. Comments and layout of the text stay; only values
+//! change.
 
 use lumistack_plugin::display::{Backlight, Display, Panel};
 use thiserror::Error;
 use toml_edit::{Array, DocumentMut, Item, Table, TableLike, value};
 
-/// A display file that cannot take a calibration.
+/// The text is not the file of this display.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{key}: expected {expected}, found {found}")]
 pub struct KeepError {
@@ -13,10 +14,11 @@ pub struct KeepError {
     found: String,
 }
 
-/// The text of a display file with the nudges, homographies and outputs of a display's panels; everything else stays as it is.
+/// The text of a display file, updated with the nudges, homographies and outputs of the display's
+/// panels. All else stays unchanged.
 ///
 /// # Errors
-/// If the text is not the file of such a display.
+/// If the text is not TOML, or its layers do not match the display.
 pub fn keep_panels(text: &str, display: &Display) -> Result<String, KeepError> {
     let wrong =
         |key: &str, expected: &str, found: String| KeepError { key: key.into(), expected: expected.into(), found };
@@ -42,7 +44,7 @@ pub fn keep_panels(text: &str, display: &Display) -> Result<String, KeepError> {
         keep(table, backlight.panel.as_ref());
     }
     let text = document.to_string();
-    // what is written must be what is read
+    // verify by reading the result back
     match Display::from_toml(&text) {
         Ok(_) => Ok(text),
         Err(error) => Err(wrong("display file", "a display", error.to_string())),
@@ -54,7 +56,7 @@ fn keep(table: &mut dyn TableLike, panel: Option<&Panel>) {
     let entry = table.entry("panel").or_insert_with(|| Item::Table(Table::new()));
     let Some(own) = entry.as_table_like_mut() else { return };
     let mut put = |key: &str, new: Item| match own.get_mut(key) {
-        // the comment behind a value stays
+        // keep the comment behind the value
         Some(Item::Value(old)) => {
             let decor = old.decor().clone();
             if let Item::Value(mut new) = new {

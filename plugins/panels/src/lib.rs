@@ -1,17 +1,18 @@
-//! Drives a real stack of displays: what every output of the computer shows, and when.
+//! Drives a real layer stack: every layer is shown on its own output, one frame per refresh.
 //!
 //! ```text
-//! LayerStack ──Picture::codes──▶ code values per output and refresh ──Deck──▶ Feed ──between periods──▶ conductor ──▶ outputs
-//!    ▲                              (any thread)                                                       (a thread of its own, one
-//! solver, changed folder                                                                                picture per refresh)
+//! LayerStack ──Picture::codes──▶ code values per output and refresh ──▶ Feed ──▶ present loop ──▶ outputs
+//!                                (any thread)                 (between periods)  (own thread, one frame
+//!                                                                                 per refresh)
 //! ```
 //!
-//! The pictures are pure functions of display, stack and output ([`Picture`]); windows and graphics processor come with the feature `window`
-//! (`window::present`), which alone needs winit and wgpu.
+//! [`Picture`] is a pure function of display, stack and output. Windows and the GPU need the
+//! feature `window`, which alone depends on winit and wgpu (`window::present`).
 //!
-//! The output plugin `panels` is a presenter, which `lumistack show` drives. Patterns are submitted, also while it runs. Commands come and
-//! events go as JSON of [`presentation`]. A build without windows lists the plugin, and its `run` fails. Calibration from photographs needs
-//! no windows and is a library beside the plugin.
+//! The output plugin `panels` is a presenter; `lumistack show` drives it. Layer stacks can be
+//! submitted while it runs. Commands and events are the JSON of [`presentation`]. A build without
+//! windows lists the plugin, and its `run` returns an error. Calibration from photographs needs no
+//! windows; it is a library beside the plugin.
 
 pub mod assign;
 pub mod calibrate;
@@ -38,5 +39,6 @@ pub use plugin::{PLUGIN, Panels, PanelsParams};
 pub use shows::Shows;
 pub use tally::{Skew, Tally};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

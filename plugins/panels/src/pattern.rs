@@ -1,13 +1,15 @@
 //! Test patterns.
 //!
-//! The crosshair array (section 5.1): crosses on a grid of the display's plane, drawn on every layer in perspective for an eye e at the viewing distance D, so
-//! that the crosses of all layers coincide for that eye where the layers stand right. A point P of the plane z = 0 appears on the layer at d at
+//! The crosshair array (section 5.1) is a grid of crosses on the display's plane. Every layer draws
+//! it in perspective for an eye e at the viewing distance D. If the layers are aligned, the crosses
+//! of all layers coincide for that eye. A point P of the plane z = 0 projects onto the layer at d
+//! at
 //!
 //! ```text
 //! q = e + (P − e) · (D − d) / D        so        P = e + (q − e) · D / (D − d)
 //! ```
 //!
-//! Crosses of different layers take away different colours; where they coincide they are black.
+//! Crosses of different layers absorb different colours; where they coincide they are black.
 
 use std::str::FromStr;
 
@@ -21,33 +23,33 @@ use crate::{Picture, Place, Shows};
 /// A test pattern.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pattern {
-    /// Crosses that coincide for an eye.
+    /// Crosses that coincide for one eye position.
     Crosshairs,
-    /// Steps of light in grey, red, green and blue, by the declared transfer function.
+    /// Equal steps of linear light in grey, red, green and blue, by the declared transfer function.
     Ramp,
-    /// One code value in all pixels, as it is sent: to measure transfer functions.
+    /// One code value in all pixels, sent unchanged, to measure transfer functions.
     Code([u8; 3]),
     /// All bins of one lenslet, [column, row].
     Lenslet([usize; 2]),
     /// One angular bin, [x, y], of all lenslets.
     View([usize; 2]),
-    /// Everything lets light through.
+    /// All layers are clear.
     Clear,
-    /// Which layer this is.
+    /// The name of each panel, as text.
     Identify,
 }
 
-/// A pattern that cannot be shown.
+/// The text is not a pattern, or the pattern does not match the display.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("pattern: expected {expected}, found {found}")]
 pub struct PatternError {
-    /// What was needed.
+    /// The expected value.
     pub expected: String,
-    /// What was there.
+    /// The value found.
     pub found: String,
 }
 
-/// The words of [`Pattern`], for messages.
+/// All patterns, as they are written, for messages.
 pub const PATTERNS: &str = "crosshairs, ramp, code=V, code=R,G,B, lenslet=COLUMN,ROW, view=X,Y, clear or identify";
 
 impl FromStr for Pattern {
@@ -76,24 +78,26 @@ impl FromStr for Pattern {
     }
 }
 
-/// Distance of crosses as a share of the field's width.
+/// Distance between crosses as a fraction of the field's width.
 const SPACING: f64 = 0.125;
-/// Length of a cross' arm in units of their distance.
+/// Length of a cross's arm, in units of that distance.
 const ARM: f64 = 0.3;
-/// Half the width of a cross' lines in panel pixels.
+/// Half the width of a cross's lines, panel pixels.
 const HALF_LINE_PX: f64 = 1.5;
-/// The mark of the middle cross: a disc up and right of it; place and radius in units of the crosses' distance.
+/// The mark of the central cross is a disc above and right of it: its position and radius, in units
+/// of the crosses' distance.
 const MARK: f64 = 0.22;
 const MARK_RADIUS: f64 = 0.07;
 /// Steps of a ramp.
 const STEPS: usize = 33;
 
-/// Distance of the crosses on the display's plane, millimetres.
+/// Distance between crosses on the display's plane, millimetres.
 pub fn spacing_mm(display: &Display) -> f64 {
     display.field.resolution[0] as f64 * display.field.pitch_mm * SPACING
 }
 
-/// [columns, rows] of crosses to either side of the middle one: those whose arms end on the field.
+/// [columns, rows] of crosses on each side of the central one, such that their arms end within the
+/// field.
 pub fn crosses(display: &Display) -> [usize; 2] {
     let spacing = spacing_mm(display);
     display.field.resolution.map(|count| {
@@ -103,8 +107,9 @@ pub fn crosses(display: &Display) -> [usize; 2] {
 }
 
 impl Pattern {
-    /// Codes `[row][col][red, green, blue, 255]` of the output that shows `shows`. With `only`, layers but that one are clear, and its crosses are black.
-    /// `eye_mm` is the eye of the crosses in display space.
+    /// Codes `[row][col][red, green, blue, 255]` of the output that shows `shows`. With `only`, all
+    /// other layers are clear, and the crosses of that layer are black. `eye_mm` is the eye
+    /// position of the crosses, display space, millimetres.
     ///
     /// # Errors
     /// If the display has no such lenslet or bin.
@@ -120,46 +125,46 @@ impl Pattern {
         let picture = Picture::new(&one, shows, output);
         let mut stack = LayerStack::filled(&one, display.formation.neutral());
         stack.emission.iter_mut().for_each(|emission| emission.data_mut().fill(1.0));
-        self.light(display, &mut stack)?;
+        self.set_emission(display, &mut stack)?;
         let plain = picture.codes(&stack, 0, None);
         let apart = only.is_some_and(|only| only != shows);
         let is_backlight = shows == Shows::Backlight;
         Ok(match self {
             Self::Clear | Self::Lenslet(_) | Self::View(_) => plain,
             _ if apart => plain,
-            // what is drawn on layers needs light behind it
+            // drawn patterns on layers need light behind them
             Self::Crosshairs => {
                 if is_backlight {
                     plain
                 } else {
-                    self.drawn(display, &picture, output, only, eye_mm)
+                    self.draw(display, &picture, output, only, eye_mm)
                 }
             }
             Self::Ramp | Self::Code(_) if is_backlight && only.is_none() => plain,
-            _ => self.drawn(display, &picture, output, only, eye_mm),
+            _ => self.draw(display, &picture, output, only, eye_mm),
         })
     }
 
-    /// The emission of patterns of the backlight.
-    fn light(self, display: &Display, stack: &mut LayerStack) -> Result<(), PatternError> {
-        let (what, at) = match self {
+    /// Sets the emission of a backlight's pattern.
+    fn set_emission(self, display: &Display, stack: &mut LayerStack) -> Result<(), PatternError> {
+        let (kind, at) = match self {
             Self::Lenslet(at) => ("lenslet", at),
             Self::View(at) => ("view", at),
             _ => return Ok(()),
         };
         let Backlight::Lenslets(backlight) = &display.backlight else {
-            let expected = format!("a display with a backlight of lenslets for `{what}`");
+            let expected = format!("a display with a lenslet backlight for `{kind}`");
             return Err(PatternError { expected, found: "a uniform backlight".into() });
         };
-        let counts = if what == "lenslet" { backlight.lenslets } else { backlight.views };
+        let counts = if kind == "lenslet" { backlight.lenslets } else { backlight.views };
         if at[0] >= counts[0] || at[1] >= counts[1] {
-            let expected = format!("{what}=0,0 to {},{}", counts[0] - 1, counts[1] - 1);
+            let expected = format!("{kind}=0,0 to {},{}", counts[0] - 1, counts[1] - 1);
             return Err(PatternError { expected, found: format!("{},{}", at[0], at[1]) });
         }
         let Some(emission) = &mut stack.emission else { return Ok(()) };
         emission.data_mut().fill(0.0);
         let ([bins_x, bins_y], [cols, rows]) = (backlight.views, backlight.lenslets);
-        let lit = |bin: [usize; 2], lenslet: [usize; 2]| if what == "lenslet" { lenslet == at } else { bin == at };
+        let lit = |bin: [usize; 2], lenslet: [usize; 2]| if kind == "lenslet" { lenslet == at } else { bin == at };
         for (y, x) in (0..bins_y).flat_map(|y| (0..bins_x).map(move |x| (y, x))) {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
                 if lit([x, y], [col, row]) {
@@ -170,8 +175,8 @@ impl Pattern {
         Ok(())
     }
 
-    /// Patterns that are drawn with the panel's own pixels.
-    fn drawn(
+    /// Draws a pattern with the panel's own pixels.
+    fn draw(
         self,
         display: &Display,
         picture: &Picture,
@@ -187,6 +192,7 @@ impl Pattern {
         let label = Label::new(&picture.shows().to_string(), [cols, rows]);
         let layer = if let Shows::Layer(layer) = picture.shows() { layer } else { 0 };
         let crosses = Crosses::new(display, layer, place.pitch_mm, eye_mm);
+        // Compute the code of every output pixel by its position in the upright picture.
         let code = |at: [f64; 2]| -> [u8; 3] {
             let [u, v] = place.upright(at);
             match self {
@@ -202,7 +208,7 @@ impl Pattern {
                 Self::Identify => picture.encode([mixed(label.at(u, v)); 3]),
                 _ => {
                     let share = place.mm(at).map_or(0.0, |mm| crosses.share(mm));
-                    // alone a cross is black; with others each takes away what it does not keep
+                    // with `only` crosses are black; otherwise each layer keeps one channel
                     let kept = if only.is_some() { 3 } else { layer % 3 };
                     picture.encode([0, 1, 2].map(|c| if c == kept { neutral } else { mixed(share) }))
                 }
@@ -217,14 +223,14 @@ impl Pattern {
     }
 }
 
-/// The array of crosses as a layer shows it.
+/// The crosshair array, projected onto one layer.
 struct Crosses {
     eye_mm: [f64; 3],
-    /// From distances on the layer to distances on the display's plane.
+    /// Ratio of a distance on the display's plane to that on the layer.
     spread: f64,
     spacing_mm: f64,
     counts: [usize; 2],
-    /// A panel pixel on the display's plane.
+    /// Size of a panel pixel projected onto the display's plane, millimetres.
     pixel_mm: f64,
 }
 
@@ -236,7 +242,7 @@ impl Crosses {
         Self { eye_mm, spread, spacing_mm, counts: crosses(display), pixel_mm: pitch_mm * spread }
     }
 
-    /// What share of a pixel at a place of the layer is covered by crosses.
+    /// Coverage of a pixel by crosses, 0 to 1; `mm` is its position on the layer.
     fn share(&self, mm: [f64; 2]) -> f32 {
         let on_plane = [0, 1].map(|axis| self.eye_mm[axis] + (mm[axis] - self.eye_mm[axis]) * self.spread);
         let nearest = on_plane.map(|at| (at / self.spacing_mm).round());
@@ -258,13 +264,13 @@ impl Crosses {
     }
 }
 
-/// Large letters in the middle.
+/// Large text in the centre of a panel.
 struct Label {
     letters: Vec<Vec<Vec<u8>>>,
     size: [usize; 2],
 }
 
-/// Size of the letters' pictures.
+/// Raster size of the letters.
 const LETTER: RasterHeight = RasterHeight::Size32;
 
 impl Label {
@@ -275,7 +281,7 @@ impl Label {
         Self { letters: text.chars().filter_map(letter).collect(), size }
     }
 
-    /// How much of the upright pixel (u, v) is letter.
+    /// Coverage of the upright pixel (u, v) by letters, 0 to 1.
     fn at(&self, u: f64, v: f64) -> f32 {
         let (width, height) = (get_raster_width(FontWeight::Bold, LETTER), LETTER.val());
         let total = width * self.letters.len().max(1);
@@ -310,7 +316,7 @@ mod tests {
     const OUTPUT: [usize; 2] = [400, 260];
     const EYE: [f64; 3] = [0.0, 0.0, 600.0];
 
-    /// Dark pixels' centre of mass in a window around a place of the layer.
+    /// Centre of mass of dark pixels in a window around a position of the layer.
     fn centre(codes: &[u8], pitch_mm: f64, mm: [f64; 2], half: usize, channel: usize) -> [f64; 2] {
         let col = mm[0] / pitch_mm + (OUTPUT[0] as f64 - 1.0) / 2.0;
         let row = (OUTPUT[1] as f64 - 1.0) / 2.0 - mm[1] / pitch_mm;
@@ -336,10 +342,11 @@ mod tests {
                     Pattern::Crosshairs.codes(&display, Shows::Layer(n), OUTPUT, Some(Shows::Layer(n)), eye).unwrap();
                 for (i, j) in [(-3.0, 2.0), (1.0, -1.0), (3.0, -2.0)] {
                     let target = [i * spacing, j * spacing, 0.0];
-                    // along the ray from the eye to the cross
+                    // intersect the ray from the eye through the cross with the layer
                     let t = (display.layers[n].d_mm - eye[2]) / (target[2] - eye[2]);
                     let mm = [0, 1].map(|axis| eye[axis] + t * (target[axis] - eye[axis]));
-                    // arms of 12 pixels: a window of 8 sees only lines, which are symmetric to the cross up to its own rounding
+                    // Arms are 12 pixels long, so a window of 8 contains lines only. They are
+                    // symmetric up to rounding.
                     let found = centre(&codes, 0.25, mm, 8, 1);
                     assert!(found[0].abs() < 0.35 && found[1].abs() < 0.35, "layer {n}, {i} {j}: {found:?}");
                 }
@@ -357,7 +364,7 @@ mod tests {
         let only = Some(Shows::Layer(1));
         let alone =
             |n: usize| middle(&Pattern::Crosshairs.codes(&display, Shows::Layer(n), OUTPUT, only, EYE).unwrap());
-        // beside the mask a panel is dark, within it clear
+        // a panel is dark outside the mask, clear inside
         assert_eq!([alone(0), alone(1), alone(2)], [[255; 3], [0; 3], [255; 3]]);
     }
 
@@ -367,14 +374,14 @@ mod tests {
         display.layers[0].transfer = Transfer::gamma(2.2);
         display.layers[0].panel = Some(Panel { rotate_deg: 180, ..Panel::default() });
         let codes = Pattern::Ramp.codes(&display, Shows::Layer(0), OUTPUT, None, EYE).unwrap();
-        // upside down: the last row's steps rise to the left
+        // the panel is upside down: the last row's steps rise to the left
         let line: Vec<f64> =
             codes[4 * 259 * 400..].chunks_exact(4).map(|rgba| (f64::from(rgba[0]) / 255.0).powf(2.2)).collect();
         for step in 0..STEPS {
             let col = 399 - (400.0 * (step as f64 + 0.5) / STEPS as f64) as usize;
             assert!((line[col] - step as f64 / 32.0).abs() < 0.006, "{step}: {}", line[col]);
         }
-        // grey is the upper band, so the lowest; blue the topmost
+        // upside down, grey is the lowest band and blue the topmost
         assert_eq!(codes[..4], [0, 0, 255, 255]);
     }
 

@@ -1,11 +1,13 @@
-//! What one output shows: code values of every pixel.
+//! Encodes layer values into the code values of every pixel of one output.
 //!
 //! ```text
-//! mask value f ─(crosstalk that nobody made up for)⁻¹─▶ f' ─drive─▶ 0..1 of the panel's range ─transfer─▶ code · (2^bits − 1), rounded
+//! mask value f ─(crosstalk)⁻¹─▶ f' ─drive─▶ 0..1 of the panel's range ─transfer─▶ code · (2^bits − 1), rounded
 //! ```
 //!
-//! Masks are in linear light, and so is mixing between them; only what comes out are codes. Beside the mask a panel is dark, or as if it were not there
-//! where the display says so (`missing = "clear"`). A colour of a sequence is shown by all three channels: such panels have no colour filters.
+//! The inverse crosstalk is that of the panel's calibration, which the solver did not model. Masks
+//! are linear light and are resampled as such; only the result is a code. Outside the mask a panel
+//! is dark, or clear where the display has `missing = "clear"`. In a colour sequence all three
+//! channels show one colour: such panels have no colour filters.
 
 use lumistack_plugin::display::{
     Backlight, Display, Homography, LayerStack, LensletBacklight, Missing, Sampling, Transfer,
@@ -14,52 +16,53 @@ use lumistack_plugin::lenslets::LensletPanel;
 
 use crate::{Place, Shows};
 
-/// Points per pixel and axis over which a pixel behind lenses is averaged.
+/// Sample points per pixel and axis over which a pixel behind lenslets is averaged.
 const LENS_SAMPLES: usize = 4;
 /// Bits per channel of an output.
 const OUTPUT_BITS: u32 = 8;
-/// Places half-way between two pixels go to the right and lower one although they were computed.
+/// A position half-way between two pixels belongs to the right or lower one, despite rounding
+/// errors.
 const HALF: f64 = 0.5 + 1e-9;
 
-/// What one output shows of a display's stacks. It keeps what does not change from frame to frame.
+/// Encodes layer stacks for one output. It precomputes everything that is equal in all frames.
 #[derive(Clone, Debug)]
 pub struct Picture {
     shows: Shows,
     size: [usize; 2],
-    reads: Reads,
-    drive: Drive,
+    lookup: Lookup,
+    encoder: Encoder,
 }
 
-/// Where every pixel of the output reads.
+/// The source values of every output pixel.
 #[derive(Clone, Debug)]
-enum Reads {
-    /// A mask pixel, or [`BESIDE`].
+enum Lookup {
+    /// Index of a mask pixel, or [`OUTSIDE`].
     Nearest(Vec<u32>),
-    /// Four mask pixels and how far between them.
+    /// Indices of four mask pixels, and the interpolation weights.
     Bilinear(Vec<Option<([u32; 4], [f32; 2])>>),
-    /// Places among the bins and lenslets, `LENS_SAMPLES`² of each pixel: bin · lenslets + lenslet, or [`BESIDE`].
+    /// `LENS_SAMPLES`² emission values per pixel: bin · lenslets + lenslet, or [`OUTSIDE`].
     Lenses(Vec<u32>),
 }
 
-const BESIDE: u32 = u32::MAX;
+const OUTSIDE: u32 = u32::MAX;
 
-/// From linear values to codes.
+/// Converts linear values to codes.
 #[derive(Clone, Debug)]
-struct Drive {
+struct Encoder {
     layer: Option<lumistack_plugin::display::Layer>,
     backlight: Option<LensletBacklight>,
     transfer: Transfer,
     bits: u32,
     unmix: Option<Homography>,
-    beside: [u8; 3],
+    outside: [u8; 3],
 }
 
-impl Drive {
-    /// The code of what the output would need to show of each channel.
+impl Encoder {
+    /// Codes of one linear RGB value.
     fn codes(&self, rgb: [f32; 3]) -> [u8; 3] {
         let wanted = match &self.unmix {
             None => rgb,
-            // a plain product of matrix and vector
+            // a plain product of matrix and vector, without the perspective division
             Some(unmix) => unmix.0.map(|row| (0..3).map(|c| row[c] * f64::from(rgb[c])).sum::<f64>() as f32),
         };
         let top = (1u32 << self.bits) - 1;
@@ -76,42 +79,42 @@ impl Drive {
 }
 
 impl Picture {
-    /// Works out where the pixels of an output of [columns, rows] pixels read.
+    /// Precomputes the lookup for an output of [columns, rows] pixels that shows `shows`.
     pub fn new(display: &Display, shows: Shows, output: [usize; 2]) -> Self {
         let place = Place::new(display, shows, output);
-        let (reads, mut drive) = match (shows, &display.backlight) {
+        let (lookup, mut encoder) = match (shows, &display.backlight) {
             (Shows::Backlight, Backlight::Lenslets(backlight)) => {
                 let panel = backlight.panel.clone().unwrap_or_default();
-                let drive = Drive {
+                let encoder = Encoder {
                     layer: None,
                     transfer: backlight.transfer.clone(),
                     bits: OUTPUT_BITS,
                     unmix: panel.crosstalk.map(|mix| Homography(mix).inverse()),
                     backlight: Some(backlight.clone()),
-                    beside: [0; 3],
+                    outside: [0; 3],
                 };
-                (lens_reads(&place, backlight), drive)
+                (lens_lookup(&place, backlight), encoder)
             }
             _ => {
                 let n = if let Shows::Layer(n) = shows { n } else { 0 };
                 let layer = &display.layers[n];
                 let panel = layer.panel.clone().unwrap_or_default();
-                let drive = Drive {
+                let encoder = Encoder {
                     transfer: layer.transfer.clone(),
                     bits: layer.bits.unwrap_or(OUTPUT_BITS).min(OUTPUT_BITS),
                     unmix: panel.crosstalk.map(|mix| Homography(mix).inverse()),
                     layer: Some(layer.clone()),
                     backlight: None,
-                    beside: [0; 3],
+                    outside: [0; 3],
                 };
-                (mask_reads(&place, layer.resolution, layer.pitch_mm, panel.resample), drive)
+                (mask_lookup(&place, layer.resolution, layer.pitch_mm, panel.resample), encoder)
             }
         };
         if shows != Shows::Backlight {
-            let beside = if display.missing == Missing::Clear { display.formation.neutral() } else { 0.0 };
-            drive.beside = drive.codes([beside; 3]);
+            let outside = if display.missing == Missing::Clear { display.formation.neutral() } else { 0.0 };
+            encoder.outside = encoder.codes([outside; 3]);
         }
-        Self { shows, size: output, reads, drive }
+        Self { shows, size: output, lookup, encoder }
     }
 
     /// [columns, rows] of the output.
@@ -119,9 +122,9 @@ impl Picture {
         self.size
     }
 
-    /// [darkest, brightest] value that it can show.
+    /// [darkest, brightest] value of the panel, linear.
     pub(crate) fn range(&self) -> [f32; 2] {
-        match (&self.drive.layer, &self.drive.backlight) {
+        match (&self.encoder.layer, &self.encoder.backlight) {
             (Some(layer), _) => layer.range(),
             (None, Some(backlight)) => backlight.range(),
             (None, None) => [0.0, 1.0],
@@ -130,21 +133,22 @@ impl Picture {
 
     /// The codes of one linear value.
     pub(crate) fn encode(&self, rgb: [f32; 3]) -> [u8; 3] {
-        self.drive.codes(rgb)
+        self.encoder.codes(rgb)
     }
 
-    /// What it shows.
+    /// The panel that the output shows.
     pub fn shows(&self) -> Shows {
         self.shows
     }
 
-    /// Codes `[row][col][red, green, blue, 255]` of one frame of a stack; of one of its colours where they come one after another.
+    /// Codes `[row][col][red, green, blue, 255]` of one frame of a stack. `colour` selects one
+    /// channel of a colour sequence.
     ///
     /// # Panics
-    /// If the stack does not fit the display that this was made for.
+    /// If the stack does not match the display of [`Self::new`].
     pub fn codes(&self, stack: &LayerStack, frame: usize, colour: Option<usize>) -> Vec<u8> {
         let code = |rgb: [f32; 3]| {
-            let codes = self.drive.codes(rgb);
+            let codes = self.encoder.codes(rgb);
             colour.map_or(codes, |channel| [codes[channel]; 3])
         };
         let values = match self.shows {
@@ -152,25 +156,25 @@ impl Picture {
             Shows::Backlight => stack.emission.as_ref().expect("a directional backlight").block([frame]),
         };
         let rgb = |i: u32| -> [f32; 3] { values[3 * i as usize..][..3].try_into().expect("three channels") };
-        let beside = self.drive.beside;
-        match &self.reads {
-            Reads::Nearest(reads) => {
+        let outside = self.encoder.outside;
+        match &self.lookup {
+            Lookup::Nearest(lookup) => {
                 let mask: Vec<[u8; 3]> = values.chunks_exact(3).map(|v| code([v[0], v[1], v[2]])).collect();
-                fill(reads, |&i| if i == BESIDE { beside } else { mask[i as usize] })
+                fill(lookup, |&i| if i == OUTSIDE { outside } else { mask[i as usize] })
             }
-            Reads::Bilinear(reads) => fill(reads, |read| {
-                let Some((corners, [tx, ty])) = read else { return beside };
+            Lookup::Bilinear(lookup) => fill(lookup, |read| {
+                let Some((corners, [tx, ty])) = read else { return outside };
                 let [a, b, c, d] = corners.map(rgb);
                 code([0, 1, 2].map(|i| {
                     let (top, bottom) = (a[i] + tx * (b[i] - a[i]), c[i] + tx * (d[i] - c[i]));
                     top + ty * (bottom - top)
                 }))
             }),
-            Reads::Lenses(reads) => {
+            Lookup::Lenses(lookup) => {
                 let points = LENS_SAMPLES * LENS_SAMPLES;
-                fill(reads.chunks_exact(points), |places| {
+                fill(lookup.chunks_exact(points), |places| {
                     let mut sum = [0.0f32; 3];
-                    for &i in places.iter().filter(|i| **i != BESIDE) {
+                    for &i in places.iter().filter(|i| **i != OUTSIDE) {
                         sum.iter_mut().zip(rgb(i)).for_each(|(sum, value)| *sum += value);
                     }
                     code(sum.map(|sum| sum / points as f32))
@@ -180,8 +184,8 @@ impl Picture {
     }
 }
 
-fn fill<T>(reads: impl IntoIterator<Item = T>, code: impl Fn(T) -> [u8; 3]) -> Vec<u8> {
-    reads
+fn fill<T>(lookup: impl IntoIterator<Item = T>, code: impl Fn(T) -> [u8; 3]) -> Vec<u8> {
+    lookup
         .into_iter()
         .flat_map(|read| {
             let [r, g, b] = code(read);
@@ -190,8 +194,8 @@ fn fill<T>(reads: impl IntoIterator<Item = T>, code: impl Fn(T) -> [u8; 3]) -> V
         .collect()
 }
 
-fn mask_reads(place: &Place, [cols, rows]: [usize; 2], pitch_mm: f64, resample: Sampling) -> Reads {
-    // the mask pixel at a place, as real numbers
+fn mask_lookup(place: &Place, [cols, rows]: [usize; 2], pitch_mm: f64, resample: Sampling) -> Lookup {
+    // mask pixel at an output position, fractional
     let at = |output: [f64; 2]| {
         let [x, y] = place.mm(output)?;
         Some([x / pitch_mm + (cols as f64 - 1.0) / 2.0, (rows as f64 - 1.0) / 2.0 - y / pitch_mm])
@@ -202,16 +206,16 @@ fn mask_reads(place: &Place, [cols, rows]: [usize; 2], pitch_mm: f64, resample: 
     };
     let pixels = pixels(place.output);
     match resample {
-        Sampling::Nearest => Reads::Nearest(
+        Sampling::Nearest => Lookup::Nearest(
             pixels
-                .map(|pixel| at(pixel).and_then(inside).map_or(BESIDE, |[col, row]| (row * cols + col) as u32))
+                .map(|pixel| at(pixel).and_then(inside).map_or(OUTSIDE, |[col, row]| (row * cols + col) as u32))
                 .collect(),
         ),
         Sampling::Bilinear => {
             let read = |pixel: [f64; 2]| {
                 let place = at(pixel)?;
                 inside(place)?;
-                // the border's pixels reach to its edge
+                // positions between the outermost centres and the edge use the border pixels
                 let [x, y] = [place[0].clamp(0.0, cols as f64 - 1.0), place[1].clamp(0.0, rows as f64 - 1.0)];
                 let (left, top) = (x.floor() as usize, y.floor() as usize);
                 let (right, bottom) = ((left + 1).min(cols - 1), (top + 1).min(rows - 1));
@@ -219,29 +223,29 @@ fn mask_reads(place: &Place, [cols, rows]: [usize; 2], pitch_mm: f64, resample: 
                 let corners = [corner(top, left), corner(top, right), corner(bottom, left), corner(bottom, right)];
                 Some((corners, [(x - x.floor()) as f32, (y - y.floor()) as f32]))
             };
-            Reads::Bilinear(pixels.map(read).collect())
+            Lookup::Bilinear(pixels.map(read).collect())
         }
     }
 }
 
-fn lens_reads(place: &Place, backlight: &LensletBacklight) -> Reads {
+fn lens_lookup(place: &Place, backlight: &LensletBacklight) -> Lookup {
     let lenses = LensletPanel::new(backlight, place.upright_size(), place.pitch_mm);
     let lenslets = lenses.lenslets[0] * lenses.lenslets[1];
     let offset = |sample: usize| (sample as f64 + 0.5) / LENS_SAMPLES as f64 - 0.5;
-    let mut reads = Vec::with_capacity(place.output[0] * place.output[1] * LENS_SAMPLES * LENS_SAMPLES);
+    let mut lookup = Vec::with_capacity(place.output[0] * place.output[1] * LENS_SAMPLES * LENS_SAMPLES);
     for [x, y] in pixels(place.output) {
         for (sy, sx) in (0..LENS_SAMPLES).flat_map(|sy| (0..LENS_SAMPLES).map(move |sx| (sy, sx))) {
             let spot = place.mm([x + offset(sx), y + offset(sy)]).and_then(|mm| lenses.spot(mm));
-            reads.push(spot.map_or(BESIDE, |spot| {
+            lookup.push(spot.map_or(OUTSIDE, |spot| {
                 let bin = spot.bin[0] * lenses.bins[0] + spot.bin[1];
                 (bin * lenslets + spot.lenslet[0] * lenses.lenslets[0] + spot.lenslet[1]) as u32
             }));
         }
     }
-    Reads::Lenses(reads)
+    Lookup::Lenses(lookup)
 }
 
-/// All pixels (column, row) in the order of memory.
+/// All pixels (column, row) in row-major order.
 pub(crate) fn pixels([cols, rows]: [usize; 2]) -> impl Iterator<Item = [f64; 2]> {
     (0..rows).flat_map(move |row| (0..cols).map(move |col| [col as f64, row as f64]))
 }

@@ -1,10 +1,11 @@
-//! Where a pixel of an output is: from output pixels to millimetres on the layer; the equations are those of `lumistack_display::Panel`.
+//! Geometry of a panel: from output pixels to millimetres on the layer. The equations are those of
+//! `lumistack_display::Panel`.
 
 use lumistack_plugin::display::{Backlight, Display, Flip, Homography, Panel};
 
 use crate::Shows;
 
-/// Where the pixels of one output are on what it shows.
+/// Maps the pixels of one output to positions on its panel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
     /// [columns, rows] of the output.
@@ -16,7 +17,8 @@ pub struct Place {
 }
 
 impl Place {
-    /// The place of an output of [columns, rows] pixels that shows a layer or the backlight's panel.
+    /// The geometry of an output of [columns, rows] pixels that shows a layer or the backlight's
+    /// panel.
     pub fn new(display: &Display, shows: Shows, output: [usize; 2]) -> Self {
         let (panel, pitch_mm) = match (shows, &display.backlight) {
             (Shows::Layer(n), _) => {
@@ -41,12 +43,14 @@ impl Place {
         if self.panel.rotate_deg.is_multiple_of(180) { [cols, rows] } else { [rows, cols] }
     }
 
-    /// `[left, top, columns, rows]` of the upright picture that is used, where that is not all of it.
+    /// `[left, top, columns, rows]` of the used part of the upright picture; none where all is
+    /// used.
     pub(crate) fn crop(&self) -> Option<[usize; 4]> {
         self.panel.crop
     }
 
-    /// The pixel (column, row) of the upright picture that stands at the output's pixel (column, row); fractions are places between centres.
+    /// Pixel (column, row) of the upright picture at the output's pixel (column, row). Integers are
+    /// pixel centres; fractions lie between them.
     pub fn upright(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [cols, rows] = self.upright_size().map(|count| count as f64 - 1.0);
         let [u, v] = match self.panel.rotate_deg {
@@ -62,7 +66,8 @@ impl Place {
         }
     }
 
-    /// Where the output's pixel (column, row) should be, millimetres from the layer's centre; none where it is cropped.
+    /// Position of the output's pixel (column, row) before the homography: millimetres from the
+    /// layer's centre, x right and y up. None outside the crop.
     pub fn nominal_mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         let [u, v] = self.upright(output);
         let [left, top, cols, rows] = self.panel.crop.map_or_else(
@@ -72,7 +77,7 @@ impl Place {
             },
             |crop| crop.map(|count| count as f64),
         );
-        // pixels are squares around their centres
+        // a pixel reaches half a pixel from its centre
         if u < left - 0.5 || v < top - 0.5 || u >= left + cols - 0.5 || v >= top + rows - 0.5 {
             return None;
         }
@@ -82,7 +87,8 @@ impl Place {
         Some([x * self.pitch_mm, -y * self.pitch_mm])
     }
 
-    /// Where the output's pixel (column, row) is.
+    /// Position of the output's pixel (column, row) with the homography applied, millimetres. None
+    /// outside the crop.
     pub fn mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         self.nominal_mm(output).map(|nominal| self.homography.apply(nominal))
     }
@@ -98,7 +104,7 @@ mod tests {
         Place::new(&display, Shows::Layer(0), output)
     }
 
-    /// The oracle moves pixels about as a picture program does: mirror the upright picture, then turn it.
+    /// Oracle: mirrors and rotates a picture as an image editor does.
     #[test]
     fn orientation_is_what_mirroring_and_turning_a_picture_gives() {
         for (rotate_deg, flip) in [0, 90, 180, 270]
@@ -114,7 +120,7 @@ mod tests {
                 Flip::Vertical => picture.reverse(),
             }
             for _ in 0..rotate_deg / 90 {
-                // a quarter turn clockwise: the left column becomes the top row, read upwards
+                // a quarter turn clockwise: the left column, read upwards, becomes the top row
                 let turned =
                     (0..picture[0].len()).map(|c| picture.iter().rev().map(|row| row[c]).collect()).collect::<Vec<_>>();
                 picture = turned;
@@ -134,7 +140,7 @@ mod tests {
         let plain = place(Panel::default(), [6, 4]);
         assert_eq!(plain.mm([0.0, 0.0]), Some([-2.5, 1.5]));
         assert_eq!(plain.mm([5.0, 3.0]), Some([2.5, -1.5]));
-        // the picture moves right and down, so a pixel shows what was left of it and above
+        // the picture moves right and down, so a pixel shows content from the left and above
         let nudged = place(Panel { nudge_px: [1.0, 0.5], ..Panel::default() }, [6, 4]);
         assert_eq!(nudged.mm([0.0, 0.0]), Some([-3.5, 2.0]));
         let cropped = place(Panel { crop: Some([10, 20, 6, 4]), ..Panel::default() }, [40, 40]);

@@ -1,4 +1,4 @@
-//! Output plugin `panels`: every layer on its output, or a rehearsal in a window, until somebody ends it.
+//! Output plugin `panels`: every layer on its output, or a preview in a window, until it is closed.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -14,7 +14,7 @@ use crate::presentation::{Command, Content, Event, Mode, Settings};
 use crate::shows::Shows;
 use crate::window;
 
-/// Viewing distance where the display names none: the paper's photographs were taken from here.
+/// Viewing distance where the display sets none: the camera distance of the paper's photographs.
 const DISTANCE_MM: f64 = 2000.0;
 
 /// The plugin.
@@ -23,15 +23,15 @@ pub struct Panels {
     host: Host,
     params: PanelsParams,
     display: Display,
-    /// Until the presentation begins.
-    waiting: Mutex<Option<Waiting>>,
+    /// Taken when the presentation begins.
+    pending: Mutex<Option<Pending>>,
     send: Sender<Command>,
 }
 
-/// A presentation that has not begun.
+/// Inputs of a presentation that has not begun.
 #[derive(Debug)]
-struct Waiting {
-    /// A test pattern, a picture, or the newest patterns.
+struct Pending {
+    /// A test pattern, a 2D picture, or the last submitted layer stack.
     content: Option<Content>,
     commands: Receiver<Command>,
 }
@@ -57,7 +57,7 @@ pub struct PanelsParams {
 }
 
 impl OutputPlugin for Panels {
-    const DOC: &'static str = "Shows every layer on its monitor, frame after frame, or in a window what the display would show, until it is closed. \
+    const DOC: &'static str = "Shows every layer on its monitor, one frame per refresh, or a preview of the display in a window, until it is closed. \
         `lumistack show` drives it, in builds with windows.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     const PRESENTS: bool = true;
@@ -69,59 +69,59 @@ impl OutputPlugin for Panels {
                 "mode",
                 "outputs",
                 [
-                    ("outputs", "A surface per output."),
+                    ("outputs", "One surface per output."),
                     ("span", "One surface across all outputs, so that all layers flip together."),
                     (
                         "window",
-                        "An ordinary window with the picture that the display would show; the mouse moves the viewer.",
+                        "An ordinary window with a preview of the display; the mouse moves the viewer.",
                     ),
                 ],
-                "Where it is shown.",
+                "Surfaces that are opened.",
             ),
             Param::bool(
                 "fit",
                 false,
-                "Whether masks fill the panels, whatever their size; distances then no longer hold.",
+                "Scale masks until they fill the panels. Layer distances then no longer match.",
             ),
-            Param::int("hold", -1, -1..=1 << 20, "The frame that stays; -1 for all in turn.").unit("1"),
-            Param::float("duration_s", 0.0, 0.0..=1e9, "How long it is shown; 0 until somebody ends it.").unit("s"),
-            Param::float("from_x_deg", 0.0, -80.0..=80.0, "Angle to the right at which the window begins.")
+            Param::int("hold", -1, -1..=1 << 20, "Frame to hold; -1 shows all in turn.").unit("1"),
+            Param::float("duration_s", 0.0, 0.0..=1e9, "Duration; 0 shows until it is closed.").unit("s"),
+            Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial horizontal viewing angle of the window, positive to the right.")
                 .unit("degrees"),
-            Param::float("from_y_deg", 0.0, -80.0..=80.0, "Angle upwards at which the window begins.").unit("degrees"),
-            Param::text("pattern", "", &format!("Test pattern instead of the layers' patterns: {PATTERNS}.")),
+            Param::float("from_y_deg", 0.0, -80.0..=80.0, "Initial vertical viewing angle of the window, positive upwards.").unit("degrees"),
+            Param::text("pattern", "", &format!("Test pattern shown in place of the layer stack: {PATTERNS}.")),
             Param::text(
                 "only",
                 "",
-                "The panel that alone shows the test pattern: the number of a layer, or backlight.",
+                "Panel that alone shows the test pattern: a layer number, or backlight. Empty: all panels.",
             ),
             Param::float(
                 "eye_x_mm",
                 0.0,
                 -1e6..=1e6,
-                "Place of the eye for which crosshairs coincide, to the right of the display's middle.",
+                "Eye position for which the crosshairs coincide, to the right of the display's centre.",
             )
             .unit("mm"),
-            Param::float("eye_y_mm", 0.0, -1e6..=1e6, "The same, upwards.").unit("mm"),
+            Param::float("eye_y_mm", 0.0, -1e6..=1e6, "Eye position, upwards from the display's centre.").unit("mm"),
             Param::float(
                 "eye_z_mm",
                 0.0,
                 0.0..=1e6,
-                "Distance of the eye; 0 for the display's viewing distance, or 2000 where it names none.",
+                "Eye distance from the display's plane; 0 uses the display's viewing distance, or 2000 where it sets none.",
             )
             .unit("mm"),
             Param::text(
                 "picture",
                 "",
-                "Path of a picture (PNG, JPEG, WebP) that one layer shows with all its pixels; the others are clear.",
+                "Path of a picture (PNG, JPEG, WebP) that one layer shows at full resolution; the other layers are clear.",
             ),
             Param::int(
                 "layer",
                 -1,
                 -1..=1 << 10,
-                "The layer of the picture, 0 the rearmost; -1 for the one nearest to the display's plane.",
+                "Layer that shows the picture; 0 is the rearmost, -1 the one nearest to the display's plane.",
             )
             .unit("1"),
-            Param::bool("log", false, "Whether reports have the time of every submission."),
+            Param::bool("log", false, "Reports list the time of every submission."),
         ])
     }
 
@@ -132,36 +132,40 @@ impl OutputPlugin for Panels {
             return Err(refused("hold", format!("0 to {}", frames - 1), params.hold));
         }
         let (send, commands) = channel();
-        Ok(Self { host, params, display, waiting: Mutex::new(Some(Waiting { content, commands })), send })
+        Ok(Self { host, params, display, pending: Mutex::new(Some(Pending { content, commands })), send })
     }
 
     fn submit(&self, _time: Time, data: &Input<'_>) -> Result<(), PluginError> {
         self.host.check_cancelled()?;
         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
         let stack = stack.to_layer_stack(&self.display)?;
-        match &mut *self.waiting() {
-            // a test pattern or a picture stays
-            Some(Waiting { content: Some(Content::Pattern { .. } | Content::Flat { .. }), .. }) => {}
-            Some(waiting) => {
+        match &mut *self.pending() {
+            // test patterns and 2D pictures are not replaced
+            Some(Pending { content: Some(Content::Pattern { .. } | Content::Flat { .. }), .. }) => {}
+            Some(pending) => {
                 let from_deg = [self.params.from_x_deg, self.params.from_y_deg];
-                waiting.content = Some(match self.params.mode {
+                pending.content = Some(match self.params.mode {
                     Mode::Window => Content::Rehearsal { stack, from_deg },
                     Mode::Outputs | Mode::Span => Content::Stack(stack),
                 });
             }
-            // a presentation that has ended needs none
+            // the receiver is gone after the presentation ended; nothing to do
             None => drop(self.send.send(Command::Stack(stack))),
         }
         Ok(())
     }
 
     fn run(&self) -> Result<(), PluginError> {
-        let waiting = self.waiting().take();
-        let Waiting { content, commands } =
-            waiting.ok_or_else(|| PluginError::Refused("it was already shown".into()))?;
+        let pending = self.pending().take();
+        let Pending { content, commands } = pending
+            .ok_or_else(|| PluginError::Refused("this presentation has already run; open the plugin again".into()))?;
         let settings = Settings {
             display: self.display.clone(),
-            content: content.ok_or_else(|| PluginError::Refused("there are no patterns to show".into()))?,
+            content: content.ok_or_else(|| {
+                PluginError::Refused(
+                    "expected a layer stack, a test pattern or a picture before `run`, found none".into(),
+                )
+            })?,
             mode: self.params.mode,
             fit: self.params.fit,
             hold: usize::try_from(self.params.hold).ok(),
@@ -169,18 +173,18 @@ impl OutputPlugin for Panels {
             log: self.params.log,
         };
         let host = self.host.clone();
-        let tell = Arc::new(move |event: Event| match event {
+        let emit = Arc::new(move |event: Event| match event {
             Event::Warning(text) => host.warn(&text),
             event => host.tell(&serde_json::to_value(event).expect("events are plain data")),
         });
-        window::present(settings, commands, &|| self.host.is_cancelled(), tell)
+        window::present(settings, commands, &|| self.host.is_cancelled(), emit)
             .map_err(|error| PluginError::Failed(error.to_string()))
     }
 
     fn command(&self, command: &Value) -> Result<(), PluginError> {
         let command = Command::deserialize(command)
             .map_err(|error| PluginError::Refused(format!("command {command}: {error}")))?;
-        // nobody obeys one that comes after the end
+        // a command after the end has no receiver and no effect
         let _ = self.send.send(command);
         Ok(())
     }
@@ -191,8 +195,8 @@ impl OutputPlugin for Panels {
 }
 
 impl Panels {
-    fn waiting(&self) -> MutexGuard<'_, Option<Waiting>> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    fn pending(&self) -> MutexGuard<'_, Option<Pending>> {
+        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -200,7 +204,7 @@ fn refused(name: &str, expected: impl std::fmt::Display, found: impl std::fmt::D
     PluginError::Refused(format!("`{name}`: expected {expected}, found {found}"))
 }
 
-/// Content that the parameters name, and that submitted patterns do not replace.
+/// Content set by the parameters, which submitted stacks do not replace.
 fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, PluginError> {
     if !params.pattern.is_empty() {
         let pattern = params.pattern.parse::<Pattern>().map_err(|error| PluginError::Refused(error.to_string()))?;

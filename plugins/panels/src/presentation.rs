@@ -1,4 +1,4 @@
-//! A presentation: its content, the commands that it takes, the events that it tells.
+//! A presentation: its content, its commands and its events.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -10,37 +10,37 @@ use crate::pattern::Pattern;
 use crate::shows::Shows;
 use crate::tally::Tally;
 
-/// What is shown, and how.
+/// Settings of a presentation.
 #[derive(Debug)]
 pub struct Settings {
     /// The display, with its panels' calibration.
     pub display: Display,
-    /// What to show first.
+    /// The first content.
     pub content: Content,
-    /// Where.
+    /// The surfaces to open.
     pub mode: Mode,
-    /// Whether masks are enlarged, or made smaller, to fill the panels ([`crate::fit`]).
+    /// Scale masks to fill the panels ([`crate::fit`]).
     pub fit: bool,
-    /// A frame that stays until told otherwise.
+    /// The frame that is held until a command changes it; none shows all frames in turn.
     pub hold: Option<usize>,
-    /// How long to show it; without it until somebody ends it.
+    /// Duration of the presentation; none shows until it is closed.
     pub duration: Option<Duration>,
-    /// Whether to keep what was submitted when, for [`Report::log`].
+    /// Record the time of every submission in [`Report::log`].
     pub log: bool,
 }
 
-/// What is shown.
+/// The content of a presentation.
 #[derive(Clone, Debug)]
 pub enum Content {
     /// The frames of a stack.
     Stack(LayerStack),
-    /// A test pattern, on one panel alone or on all.
+    /// A test pattern.
     Pattern {
-        /// Which.
+        /// The pattern.
         pattern: Pattern,
-        /// On which panel alone.
+        /// The panel that alone shows it; none for all panels.
         only: Option<Shows>,
-        /// Place of the eye for which crosses coincide, display space.
+        /// Eye position for which the crosses coincide, display space, millimetres.
         eye_mm: [f64; 3],
     },
     /// A picture on one panel at its full resolution; the others are clear.
@@ -50,20 +50,20 @@ pub enum Content {
         /// The layer that shows it.
         layer: usize,
     },
-    /// What the display would show from an angle, in an ordinary window.
+    /// A preview of the display from one angle, in an ordinary window.
     Rehearsal {
-        /// The patterns.
+        /// The layer stack.
         stack: LayerStack,
-        /// Angles from which it is seen, degrees to the right and up.
+        /// Viewing angles, degrees to the right and up.
         from_deg: [f64; 2],
     },
 }
 
-/// Where it is shown.
+/// The surfaces that a presentation opens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "snake_case")]
 pub enum Mode {
-    /// A surface per output.
+    /// One surface per output.
     Outputs,
     /// One surface across all outputs, which then flip together.
     Span,
@@ -71,103 +71,109 @@ pub enum Mode {
     Window,
 }
 
-/// A command to a running presentation. JSON: `{"hold": 1}`, `"run"`, `{"nudge": ["layer 0", [1.0, -2.0]]}`.
+/// A command to a running presentation. JSON: `{"hold": 1}`, `"run"`,
+/// `{"nudge": ["layer 0", [1.0, -2.0]]}`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "snake_case")]
 pub enum Command {
-    /// New patterns, which replace the old ones between periods. At the boundary of plugins they are submitted, so they have no JSON.
+    /// A new layer stack, which replaces the old one between periods. Plugin hosts submit it as
+    /// data, so it has no JSON.
     #[serde(skip)]
     Stack(LayerStack),
-    /// Keep this frame.
+    /// Hold this frame.
     Hold(usize),
     /// Show all frames in turn.
     Run,
-    /// The frame after the one that is kept, or before.
+    /// Hold a later (positive) or earlier (negative) frame, relative to the held one.
     Step(i64),
     /// Shift a panel's picture by [right, down] panel pixels.
     Nudge(Shows, [f64; 2]),
-    /// Keep the nudges: see [`Event::Save`].
+    /// Save the nudges: see [`Event::Save`].
     Save,
-    /// Look from these angles, degrees (rehearsal).
+    /// Set the viewing angles of the preview, degrees.
     Look([f64; 2]),
-    /// Tell what was shown so far.
+    /// Report the statistics so far.
     Report,
-    /// End it.
+    /// End the presentation.
     Quit,
 }
 
-/// An event of a presentation, told from any of its threads. JSON: `{"event": "swapped", "times": 1, "refresh": 0}`.
+/// An event of a presentation, emitted by any of its threads.
+/// JSON: `{"event": "swapped", "times": 1, "refresh": 0}`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "event", rename_all = "snake_case")]
 pub enum Event {
-    /// An output shows a panel.
+    /// A panel is shown on an output.
     Shows {
         /// The panel.
         panel: Shows,
         /// The output's name.
         output: String,
-        /// Its left upper corner in the layout of all outputs, pixels.
+        /// Its upper left corner in the layout of all outputs, pixels.
         position: [i32; 2],
-        /// Its columns and rows.
+        /// Its [columns, rows].
         size: [usize; 2],
-        /// Its refresh rate, where it is known.
+        /// Its refresh rate, hertz; none where the platform does not report it.
         refresh_hz: Option<f64>,
     },
-    /// The windows are there.
+    /// The windows are open.
     Started,
-    /// New pictures are shown since a refresh.
+    /// A new layer stack is shown.
     Swapped {
-        /// How often so far.
+        /// Number of swaps so far.
         times: u64,
-        /// Number of the first refresh that shows them.
+        /// Number of the first refresh that shows it.
         refresh: u64,
     },
-    /// Something that the user should know. At the boundary of plugins it is logged, so it has no JSON.
+    /// A warning for the user. Plugin hosts log it, so it has no JSON.
     #[serde(skip)]
     Warning(String),
-    /// The panel that keys now shift.
+    /// The shift of a panel changed, or another panel was selected for shifting.
     Nudged {
         /// The panel.
         panel: Shows,
         /// Its shift to the right and down, panel pixels.
         nudge_px: [f64; 2],
     },
-    /// Somebody wants the nudges kept.
+    /// A request to save the nudges.
     Save {
-        /// The display with them.
+        /// The display, with the nudges.
         display: Box<Display>,
     },
-    /// Counts so far; the last event has those of the whole presentation.
+    /// Statistics so far; the last event has those of the whole presentation.
     Report(Box<Report>),
 }
 
-/// Counts of a presentation.
+/// Statistics of a presentation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Report {
-    /// Refreshes that were submitted.
+    /// Refreshes submitted.
     pub refreshes: u64,
-    /// Seconds from the first to the last.
+    /// Seconds from the first to the last refresh.
     pub seconds: f64,
     /// Refreshes per second.
     pub rate_hz: f64,
-    /// Seconds between refreshes that late ones are measured against.
+    /// The expected interval, seconds, against which late refreshes are counted.
     pub interval_s: f64,
-    /// Where `interval_s` comes from.
+    /// The source of `interval_s`.
     pub interval_from: String,
-    /// New pictures that were taken.
+    /// New layer stacks taken.
     pub swaps: u64,
-    /// Surfaces whose picture could not be had in time, by output.
+    /// Surface images that could not be acquired, over all surfaces.
     pub missed: u64,
-    /// By times of submission; none before the first.
+    /// Statistics from the times of submission; none before the first.
     pub submitted: Option<Tally>,
-    /// By what the platform tells, for each output. Empty where it tells nothing.
+    /// Statistics from the platform's presentation times, per surface. Empty where the platform
+    /// reports none.
     pub presented: BTreeMap<String, Tally>,
-    /// Mean time between the outputs that show the same refresh first and last, as the platform tells. None where it does not, or there is one surface.
+    /// Mean time between the first and the last output of a refresh, seconds, from the platform's
+    /// presentation times. None where there are none, or only one surface.
     pub skew_mean_s: Option<f64>,
-    /// The longest such time.
+    /// The largest such time, seconds.
     pub skew_largest_s: Option<f64>,
-    /// (refresh, place in the period, number of the pictures, seconds) of every submission, where wanted.
+    /// (refresh, place in the period, number of the layer stack, seconds) of every submission, if
+    /// requested.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub log: Vec<(u64, usize, u64, f64)>,
 }

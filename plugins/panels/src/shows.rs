@@ -1,4 +1,4 @@
-//! The part of a display that one output shows.
+//! Identifies the panel that an output shows: a layer or the backlight.
 
 use std::str::FromStr;
 
@@ -6,7 +6,7 @@ use lumistack_plugin::display::{Backlight, Display};
 use lumistack_plugin::serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// The part of a display that one output shows. In JSON it is its text.
+/// The panel that an output shows. JSON: its text, as `"layer 2"` or `"backlight"`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", into = "String", try_from = "String")]
 pub enum Shows {
@@ -16,7 +16,7 @@ pub enum Shows {
     Layer(usize),
 }
 
-/// A text that names no panel.
+/// A text that is not a panel.
 #[derive(Debug, Error)]
 #[error("expected the number of a layer, or backlight, found `{0}`")]
 pub struct ShowsError(String);
@@ -58,7 +58,7 @@ impl TryFrom<String> for Shows {
 }
 
 impl Shows {
-    /// All that a display needs an output for, rear to front.
+    /// All panels of a display that need an output, rear to front.
     pub fn all(display: &Display) -> Vec<Self> {
         let backlight = matches!(display.backlight, Backlight::Lenslets(_)).then_some(Self::Backlight);
         backlight.into_iter().chain((0..display.layers.len()).map(Self::Layer)).collect()

@@ -1,13 +1,13 @@
-//! Counts what came late, and how far outputs are apart.
+//! Counts late refreshes and measures the skew between outputs.
 //!
-//! A refresh is late when it comes more than one and a half intervals after the one before; the panel then showed the one before again, once for every whole
-//! interval that passed.
+//! A refresh is late when it comes more than 1.5 intervals after the previous one. The panel then
+//! repeated the previous frame once for every whole interval in between.
 
 use std::collections::BTreeMap;
 
 use lumistack_plugin::serde::{Deserialize, Serialize};
 
-/// Refreshes of one output.
+/// Refresh statistics of one output.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Tally {
@@ -15,25 +15,25 @@ pub struct Tally {
     interval_s: f64,
     #[serde(skip)]
     last: Option<(u64, f64)>,
-    /// Refreshes that came.
+    /// Refreshes presented.
     pub shown: u64,
-    /// Those that came late.
+    /// Refreshes presented late.
     pub late: u64,
-    /// Times that a picture was shown once more because the next was not there.
+    /// Times that a frame was repeated because the next was late.
     pub repeated: u64,
-    /// Refreshes that were handed over and never shown.
+    /// Refreshes submitted and never presented.
     pub dropped: u64,
-    /// Refreshes that came in another order than they were meant to.
+    /// Refreshes presented in another order than submitted.
     pub out_of_order: u64,
 }
 
 impl Tally {
-    /// Nothing yet, at intervals of so many seconds.
+    /// No refreshes yet; `interval_s` is the expected interval, seconds.
     pub fn new(interval_s: f64) -> Self {
         Self { interval_s, last: None, shown: 0, late: 0, repeated: 0, dropped: 0, out_of_order: 0 }
     }
 
-    /// Refresh number `index` came at a time.
+    /// Records that refresh `index` was presented at `time_s`, seconds.
     pub fn came(&mut self, index: u64, time_s: f64) {
         if let Some((last, before_s)) = self.last {
             let intervals = (time_s - before_s) / self.interval_s;
@@ -52,28 +52,28 @@ impl Tally {
     }
 }
 
-/// How far apart the outputs show the same refresh.
+/// Time between the first and the last output that present the same refresh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Skew {
     outputs: usize,
     open: BTreeMap<u64, Vec<f64>>,
-    /// Refreshes that all outputs showed and told about.
+    /// Refreshes with a time from every output.
     pub refreshes: u64,
     sum_s: f64,
-    /// The largest distance in time, seconds.
+    /// The largest skew, seconds.
     pub largest_s: f64,
 }
 
-/// Refreshes that are waited for; one output may never tell.
+/// Refreshes with times missing that are kept; an output may never report its time.
 const OPEN: usize = 64;
 
 impl Skew {
-    /// Nothing yet, of so many outputs.
+    /// No refreshes yet, for this number of outputs.
     pub fn new(outputs: usize) -> Self {
         Self { outputs, ..Self::default() }
     }
 
-    /// An output showed refresh number `index` at a time.
+    /// Records that one output presented refresh `index` at `time_s`, seconds.
     pub fn came(&mut self, index: u64, time_s: f64) {
         let times = self.open.entry(index).or_default();
         times.push(time_s);
@@ -90,7 +90,7 @@ impl Skew {
         }
     }
 
-    /// The mean distance in time, seconds; none where nothing is known.
+    /// Mean skew, seconds; none before the first complete refresh.
     pub fn mean_s(&self) -> Option<f64> {
         (self.refreshes > 0).then(|| self.sum_s / self.refreshes as f64)
     }
@@ -123,7 +123,7 @@ mod tests {
         }
         assert_eq!(skew.refreshes, 2);
         assert!((skew.mean_s().unwrap() - 0.004).abs() < 1e-12 && (skew.largest_s - 0.006).abs() < 1e-12);
-        // an output that says nothing
+        // one output never reports
         (0..1000).for_each(|index| skew.came(index, 0.0));
         assert!(skew.open.len() <= OPEN);
     }

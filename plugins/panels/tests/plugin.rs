@@ -1,4 +1,5 @@
-//! The presenter through the boundary, without windows: what it takes, and what it refuses before anything is shown.
+//! The presenter through the plugin interface, without windows: accepted commands, and inputs
+//! refused before the presentation.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::Display;

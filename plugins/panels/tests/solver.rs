@@ -7,9 +7,10 @@ mod session;
 
 use session::{SWAY, Session};
 
-/// Seconds that a stall lasts at least; without one a stack comes every 0.3 s.
+/// Shortest stall, seconds; without a stall a stack arrives every 0.3 s.
 const STALL_S: f64 = 1.5;
-/// Refreshes that a busy machine may lose in that time beside those that it loses without a stall; a conductor that waited for the solver would lose 120.
+/// Refreshes that a busy machine may lose in that time, beside those lost without a stall. A
+/// present loop that waited for the solver would lose 120.
 const NOISE: usize = 20;
 /// Rows of the log: refresh, place in the period, number of the pictures, seconds.
 type Log = Vec<[f64; 4]>;
@@ -23,7 +24,8 @@ fn run(session: &Session, words: &[&str]) -> Log {
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
     let numbers = |line: &str| line.split(',').map(|number| number.parse().unwrap()).collect::<Vec<f64>>();
     let log: Log = text.lines().map(|line| numbers(line).try_into().unwrap()).collect();
-    // in order: the next place of the period, whichever stack it belongs to; a new stack only with a new period
+    // Frames are in order: the next place of the period, from whichever stack; a new stack only
+    // with a new period.
     for pair in log.windows(2) {
         assert_eq!(pair[1][0], pair[0][0] + 1.0);
         assert_eq!(pair[1][1] as usize, (pair[0][1] as usize + 1) % 3, "{pair:?}");
@@ -33,7 +35,7 @@ fn run(session: &Session, words: &[&str]) -> Log {
     log
 }
 
-/// The longest time without a new stack, [from, to] in seconds.
+/// The longest time without a new stack, [from, to], seconds.
 fn longest_without(log: &Log) -> [f64; 2] {
     let mut starts = vec![log[0]];
     starts.extend(log.windows(2).filter(|pair| pair[1][2] != pair[0][2]).map(|pair| pair[1]));
@@ -41,7 +43,7 @@ fn longest_without(log: &Log) -> [f64; 2] {
     spans.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0]))).unwrap_or([0.0; 2])
 }
 
-/// Refreshes within a time, late ones, and the longest gap in intervals.
+/// Number of refreshes in a time span, late ones, and the longest gap in intervals.
 fn within(log: &Log, [from, to]: [f64; 2]) -> (usize, usize, f64) {
     let interval = 1.0 / 60.0;
     let rows: Vec<_> = log.iter().filter(|row| row[3] >= from && row[3] <= to).collect();
@@ -50,7 +52,8 @@ fn within(log: &Log, [from, to]: [f64; 2]) -> (usize, usize, f64) {
     (rows.len(), late, gaps.iter().copied().fold(0.0, f64::max))
 }
 
-/// With and without a stall, in turn: what a stall costs is the difference. `LUMISTACK_PANELS_TURNS` is how often.
+/// Runs with and without a stall, alternately; the difference is the effect of a stall.
+/// `LUMISTACK_PANELS_TURNS` sets the number of runs.
 #[test]
 fn panels_go_on_while_the_solver_stalls() {
     let Some(session) = Session::sway(&SWAY) else { return };

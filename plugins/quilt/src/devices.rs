@@ -1,17 +1,17 @@
-//! Lenticular displays that people own, as data: `devices.json`, with its provenance.
+//! Commercial lenticular displays, as data: `devices.json`, with sources.
 
 use std::sync::OnceLock;
 
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::serde_json;
 
-/// A display's default quilt.
+/// The default quilt of a display.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Device {
     /// Value of the parameter `device`.
     pub id: String,
-    /// Name for people.
+    /// Name for users.
     pub name: String,
     /// [columns, rows] of the quilt's pixels.
     pub quilt: [usize; 2],
@@ -21,7 +21,7 @@ pub struct Device {
     pub rows: usize,
     /// Width over height of one view.
     pub aspect: f64,
-    /// Where the numbers come from.
+    /// Source of the numbers.
     pub source: String,
 }
 

@@ -1,8 +1,9 @@
-//! How a quilt is laid out and named.
+//! Layout and name of a quilt.
 //!
-//! View 0, the leftmost, is the bottom-left tile; then left to right, then up. Tiles have ⌊width / columns⌋ × ⌊height / rows⌋ pixels and start at the
-//! bottom left; what remains at the top and right is black. The name ends in `_qs<columns>x<rows>a<aspect>`, the aspect being width over height of a view,
-//! which its tile may squeeze.
+//! View 0, the leftmost, is the bottom-left tile; views continue to the right, then upwards. Tiles
+//! have ⌊width / columns⌋ × ⌊height / rows⌋ pixels and start at the bottom left; the rest at the
+//! top and right is black. The name ends in `_qs<columns>x<rows>a<aspect>`. The aspect is width
+//! over height of a view; its tile may be anamorphic.
 
 use lumistack_plugin::PluginError;
 
@@ -21,7 +22,7 @@ pub struct Layout {
     pub aspect: f64,
 }
 
-/// What a job says about the quilt; 0 where it says nothing.
+/// The job's values for a quilt; 0 if not set.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Given {
     /// Columns and rows of views.
@@ -33,7 +34,8 @@ pub struct Given {
 }
 
 impl Layout {
-    /// The quilt of a device, or of `views` pictures of `view_size` = [columns, rows] without one; what is given wins.
+    /// The quilt of a device; without one, the quilt of `views` pictures of `view_size` = [columns,
+    /// rows]. Given values override both.
     ///
     /// # Errors
     /// If only one of columns and rows is given, or a tile has no pixel.
@@ -83,14 +85,15 @@ impl Layout {
         [view % self.columns * tile[0], self.size[1] - (view / self.columns + 1) * tile[1]]
     }
 
-    /// The name's end, with as many digits of the aspect as it takes to tell it from others of whole pixels.
+    /// The suffix of the name, with as many digits of the aspect as distinguish it from those of
+    /// other whole pixels.
     pub fn suffix(&self) -> String {
         let rounded = (self.aspect * 1e5).round() / 1e5;
         format!("_qs{}x{}a{rounded}", self.columns, self.rows)
     }
 }
 
-/// Columns and rows whose quilt is nearest to a square.
+/// Columns and rows of the quilt nearest to a square.
 fn squarest(views: usize, view_size: [usize; 2]) -> [usize; 2] {
     let skew = |columns: usize| {
         let [width, height] = [columns * view_size[0], views / columns * view_size[1]];

@@ -1,13 +1,14 @@
 //! Output plugin `quilt`: pictures for lenticular displays.
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
 //! | `NAME_qs<C>x<R>a<A>.png` | the views of one row from left to right, view 0 in the bottom-left tile; see [`layout`] |
-//! | `NAME_native.png` | with a calibration, the screen's own picture: every subpixel shows the view that its lens sends its way; see [`weave`] |
-//! | `quilt.json` | sizes, and of every view its slope and how it was made |
+//! | `NAME_native.png` | with a calibration, the screen's native picture: every subpixel shows the view to which its lens directs it; see [`weave`] |
+//! | `quilt.json` | sizes, and slope and origin of every view |
 //!
-//! Pictures are 8-bit sRGB without alpha. Times of a sequence are `NAME_f0000_qs…`, `NAME_f0001_qs…`, …, which is what video encoders take.
-//! Memory: one quilt, one view, and the native picture.
+//! Pictures are 8-bit sRGB without alpha. Time steps of a sequence are `NAME_f0000_qs…`,
+//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory: one quilt, one view, and the
+//! native picture.
 
 pub mod devices;
 pub mod layout;
@@ -31,12 +32,13 @@ use weave::Calibration;
 
 /// Value of `device` for none.
 const CUSTOM: &str = "custom";
-/// Bars that fill less of a tile are not worth a word.
+/// Smaller black fractions of a tile cause no warning.
 const LEAST_BLACK: f64 = 0.01;
-/// Longest side of pictures that H.264 encoders take.
+/// Longest side of pictures that H.264 encoders accept, pixels.
 const H264_SIDE: usize = 6000;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// The plugin.
@@ -77,7 +79,7 @@ struct Manifest {
     files: Vec<Entry>,
 }
 
-/// One time.
+/// One time step.
 #[derive(Clone, Debug, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Entry {
@@ -93,7 +95,7 @@ struct Entry {
     rows: usize,
     tile: [usize; 2],
     aspect: f64,
-    /// The video encoder that takes pictures of this size.
+    /// The video encoder for pictures of this size.
     video: &'static str,
     /// From left to right: view 0 is the bottom-left tile.
     views: Vec<ViewEntry>,
@@ -115,14 +117,14 @@ impl OutputPlugin for Quilt {
     fn schema() -> Schema {
         let known = devices().iter().map(|device| (device.id.as_str(), device.name.as_str()));
         Schema::new([
-            Param::text("name", "quilt", "Beginning of the files' names."),
+            Param::text("name", "quilt", "Prefix of the files' names."),
             Param::choice(
                 "device",
                 CUSTOM,
                 [(CUSTOM, "No device: tiles have the views' own pixels.")].into_iter().chain(known),
-                "Whose default quilt to make; what the parameters below say wins.",
+                "Device whose default quilt is written; the parameters below override it.",
             ),
-            Param::int("columns", 0, 0..=100, "Columns of views; 0 for the device's, or as square as the views allow.")
+            Param::int("columns", 0, 0..=100, "Columns of views; 0 for the device's, or those of the quilt nearest to a square.")
                 .unit("views"),
             Param::int("rows", 0, 0..=100, "Rows of views; 0 as for columns.").unit("views"),
             Param::int(
@@ -143,24 +145,24 @@ impl OutputPlugin for Quilt {
                 "aspect",
                 0.0,
                 0.0..=10.0,
-                "Width over height of one view as shown, whatever its tile; 0 for that of the calibration's screen, else the device's, else the views' own.",
+                "Width over height of one view on the screen, independent of its tile; 0 for the calibration's screen, otherwise the device, otherwise the views.",
             )
             .unit("1"),
             Param::choice(
                 "fit",
                 "contain",
                 [
-                    ("contain", "All of the view, with black bars."),
-                    ("cover", "No bars: what is too much of the view is cropped."),
+                    ("contain", "The whole view, with black bars."),
+                    ("cover", "No bars; the view is cropped."),
                     ("stretch", "Stretched to the tile."),
                 ],
-                "How a view of another aspect fills its tile.",
+                "Fit of a view to a tile of another aspect.",
             ),
             Param::int(
                 "view_row",
                 -1,
                 -1..=9999,
-                "Row of views that is taken, 0 the topmost; -1 for the middle, of two the upper.",
+                "Row of views to use, 0 the topmost; -1 for the central one, the upper of two.",
             )
             .unit("rows"),
             Param::choice(
@@ -168,19 +170,19 @@ impl OutputPlugin for Quilt {
                 "nearest",
                 [
                     ("nearest", "The nearest view, with a warning."),
-                    ("blend", "The two around it mixed, which ghosts, with a warning."),
-                    ("refuse", "An error that says what to render."),
+                    ("blend", "A blend of the two neighbouring views, which ghosts, with a warning."),
+                    ("refuse", "An error that lists the views to render."),
                 ],
-                "What to take where a light field has no view at a tile's place. Layer stacks are simulated at every place.",
+                "Handling of tiles at whose position a light field has no view. Layer stacks are simulated at every position.",
             ),
             Param::bool(
                 "sequence",
                 false,
-                "Number the first time too (NAME_f0000_qs...), as later times of a sequence always are.",
+                "Number the first time step, too (NAME_f0000_qs...); later time steps always are.",
             ),
             Param::file(
                 "calibration",
-                "The display's own calibration (visual.json), or its text: the native picture is written too.",
+                "The display's calibration (visual.json), or its text; the native picture is then written, too.",
             ),
             Param::bool("write_quilt", true, "Write the quilt itself."),
         ])
@@ -201,7 +203,7 @@ impl OutputPlugin for Quilt {
         }
         let device = devices().iter().find(|device| device.id == params.device);
         let output = Self { host, params, device, calibration, written: Mutex::default() };
-        // what is submitted has the display's own views and pixels
+        // submitted data have the display's views and pixels
         let geometry = display.geometry().map_err(|error| PluginError::failed("display", error))?;
         let layout = output.layout(&geometry)?;
         views::row_of(geometry.grid.slope_y.len(), output.params.view_row)?;
@@ -257,7 +259,7 @@ impl Quilt {
         }
         if params.sequence && layout.size.iter().any(|side| side % 2 == 1) {
             let [width, height] = layout.size;
-            self.host.warn(&format!("video encoders want even sizes, the quilt has {width} × {height} pixels"));
+            self.host.warn(&format!("video encoders require even sizes, the quilt has {width} × {height} pixels"));
         }
         let (quilt, views) = self.fill(source, &layout, size, row)?;
         let frame = if params.sequence || time.index > 0 { format!("_f{:04}", time.index) } else { String::new() };
@@ -294,7 +296,7 @@ impl Quilt {
         Layout::new(self.device, given, geometry.grid.slope_x.len(), [geometry.cols, geometry.rows])
     }
 
-    /// Aspect of a view that is asked for; a screen shows every view over all of itself.
+    /// Aspect of a view; a calibrated screen shows every view over its whole area.
     fn aspect(&self) -> f64 {
         match &self.calibration {
             Some(calibration) if self.params.aspect == 0.0 => {
@@ -356,7 +358,7 @@ impl Quilt {
     }
 }
 
-/// The JSON itself, or the file that holds it.
+/// Parses the JSON itself, or the file that contains it.
 fn read_calibration(given: &str) -> Result<Option<Calibration>, PluginError> {
     let refused = |text: String| PluginError::Refused(format!("parameter `calibration`: {text}"));
     if given.is_empty() {

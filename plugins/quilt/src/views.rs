@@ -1,12 +1,14 @@
-//! The views of a quilt, from left to right, of whatever was submitted.
+//! The views of a quilt, from left to right, of the submitted data.
 //!
-//! View i of N stands in the middle of its share of the viewing zone. In units of the A views across of the source,
+//! View i of N is at the centre of its part of the viewing zone. In units of the source's A views
+//! across,
 //!
 //! ```text
 //! a_i = (i + ½) / N · A − ½
 //! ```
 //!
-//! which for N = A is the source's own view i. A layer stack is simulated there; a light field has views at whole numbers alone.
+//! which for N = A is the source's own view i. A layer stack is simulated there; a light field has
+//! views at whole numbers only.
 
 use std::borrow::Cow;
 
@@ -14,33 +16,33 @@ use lumistack_plugin::display::{FieldGeometry, Projection};
 use lumistack_plugin::serde::{Deserialize, Serialize};
 use lumistack_plugin::{FieldInput, PluginError, StackInput, ViewPoint};
 
-/// What to do where a light field has no view at a place.
+/// Handling of positions at which a light field has no view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
 pub enum Missing {
-    /// Take the nearest view.
+    /// Use the nearest view.
     Nearest,
-    /// Mix the two around it.
+    /// Blend the two neighbouring views.
     Blend,
-    /// Say what to render.
+    /// Return an error that lists the views to render.
     Refuse,
 }
 
-/// How a view of a quilt was made.
+/// The origin of a quilt's view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
 pub enum Made {
-    /// From a layer stack, at its place.
+    /// Simulated from a layer stack, at its position.
     Simulated,
-    /// A view of the light field, at its place.
+    /// A view of the light field, at its position.
     Exact,
     /// The nearest view of the light field.
     Nearest,
-    /// A mixture of two.
+    /// A blend of two views.
     Blend,
 }
 
-/// Where views come from.
+/// The source of views.
 #[derive(Clone, Copy)]
 pub enum Source<'a> {
     /// Simulated, divided by β.
@@ -49,15 +51,15 @@ pub enum Source<'a> {
     Field(&'a FieldInput<'a>),
 }
 
-/// A view whose place is nearer than this to one of the source's is that one; in units of views.
+/// Largest distance, in units of views, at which a position counts as that of a source's view.
 const SAME_PLACE: f64 = 1e-6;
 
-/// Places a_i of `count` views on an axis of `available`.
+/// Positions a_i of `count` views on an axis of `available`.
 pub fn places(count: usize, available: usize) -> Vec<f64> {
     (0..count).map(|i| (i as f64 + 0.5) / count as f64 * available as f64 - 0.5).collect()
 }
 
-/// The row of views that is taken of `rows`: the given one, or the middle (the upper of two).
+/// The row of views to use of `rows`: the given one, or the central one (the upper of two).
 ///
 /// # Errors
 /// If there is no such row.
@@ -81,7 +83,7 @@ impl Source<'_> {
         }
     }
 
-    /// The row of views that is taken: the given one, or the middle (the upper of two).
+    /// The row of views to use: the given one, or the central one (the upper of two).
     ///
     /// # Errors
     /// If there is no such row.
@@ -89,10 +91,10 @@ impl Source<'_> {
         row_of(self.geometry().grid.slope_y.len(), given)
     }
 
-    /// The view at `place` of a row, `[row][col][rgb]` linear, how it was made and its slope.
+    /// The view at `place` of a row, `[row][col][rgb]` linear, its origin and its slope.
     ///
     /// # Errors
-    /// Under [`Missing::Refuse`] if a light field has no such view; or what the host returns.
+    /// Under [`Missing::Refuse`] if a light field has no such view; otherwise the host's errors.
     pub fn view(&self, place: f64, row: usize, missing: Missing) -> Result<(Vec<f32>, Made, [f64; 2]), PluginError> {
         let grid = &self.geometry().grid;
         let slope_y = grid.slope_y[row];
@@ -134,10 +136,11 @@ impl Source<'_> {
     }
 }
 
-/// Advice about the views that a light field of `available` views across lacks for a quilt of `count`, or the refusal.
+/// Advice about missing views, if a light field of `available` views across is used for a quilt of
+/// `count`.
 ///
 /// # Errors
-/// Under [`Missing::Refuse`] if there are any.
+/// Under [`Missing::Refuse`] if any are missing.
 pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option<String>, PluginError> {
     if available == count {
         return Ok(None);
@@ -151,14 +154,14 @@ pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option
     }
 }
 
-/// Slope at a place, which may lie up to half a view beyond the outermost ones.
+/// Slope at a position, which may be up to half a view outside the outermost ones.
 fn slope_at(slopes: &[f64], place: f64) -> f64 {
     let [_, .., _] = slopes else { return slopes[0] };
     let first = (place.floor().max(0.0) as usize).min(slopes.len() - 2);
     slopes[first] + (place - first as f64) * (slopes[first + 1] - slopes[first])
 }
 
-/// Share of a tile, 0..1, that stays black around a view of another aspect; see [`fitted`].
+/// Black fraction of a tile, 0..1, around a view of another aspect; see [`fitted`].
 pub fn black_share(size: [usize; 2], aspect: f64, fit: Fit) -> f64 {
     let own = size[0] as f64 / size[1] as f64;
     match fit {
@@ -167,26 +170,27 @@ pub fn black_share(size: [usize; 2], aspect: f64, fit: Fit) -> f64 {
     }
 }
 
-/// How a view fills its tile.
+/// Fit of a view to its tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
 pub enum Fit {
-    /// All of it, with black bars.
+    /// The whole view, with black bars.
     Contain,
-    /// No bars, cropped.
+    /// No bars; the view is cropped.
     Cover,
     /// Stretched.
     Stretch,
 }
 
-/// Brings a view of `size` = [columns, rows] to a tile that stands for pictures of `aspect`. A view that has the tile's size and aspect is left as it is.
+/// Fits a view of `size` = [columns, rows] to a tile for pictures of `aspect`. A view of the tile's
+/// size and aspect is returned unchanged.
 pub fn fitted(rgb: &[f32], size: [usize; 2], tile: [usize; 2], aspect: f64, fit: Fit) -> Cow<'_, [f32]> {
     let own = size[0] as f64 / size[1] as f64;
     let same = (own / aspect - 1.0).abs() < 0.5 / size[0].max(size[1]) as f64;
     if size == tile && (same || fit == Fit::Stretch) {
         return Cow::Borrowed(rgb);
     }
-    // shares of the tile that the view fills, and of the view that the tile shows
+    // filled fractions of the tile, and visible fractions of the view
     let (mut filled, mut shown) = ([1.0, 1.0], [1.0, 1.0]);
     if !same {
         match fit {

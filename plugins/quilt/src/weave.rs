@@ -1,6 +1,8 @@
-//! The native image of a lenticular display: every subpixel shows the view that its lens sends its way.
+//! The native image of a lenticular display: every subpixel shows the view to which its lens
+//! directs it.
 //!
-//! With the screen's W × H pixels, u and v from 0 to 1 from the bottom left to pixel centres, channel c = 0, 1, 2:
+//! With the screen's W × H pixels, u and v from 0 to 1 from the bottom left to pixel centres,
+//! channel c = 0, 1, 2:
 //!
 //! ```text
 //! P = pitch · W / DPI · cos(atan(1 / slope))        lens periods across the screen
@@ -9,9 +11,11 @@
 //! view = min(⌊a · N⌋, N − 1)
 //! ```
 //!
-//! The last line matters at a = 0 under invView. Subpixels of the third generation stand in cells: dx / W and dy / H of the channel in the pixel's cell are
-//! added to u and v in place of c·s. Cells go by `CellPatternMode`: 0 one cell, 1 checkerboard (x + y) mod 2, 2 x mod 2, 3 (y + 2 (x mod 2)) mod 4, 4 y mod 2, x and y
-//! counted from the bottom left. The pixel is then the view's nearest at (u, v).
+//! The last line matters at a = 0 under invView. Third-generation subpixels are arranged in cells:
+//! dx / W and dy / H of the channel in the pixel's cell are added to u and v in place of c·s.
+//! `CellPatternMode` selects the cell: 0 one cell, 1 checkerboard (x + y) mod 2, 2 x mod 2, 3 (y +
+//! 2 (x mod 2)) mod 4, 4 y mod 2, with x and y counted from the bottom left. The pixel is then the
+//! view's nearest at (u, v).
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::serde_json::Value;
@@ -31,11 +35,11 @@ pub struct Calibration {
     pub dpi: f64,
     /// [columns, rows] of the screen.
     pub screen: [usize; 2],
-    /// Views go the other way.
+    /// Slant of the lenses.
     pub inv_view: bool,
     /// The lens sheet is mirrored.
     pub flip_x: bool,
-    /// Subpixels stand in the order blue, green, red.
+    /// Subpixels are in the order blue, green, red.
     pub flip_subpixels: bool,
     /// [x, y] of red, green and blue in every cell, pixels; empty for plain stripes.
     pub cells: Vec<[[f64; 2]; 3]>,
@@ -43,14 +47,14 @@ pub struct Calibration {
     pub mode: usize,
 }
 
-/// Most pixels of a screen's side.
+/// Largest side of a screen, pixels.
 const SIDE_LIMIT: f64 = 32768.0;
 
 impl Calibration {
-    /// Reads the JSON; numbers may stand in `{"value": x}`.
+    /// Parses the JSON; numbers may be wrapped as `{"value": x}`.
     ///
     /// # Errors
-    /// On malformed JSON, and numbers that are missing or make no sense.
+    /// On malformed JSON, and numbers that are missing or invalid.
     pub fn from_json(json: &Value) -> Result<Self, PluginError> {
         let number = |key: &str| -> Option<f64> {
             let value = json.get(key)?;
@@ -152,7 +156,7 @@ impl Calibration {
     /// The screen's picture `[row][col][rgb]`, row 0 at the top, from a quilt's codes.
     ///
     /// # Panics
-    /// If the codes are not the quilt's.
+    /// If the size of `quilt` is not that of `layout`.
     pub fn weave(&self, quilt: &[u8], layout: &Layout) -> Vec<u8> {
         let [width, height] = self.screen;
         let (tile, views) = (layout.tile(), layout.views());
@@ -210,7 +214,8 @@ mod tests {
 
     #[test]
     fn a_phase_of_zero_counts_as_the_last_view_when_inverted() {
-        // P = 1 lens per pixel column, no slant to speak of: u·P is half a period at every pixel, center takes it away
+        // P = 1 lens per pixel column, nearly no slant: u·P is half a period at every pixel, which
+        // `center` cancels
         let calibration = Calibration {
             pitch: 100.0,
             slope: 1e300,

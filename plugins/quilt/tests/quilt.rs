@@ -1,4 +1,5 @@
-//! Quilts and native pictures through the plugin's C functions, read back by ourselves and by others.
+//! Quilts and native pictures through the plugin's C functions, read back by this project and by
+//! other readers.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,7 +17,7 @@ use lumistack_plugin_testkit::{MemoryHost, conformance_but_for, samples};
 
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// Rounding to the nearest code: half a code, and the error of f32 arithmetic.
+/// Tolerance of rounding to the nearest code: half a code, and the error of f32 arithmetic.
 const HALF_CODE: f32 = 0.5 + 1e-3;
 
 fn write(display: &Display, data: OutputData<'_>, params: Value) -> Result<(Files, Vec<String>), PluginError> {
@@ -57,7 +58,7 @@ fn succeed(command: &mut Command) -> Vec<u8> {
 
 #[test]
 fn conforms() {
-    // devices' quilts of up to 67 megapixels: one has a test of its own
+    // devices' quilts have up to 67 megapixels, so one of them has its own test
     conformance_but_for(&PLUGIN, &["device"]).unwrap();
 }
 
@@ -71,14 +72,14 @@ fn a_quilt_gives_back_every_view() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("test_qs3x2a1.42857.png");
     std::fs::write(&path, &files["test_qs3x2a1.42857.png"]).unwrap();
-    // by our own reader, whose geometry comes from flags: a quilt has no angles
+    // by this project's reader; the geometry comes from flags, since a quilt has no angles
     let flags = GeometryFlags { fov_deg: Some([30.0, 0.1]), pitch_mm: Some(0.5), ..GeometryFlags::default() };
     let (collector, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&collector, &cancel);
     let back = open(&path, &flags, &GeometryDefaults::default(), task).unwrap();
     assert_eq!(back.radiance().shape(), [1, 6, 7, 10, 3]);
     for view in 0..6 {
-        // the middle one of three rows
+        // the central one of three rows
         let codes = codes8(&Transfer::Srgb, field.view([1, view]));
         assert_eq!(codes8(&Transfer::Srgb, back.view([0, view])), codes, "view {view}");
     }
@@ -107,7 +108,7 @@ fn views_that_a_light_field_lacks_are_named() {
         let part = image::imageops::crop_imm(picture, view % 2 * 6, picture.height() - 4 * (view / 2 + 1), 6, 4);
         part.to_image().into_raw()
     };
-    // places −0.25, 0.25, 0.75, ...: the nearest are 0, 0, 1, 1, 2, 2
+    // positions −0.25, 0.25, 0.75, ...: the nearest are 0, 0, 1, 1, 2, 2
     let (files, warnings) = write(&display(), data, params("nearest")).unwrap();
     assert!(warnings[0].contains("nearest views are taken"), "{warnings:?}");
     for view in 0..6 {
@@ -139,7 +140,7 @@ fn a_layer_stack_is_seen_from_every_tile_s_place() {
     let picture = image::load_from_memory(&files["quilt_qs4x2a1.33333.png"]).unwrap().into_rgb8();
     let half = 5f64.to_radians().tan();
     for view in 0..8u32 {
-        // the middles of eight equal shares of the zone
+        // the centres of eight equal parts of the zone
         let slope = [half * ((f64::from(view) + 0.5) / 4.0 - 1.0), 0.0];
         let found: Vec<f64> =
             (0..2).map(|axis| entry["views"][view as usize]["slope"][axis].as_f64().unwrap()).collect();
@@ -163,7 +164,7 @@ fn a_device_s_quilt_has_its_size_and_name() {
     assert_eq!((picture.width(), picture.height(), picture.color()), (3360, 3360, image::ColorType::Rgb8));
 }
 
-/// Both pixel structures, on calibrations of real displays that their owners published.
+/// Both pixel structures, with published calibrations of real displays.
 #[test]
 fn native_pictures_equal_numpy_s() {
     let Some(python) = python() else { return };
@@ -184,10 +185,10 @@ fn native_pictures_equal_numpy_s() {
         let figures: Vec<usize> = text.split_whitespace().map(|word| word.parse().unwrap()).collect();
         println!("{name}: {} of {} samples differ", figures[0], figures[1]);
         assert_eq!(figures[1..], [3840 * 2160 * 3, 3840, 2160]);
-        // both are f64; a phase on a border between views may fall to either side by rounding
+        // both are f64; rounding may move a phase on a border to either view
         assert!(figures[0] <= 2, "{figures:?}");
     }
-    // the text itself instead of a file, and no quilt
+    // the text itself in place of a file, and no quilt
     let text =
         std::fs::read_to_string(tests("cells.json")).unwrap().replace("3840.0", "40.0").replace("2160.0", "20.0");
     let params = json!({"calibration": text, "write_quilt": false});

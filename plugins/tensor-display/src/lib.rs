@@ -1,12 +1,14 @@
-//! Node plugin `tensor_display`: the factorizer behind the boundary of plugins. Its parameters are the factorizer's settings, and their words are the
-//! factorizer's own; weights, a warm start and the seed come with the light field.
+//! Node plugin `tensor_display`: the factorizer as a plugin. Its parameters are the factorizer's
+//! settings, with the same names and values. Weights, a warm start and the seed come with the light
+//! field.
 
 use lumistack_factorizer::{AUTO, Factorization, FactorizeError, LevelsLoss, Problem, Settings, StartKind, solvers};
 use lumistack_plugin::display::LayerStack;
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, Solution, Step, export_plugin};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// The plugin.
@@ -30,7 +32,7 @@ impl TensorParams {
             solver: self.solver.clone(),
             iterations: self.iterations,
             seed,
-            // of the schema's words only `auto` is none of them
+            // `auto` is the only value of the schema that is no start's name
             start: StartKind::from_name(&self.start),
             coarse_levels: u32::try_from(self.coarse_levels).ok(),
             coarse_iterations: self.coarse_iterations,
@@ -41,8 +43,8 @@ impl TensorParams {
 }
 
 impl NodePlugin for TensorDisplay {
-    const DOC: &'static str = "The factorizer: patterns of any display by weighted nonnegative tensor factorization of the light field (Wetzstein et al. 2012). \
-        The node of every job that names no other.";
+    const DOC: &'static str = "The factorizer: layer stacks of any display by weighted nonnegative tensor factorization of the light field (Wetzstein et al. 2012). \
+        The default node of a job.";
     type Params = TensorParams;
 
     fn schema() -> Schema {
@@ -53,21 +55,21 @@ impl NodePlugin for TensorDisplay {
             Param::choice(
                 "solver",
                 &defaults.solver,
-                auto("The best known.").chain(solvers().iter().map(|solver| (solver.name(), solver.doc()))),
-                "Rule by which patterns are improved.",
+                auto("The best solver known.").chain(solvers().iter().map(|solver| (solver.name(), solver.doc()))),
+                "Update rule of the layers.",
             ),
             Param::int("iterations", defaults.iterations.into(), 0..=most, "Updates of all layers.").unit("1"),
             Param::choice(
                 "start",
                 AUTO,
-                auto("What suits the solver.").chain(StartKind::ALL.iter().map(|(name, kind)| (*name, kind.doc()))),
-                "Starting patterns, unless there are some to begin from.",
+                auto("The solver's default.").chain(StartKind::ALL.iter().map(|(name, kind)| (*name, kind.doc()))),
+                "Start of a factorization without a warm start.",
             ),
             Param::int(
                 "coarse_levels",
                 -1,
                 -1..=most,
-                "Coarser levels at which to begin, each of half the resolution, as many as make sense; -1 for what suits the solver.",
+                "Number of coarser levels before the first iteration, each at half the resolution, limited by the display's size; -1 for the solver's default.",
             )
             .unit("1"),
             Param::int("coarse_iterations", defaults.coarse_iterations.into(), 0..=most, "Updates at each coarser level.")
@@ -75,7 +77,7 @@ impl NodePlugin for TensorDisplay {
             Param::bool(
                 "levels",
                 defaults.levels,
-                "Whether patterns of layers with few bits are re-optimized on the levels that the panel can show.",
+                "Re-optimize masks of layers with few bits on the panel's levels.",
             ),
         ])
     }
@@ -103,7 +105,7 @@ impl NodePlugin for TensorDisplay {
     }
 }
 
-/// How the factorizer came to the patterns.
+/// Summary of the factorization.
 fn solution(made: &Factorization, warm: bool) -> Solution {
     let settings = &made.settings;
     let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };

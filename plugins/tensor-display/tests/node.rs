@@ -1,4 +1,4 @@
-//! The node makes what the factorizer makes, and documents the factorizer's own words.
+//! The node returns the factorizer's result, and documents the factorizer's own values.
 
 use lumistack_factorizer::{AUTO, Problem, Settings, StartKind, factorize, solvers};
 use lumistack_plugin::core::{Cancel, Collector, Task, Tensor};

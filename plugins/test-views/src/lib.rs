@@ -1,26 +1,27 @@
-//! Source plugin `test_views`: light fields that are known exactly, by which a display is checked.
+//! Source plugin `test_views`: light fields of known radiance, to check a display.
 //!
-//! | pattern | what each view shows | what it is for |
+//! | pattern | views | purpose |
 //! |---|---|---|
-//! | `numbers` | its own column and row, 0,0 at the left and top, on a colour that turns from red at the left to blue at the right, and from green at the top | which view goes where: order, mirroring, crosstalk |
-//! | `cards` | three chequered cards side by side, at −depth, 0 and +depth | the sign and the size of parallax |
+//! | `numbers` | the view's column and row, 0,0 at the left and top, on a colour from red at the left to blue at the right, with green increasing upwards | assignment of views: order, mirroring, crosstalk |
+//! | `cards` | three chequered cards side by side, at −depth, 0 and +depth | sign and size of parallax |
 //!
-//! A ray through the point p of z = 0 with slope s meets the card at z in p + z·s (millimetres, y up, z to the viewer). A pixel
-//! is the mean over 4 × 4 points of it.
+//! A ray of slope s through the point p of z = 0 hits the card at z in p + z·s. Positions are in
+//! millimetres, y up, z to the viewer. A pixel is the mean over 4 × 4 points.
 
 use lumistack_plugin::display::{FieldGeometry, LightField};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Display, Host, Param, PluginError, Schema, SourcePlugin, Time, export_plugin};
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
-/// Points per pixel and axis.
+/// Sample points per pixel and axis.
 const POINTS: usize = 4;
 /// Radiance of the wall behind the cards.
 const WALL: f32 = 0.05;
-/// Share of the field's width between cards, and of its height above and below them.
+/// Gap between cards as a fraction of the field's width; above and below them, of its height.
 const GAP: f64 = 0.08;
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
+/// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// The plugin.
@@ -43,7 +44,7 @@ enum Pattern {
 }
 
 impl SourcePlugin for TestViews {
-    const DOC: &'static str = "Makes light fields that are known exactly, by which a display is checked: numbered views, and chequered cards at three depths.";
+    const DOC: &'static str = "Makes light fields of known radiance, to check a display: numbered views, and chequered cards at three depths.";
     type Params = TestViewsParams;
 
     fn schema() -> Schema {
@@ -55,7 +56,7 @@ impl SourcePlugin for TestViews {
                     ("numbers", "Every view shows its own column and row, counted from 0 at the left and top."),
                     ("cards", "Three cards side by side, behind the display's plane, on it and in front of it."),
                 ],
-                "What the views show.",
+                "Content of the views.",
             ),
             Param::float("depth_mm", 20.0, 0.0..=10000.0, "Distance of the outer cards from the display's plane.")
                 .unit("mm"),
@@ -81,14 +82,14 @@ impl SourcePlugin for TestViews {
     }
 }
 
-/// Column and row of the view, in white.
+/// Draws column and row of the view, in white.
 fn number(geometry: &FieldGeometry, view: [usize; 2], rgb: &mut [f32]) {
     let share = |axis: usize| view[axis] as f32 / (geometry.grid.views()[axis] - 1).max(1) as f32;
     let colour = [0.6 * (1.0 - share(1)), 0.4 * (1.0 - share(0)), 0.6 * share(1)];
     let text: Vec<char> = format!("{},{}", view[1], view[0]).chars().collect();
     let letter = get_raster_width(FontWeight::Bold, RasterHeight::Size32);
     let [width, height] = [text.len() * letter, RasterHeight::Size32.val()].map(|side| side as f64);
-    // half as high as the field, as far as the width allows
+    // half as high as the field, unless the width limits it
     let scale = (0.5 * geometry.rows as f64 / height).min(0.8 * geometry.cols as f64 / width);
     let ink = |x: f64, y: f64| -> f32 {
         if !(0.0..width).contains(&x) || !(0.0..height).contains(&y) {
@@ -110,14 +111,14 @@ fn number(geometry: &FieldGeometry, view: [usize; 2], rgb: &mut [f32]) {
     }
 }
 
-/// Chequered cards.
+/// Draws chequered cards.
 fn cards(geometry: &FieldGeometry, view: [usize; 2], params: &TestViewsParams, rgb: &mut [f32]) {
     let pitch = geometry.pitch_mm;
     let [width, height] = [geometry.cols as f64 * pitch, geometry.rows as f64 * pitch];
     let (side, gap) = ((1.0 - 4.0 * GAP) / 3.0 * width, GAP * width);
     let half_height = (0.5 - GAP) * height;
     let square = side / params.squares as f64;
-    // what is in front first; centre x, z, colour
+    // front to back; centre x, z, colour
     let cards = [1.0, 0.0, -1.0].map(|place| {
         let colour = [[1.0, 0.75, 0.5], [1.0, 1.0, 1.0], [0.5, 0.75, 1.0]][(1.0 - place) as usize];
         (place * (side + gap), place * params.depth_mm, colour)
@@ -144,7 +145,7 @@ fn cards(geometry: &FieldGeometry, view: [usize; 2], params: &TestViewsParams, r
     }
 }
 
-/// Mean over the points of a pixel.
+/// Mean over the sample points of a pixel.
 fn mean(value: impl Fn(f64, f64) -> f32) -> f32 {
     let at = |i: usize| (i as f64 + 0.5) / POINTS as f64;
     let sum: f32 = (0..POINTS * POINTS).map(|i| value(at(i % POINTS), at(i / POINTS))).sum();

@@ -1,4 +1,4 @@
-//! Rules of the boundary, order of the views and parallax of the cards.
+//! Rules of the plugin interface, order of the views and parallax of the cards.
 
 use lumistack_plugin::Time;
 use lumistack_plugin::display::{Display, LightField};
@@ -24,16 +24,17 @@ fn every_view_has_its_own_number_and_colour() {
     for (i, a) in views.iter().enumerate() {
         assert!(views[..i].iter().all(|b| field.view(*a) != field.view(*b)), "{a:?} looks like another");
     }
-    // corners show the colour of the place alone
+    // corners show the position's colour alone
     let corner = |view| [0, 1, 2].map(|channel: usize| field.view(view)[channel]);
     assert_eq!([corner([0, 0]), corner([0, 11]), corner([2, 0])], [[0.6, 0.4, 0.0], [0.0, 0.4, 0.6], [0.6, 0.0, 0.0]]);
-    // the digits stand in the middle and nowhere near the edge
+    // the digits are in the centre and not near the edge
     assert!(field.view([1, 5]).iter().any(|value| *value > 0.8));
     let edge = &field.view([1, 5])[..3 * 48];
     assert!(edge.chunks_exact(3).all(|pixel| pixel == &edge[..3]));
 }
 
-/// A card at z moves by −z·(s − s') between views of slopes s and s'; its outline stands on quarters of a pixel.
+/// A card at z moves by −z·(s − s') between views of slopes s and s'; edges are at quarters of a
+/// pixel.
 #[test]
 fn cards_move_as_their_depth_says() {
     let (pitch, depth) = (0.5, 12.0);

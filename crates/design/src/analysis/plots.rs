@@ -1,17 +1,19 @@
-//! Plots of several displays in one: the bound over depth (the paper's Figure 6) and the spectral supports (Figure 4).
+//! Plots of several displays: the bound over depth (the paper's Figure 6) and the spectral supports
+//! (Figure 4).
 
 use super::{Analysis, Scene};
 use lumistack_plot::{self as plot, Area, Axes, Curve, PlotError};
 
-/// The bound is drawn up to this many times the light field's own.
+/// Largest plotted bound, in units of the light field's own cutoff.
 const MOST_DETAIL: f64 = 4.0;
 
 impl Analysis {
-    /// The bound over depth along an axis (0: x, 1: y), as SVG: every display, dashed its closed form where that differs, and its lens array alone;
-    /// behind them the shares of the first scene by depth.
+    /// The bound over depth along an axis (0: x, 1: y), as SVG. Each display has its bound, its
+    /// closed form (dashed) if that differs, and the bound of its lens array alone. The depth
+    /// histogram of the first scene is in the background.
     ///
     /// # Errors
-    /// If there is no display.
+    /// If there are no displays.
     pub fn depth_of_field_plot(all: &[Self], axis: usize) -> Result<String, PlotError> {
         let own = all.iter().map(|analysis| analysis.axes[axis].own_cutoff).fold(0.0, f64::max);
         let reach = all.iter().flat_map(|analysis| analysis.axes[axis].bound.last()).map(|p| p[0]).fold(0.0, f64::max);
@@ -26,7 +28,7 @@ impl Analysis {
                     let of = if form.equation == 23 { "its lens array alone" } else { "closed form" };
                     let name = format!("eq. {}: {of}", form.equation);
                     let points = form.bound.clone();
-                    // displays that share a lens array share its curve
+                    // displays with the same lens array share its curve
                     let same = |other: &Curve| other.name == name && other.points.first() == points.first();
                     if curves.iter().any(same) {
                         continue;
@@ -52,7 +54,7 @@ impl Analysis {
         };
         let mut drawn = plot::curves(&axes, &curves, &scene.map_or(Vec::new(), bars), &levels)?;
         if scene.is_some() {
-            drawn = drawn.replacen("aria-label=\"", "aria-label=\"Grey: what is seen of the scene, by depth. ", 1);
+            drawn = drawn.replacen("aria-label=\"", "aria-label=\"Grey: hits of the scene, by depth. ", 1);
         }
         Ok(drawn)
     }
@@ -60,7 +62,7 @@ impl Analysis {
     /// The spectral supports along an axis (0: x, 1: y), as SVG.
     ///
     /// # Errors
-    /// If there is no display.
+    /// If there are no displays.
     pub fn support_plot(all: &[Self], axis: usize) -> Result<String, PlotError> {
         let areas: Vec<Area> = all
             .iter()
@@ -81,7 +83,7 @@ impl Analysis {
     }
 }
 
-/// Shares of the scene, the largest as high as the axis.
+/// The scene's depth histogram, scaled so that the largest bar fills the axis.
 fn bars(scene: &Scene) -> Vec<[f64; 3]> {
     let most = scene.shares.iter().map(|bar| bar[2]).fold(1e-9, f64::max);
     scene.shares.iter().map(|[from, to, share]| [*from, *to, 0.9 * share / most]).collect()

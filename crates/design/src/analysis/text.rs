@@ -1,11 +1,11 @@
-//! The analysis in words.
+//! The analysis as text.
 
 use std::fmt::Write as _;
 
 use super::{Analysis, Closed};
 
 impl Analysis {
-    /// For people: a headline and a line per subject.
+    /// A title and one line per subject.
     pub fn text(&self) -> String {
         let mut text = String::new();
         let plural = |count: usize, one: &str| if count == 1 { format!("1 {one}") } else { format!("{count} {one}s") };
@@ -144,7 +144,7 @@ fn closed(form: &Closed) -> String {
     format!("eq. {equation} ({assumes}): {differs}{because}")
 }
 
-/// No more decimals than tell something.
+/// Only the significant decimals.
 fn number(value: f64) -> String {
     let digits = match value.abs() {
         size if size >= 100.0 || size.fract() == 0.0 => 0,

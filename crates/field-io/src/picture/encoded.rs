@@ -9,9 +9,9 @@ use image::{DynamicImage, ImageFormat, ImageReader};
 use super::samples::{PIXEL_LIMIT, Picture, Samples};
 use crate::FieldError;
 
-/// Bytes at a JPEG's end in which its end marker must lie; cameras append small extras.
+/// Bytes at a JPEG's end that must contain its end marker; cameras append small extras.
 const JPEG_TAIL: u64 = 1 << 16;
-/// Most bytes that a decoder may take.
+/// Memory limit of a decoder, bytes.
 const DECODER_BYTES: u64 = 3 << 30;
 
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
@@ -35,14 +35,15 @@ pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
 fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let mut reader = ImageReader::new(BufReader::new(file));
-    // of files whose content has no mark
+    // for files without a signature
     if let Ok(format) = ImageFormat::from_path(path) {
         reader.set_format(format);
     }
     reader.with_guessed_format().map_err(FieldError::io(path, "read"))
 }
 
-/// The decoder paints what is missing of a JPEG grey; a light field must not contain that silently.
+/// The decoder fills missing parts of a JPEG with grey, which a light field must not contain
+/// silently.
 fn check_jpeg_end(path: &Path) -> Result<(), FieldError> {
     let tail = || {
         let mut file = lumistack_files::open(path)?;

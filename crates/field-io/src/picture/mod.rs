@@ -1,6 +1,7 @@
-//! Single pictures as linear RGB: OpenEXR (linear), PNG, JPEG, WebP (sRGB-encoded), Radiance HDR (linear).
+//! Single pictures as linear RGB: OpenEXR (linear), PNG, JPEG, WebP (sRGB-encoded), Radiance HDR
+//! (linear).
 //!
-//! Alpha, where there is any, is resolved against black: a light field has no background of its own.
+//! Alpha is composited over black, since a light field has no background.
 
 mod encoded;
 mod openexr;
@@ -19,18 +20,19 @@ use samples::Samples;
 pub use openexr::{MultiView, Precision, exr_bytes, write_exr, write_exr_channels, write_exr_noted};
 
 impl Picture {
-    /// Reads a picture; the kind follows from the name's extension.
+    /// Reads a picture; the extension selects the format.
     ///
     /// # Errors
-    /// On unknown extensions, and files that are damaged, cut short or too large.
+    /// On unknown extensions, and files that are damaged, truncated or too large.
     pub fn read(path: &Path) -> Result<Self, FieldError> {
         if is_exr(path) { openexr::read(path) } else { encoded::read(path) }
     }
 
-    /// Reads an OpenEXR picture and the text that [`write_exr_noted`] put into its header; `None` without one.
+    /// Reads an OpenEXR picture and the text that [`write_exr_noted`] stored in its header; `None`
+    /// without one.
     ///
     /// # Errors
-    /// On files that are no such pictures, damaged, cut short or too large.
+    /// On files that are no OpenEXR pictures, damaged, truncated or too large.
     pub fn read_noted(path: &Path) -> Result<(Self, Option<String>), FieldError> {
         openexr::read_noted(path)
     }
@@ -48,7 +50,7 @@ impl Picture {
         [self.cols, self.rows]
     }
 
-    /// Whether the file has codes from 0 to white, so that what was brighter is clipped; otherwise it has radiance.
+    /// Returns true if the file has codes, which clip values above white; false if it has radiance.
     pub fn is_encoded(&self) -> bool {
         !matches!(self.samples, Samples::Linear(_))
     }
@@ -61,10 +63,11 @@ impl Picture {
         }
     }
 
-    /// The pixels of the rectangle at `corner` = [column, row] of `size` = [columns, rows], `[row][col][rgb]`, linear.
+    /// The pixels of the rectangle at `corner` = [column, row] of `size` = [columns, rows],
+    /// `[row][col][rgb]`, linear.
     ///
     /// # Panics
-    /// If the rectangle leaves the picture.
+    /// If the rectangle exceeds the picture.
     pub fn linear_part(&self, corner: [usize; 2], size: [usize; 2]) -> Vec<f32> {
         assert!(corner[0] + size[0] <= self.cols && corner[1] + size[1] <= self.rows, "the part lies in the picture");
         let mut part = Vec::with_capacity(3 * size[0] * size[1]);
@@ -83,7 +86,7 @@ impl Picture {
     }
 }
 
-/// Whether a name's extension is one of a picture that can be read.
+/// Returns true if the extension is that of a supported picture format.
 pub(crate) fn has_picture_extension(path: &Path) -> bool {
     extension(path).is_some_and(|e| matches!(e.as_str(), "png" | "jpg" | "jpeg" | "webp" | "hdr" | "exr"))
 }

@@ -14,7 +14,7 @@ use exr::prelude::{
 use super::samples::{PIXEL_LIMIT, Picture, Samples};
 use crate::{FieldError, atomic};
 
-/// How samples are stored.
+/// Storage type of samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// Half float: 11 significant bits, largest value 65504.
@@ -23,32 +23,35 @@ pub enum Precision {
     Float,
 }
 
-/// On grainy pictures PIZ takes half the time and half the space of ZIP.
+/// On noisy pictures PIZ takes half the time and half the space of ZIP.
 const COMPRESSION: Compression = Compression::PIZ;
-/// Bytes of a chunk's entry in the offset table, plus its own header.
+/// Size of a chunk's entry in the offset table, plus its own header, bytes.
 const LEAST_BYTES_PER_CHUNK: u64 = 16;
-/// Most bytes of pixels that a byte of a file stands for: deflate packs 1032 into one, of the 24 bits that PXR24 keeps of 32.
+/// Largest expansion from file to pixels: deflate packs 1032 bytes into one, and PXR24 keeps 24 of
+/// 32 bits.
 const MOST_EXPANSION: u64 = 1032 * 4 / 3;
 
-/// Writes one RGB picture, `[row][col][rgb]` linear, `size` = [columns, rows]. The same values give the same bytes.
+/// Writes one RGB picture, `[row][col][rgb]` linear, `size` = [columns, rows]. Equal values produce
+/// equal bytes.
 ///
 /// # Errors
 /// If writing fails.
 ///
 /// # Panics
-/// If `rgb` does not hold the size's number of values.
+/// If the length of `rgb` is not that of `size`.
 pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precision) -> Result<(), FieldError> {
     atomic::write(path, |writer| encode(writer, size, rgb, precision, None))
 }
 
-/// As [`write_exr`], with a text in the header's attribute `comments`, which [`Picture::read_noted`] gives back, and not compressed: for what is read again
-/// soon. Compressing grain took half of the time in which a view of few samples is rendered.
+/// As [`write_exr`], uncompressed and with a text in the header's attribute `comments`, which
+/// [`Picture::read_noted`] returns. For files that are soon read again: compression of noise took
+/// half of the render time of a view with few samples.
 ///
 /// # Errors
 /// If writing fails.
 ///
 /// # Panics
-/// If `rgb` does not hold the size's number of values.
+/// If the length of `rgb` is not that of `size`.
 pub fn write_exr_noted(
     path: &Path,
     size: [usize; 2],
@@ -59,20 +62,21 @@ pub fn write_exr_noted(
     atomic::write(path, |writer| encode(writer, size, rgb, precision, Some(note)))
 }
 
-/// The bytes that [`write_exr`] writes, for those who write files in their own way.
+/// The bytes that [`write_exr`] writes.
 ///
 /// # Errors
-/// If the picture is larger than the format allows.
+/// If the picture exceeds the limits of the format.
 ///
 /// # Panics
-/// If `rgb` does not hold the size's number of values.
+/// If the length of `rgb` is not that of `size`.
 pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     encode(io::Cursor::new(&mut bytes), size, rgb, precision, None)?;
     Ok(bytes)
 }
 
-/// Pixels are taken from `rgb` when their block is compressed: a copy of all of them would be the most memory that a large picture takes.
+/// Pixels are read from `rgb` when their block is compressed. A copy of all would need the most
+/// memory of a large picture.
 fn encode(
     writer: impl io::Write + io::Seek,
     size: [usize; 2],
@@ -97,7 +101,7 @@ fn encode(
     }
 }
 
-/// B, G and R of a picture, their names after a prefix.
+/// Channels B, G and R of a picture, with a prefix of their names.
 fn channels(prefix: &str, size: [usize; 2], rgb: &[f32], precision: Precision) -> [AnyChannel<FlatSamples>; 3] {
     assert_eq!(rgb.len(), 3 * size[0] * size[1], "values fill the picture");
     [("B", 2), ("G", 1), ("R", 0)].map(|(name, index)| {
@@ -110,13 +114,14 @@ fn channels(prefix: &str, size: [usize; 2], rgb: &[f32], precision: Precision) -
     })
 }
 
-/// Writes one picture of named channels in single floats, `[row][col]` each, `size` = [columns, rows]. The same values give the same bytes.
+/// Writes one picture of named channels in single floats, `[row][col]` each, `size` = [columns,
+/// rows]. Equal values produce equal bytes.
 ///
 /// # Errors
 /// If writing fails.
 ///
 /// # Panics
-/// If a channel does not hold the size's number of values, or there is none.
+/// If the length of a channel is not that of `size`, or there are no channels.
 pub fn write_exr_channels(path: &Path, size: [usize; 2], channels: &[(&str, &[f32])]) -> Result<(), FieldError> {
     assert!(!channels.is_empty(), "a picture has channels");
     let list: SmallVec<[AnyChannel<FlatSamples>; 4]> = channels
@@ -150,8 +155,8 @@ fn write_image<'a, C: WritableChannels<'a>>(
     })
 }
 
-/// One OpenEXR picture with several views: the header's `multiView` lists their names; the first is the default view, whose channels have no
-/// prefix, the others' are `name.R`, `name.G`, `name.B`.
+/// One OpenEXR picture with several views. The header's `multiView` lists their names. The first is
+/// the default view, whose channels have no prefix; the others' are `name.R`, `name.G`, `name.B`.
 #[derive(Debug)]
 pub struct MultiView {
     size: [usize; 2],
@@ -161,7 +166,7 @@ pub struct MultiView {
 }
 
 impl MultiView {
-    /// A picture of `size` = [columns, rows] without a view.
+    /// A picture of `size` = [columns, rows] without views.
     pub fn new(size: [usize; 2], precision: Precision) -> Self {
         Self { size, precision, names: Vec::new(), channels: SmallVec::new() }
     }
@@ -169,7 +174,7 @@ impl MultiView {
     /// Adds a view, `[row][col][rgb]` linear.
     ///
     /// # Panics
-    /// If `rgb` does not hold the size's number of values, or the name has a dot or was given before.
+    /// If the length of `rgb` is not that of the size, or the name has a dot or is in use.
     pub fn push(&mut self, name: &str, rgb: &[f32]) {
         let text = Text::from(name);
         assert!(!name.contains('.') && !self.names.contains(&text), "view names are different and hold no dots");
@@ -181,7 +186,7 @@ impl MultiView {
     /// The file's bytes.
     ///
     /// # Errors
-    /// If the picture has no view or is larger than the format allows.
+    /// If the picture has no view or exceeds the limits of the format.
     pub fn into_bytes(self) -> io::Result<Vec<u8>> {
         let attributes = LayerAttributes { multi_view_names: Some(self.names), ..LayerAttributes::default() };
         let mut bytes = Vec::new();
@@ -191,7 +196,8 @@ impl MultiView {
     }
 }
 
-/// [columns, rows] of the first layer, after checking that the file can hold what its header claims.
+/// [columns, rows] of the first layer, after a check that the file can contain the pixels that its
+/// header declares.
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let length = file.metadata().map_err(FieldError::io(path, "read"))?.len();
@@ -203,7 +209,8 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     if header.deep {
         return Err(FieldError::malformed(path, "header", "a flat picture", "deep data"));
     }
-    // The decoder of these two takes memory by sizes that the compressed data claim, which ends the program on damaged files.
+    // the decoder of these two allocates by sizes in the compressed data, so damaged files end the
+    // program
     if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
         let expected = "none, RLE, ZIP, PIZ, PXR24 or B44";
         return Err(FieldError::malformed(path, "compression", expected, header.compression.to_string()));
@@ -238,7 +245,7 @@ pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), Field
         let layer = read_exr().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
         layer.all_attributes().non_parallel().from_buffered(BufReader::new(file))
     });
-    // On some damaged files the decoder's own checks of its arithmetic fail by panicking.
+    // on some damaged files the decoder panics
     let decoded = std::panic::catch_unwind(decode).map_err(|_| {
         FieldError::malformed(path, "content", "a complete OpenEXR picture", "damaged blocks of pixels")
     })?;
@@ -266,8 +273,9 @@ pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), Field
     Ok((Picture { cols, rows, samples: Samples::Linear(data) }, note))
 }
 
-/// Indices of R, G, B: without a prefix, or with the first prefix ("layer.R") that has all three, or luminance three times.
-/// Colours in OpenEXR are premultiplied by alpha, hence already resolved against black.
+/// Indices of R, G, B: without a prefix, or with the first prefix ("layer.R") that has all three;
+/// or luminance three times. Colours in OpenEXR are premultiplied by alpha, hence already
+/// composited over black.
 fn rgb_channels(names: &[String]) -> Option<[usize; 3]> {
     let find = |prefix: &str, name: &str| {
         names.iter().position(|n| n.strip_prefix(prefix).is_some_and(|rest| rest.eq_ignore_ascii_case(name)))

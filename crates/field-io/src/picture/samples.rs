@@ -1,9 +1,9 @@
 //! A decoded picture.
 
-/// Most pixels of one picture; a header that claims more is refused before memory is taken.
+/// Pixel limit of one picture; a header with more is refused before memory is allocated.
 pub(crate) const PIXEL_LIMIT: usize = 1 << 28;
 
-/// One decoded picture, as compact as its file had it.
+/// One decoded picture, in the file's precision.
 #[derive(Clone, Debug)]
 pub struct Picture {
     pub(super) cols: usize,

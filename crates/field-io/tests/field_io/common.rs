@@ -1,4 +1,4 @@
-//! Fixtures that several test files share.
+//! Fixtures shared by several test files.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, LightField, Projection, ViewGrid};
 use lumistack_field_io::{FieldError, GeometryDefaults, GeometryFlags};
 
-/// Random values that half floats hold exactly: multiples of 1/1024 in 0..1.
+/// Random multiples of 1/1024 in 0..1, which half floats represent exactly.
 pub fn random_field(views: [usize; 2], size: [usize; 2], projection: Projection, seed: u64) -> LightField {
     let geometry = FieldGeometry {
         rows: size[1],
@@ -21,7 +21,7 @@ pub fn random_field(views: [usize; 2], size: [usize; 2], projection: Projection,
     LightField::new(geometry, Tensor::from_vec(LightField::AXES, shape, data).unwrap()).unwrap()
 }
 
-/// Opens quietly; the texts of warnings come along.
+/// Opens a light field; returns the texts of warnings as well.
 pub fn open(
     path: &Path,
     flags: &GeometryFlags,
@@ -32,7 +32,8 @@ pub fn open(
     (result, warnings.take().iter().map(ToString::to_string).collect())
 }
 
-/// Opens quietly for a display that cannot tell slopes apart over `width` [x, y]; the texts of warnings come along.
+/// Opens a light field for a display with a footprint of `width` [x, y]; returns the texts of
+/// warnings as well.
 pub fn open_for(path: &Path, flags: &GeometryFlags, width: [f64; 2]) -> (Result<LightField, FieldError>, Vec<String>) {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -40,12 +41,12 @@ pub fn open_for(path: &Path, flags: &GeometryFlags, width: [f64; 2]) -> (Result<
     (result.map(|(field, _)| field), warnings.take().iter().map(ToString::to_string).collect())
 }
 
-/// Defaults that a display of 20° × 20° and 400 mm supplies.
+/// Defaults of a display of 20° × 20° and 400 mm.
 pub fn defaults() -> GeometryDefaults {
     GeometryDefaults { width_mm: Some(400.0), fov_deg: Some([20.0, 20.0]) }
 }
 
-/// A folder of third-party files beside the workspace, or `None` after saying so.
+/// A folder of third-party files beside the workspace; `None` after a skip message.
 pub fn assets(variable: &str, default: &str, below: &str) -> Option<PathBuf> {
     let path = lumistack_testkit::skip::folder(variable, &format!("../shared/{default}"))?.join(below);
     if path.exists() {
@@ -55,7 +56,7 @@ pub fn assets(variable: &str, default: &str, below: &str) -> Option<PathBuf> {
     None
 }
 
-/// An 8-bit picture from linear values that are exact after encoding and decoding only approximately.
+/// Saves an 8-bit picture of code values.
 pub fn save_png(path: &Path, size: [usize; 2], rgb: impl Fn(usize, usize) -> [u8; 3]) {
     image::RgbImage::from_fn(size[0] as u32, size[1] as u32, |x, y| image::Rgb(rgb(x as usize, y as usize)))
         .save(path)

@@ -1,4 +1,4 @@
-//! Light fields that others rendered: order of views, direction of parallax, geometry.
+//! Light fields of other renderers: order of views, direction of parallax, geometry.
 
 use std::fs;
 use std::path::Path;
@@ -8,12 +8,12 @@ use lumistack_core::colour::{luminance, srgb_decode};
 use lumistack_display::{LightField, Projection, ViewGrid};
 use lumistack_field_io::{GeometryDefaults, GeometryFlags, describe};
 
-/// Decoded code values.
+/// Tolerance of decoded code values.
 const CODE: f32 = 1e-6;
-/// Slopes from files with 17 digits, through a few operations.
+/// Tolerance of slopes from files with 17 digits, after a few operations.
 const EXACT: f64 = 1e-12;
 
-/// A picture whose red says its column of views, green its row, blue its pixel column.
+/// A picture with the view's column in red, its row in green, and the pixel column in blue.
 fn labelled(path: &Path, label: [u8; 2]) {
     save_png(path, [6, 4], |x, _| [label[0], label[1], 10 * x as u8]);
 }
@@ -45,7 +45,7 @@ fn stanford_views_are_ordered_by_camera_centres() {
         let topmost = if y_sign > 0.0 { 0 } else { 1 };
         assert_eq!(label(&field, [0, 0]), [leftmost, topmost]);
         assert_eq!(label(&field, [1, 2]), [2 - leftmost, 1 - topmost]);
-        // bins of equal mean width over 20°, positions in proportion
+        // bins of equal mean width over 20°, at proportional positions
         let step = 2.0 / 3.0 * 10f64.to_radians().tan();
         let expected = if x_sign > 0.0 { [-1.0, -0.5, 1.0] } else { [-1.0, 0.5, 1.0] };
         for (slope, expected) in field.geometry().grid.slope_x.iter().zip(expected) {
@@ -64,7 +64,7 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     for (row, col) in [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2)] {
         labelled(&folder.path().join(format!("{row:02}_{col:02}.png")), [col, row]);
     }
-    // maps beside the views are not views
+    // maps beside the views are ignored
     save_png(&folder.path().join("disparity_00_00.png"), [3, 3], |_, _| [0; 3]);
     let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
     let field = field.unwrap();
@@ -85,7 +85,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
     assert_eq!(label(&field.unwrap(), [1, 2]), [2, 1]);
     assert!(warnings.iter().any(|w| w.contains("the cameras' own angles are 0.9° × 0.6°")), "{warnings:?}");
-    // without a default angle, the cameras' own: 50 mm on 10 m, and a viewing distance of width · f / sensor
+    // without a default angle, the cameras' own: 50 mm on 10 m, and a viewing distance of width · f
+    // / sensor
     let own = GeometryDefaults { width_mm: Some(350.0), fov_deg: None };
     let field = open(folder.path(), &GeometryFlags::default(), &own).0.unwrap();
     let grid = &field.geometry().grid;
@@ -98,7 +99,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
 #[test]
 fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     let folder = tempfile::tempdir().unwrap();
-    // 3 columns, 2 rows, 6 × 4 pixels a tile; one column and one row of pixels are left over at the right and the top
+    // 3 columns, 2 rows, 6 × 4 pixels a tile; one column and one row of pixels are unused at the
+    // right and the top
     let draw =
         |name: &str| {
             let path = folder.path().join(name);
@@ -113,10 +115,10 @@ fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     assert!(field.geometry().grid.slope_x.windows(2).all(|pair| pair[1] > pair[0]));
     assert_eq!(field.geometry().grid.slope_y, [0.0]);
     assert!((field.geometry().pitch_mm - 400.0 / 6.0).abs() < EXACT);
-    // views are really 3 : 4, so square pixels leave three columns
+    // the views' aspect is 3 : 4, so square pixels leave three columns
     let field = open(&draw("a_qs3x2a0.75.png"), &GeometryFlags::default(), &defaults()).0.unwrap();
     assert_eq!(field.radiance().shape(), [1, 6, 4, 3, 3]);
-    // the flag wins over the name, and names the arrangement of a picture without one
+    // the flag overrides the name, and defines the layout of a picture without one
     let flags = GeometryFlags { quilt: Some([2, 3]), ..GeometryFlags::default() };
     assert_eq!(open(&draw("a_qs3x2.png"), &flags, &defaults()).0.unwrap().radiance().shape(), [1, 6, 3, 9, 3]);
     let flags = GeometryFlags { tiles: Some([19, 9]), ..GeometryFlags::default() };
@@ -125,7 +127,7 @@ fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     assert_eq!((label(&field, [1, 0]), label(&field, [8, 17])), ([0, 1], [2, 0]));
 }
 
-/// Where the picture of a view is brightest in a window of rows and columns: moves with content.
+/// The shift with the best match between two views.
 fn best_shift(field: &LightField, first: [usize; 2], second: [usize; 2], axis: usize, reach: i64) -> i64 {
     let [_, _, rows, cols, _] = field.radiance().shape();
     let level = |view: [usize; 2], row: i64, col: i64| {
@@ -145,7 +147,8 @@ fn best_shift(field: &LightField, first: [usize; 2], second: [usize; 2], axis: u
     (-reach..=reach).min_by(|&a, &b| error(a).total_cmp(&error(b))).unwrap()
 }
 
-/// The shop's cameras are parallel: as the viewpoint moves right, all content moves left, by 2 to 14 pixels a view at full resolution.
+/// The shop's cameras are parallel: as the viewpoint moves right, all content moves left, by 2 to
+/// 14 pixels a view at full resolution.
 #[test]
 fn the_shop_has_its_parallax_the_right_way_round() {
     let Some(path) = assets("LUMISTACK_ASSETS", "scenes", "lightfields/shop-9x9") else { return };
@@ -177,7 +180,7 @@ fn the_shop_is_put_in_focus_and_can_keep_its_own_angles() {
     assert!((6.0 / 800.0 * 4.0..12.0 / 800.0 * 4.0).contains(&grid.slope_x[2]), "{grid:?}");
     assert!((grid.slope_x[2] - grid.slope_y[0]).abs() < EXACT);
     assert!(matches!(grid.projection, Projection::Perspective { .. }));
-    // afterwards content moves both ways, so that its middle stays
+    // after focusing, content moves both ways and its centre stays
     let across = best_shift(&field, [1, 0], [1, 1], 0, 12);
     assert!(across.abs() <= 3, "{across}");
 }
@@ -189,7 +192,7 @@ fn the_real_quilt_has_thirty_two_views() {
     let (field, _) = open(path.parent().unwrap(), &flags, &defaults());
     let field = field.unwrap();
     assert_eq!(field.radiance().shape(), [1, 32, 256, 512, 3]);
-    // the box stands in front: over all views it moves left; the background does not change
+    // the box in front moves left over all views; the background stays
     let across = best_shift(&field, [0, 8], [0, 24], 0, 16);
     println!("from view 8 to view 24 the picture moves by {across}");
     assert!(across <= 0);

@@ -1,4 +1,4 @@
-//! What is written is read back: light-field folders, arrays, stacks; odd shapes included.
+//! Round trips: light-field folders, arrays, stacks; odd shapes included.
 
 use std::fs;
 use std::process::Command;
@@ -15,7 +15,7 @@ use lumistack_field_io::{
 use proptest::prelude::*;
 use serde_json::{Map, json};
 
-/// An encoded and decoded 8-bit code value.
+/// Tolerance of an encoded and decoded 8-bit code value.
 const CODE: f32 = 1e-6;
 
 fn info() -> Map<String, serde_json::Value> {
@@ -111,13 +111,14 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
     assert!(error.contains("view_00_00.exr: output folder: expected a folder or nothing, found a file"), "{error}");
 }
 
-/// A plane at z with a grating of frequency ω, seen by 45 views of which 9 are kept: each keeps sin(πωznΔs)/(n sin(πωzΔs)) of the contrast for a footprint of n views, nearly
-/// sinc(ω z δs), where views that are merely chosen keep all of it.
+/// A plane at z with a grating of frequency ω in 45 views, of which 9 are kept. With a footprint of
+/// n views each keeps sin(πωznΔs)/(n sin(πωzΔs)) of the contrast, about sinc(ω z δs). Without a
+/// prefilter the contrast stays whole.
 #[test]
 fn a_prefilter_takes_away_what_it_should() {
     let grid = lumistack_display::ViewGrid::uniform(Projection::Oblique, [45, 2], [20.0, 2.0]).unwrap();
     let step = grid.bin_width()[0];
-    // with a pixel at x = 0 and whole pixels per half period the extremes are seen
+    // with a pixel at x = 0 and whole pixels per half period, samples hit the extremes
     for (z_mm, frequency, n) in [(40.0, 0.8, 5), (-60.0, 0.4, 5), (25.0, 0.5, 9), (0.0, 0.8, 9)] {
         let geometry = lumistack_display::FieldGeometry { rows: 1, cols: 101, pitch_mm: 0.125, grid: grid.clone() };
         let mut field = LightField::black(geometry.clone()).unwrap();
@@ -153,7 +154,7 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     write_field(folder.path(), &field, &Map::new()).unwrap();
     let [bin_x, bin_y] = field.geometry().grid.bin_width();
     let flags = GeometryFlags { views: Some([1, 3]), prefilter: true, ..GeometryFlags::default() };
-    // one view per row has no step; of three rows the middle one takes a quarter of each neighbour
+    // one view per row has no step; of three rows the central one takes a quarter of each neighbour
     let (filtered, _) = open_for(folder.path(), &flags, [3.0 * bin_x, 2.0 * bin_y]);
     let filtered = filtered.unwrap();
     for (i, found) in filtered.view([1, 0]).iter().enumerate() {
@@ -167,7 +168,8 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     assert!(error.contains("--prefilter: expected a display"), "{error}");
 }
 
-/// Views that are left out come with the slopes that they have in the whole light field, none twice and none that is kept.
+/// Left-out views have their slopes of the whole light field, without repetitions and without kept
+/// views.
 #[test]
 fn views_between_those_that_are_kept_are_given_when_wanted() {
     for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 600.0 }] {
@@ -211,7 +213,7 @@ fn views_are_subsampled_around_the_middle_and_pixels_are_averaged() {
     let mean =
         [[0, 0], [0, 1], [1, 0], [1, 1]].map(|[r, c]| big.get([1, 4, 4 + r, 2 + c, 2])).iter().sum::<f32>() / 4.0;
     assert!((small.radiance().get([0, 2, 2, 1, 2]) - mean).abs() < CODE);
-    // another aspect is cropped, not squeezed
+    // another aspect is cropped, not stretched
     let flags = GeometryFlags { resolution: Some([3, 3]), ..GeometryFlags::default() };
     let cropped = open(folder.path(), &flags, &defaults()).0.unwrap();
     assert_eq!(cropped.geometry().pitch_mm, 2.0 * 0.731);
@@ -310,7 +312,7 @@ np.save("theirs.npy", a[:, ::-1].astype(">f8"))
 "#;
     let output = Command::new(python).args(["-c", script]).current_dir(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // numpy keeps the memory order of a reversed copy; whatever it wrote, the values must agree or the order be refused
+    // NumPy keeps the memory order of a reversed copy; values must agree, or the order be refused
     let (shape, values) = npy::read(&folder.path().join("theirs.npy")).unwrap();
     assert_eq!(shape, [2, 5, 7, 3]);
     assert_eq!(values[..21], stack.layers[0].data()[4 * 21..5 * 21]);

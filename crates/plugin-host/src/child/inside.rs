@@ -1,5 +1,5 @@
-//! The child's end: loads one library, runs its functions as the program asks, and offers it a host whose functions ask
-//! the program.
+//! The child process: loads one library, runs its functions for the program, and gives the plugin a
+//! host that forwards requests to the program.
 
 use std::collections::HashMap;
 use std::ffi::{OsString, c_void};
@@ -23,18 +23,20 @@ use crate::LoadError;
 use crate::dynamic;
 use crate::serve::Functions;
 
-/// For how long an answer to "has the user asked to stop" holds; every other answer of the program brings a newer one.
-const FRESH: Duration = Duration::from_millis(2);
-/// Stack of a thread in which a plugin works, as main threads have it.
+/// Time for which an answer about cancellation stays valid; every other answer of the program
+/// updates it.
+const CANCEL_VALIDITY: Duration = Duration::from_millis(2);
+/// Stack size of a plugin's thread, bytes: that of main threads.
 const STACK: usize = 8 << 20;
 /// Time for destructors of the library's statics.
-const FAREWELL: Duration = Duration::from_secs(5);
+const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The whole work of a process that runs a plugin for another: `args` are what [`Launcher`](crate::Launcher) adds, the
-/// library's path and the plugin's id. Call it from the main thread before anything else uses standard input and output, and end the
-/// process with the code that it returns.
+/// The main function of a process that runs a plugin for another process. `args` are those that
+/// [`Launcher`](crate::Launcher) appends: the library's path and the plugin's id. Call it from the
+/// main thread before standard input or output are used. Exit with the returned code.
 ///
-/// What the library prints to standard output goes to standard error, since the former belongs to the program.
+/// Standard output belongs to the program, so the library's standard output is redirected to
+/// standard error.
 pub fn plugin_child(args: &[OsString]) -> u8 {
     let [library, id] = args else {
         eprintln!(
@@ -68,7 +70,7 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
             match message {
                 ToChild::Call { call, what } => {
                     link.active.fetch_add(1, Ordering::SeqCst);
-                    // a presentation may keep the main thread
+                    // the main thread may be occupied by a presentation
                     if matches!(what, Call::Submit { .. } | Call::Command { .. }) {
                         link.beside(call, what);
                     } else if calls.send((call, what)).is_err() {
@@ -83,12 +85,12 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
                 }
             }
         }
-        // the program has no more calls; where one is running, nobody wants its end
+        // The program sends no more calls. If a call is running, its result is not needed.
         if link.active.load(Ordering::SeqCst) > 0 {
             end_now();
         }
         drop(calls);
-        thread::sleep(FAREWELL);
+        thread::sleep(EXIT_TIMEOUT);
         end_now();
     });
 
@@ -114,8 +116,8 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
     Ok(())
 }
 
-/// Takes standard input and output for the program's messages: the library finds an empty input, and prints to standard
-/// error.
+/// Takes over standard input and output for messages. The library has an empty standard input, and
+/// its output goes to standard error.
 #[cfg(unix)]
 fn take_over() -> io::Result<(File, File)> {
     use std::os::fd::AsFd;
@@ -126,7 +128,7 @@ fn take_over() -> io::Result<(File, File)> {
     Ok((from, to))
 }
 
-/// As on Unix, but the library must not print to standard output, which it shares with the messages.
+/// As on Unix, but standard output is not redirected: the library must not print to it.
 #[cfg(windows)]
 fn take_over() -> io::Result<(File, File)> {
     use std::os::windows::io::AsHandle;
@@ -135,7 +137,7 @@ fn take_over() -> io::Result<(File, File)> {
     Ok((from, to))
 }
 
-/// Ends this process without running any more of the library's code.
+/// Ends this process without running destructors of the library.
 fn end_now() -> ! {
     #[cfg(unix)]
     let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
@@ -146,17 +148,17 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The way to the program.
+/// The connection to the program.
 struct Link {
     to: Mutex<File>,
-    /// Threads of the plugin that wait for answers.
+    /// Plugin threads that wait for answers, by request number.
     waiting: Mutex<HashMap<u64, Sender<(Answer, Vec<u8>)>>>,
     requests: AtomicU64,
-    /// Calls that are running; loading the library is one.
+    /// Number of running calls; loading the library counts as one.
     active: AtomicUsize,
-    /// Whether the user has asked to stop, and when that was true.
+    /// The last known state of cancellation, and its time.
     asked: Mutex<(Option<Instant>, bool)>,
-    /// Functions of the plugin; none where the library gave none, and the program then calls nothing.
+    /// The plugin's functions; empty if loading failed, after which the program sends no calls.
     functions: OnceLock<Arc<dyn Functions>>,
     instance: Mutex<Instance>,
 }
@@ -166,7 +168,8 @@ impl Link {
         write_frame(&mut *locked(&self.to), message, body)
     }
 
-    /// Asks the program for something. Where it has gone there is nothing left to do.
+    /// Sends a request to the program and waits for the answer. If the program is gone, this
+    /// process ends.
     fn ask(&self, what: Request, body: &[u8]) -> (Answer, Vec<u8>) {
         let request = self.requests.fetch_add(1, Ordering::Relaxed);
         let (answers, answer) = channel();
@@ -181,13 +184,13 @@ impl Link {
         }
     }
 
-    /// As [`ask`](Self::ask), with the answer's status and its reason for the plugin.
+    /// As [`ask`](Self::ask); passes the answer's status and reason to the plugin.
     ///
     /// # Safety
     /// `error` is null or a valid sink.
     unsafe fn status(&self, what: Request, body: &[u8], error: *const ErrorSink) -> Status {
         let (answer, _) = self.ask(what, body);
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { tell(error, &answer.text) };
         Status(answer.status)
     }
@@ -200,15 +203,15 @@ impl Link {
 
     fn is_cancelled(&self) -> bool {
         let (when, cancelled) = *locked(&self.asked);
-        if cancelled || when.is_some_and(|when| when.elapsed() < FRESH) {
+        if cancelled || when.is_some_and(|when| when.elapsed() < CANCEL_VALIDITY) {
             return cancelled;
         }
         let (answer, _) = self.ask(Request::IsCancelled, &[]);
-        // a host that has gone wants nothing more
+        // a lost host counts as cancelled
         answer.cancelled || answer.status != Status::OK.0
     }
 
-    /// The host as the plugin sees it.
+    /// The host's table, as the plugin receives it.
     fn services(&'static self) -> HostServices {
         HostServices {
             size: size_of::<HostServices>(),
@@ -232,16 +235,16 @@ impl Link {
 /// # Safety
 /// `context` is that of [`Link::services`].
 unsafe fn link_of(context: *const c_void) -> &'static Link {
-    // SAFETY: the caller's promise; a link lives as long as the process.
+    // SAFETY: guaranteed by the caller; a link lives as long as the process.
     unsafe { &*context.cast::<Link>() }
 }
 
-/// A text of the plugin, with what is not UTF-8 replaced.
+/// A text of the plugin; invalid UTF-8 is replaced.
 ///
 /// # Safety
 /// The plugin lends the text for the call.
 unsafe fn text(text: Str) -> String {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { lent_lossy(text) }.into_owned()
 }
 
@@ -250,7 +253,7 @@ unsafe fn text(text: Str) -> String {
 /// # Safety
 /// The plugin lends the bytes for the call; `error` is null or a valid sink.
 unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorSink) -> Result<&'a [u8], Status> {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         lent_bytes(Bytes { ptr, len }, what).map_err(|refused| {
             tell(error, &refused.to_string());
@@ -259,8 +262,8 @@ unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorS
     }
 }
 
-// SAFETY of all functions below: the plugin passes back the context of their table, lends texts and bytes for the call,
-// and passes null or a valid sink for errors.
+// SAFETY of all functions below: the plugin returns the context of their table, lends texts and
+// bytes for the call, and passes null or a valid sink for errors.
 
 unsafe extern "C" fn log(context: *const c_void, level: u32, message: Str) {
     // SAFETY: see above.
@@ -288,7 +291,7 @@ unsafe extern "C" fn is_cancelled(context: *const c_void) -> u8 {
 }
 
 unsafe extern "C" fn file_open(context: *const c_void, path: Str, file: *mut u64, error: *const ErrorSink) -> Status {
-    // SAFETY: see above; the plugin provides the place for the handle.
+    // SAFETY: see above; the plugin provides memory for the handle.
     unsafe {
         match bytes(path.ptr, path.len, "file name", error) {
             Ok(path) => {
@@ -314,7 +317,7 @@ unsafe extern "C" fn file_append(context: *const c_void, file: u64, content: Byt
     }
 }
 
-/// Sends bytes in parts, also where there are none.
+/// Sends bytes in parts; sends one empty part if there are none.
 fn in_parts(bytes: &[u8], mut send: impl FnMut(&[u8]) -> Status) -> Status {
     if bytes.is_empty() {
         return send(bytes);
@@ -351,7 +354,7 @@ unsafe extern "C" fn tell_program(context: *const c_void, event_json: Str) {
     unsafe { link_of(context).say(Say::Tell { json: text(event_json) }) };
 }
 
-/// What the contexts of lent data and sinks point to.
+/// Context of lent data and sinks.
 struct Running {
     link: &'static Link,
     call: u64,
@@ -360,7 +363,7 @@ struct Running {
 /// # Safety
 /// `context` is that of data or a sink of a running call.
 unsafe fn running<'a>(context: *const c_void) -> &'a Running {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { &*context.cast::<Running>() }
 }
 
@@ -409,26 +412,26 @@ unsafe extern "C" fn weight_plane(
     unsafe { fetch(context, |call| Request::WeightPlane { call, view_y, view_x }, plane, error) }
 }
 
-/// Fetches a plane; it is the plugin's until that gives it back.
+/// Fetches a plane. The plugin owns it until it releases it.
 ///
 /// # Safety
-/// `context` is that of data of a running call, `plane` a place for a plane that says its own size, `error` null or a
-/// valid sink.
+/// `context` is that of data of a running call, `plane` is memory for a plane whose `size` is set,
+/// and `error` is null or a valid sink.
 unsafe fn fetch(
     context: *const c_void,
     what: impl FnOnce(u64) -> Request,
     plane: *mut Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { tell(error, &format!("a plane of {size} bytes")) };
         return Status::REFUSED;
     }
     let (answer, body) = link.ask(what(*call), &[]);
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { tell(error, &answer.text) };
     if answer.status != Status::OK.0 {
         return Status(answer.status);
@@ -446,13 +449,13 @@ unsafe fn fetch(
         owner: Box::into_raw(owner).cast(),
         release: Some(release),
     };
-    // SAFETY: the caller's promise; a newer plugin's plane is longer, and its end stays as the plugin left it.
+    // SAFETY: guaranteed by the caller. A newer plugin's plane is longer; its end stays unchanged.
     unsafe { *plane = filled };
     Status::OK
 }
 
 unsafe extern "C" fn release(owner: *mut c_void) {
-    // SAFETY: the owner of a plane of `fetch`, given back once.
+    // SAFETY: the owner of a plane of `fetch`, released once.
     drop(unsafe { Box::from_raw(owner.cast::<Vec<u8>>()) });
 }
 
@@ -568,38 +571,38 @@ unsafe extern "C" fn give_solution(context: *mut c_void, solution_json: Str, err
     }
 }
 
-/// Sends a plane that the plugin lends.
+/// Sends a plane lent by the plugin.
 ///
 /// # Safety
-/// `context` is that of a sink of a running call; the plugin lends a plane that says its own size; `error` is null or a
-/// valid sink.
+/// `context` is that of a sink of a running call; the plugin lends a plane whose `size` is set;
+/// `error` is null or a valid sink.
 unsafe fn give(
     context: *mut c_void,
     what: impl FnOnce(u64, [usize; 3]) -> Request,
     plane: *const Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { tell(error, &format!("a plane of {size} bytes")) };
         return Status::REFUSED;
     }
-    // SAFETY: the caller's promise; it stays the plugin's, so that nothing is released.
+    // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.
     let view = match unsafe { PlaneView::new(Plane { release: None, ..*plane }) } {
         Ok(view) => view,
         Err(reason) => {
-            // SAFETY: the caller's promise.
+            // SAFETY: guaranteed by the caller.
             unsafe { tell(error, &reason.to_string()) };
             return Status::FAILED;
         }
     };
     let shape = [view.rows(), view.cols(), view.channels()];
     let values = view.values();
-    // SAFETY: any bytes of an `f32` are bytes.
+    // SAFETY: the bytes of `f32` values are initialized.
     let body = unsafe { std::slice::from_raw_parts(values.as_ptr().cast(), size_of_val(&*values)) };
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { link.status(what(*call, shape), body, error) }
 }
 
@@ -607,7 +610,7 @@ unsafe fn give(
 #[derive(Clone, Copy)]
 struct Instance(*mut c_void);
 
-// SAFETY: the boundary lets the functions of an output be called from any thread.
+// SAFETY: the interface allows calls of an output's functions from any thread.
 unsafe impl Send for Instance {}
 
 impl Default for Instance {
@@ -617,14 +620,15 @@ impl Default for Instance {
 }
 
 impl Link {
-    /// Runs a call that may come while another is running, in a thread of its own.
+    /// Runs a call that may arrive during another call, in its own thread.
     fn beside(&'static self, call: u64, what: Call) {
         let Some(functions) = self.functions.get() else { return };
         let instance = *locked(&self.instance);
         let work = move || {
-            // the whole of it, and not its pointer, goes to the thread
+            // binds the whole value, which is `Send`, instead of capturing the pointer field
             let Instance(handle) = { instance };
-            // SAFETY: the handle of `open`, which the program closes after this; the rest is lent for the call.
+            // SAFETY: the handle is that of `open`, which the program closes later; all else is
+            // lent for the call.
             done(self, call, |error| unsafe {
                 match &what {
                     Call::Submit { time, data } => {
@@ -647,14 +651,15 @@ impl Link {
         let Some(functions) = self.functions.get() else { return };
         let (link, instance) = (self, *locked(&self.instance));
         let host: *const HostServices = match &what {
-            // the plugin keeps the table for as long as this process lives
+            // the plugin keeps the table until this process ends
             Call::Open { port, .. } => Box::leak(Box::new(HostServices { port: *port, ..*host })),
             _ => host,
         };
         let running = Running { link, call };
         let context = (&raw const running).cast::<c_void>();
         let Instance(handle) = instance;
-        // SAFETY: everything is lent for the call, and the table until the process ends; handles are those of `open`.
+        // SAFETY: all arguments are lent for the call, and the table until the process ends;
+        // handles are those of `open`.
         done(link, call, |error| unsafe {
             match &what {
                 Call::Import { params, file } => {
@@ -709,7 +714,7 @@ fn time_of(time: protocol::Time) -> Time {
     Time { size: size_of::<Time>(), index: time.index, seconds: f64::from_bits(time.seconds_bits) }
 }
 
-/// Lends the data of a call.
+/// Lends the data of a call to a function.
 fn with_data(
     link: &'static Link,
     call: u64,
@@ -730,11 +735,11 @@ fn with_data(
     function(&data)
 }
 
-/// Runs a function of the plugin and reports its end.
+/// Runs a function of the plugin and sends its result.
 fn done(link: &Link, call: u64, function: impl FnOnce(*const ErrorSink) -> Status) {
     let mut text = String::new();
     let status = function(&keeping(&mut text));
-    // a status other than OK has a reason; one of OK has none, whatever was written
+    // only a status other than OK has a reason; texts written with OK are ignored
     let text = if status == Status::OK { String::new() } else { text };
     link.active.fetch_sub(1, Ordering::SeqCst);
     if link.send(&FromChild::Done { call, status: status.0, text }, &[]).is_err() {

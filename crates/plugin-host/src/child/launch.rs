@@ -1,17 +1,17 @@
-//! How a child is started, and how long it may take.
+//! Launches child processes, and defines their time limits.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-/// Longest silence of a plugin at work, seconds; 0 for any.
+/// Longest time without any call or return of a running plugin, seconds; 0 for no limit.
 const SILENCE: &str = "LUMISTACK_PLUGIN_SILENCE_S";
-/// Longest time to load a library, seconds; 0 for any.
+/// Longest time to load a library, seconds; 0 for no limit.
 const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
 
-/// A program that runs one plugin: these words, then the library's path and the plugin's id. It calls
-/// [`plugin_child`](crate::plugin_child).
+/// A program that runs one plugin. The library's path and the plugin's id are appended to `args`.
+/// The program calls [`plugin_child`](crate::plugin_child).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Launcher {
     /// The program.
@@ -23,34 +23,35 @@ pub struct Launcher {
 static OF_PROCESS: OnceLock<Launcher> = OnceLock::new();
 
 impl Launcher {
-    /// This program again, with a first argument by which it knows its task.
+    /// The current program, with `first` as the argument that selects this task.
     pub fn this_program(first: &str) -> Option<Self> {
-        // what runs now, also after the file has been replaced by another version
+        // on Linux this is the running file, even if it was replaced on disk
         let own = PathBuf::from("/proc/self/exe");
         let program = if cfg!(target_os = "linux") && own.exists() { own } else { std::env::current_exe().ok()? };
         Some(Self { program, args: vec![first.into()] })
     }
 
-    /// Starts all children of this process that way, unless the places of their plugins name another. The first call
-    /// counts.
+    /// Sets the launcher of all children of this process; [`PluginPaths`](crate::PluginPaths) can
+    /// override it. Only the first call has an effect.
     pub fn set_for_process(self) {
         let _ = OF_PROCESS.set(self);
     }
 
-    /// What was set for this process.
+    /// The launcher set for this process.
     pub fn of_process() -> Option<Self> {
         OF_PROCESS.get().cloned()
     }
 }
 
-/// How long a child may take; `None` for any time.
+/// Time limits of a child; `None` for no limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// From the start until the plugin has described itself.
     pub load: Option<Duration>,
-    /// At work, without any sign of life: a service of the host that it calls, or a function that returns.
+    /// Longest time of a running call without a sign of life: a call of a host service, or a
+    /// returned function.
     pub silence: Option<Duration>,
-    /// After the user has asked to stop.
+    /// Time to end after cancellation.
     pub grace: Duration,
 }
 
@@ -62,11 +63,11 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// The default, but for the environment variables `LUMISTACK_PLUGIN_LOAD_S` and `LUMISTACK_PLUGIN_SILENCE_S`:
-    /// seconds, 0 for any time.
+    /// The defaults, overridden by the environment variables `LUMISTACK_PLUGIN_LOAD_S` and
+    /// `LUMISTACK_PLUGIN_SILENCE_S`: seconds, 0 for no limit.
     ///
     /// # Errors
-    /// The variable and its value, where that is no number of seconds.
+    /// The variable and its value, if it is no number of seconds.
     pub(crate) fn of_system() -> Result<Self, (&'static str, String)> {
         let mut limits = Self::default();
         for (variable, limit) in [(LOAD, &mut limits.load), (SILENCE, &mut limits.silence)] {
@@ -79,7 +80,7 @@ impl Limits {
     }
 }
 
-/// The limit that a variable names.
+/// Parses the value of a limit's variable.
 fn limit_of(text: &str) -> Option<Option<Duration>> {
     let limit = Duration::try_from_secs_f64(text.trim().parse().ok()?).ok()?;
     Some((!limit.is_zero()).then_some(limit))

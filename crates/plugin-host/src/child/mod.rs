@@ -1,21 +1,22 @@
-//! Plugins in libraries run in a child process, so that nothing they do can end the program.
+//! Plugins in libraries run in a child process, so that their faults cannot end the program.
 //!
 //! ```text
-//! program                                             child: one per open output, and per scene, field or stack
-//!  │ Functions::open(HostServices, ...)                 │
-//!  ├── Call(open, texts) ─────────────────────────────▶ │ the library's `open`, with a HostServices that asks
-//!  │ ◀────────────── Request(file_append) + bytes ───── │
-//!  │   the program's own file_append                    │
-//!  ├── Answer ────────────────────────────────────────▶ │
-//!  │ ◀──────────────────────────────── Done(status) ─── │
+//! program                                                  child: one per output, scene, field or stack
+//!    │ Functions::open(HostServices, ...)                    │
+//!    ├── Call(open, texts) ─────────────────────────────────▶│ the library's `open`
+//!    │◀────────────── Request(file_append) + bytes ──────────│
+//!    │   the program's own file_append                       │
+//!    ├── Answer ────────────────────────────────────────────▶│
+//!    │◀──────────────────────────────── Done(status) ────────│
 //! ```
 //!
-//! Both ends stand at the C boundary: the host's code above it and the plugin's below are the same as without a child,
-//! and so are the bytes. Planes cross one at a time, when the plugin fetches them, as bytes in the pipe. Memory that
-//! both processes map would save one copy, but a child that shortens the file under it ends the program by a bus error.
+//! Both ends implement the C interface, so the host's code and the plugin's are the same with and
+//! without a child. Planes are sent through the pipe one at a time, when the plugin fetches them.
+//! Shared memory would save one copy. However, a child that truncates the file below it would end
+//! the program by a bus error.
 //!
-//! [`outside`] passes the plugin's functions on, [`session`] holds the child that runs them, and [`requests`] does what it asks for; [`inside`] is the
-//! child's end.
+//! [`outside`] forwards the plugin's functions, [`session`] controls the child, [`requests`] serves
+//! its requests, and [`inside`] runs in the child.
 
 mod inside;
 mod launch;

@@ -1,4 +1,4 @@
-//! The program's end: every function of the plugin is passed on to a child.
+//! The program's side: forwards every function of the plugin to a child.
 
 use std::ffi::c_void;
 use std::path::{Path, PathBuf};
@@ -17,15 +17,16 @@ use super::session::{Owner, Stopped};
 use crate::LoadError;
 use crate::serve::{Functions, Plugin};
 
-/// Loads a library in a child, and returns its plugin, whose functions start a child each.
+/// Loads a library in a child, and returns its plugin. Each use of the plugin's functions starts a
+/// child.
 pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits) -> Result<Plugin, LoadError> {
     let path = || library.to_path_buf();
-    // an absolute path, since the loader looks for a bare name elsewhere
+    // an absolute path, since the loader searches other folders for a bare name
     let absolute = std::path::absolute(library).map_err(|source| LoadError::Read { path: path(), source })?;
     let remote = Remote { library: absolute, id: id.into(), launcher, limits };
     let (_session, loaded) = match remote.start(&|| false) {
         Ok(started) => started,
-        Err(Stopped::Cancelled) => unreachable!("nobody can cancel a look at a library"),
+        Err(Stopped::Cancelled) => unreachable!("loading a library is never cancelled"),
         Err(Stopped::Died(cause)) => return Err(LoadError::Ended { path: path(), cause }),
     };
     let info = match loaded {
@@ -57,10 +58,10 @@ impl Remote {
         Owner::start(&self.library, &self.id, &self.launcher, self.limits, cancelled)
     }
 
-    /// Runs one function of the plugin in a child of its own.
+    /// Runs one function of the plugin in its own child.
     ///
     /// # Safety
-    /// All that is lent is valid until this returns; `error` is null or a valid sink.
+    /// All borrowed arguments are valid until this returns; `error` is null or a valid sink.
     unsafe fn once(
         &self,
         host: *const HostServices,
@@ -69,11 +70,11 @@ impl Remote {
         doing: &str,
         error: *const ErrorSink,
     ) -> Status {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             match self.start(&|| is_cancelled(host)) {
                 Ok((session, _)) => session.call(host, lent, what, doing, error),
-                Err(stopped) => stopped.told(error),
+                Err(stopped) => stopped.report(error),
             }
         }
     }
@@ -84,26 +85,26 @@ impl Remote {
 /// # Safety
 /// The text is lent for the call.
 unsafe fn text(text: Str) -> String {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { lent_lossy(text) }.into_owned()
 }
 
 /// # Safety
 /// `time` is valid.
 unsafe fn time_of(time: *const abi::Time) -> protocol::Time {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { protocol::Time { index: (*time).index, seconds_bits: (*time).seconds.to_bits() } }
 }
 
 /// # Safety
 /// `data` is valid.
 unsafe fn data_of(data: *const Data) -> protocol::Data {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { protocol::Data { port: (*data).port, description: text((*data).description_json) } }
 }
 
-// SAFETY: what is lent is kept in the session for as long as the call runs, and taken out before it returns; the table
-// of `open` when the session ends. Whoever uses it holds the lock that takes it out.
+// SAFETY: borrowed data are kept in the session while the call runs, and removed before it returns;
+// the table of `open` when the session ends. Every use holds the lock that the removal takes.
 unsafe impl Functions for Remote {
     unsafe fn import(
         &self,
@@ -114,7 +115,7 @@ unsafe impl Functions for Remote {
         scene: *const ByteSink,
         error: *const ErrorSink,
     ) -> Status {
-        // SAFETY: the caller's promise, here and in the other functions.
+        // SAFETY: guaranteed by the caller, here and in the other functions.
         unsafe {
             let (params, file) = (text(params_json), text(file));
             let doing = format!("it read `{file}`");
@@ -167,11 +168,11 @@ unsafe impl Functions for Remote {
         instance: *mut *mut c_void,
         error: *const ErrorSink,
     ) -> Status {
-        // SAFETY: as in `import`; the host provides the place for the handle.
+        // SAFETY: as in `import`; the host provides memory for the handle.
         unsafe {
             let owner = match self.start(&|| is_cancelled(host)) {
                 Ok((owner, _)) => owner,
-                Err(stopped) => return stopped.told(error),
+                Err(stopped) => return stopped.report(error),
             };
             let (params, display) = (text(params_json), text(display_json));
             let what = Call::Open { params, display, port: (*host).port };
@@ -226,10 +227,10 @@ unsafe impl Functions for Remote {
     }
 
     unsafe fn close(&self, instance: *mut c_void) {
-        // SAFETY: as in `submit`, and the handle is given back once.
+        // SAFETY: as in `submit`, and the handle is released once.
         unsafe {
             let Opened { owner, host } = *Box::from_raw(instance.cast::<Opened>());
-            // one that has died said so in the call in which it did
+            // a dead child was reported by the call during which it died
             if owner.0.state().ended {
                 return;
             }
@@ -242,7 +243,7 @@ unsafe impl Functions for Remote {
     }
 }
 
-/// What an output's handle points to.
+/// An open output; its handle points here.
 struct Opened {
     owner: Owner,
     /// Valid until `close`.

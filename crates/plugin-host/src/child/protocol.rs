@@ -1,8 +1,8 @@
-//! Messages between a program and the process that runs a plugin for it.
+//! Messages between a program and its plugin process.
 //!
-//! A frame is the length of its head (u32), the length of its body (u64), both little-endian, the head as JSON, and the
-//! body: bytes of a file, a plane of `f32` in native byte order, or a text of which nobody knows that it is UTF-8. Real
-//! numbers cross as their bits.
+//! A frame is the length of its head (u32), the length of its body (u64), both little-endian, the
+//! head as JSON, and the body. The body is bytes of a file, a plane of `f32` in native byte order,
+//! or a text that may be invalid UTF-8. Real numbers are sent as their bits.
 
 use std::io::{self, Read, Write};
 
@@ -10,23 +10,23 @@ use crate::serve::PluginInfo;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// Longest head: parameters, displays and geometries are far shorter.
-const MOST_HEAD: u32 = 64 << 20;
-/// Longest body: a plane of 35 000 × 10 000 pixels.
-const MOST_BODY: u64 = 4 << 30;
-/// Longest part of a file or a scene that crosses at once.
+/// Longest head, bytes: parameters, displays and geometries are far shorter.
+const MAX_HEAD: u32 = 64 << 20;
+/// Longest body, bytes: a plane of 35 000 × 10 000 pixels.
+const MAX_BODY: u64 = 4 << 30;
+/// Largest part of a file or a scene in one message, bytes.
 pub(super) const PART: usize = 16 << 20;
 
-/// From the program.
+/// Messages from the program.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum ToChild {
     /// Calls a function of the plugin.
     Call { call: u64, what: Call },
-    /// Answers a request; the body is the plane or the file that was asked for.
+    /// Answers a request; the body is the requested plane or file.
     Answer(Answer),
 }
 
-/// A function of the plugin and its texts.
+/// A function of the plugin and its text arguments.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Call {
     Import { params: String, file: String },
@@ -46,14 +46,14 @@ pub(super) struct Time {
     pub(super) seconds_bits: u64,
 }
 
-/// Lent data; planes are asked for by the number of the call.
+/// Lent data; their planes are requested by the number of the call.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Data {
     pub(super) port: u32,
     pub(super) description: String,
 }
 
-/// The outcome of a request.
+/// The result of a request.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Answer {
     pub(super) request: u64,
@@ -64,44 +64,44 @@ pub(super) struct Answer {
     pub(super) file: u64,
     /// Rows, columns and channels of the plane in the body.
     pub(super) shape: [usize; 3],
-    /// Whether the user has asked to stop.
+    /// The user has cancelled.
     pub(super) cancelled: bool,
 }
 
-/// From the child.
+/// Messages from the child.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum FromChild {
-    /// The first message: what the library is.
+    /// The first message: the result of loading the library.
     Loaded(Loaded),
     /// A function of the plugin has returned.
     Done { call: u64, status: i32, text: String },
-    /// Asks for a service and waits for its answer.
+    /// Requests a service and waits for the answer.
     Request { request: u64, what: Request },
-    /// Says something; nobody waits.
+    /// A notification without an answer.
     Say(Say),
 }
 
-/// What came of loading a library.
+/// Results of loading a library.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Loaded {
     Plugin(PluginInfo),
-    /// The system's loader does not take it.
+    /// The system's loader refuses it.
     Open(String),
-    /// No entry function of this name.
+    /// The entry function of this name is missing.
     NoEntry(String),
-    /// Nothing usable in the descriptor.
+    /// The descriptor is invalid.
     Descriptor(String),
-    /// Another plugin than the file's name says.
+    /// The plugin's id differs from the entry function's.
     OtherId(String),
 }
 
-/// A service of the host, or a function of something lent to the call of this number.
+/// A service of the host, or a function of data lent to the call of this number.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) enum Request {
     IsCancelled,
     /// The body is the path.
     FileOpen,
-    /// The body is added.
+    /// The body is appended.
     FileAppend {
         file: u64,
     },
@@ -199,7 +199,7 @@ pub(super) enum Say {
 /// Writes one frame.
 pub(super) fn write_frame(to: &mut impl Write, head: &impl Serialize, body: &[u8]) -> io::Result<()> {
     let head = serde_json::to_vec(head)?;
-    let length = u32::try_from(head.len()).ok().filter(|length| *length <= MOST_HEAD);
+    let length = u32::try_from(head.len()).ok().filter(|length| *length <= MAX_HEAD);
     let length = length.ok_or_else(|| io::Error::other("a message is too long"))?;
     let mut start = Vec::with_capacity(12 + head.len());
     start.extend(length.to_le_bytes());
@@ -210,7 +210,8 @@ pub(super) fn write_frame(to: &mut impl Write, head: &impl Serialize, body: &[u8
     to.flush()
 }
 
-/// Reads one frame; `None` where the other side ended before it. Memory for the body is taken as its bytes arrive.
+/// Reads one frame; `None` if the other side closed the pipe before it. Memory for the body grows
+/// as its bytes arrive, so a false length cannot exhaust it.
 pub(super) fn read_frame<T: DeserializeOwned>(from: &mut impl Read) -> io::Result<Option<(T, Vec<u8>)>> {
     let mut start = [0; 12];
     let mut read = 0;
@@ -225,7 +226,7 @@ pub(super) fn read_frame<T: DeserializeOwned>(from: &mut impl Read) -> io::Resul
     }
     let head_length = u32::from_le_bytes(start[..4].try_into().expect("four bytes"));
     let body_length = u64::from_le_bytes(start[4..].try_into().expect("eight bytes"));
-    if head_length > MOST_HEAD || body_length > MOST_BODY {
+    if head_length > MAX_HEAD || body_length > MAX_BODY {
         return Err(io::Error::other("no frame of the protocol"));
     }
     let mut part = |length: u64| {
@@ -270,7 +271,7 @@ mod tests {
         }
         assert!(read_frame::<FromChild>(&mut b"printed into the wrong place, by a library".as_slice()).is_err());
         let mut long = frame.clone();
-        long[4..12].copy_from_slice(&(MOST_BODY).to_le_bytes());
+        long[4..12].copy_from_slice(&(MAX_BODY).to_le_bytes());
         assert!(read_frame::<FromChild>(&mut long.as_slice()).is_err(), "4 GiB that never come");
         long[4..12].copy_from_slice(&u64::MAX.to_le_bytes());
         assert!(read_frame::<FromChild>(&mut long.as_slice()).is_err());

@@ -1,4 +1,4 @@
-//! What a child asks of the program: services of the host, planes and sinks that are lent to a call.
+//! Serves a child's requests: services of the host, planes and sinks lent to a call.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -11,16 +11,16 @@ use lumistack_plugin::wire::{append, keeping, tell};
 
 use super::protocol::{Answer, Request, Say};
 
-/// What the calls that a child runs lend to it.
+/// The objects lent to the running calls of a child.
 #[derive(Default)]
 pub(super) struct Lending {
-    /// By the number of the call; that of the output itself is [`HOST`].
+    /// By the number of the call; the output's own number is [`HOST`].
     all: RwLock<HashMap<u64, Lent>>,
-    /// Files that the plugin writes, by their handles.
+    /// Files being written, by their handles.
     files: Mutex<BTreeMap<u64, String>>,
 }
 
-/// What one call lends; null what it does not.
+/// The objects lent to one call; null for those not lent.
 #[derive(Clone, Copy)]
 pub(super) struct Lent {
     pub(super) host: *const HostServices,
@@ -38,38 +38,39 @@ impl Lent {
     }
 }
 
-// SAFETY: the boundary lets all of these be used from any thread; sinks for one at a time have their own locks.
+// SAFETY: the interface allows use of all of these from any thread; sinks for one thread have their
+// own locks.
 unsafe impl Send for Lent {}
 // SAFETY: as above.
 unsafe impl Sync for Lent {}
 
-/// The number under which the host's table is kept between `open` and `close`, when no call need be running.
+/// The number of the host's table between `open` and `close`, when no call may be running.
 pub(super) const HOST: u64 = 0;
 
 /// # Safety
 /// `host` is a valid table.
 pub(super) unsafe fn is_cancelled(host: *const HostServices) -> bool {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { ((*host).is_cancelled)((*host).context) != 0 }
 }
 
 impl Lending {
-    /// What every call lends; held for as long as it is used.
+    /// The objects of all calls; the lock is held during their use.
     pub(super) fn all(&self) -> RwLockReadGuard<'_, HashMap<u64, Lent>> {
         self.all.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The same for change; waits for those who use it.
+    /// The same, mutable; waits until no request uses them.
     pub(super) fn all_mut(&self) -> RwLockWriteGuard<'_, HashMap<u64, Lent>> {
         self.all.write().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The files that are being written.
+    /// The files being written.
     pub(super) fn files(&self) -> MutexGuard<'_, BTreeMap<u64, String>> {
         self.files.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does what a request asks for.
+    /// Serves one request.
     pub(super) fn answer(&self, request: u64, what: Request, body: &[u8]) -> (Answer, Vec<u8>) {
         let mut answer = Answer { request, ..Answer::default() };
         let mut out = Vec::new();
@@ -78,12 +79,12 @@ impl Lending {
             (answer.status, answer.text) = (Status::FAILED.0, "the output is already closed".into());
             return (answer, out);
         };
-        // SAFETY: the lock keeps the table.
+        // SAFETY: the lock keeps the table alive.
         let host = unsafe { &*lent.host };
         let mut text = String::new();
         let error = keeping(&mut text);
-        // SAFETY: what is found under the number of a call is lent for as long as it is found there, which the lock
-        // keeps so; the other arguments are lent for the call.
+        // SAFETY: objects in the map are lent as long as they are there, which the lock guarantees;
+        // the other arguments are lent for the call.
         let status = unsafe { self.serve(host, &all, what, body, &mut answer, &mut out, &error) };
         answer.cancelled = {
             // SAFETY: as above.
@@ -107,14 +108,14 @@ impl Lending {
     ) -> Status {
         let nothing = Lent::nothing();
         let of = |call: u64| all.get(&call).unwrap_or(&nothing);
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         let refused = |reason: &str| unsafe {
             tell(error, reason);
             Status::REFUSED
         };
         let context = host.context;
         let path = Str { ptr: body.as_ptr(), len: body.len() };
-        // SAFETY: the caller's promise, here and below.
+        // SAFETY: guaranteed by the caller, here and below.
         unsafe {
             match what {
                 Request::IsCancelled => Status::OK,
@@ -140,32 +141,32 @@ impl Lending {
                     Some(data) => {
                         fetch(answer, out, error, |plane| (data.layer_plane)(data.context, layer, frame, plane, error))
                     }
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::EmissionPlane { call, frame, bin_y, bin_x } => match of(call).data.as_ref() {
                     Some(data) => fetch(answer, out, error, |plane| {
                         (data.emission_plane)(data.context, frame, bin_y, bin_x, plane, error)
                     }),
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::ViewPlane { call, view_y, view_x } => match of(call).data.as_ref() {
                     Some(data) => {
                         fetch(answer, out, error, |plane| (data.view_plane)(data.context, view_y, view_x, plane, error))
                     }
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::WeightPlane { call, view_y, view_x } => match of(call).data.as_ref() {
                     Some(data) => fetch(answer, out, error, |plane| {
                         (data.weight_plane)(data.context, view_y, view_x, plane, error)
                     }),
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::Simulate { call, kind, value_bits } => match of(call).data.as_ref() {
                     Some(data) => {
                         let view = View { size: size_of::<View>(), kind, value: value_bits.map(f64::from_bits) };
                         fetch(answer, out, error, |plane| (host.simulate)(context, data, &view, plane, error))
                     }
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::ReadAsset { call } => match of(call).assets.as_ref() {
                     Some(assets) => {
@@ -173,62 +174,62 @@ impl Lending {
                             ByteSink { size: size_of::<ByteSink>(), context: (&raw mut *out).cast(), write: append };
                         (assets.read)(assets.context, path, &sink, error)
                     }
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::GiveScene { call } => match of(call).scene.as_ref() {
                     Some(sink) => (sink.write)(sink.context, Bytes::new(body), error),
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::GiveGeometry { call } => match of(call).field.as_ref() {
                     Some(sink) => (sink.geometry)(sink.context, path, error),
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::GiveView { call, view_y, view_x, shape } => match of(call).field.as_ref() {
-                    Some(sink) => {
-                        given(body, shape, error, |plane| (sink.view_plane)(sink.context, view_y, view_x, plane, error))
-                    }
-                    None => refused(GONE),
+                    Some(sink) => give_to_sink(body, shape, error, |plane| {
+                        (sink.view_plane)(sink.context, view_y, view_x, plane, error)
+                    }),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::GiveBrightness { call, bits } => match of(call).stack.as_ref() {
                     Some(sink) => (sink.brightness)(sink.context, f64::from_bits(bits), error),
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::GiveLayer { call, layer, frame, shape } => match of(call).stack.as_ref() {
-                    Some(sink) => {
-                        given(body, shape, error, |plane| (sink.layer_plane)(sink.context, layer, frame, plane, error))
-                    }
-                    None => refused(GONE),
+                    Some(sink) => give_to_sink(body, shape, error, |plane| {
+                        (sink.layer_plane)(sink.context, layer, frame, plane, error)
+                    }),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::GiveEmission { call, frame, bin_y, bin_x, shape } => match of(call).stack.as_ref() {
-                    Some(sink) => given(body, shape, error, |plane| {
+                    Some(sink) => give_to_sink(body, shape, error, |plane| {
                         (sink.emission_plane)(sink.context, frame, bin_y, bin_x, plane, error)
                     }),
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::GiveStep { call, iteration, objective_bits, psnr_bits } => match of(call).stack.as_ref() {
                     Some(sink) => {
                         let [objective, psnr] = [objective_bits, psnr_bits].map(f64::from_bits);
                         (sink.step)(sink.context, iteration, objective, psnr, error)
                     }
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
                 Request::GiveSolution { call } => match of(call).stack.as_ref() {
                     Some(sink) => (sink.solution)(sink.context, path, error),
-                    None => refused(GONE),
+                    None => refused(CALL_RETURNED),
                 },
             }
         }
     }
 }
 
-/// What a plugin is told that uses something after the call that lent it.
-const GONE: &str = "that was lent to a call which has returned";
+/// The error for use of an object after its call has returned.
+const CALL_RETURNED: &str = "that was lent to a call which has returned";
 
-/// Passes on a message.
+/// Forwards a notification to the host.
 ///
 /// # Safety
 /// The table is valid.
-pub(super) unsafe fn pass_on(host: &HostServices, say: &Say) {
+pub(super) unsafe fn forward(host: &HostServices, say: &Say) {
     let context = host.context;
     // SAFETY: the table's own context; the texts are lent for the call.
     unsafe {
@@ -244,10 +245,10 @@ pub(super) unsafe fn pass_on(host: &HostServices, say: &Say) {
     }
 }
 
-/// Copies the plane that the host lends.
+/// Copies a plane lent by the host.
 ///
 /// # Safety
-/// `error` is a valid sink, and what `lend` fills in on success is a valid plane.
+/// `error` is a valid sink, and `lend` fills in a valid plane on success.
 unsafe fn fetch(
     answer: &mut Answer,
     out: &mut Vec<u8>,
@@ -259,27 +260,27 @@ unsafe fn fetch(
     if status != Status::OK {
         return status;
     }
-    // SAFETY: the caller's promise; it is given back when the view is dropped.
+    // SAFETY: guaranteed by the caller; the plane is released when the view is dropped.
     let view = match unsafe { PlaneView::new(plane) } {
         Ok(view) => view,
         Err(reason) => {
-            // SAFETY: the caller's promise.
+            // SAFETY: guaranteed by the caller.
             unsafe { tell(error, &reason.to_string()) };
             return Status::FAILED;
         }
     };
     answer.shape = [view.rows(), view.cols(), view.channels()];
     let values = view.values();
-    // SAFETY: any bytes of an `f32` are bytes.
+    // SAFETY: the bytes of `f32` values are initialized.
     out.extend_from_slice(unsafe { std::slice::from_raw_parts(values.as_ptr().cast(), size_of_val(&*values)) });
     Status::OK
 }
 
-/// Hands a plane of the child to a sink.
+/// Passes a plane of the child to a sink.
 ///
 /// # Safety
 /// `error` is a valid sink.
-unsafe fn given(
+unsafe fn give_to_sink(
     body: &[u8],
     [rows, cols, channels]: [usize; 3],
     error: *const ErrorSink,
@@ -288,11 +289,11 @@ unsafe fn given(
     let element = size_of::<f32>();
     let count = rows.checked_mul(cols).and_then(|count| count.checked_mul(channels));
     if count.and_then(|count| count.checked_mul(element)) != Some(body.len()) {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { tell(error, &format!("a plane of shape {:?} in {} bytes", [rows, cols, channels], body.len())) };
         return Status::REFUSED;
     }
-    // no overflow: the products are those of a plane that is there
+    // no overflow: these are sizes of an existing plane
     let strides = [cols * channels * element, channels * element, element, 0].map(|stride| stride as isize);
     let shape = [rows, cols, channels, 1];
     take(&Plane { data: body.as_ptr().cast(), dtype: dtype::F32, ndim: 3, shape, strides, ..Plane::empty() })

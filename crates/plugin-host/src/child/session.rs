@@ -1,9 +1,9 @@
-//! One child: started, called, watched and ended.
+//! A child's session: start, calls, supervision and end.
 //!
-//! Every child has three threads here: one writes what the program sends, one reads and does what the child asks for,
-//! and one passes on what the plugin prints. Who called a function of the plugin waits for its end and meanwhile looks
-//! whether the user wants to stop, whether the child is still there and whether it still says something. None of the
-//! three threads is waited for where a call ends, since a process that the plugin started may hold the pipes open.
+//! Every child has three threads in the program. One writes messages, one reads messages and serves
+//! requests, and one forwards the plugin's prints. The caller of a plugin function waits for its
+//! end. Meanwhile it checks for cancellation, for the child's exit and for its silence. No call
+//! joins the three threads, since a process started by the plugin may hold the pipes open.
 
 use std::collections::HashMap;
 use std::io::{Read, Write};
@@ -19,28 +19,29 @@ use lumistack_plugin::wire::tell;
 
 use super::launch::{Launcher, Limits};
 use super::protocol::{Call, FromChild, Loaded, Request, ToChild, read_frame, write_frame};
-use super::requests::{HOST, Lending, Lent, is_cancelled, pass_on};
+use super::requests::{HOST, Lending, Lent, forward, is_cancelled};
 
-/// How often who waits looks around.
+/// Interval of the checks during a wait.
 const TICK: Duration = Duration::from_millis(20);
-/// Time for a process to end once there is nothing more for it to do.
-const FAREWELL: Duration = Duration::from_secs(2);
-/// Time for the last messages of a process that has ended.
-const LAST_WORDS: Duration = Duration::from_millis(300);
-/// Of what a plugin prints the last bytes are kept for messages.
-const SAID: usize = 16 << 10;
-/// Files that a message names, at most.
-const NAMED: usize = 3;
+/// Time for an idle process to end.
+const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
+/// Time to read the last messages of a process that has ended.
+const DRAIN_TIMEOUT: Duration = Duration::from_millis(300);
+/// Bytes of the plugin's prints that are kept for messages: the last ones.
+const KEPT_BYTES: usize = 16 << 10;
+/// Largest number of files in a message.
+const MAX_FILES: usize = 3;
 
-/// Why a call did not come to its end.
+/// A call did not complete.
 pub(super) enum Stopped {
-    /// The user asked to stop, and the child was ended where it did not.
+    /// The user cancelled; the child was ended if it did not end itself.
     Cancelled,
-    /// The child ended, or had to be ended: why.
+    /// The child ended or was ended, for this reason.
     Died(String),
 }
 
-/// The only one who may end a session; its threads hold it, too.
+/// Ends the session on drop. The session's threads hold references to the session, not to the
+/// owner.
 pub(super) struct Owner(pub(super) Arc<Session>);
 
 impl Owner {
@@ -56,7 +57,8 @@ impl Owner {
         let mut command = Command::new(program);
         command.args(args).arg(library).arg(id);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // Ctrl-C reaches all of a terminal's foreground group, but a plugin learns of it from the host
+        // Ctrl-C signals the terminal's foreground group. The plugin is cancelled through the host,
+        // so it gets its own group.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.spawn().map_err(|error| {
@@ -68,7 +70,7 @@ impl Owner {
         };
         #[cfg(target_os = "linux")]
         for pipe in [std::os::fd::AsFd::as_fd(&input), std::os::fd::AsFd::as_fd(&output)] {
-            // faster where the system allows it
+            // a larger pipe is faster, where the system allows it
             let _ = rustix::pipe::fcntl_setpipe_size(pipe, 1 << 20);
         }
         let (outgoing, frames) = channel::<Option<(ToChild, Vec<u8>)>>();
@@ -79,12 +81,12 @@ impl Owner {
             outgoing,
             state: Mutex::new(State { last_sign: Instant::now(), ..State::new() }),
             lending: Lending::default(),
-            said: Mutex::default(),
+            printed: Mutex::default(),
         });
         let (loaded, waits) = channel();
         session.state().loaded = Some(loaded);
         thread::spawn(move || {
-            // closing the pipe, at its end, ends a child that has nothing more to do
+            // closing the pipe ends an idle child
             while let Ok(Some((head, body))) = frames.recv() {
                 if write_frame(&mut input, &head, &body).is_err() {
                     break;
@@ -99,7 +101,7 @@ impl Owner {
             reader.disconnected();
         });
         let listener = session.clone();
-        thread::spawn(move || listener.pass_on(errors));
+        thread::spawn(move || listener.forward_prints(errors));
         let owner = Self(session);
         let loaded = owner.wait(&waits, "it was loaded", limits.load, cancelled)?;
         Ok((owner, loaded))
@@ -116,37 +118,37 @@ impl std::ops::Deref for Owner {
 
 impl Drop for Owner {
     fn drop(&mut self) {
-        // the table ends with the output; requests that use it have returned once the lock is here
+        // the table ends with the output; the lock waits for requests that use it
         self.lending.all_mut().clear();
-        self.farewell();
+        self.shut_down();
     }
 }
 
-/// One child and the calls that it runs.
+/// A child and its running calls.
 pub(super) struct Session {
     /// Name of the library's file, for messages.
     library: String,
     limits: Limits,
     child: Mutex<Child>,
-    /// `None` is the last.
+    /// `None` closes the pipe.
     outgoing: Sender<Option<(ToChild, Vec<u8>)>>,
     state: Mutex<State>,
-    /// What its running calls lend.
+    /// Objects lent to its running calls.
     lending: Lending,
-    /// The end of what the plugin printed, and whether it is all.
-    said: Mutex<(Vec<u8>, bool)>,
+    /// The end of the plugin's prints, and whether it is complete.
+    printed: Mutex<(Vec<u8>, bool)>,
 }
 
 pub(super) struct State {
-    /// Who waits for the library.
+    /// Receives the result of loading the library.
     loaded: Option<Sender<Loaded>>,
-    /// Who waits for the end of a call.
+    /// Receive the results of running calls, by call number.
     calls: HashMap<u64, Sender<(Status, String)>>,
     last_call: u64,
     last_sign: Instant,
-    /// Requests that are being worked on, during which the child waits.
+    /// Number of requests being served, during which the child waits.
     requests: usize,
-    /// It has ended, or must not be called any more.
+    /// The child has ended, or must not be called any more.
     pub(super) ended: bool,
 }
 
@@ -168,8 +170,8 @@ impl Session {
     /// Runs a function of the plugin to its end.
     ///
     /// # Safety
-    /// All that is lent is valid until this returns, and `host` until the output is closed; `error` is null or a valid
-    /// sink.
+    /// All borrowed arguments are valid until this returns, and `host` until the output is closed;
+    /// `error` is null or a valid sink.
     pub(super) unsafe fn call(
         &self,
         host: *const HostServices,
@@ -178,7 +180,7 @@ impl Session {
         doing: &str,
         error: *const ErrorSink,
     ) -> Status {
-        // a presentation lasts for as long as somebody looks
+        // a presentation has no time limit
         let limit = if matches!(what, Call::Run) { None } else { self.limits.silence };
         let (done, waits) = channel();
         let call = {
@@ -197,7 +199,7 @@ impl Session {
             all.insert(HOST, Lent { host, ..Lent::nothing() });
         }
         let _ = self.outgoing.send(Some((ToChild::Call { call, what }, Vec::new())));
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         let result = self.wait(&waits, doing, limit, &|| unsafe { is_cancelled(host) });
         {
             // waits for requests that use it
@@ -205,14 +207,14 @@ impl Session {
             all.remove(&call);
         }
         self.state().calls.remove(&call);
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             match result {
                 Ok((status, reason)) => {
                     tell(error, &reason);
                     status
                 }
-                Err(stopped) => stopped.told(error),
+                Err(stopped) => stopped.report(error),
             }
         }
     }
@@ -232,10 +234,10 @@ impl Session {
                 Err(RecvTimeoutError::Disconnected) => return Err(self.died(doing)),
                 Err(RecvTimeoutError::Timeout) => {}
             }
-            // where a process that it started holds the pipe, only this tells that it is gone; its last messages are
-            // read before
+            // If a process started by the child holds the pipe, the exit status alone reveals the
+            // end. Its last messages are read first.
             if matches!(locked(&self.child).try_wait(), Ok(Some(_))) {
-                if gone.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS {
+                if gone.get_or_insert_with(Instant::now).elapsed() > DRAIN_TIMEOUT {
                     return Err(self.died(doing));
                 }
                 continue;
@@ -251,29 +253,29 @@ impl Session {
             if limit.is_some_and(|limit| silence > limit) {
                 let doing = self.doing(doing);
                 self.kill();
-                let (seconds, said) = (silence.as_secs_f64(), self.last_said());
+                let (seconds, printed) = (silence.as_secs_f64(), self.last_printed());
                 return Err(Stopped::Died(format!(
-                    "its process ({}) gave no sign of life for {seconds:.0} s while {doing}, and was ended{said}",
+                    "its process ({}) gave no sign of life for {seconds:.0} s while {doing}, and was ended{printed}",
                     self.library
                 )));
             }
         }
     }
 
-    /// What the child was busy with.
+    /// The child's current operation, for messages.
     fn doing(&self, call: &str) -> String {
         let files = self.lending.files();
-        let mut names: Vec<String> = files.values().take(NAMED).map(|name| format!("`{name}`")).collect();
-        if files.len() > NAMED {
-            names.push(format!("{} more", files.len() - NAMED));
+        let mut names: Vec<String> = files.values().take(MAX_FILES).map(|name| format!("`{name}`")).collect();
+        if files.len() > MAX_FILES {
+            names.push(format!("{} more", files.len() - MAX_FILES));
         }
         if names.is_empty() { call.into() } else { format!("it wrote {}", names.join(", ")) }
     }
 
-    /// The cause of a child's end, which is near.
+    /// The cause of the child's end, which has occurred or is about to.
     fn died(&self, doing: &str) -> Stopped {
         let doing = self.doing(doing);
-        let deadline = Instant::now() + FAREWELL;
+        let deadline = Instant::now() + EXIT_TIMEOUT;
         let status = loop {
             match locked(&self.child).try_wait() {
                 Ok(Some(status)) => break Some(status),
@@ -284,29 +286,29 @@ impl Session {
         };
         self.kill();
         let cause = status.map_or_else(|| "broke off its connection to the program".into(), cause_of);
-        Stopped::Died(format!("its process ({}) {cause} while {doing}{}", self.library, self.last_said()))
+        Stopped::Died(format!("its process ({}) {cause} while {doing}{}", self.library, self.last_printed()))
     }
 
-    /// The last line that the plugin printed, once all of it has been read.
-    fn last_said(&self) -> String {
-        let deadline = Instant::now() + LAST_WORDS;
-        while !locked(&self.said).1 && Instant::now() < deadline {
+    /// The last line printed by the plugin, after all prints were read.
+    fn last_printed(&self) -> String {
+        let deadline = Instant::now() + DRAIN_TIMEOUT;
+        while !locked(&self.printed).1 && Instant::now() < deadline {
             thread::sleep(Duration::from_millis(1));
         }
-        let said = locked(&self.said);
-        let said = String::from_utf8_lossy(&said.0);
-        let line = said.lines().map(str::trim).rfind(|line| !line.is_empty());
-        line.map_or_else(String::new, |line| format!("; the last it said: {line}"))
+        let printed = locked(&self.printed);
+        let printed = String::from_utf8_lossy(&printed.0);
+        let line = printed.lines().map(str::trim).rfind(|line| !line.is_empty());
+        line.map_or_else(String::new, |line| format!("; the last it printed: {line}"))
     }
 
-    /// Ends the child and what it started, at once.
+    /// Kills the child and its process group.
     fn kill(&self) {
         self.state().ended = true;
         let mut child = locked(&self.child);
         if !matches!(child.try_wait(), Ok(Some(_))) {
             #[cfg(unix)]
             if let Some(group) = i32::try_from(child.id()).ok().and_then(rustix::process::Pid::from_raw) {
-                // it may have ended in between
+                // the group may have ended in the meantime
                 let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
             }
             let _ = child.kill();
@@ -314,10 +316,10 @@ impl Session {
         }
     }
 
-    /// Lets the child end by itself, which it does when its input ends; after a while, ends it.
-    fn farewell(&self) {
+    /// Closes the child's input, upon which it ends itself; kills it after a timeout.
+    fn shut_down(&self) {
         let _ = self.outgoing.send(None);
-        let deadline = Instant::now() + FAREWELL;
+        let deadline = Instant::now() + EXIT_TIMEOUT;
         while Instant::now() < deadline {
             if !matches!(locked(&self.child).try_wait(), Ok(None)) {
                 self.state().ended = true;
@@ -328,29 +330,29 @@ impl Session {
         self.kill();
     }
 
-    /// Nothing more comes from the child.
+    /// Handles the end of the child's messages.
     fn disconnected(&self) {
         let mut state = self.state();
         state.ended = true;
-        // whoever waits is woken by the end of the channel
+        // the closed channels wake all waiting callers
         state.calls.clear();
         state.loaded = None;
     }
 
-    /// Reads what the plugin prints, shows it, and keeps the end of it.
-    fn pass_on(&self, mut from: impl Read) {
+    /// Reads the plugin's prints, forwards them, and keeps the last bytes.
+    fn forward_prints(&self, mut from: impl Read) {
         let mut part = [0; 4096];
         while let Ok(count @ 1..) = from.read(&mut part) {
             let _ = std::io::stderr().write_all(&part[..count]);
-            let (kept, _) = &mut *locked(&self.said);
+            let (kept, _) = &mut *locked(&self.printed);
             kept.extend_from_slice(&part[..count]);
-            let surplus = kept.len().saturating_sub(SAID);
+            let surplus = kept.len().saturating_sub(KEPT_BYTES);
             kept.drain(..surplus);
         }
-        locked(&self.said).1 = true;
+        locked(&self.printed).1 = true;
     }
 
-    /// Takes a message of the child.
+    /// Handles a message of the child.
     fn take(self: &Arc<Self>, message: FromChild, body: Vec<u8>) {
         self.state().last_sign = Instant::now();
         match message {
@@ -368,8 +370,8 @@ impl Session {
             FromChild::Say(say) => {
                 let all = self.lending.all();
                 if let Some(lent) = all.get(&HOST) {
-                    // SAFETY: the lock keeps the table.
-                    unsafe { pass_on(&*lent.host, &say) };
+                    // SAFETY: the lock keeps the table alive.
+                    unsafe { forward(&*lent.host, &say) };
                 }
             }
             FromChild::Request { request, what } => {
@@ -384,7 +386,8 @@ impl Session {
                     }
                     let _ = session.outgoing.send(Some((ToChild::Answer(answer), body)));
                 };
-                // what takes long, or what waits for a disk, must not keep the plugin's other threads waiting
+                // slow requests and disk waits run in their own thread, so that other threads of
+                // the plugin proceed
                 match what {
                     Request::Simulate { .. } | Request::ReadAsset { .. } | Request::FileCommit { .. } => {
                         thread::spawn(work);
@@ -399,22 +402,22 @@ impl Session {
 impl Stopped {
     /// # Safety
     /// `error` is null or a valid sink.
-    pub(super) unsafe fn told(self, error: *const ErrorSink) -> Status {
+    pub(super) unsafe fn report(self, error: *const ErrorSink) -> Status {
         let (text, status) = match self {
             Self::Cancelled => ("cancelled".to_owned(), Status::CANCELLED),
             Self::Died(cause) => (cause, Status::FAILED),
         };
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { tell(error, &text) };
         status
     }
 }
 
-/// How a process ended, in words.
+/// Describes the exit status of a process.
 fn cause_of(status: ExitStatus) -> String {
     #[cfg(unix)]
     if let Some(signal) = std::os::unix::process::ExitStatusExt::signal(&status) {
-        // numbers that all systems share, and those of Linux
+        // signal numbers common to all systems, and those of Linux
         let name = match signal {
             2 => " (interrupt)",
             3 => " (quit)",

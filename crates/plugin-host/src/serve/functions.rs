@@ -1,4 +1,4 @@
-//! The C functions of a plugin, wherever they run.
+//! A plugin's C functions, in this process or another.
 
 use std::ffi::c_void;
 
@@ -9,13 +9,14 @@ use lumistack_plugin::abi::{
 };
 use lumistack_plugin::wire::answer;
 
-/// The functions of the boundary's tables, for every kind of plugin: those of a library in this process, or of another
-/// process that passes the calls on. Functions of another kind than the plugin's return [`Status::REFUSED`].
+/// The functions of the interface's tables, for every kind of plugin: those of a library in this
+/// process, or of a process to which calls are forwarded. Functions of another kind than the
+/// plugin's return [`Status::REFUSED`].
 ///
 /// # Safety
-/// An implementation keeps the boundary's rules for a plugin: it uses nothing lent after the call returns, and `host`
-/// of [`open`](Self::open) not after [`close`](Self::close). Callers keep the rules for a host, as the documentation of
-/// the tables says.
+/// An implementation follows the interface's rules for a plugin. It uses nothing borrowed after the
+/// call returns, and `host` of [`open`](Self::open) not after [`close`](Self::close). Callers
+/// follow the rules for a host in the documentation of the tables.
 #[expect(clippy::missing_safety_doc, reason = "the tables' documentation has it, function by function")]
 pub unsafe trait Functions: Send + Sync {
     /// [`ImporterVtable::import`].
@@ -90,7 +91,7 @@ pub(crate) enum Vtable {
     Importer(&'static ImporterVtable),
     Source(&'static SourceVtable),
     Node(&'static NodeVtable),
-    /// A copy, with nothing where the table of an older plugin ends.
+    /// A copy, padded with null where the table of an older plugin ends.
     Output(OutputVtable),
 }
 
@@ -103,16 +104,17 @@ impl Vtable {
     }
 }
 
-/// A function that the plugin does not have.
+/// Reports a function that the plugin lacks.
 ///
 /// # Safety
 /// `error` is null or a valid sink.
 unsafe fn missing(error: *const ErrorSink) -> Status {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { answer(error, || Err(PluginError::Refused("the plugin does not have this function".into()))) }
 }
 
-// SAFETY: every call goes to the plugin's own function with what the caller lent, and nothing is kept.
+// SAFETY: each call is forwarded to the plugin's function with the caller's arguments, and nothing
+// is kept.
 #[expect(
     clippy::undocumented_unsafe_blocks,
     reason = "every function passes its caller's promise on, as the impl says"
@@ -127,7 +129,7 @@ unsafe impl Functions for Vtable {
         scene: *const ByteSink,
         error: *const ErrorSink,
     ) -> Status {
-        // SAFETY: the caller's promise, here and in the other functions.
+        // SAFETY: guaranteed by the caller, here and in the other functions.
         match self {
             Self::Importer(ImporterVtable { import: Some(import), .. }) => unsafe {
                 import(host, params_json, file, assets, scene, error)

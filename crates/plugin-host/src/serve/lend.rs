@@ -1,4 +1,4 @@
-//! Lends layer stacks and light fields, one plane at a time.
+//! Lends layer stacks and light fields to plugins, one plane at a time.
 
 use std::ffi::c_void;
 use std::sync::OnceLock;
@@ -8,18 +8,18 @@ use lumistack_plugin::abi::{Data, ErrorSink, Plane, Status, Str, View, view};
 use lumistack_plugin::wire::{Depth, Description, Geometry, RayWeights, Start, answer, dense};
 use lumistack_plugin::{PluginError, Port, Time};
 
-/// What an output is given at one time.
+/// Input data of an output at one time step.
 #[derive(Clone, Copy, Debug)]
 pub enum OutputData<'a> {
-    /// The patterns of a tensor display, and the light field that they were made for, whose views are lent too. Without one, its geometry is the
-    /// display's own.
+    /// The layer stack of a tensor display, and the light field that it was solved for, whose views
+    /// are lent as well. Without a light field the geometry is the display's.
     LayerStack(&'a LayerStack, Option<&'a LightField>),
     /// Linear radiance of many views.
     LightField(&'a LightField),
 }
 
 impl OutputData<'_> {
-    /// The port that these data belong to.
+    /// The port of these data.
     pub fn port(&self) -> Port {
         match self {
             Self::LayerStack(..) => Port::LayerStack,
@@ -28,39 +28,39 @@ impl OutputData<'_> {
     }
 }
 
-/// What a node makes patterns from.
+/// Input data of a node.
 #[derive(Clone, Copy, Debug)]
 pub struct NodeData<'a> {
     /// The display.
     pub display: &'a Display,
-    /// Place in the sequence; the default for a still.
+    /// Time step; the default for a still.
     pub time: Time,
-    /// The light field, of the display's own geometry.
+    /// The light field, in the display's geometry.
     pub field: &'a LightField,
-    /// How much its rays count.
+    /// Weights of its rays.
     pub weights: &'a Weights,
-    /// Patterns of the display from which to begin.
+    /// Layer stack of the display to start from.
     pub start: Option<&'a LayerStack>,
-    /// Seed of everything random.
+    /// Random seed.
     pub seed: u64,
 }
 
 impl<'a> NodeData<'a> {
-    /// A light field whose rays count alike, and nothing to begin from.
+    /// A light field with uniform weights and no start.
     pub fn new(display: &'a Display, field: &'a LightField) -> Self {
         Self { display, time: Time::default(), field, weights: &Weights::Uniform, start: None, seed: 1 }
     }
 }
 
-/// Data that are being lent: what the C struct's context points to.
+/// Data on loan; the C struct's context points here.
 pub(crate) struct Lent<'a> {
     data: OutputData<'a>,
     display: &'a Display,
-    /// The light field that the patterns were made for; for a light field its own.
+    /// Geometry of the light field that the stack was solved for; for a light field its own.
     geometry: FieldGeometry,
-    /// Made when the first view is asked for.
+    /// Created at the first request for a simulated view.
     simulator: OnceLock<Simulator<'a>>,
-    /// For nodes: weights of the rays, and patterns to begin from.
+    /// For nodes: weights of the rays, and the layer stack to start from.
     weights: Option<&'a Weights>,
     start: Option<&'a LayerStack>,
     description: String,
@@ -68,7 +68,7 @@ pub(crate) struct Lent<'a> {
 
 impl<'a> Lent<'a> {
     /// # Errors
-    /// If a stack does not fit its display, or a geometry makes no sense.
+    /// If a stack does not match its display, or a geometry is invalid.
     pub(crate) fn new(display: &'a Display, data: OutputData<'a>) -> Result<Self, PluginError> {
         let refused = |error: String| PluginError::Refused(error);
         let (geometry, description) = match data {
@@ -102,7 +102,7 @@ impl<'a> Lent<'a> {
     }
 
     /// # Errors
-    /// If weights or patterns do not fit.
+    /// If weights or the start do not match.
     pub(crate) fn for_node(node: &NodeData<'a>) -> Result<Self, PluginError> {
         let NodeData { display, field, weights, start, .. } = *node;
         let refused = |what: &str, error: String| PluginError::Refused(format!("{what}: {error}"));
@@ -138,7 +138,7 @@ impl<'a> Lent<'a> {
         Ok(Self { data, display, geometry, simulator: OnceLock::new(), weights: None, start: None, description })
     }
 
-    /// The patterns that are lent.
+    /// The layer stack on loan.
     fn patterns(&self, what: &str) -> Result<&'a LayerStack, PluginError> {
         match self.data {
             OutputData::LayerStack(stack, _) => Some(stack),
@@ -151,7 +151,7 @@ impl<'a> Lent<'a> {
         self.data.port()
     }
 
-    /// The C struct; valid while `self` is.
+    /// The C struct; valid while `self` lives.
     pub(crate) fn to_abi(&self) -> Data {
         Data {
             size: size_of::<Data>(),
@@ -180,12 +180,12 @@ unsafe extern "C" fn layer_plane(
     error: *const ErrorSink,
 ) -> Status {
     let lend = || {
-        // SAFETY: the plugin passes back the context of `to_abi` during submit.
+        // SAFETY: the plugin returns the context of `to_abi` during submit.
         let stack = (unsafe { lent(context) }).patterns("layers")?;
         let values = stack.layers.get(layer).ok_or_else(|| beyond("layer", layer, stack.layers.len()))?;
         let [frames, rows, cols, channels] = values.shape();
         within("frame", frame, frames)?;
-        // SAFETY: the plugin provides the place for the plane.
+        // SAFETY: the plugin provides memory for the plane.
         unsafe { give(plane, values.block([frame]), [rows, cols, channels]) }
     };
     // SAFETY: null or a valid sink.
@@ -262,12 +262,13 @@ unsafe extern "C" fn weight_plane(
     unsafe { answer(error, lend) }
 }
 
-/// Computes a view of a lent layer stack; the plane owns its values.
+/// Computes a view of a layer stack on loan; the plane owns its values.
 ///
 /// # Safety
-/// `data` comes from [`Lent::to_abi`] and is still lent; `from` is a valid view and `plane` a place for a plane.
+/// `data` comes from [`Lent::to_abi`] and is still on loan; `from` is a valid view and `plane`
+/// memory for a plane.
 pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut Plane) -> Result<(), PluginError> {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let (lent, kind, value) = unsafe { (lent((*data).context), (*from).kind, (*from).value) };
     let OutputData::LayerStack(stack, _) = lent.data else { return Err(wrong_port("simulated views")) };
     let [x, y, z] = value;
@@ -280,7 +281,8 @@ pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut 
     geometry.check().map_err(|error| PluginError::Refused(format!("view: {error}")))?;
     let simulator = lent.simulator.get_or_init(|| Simulator::new(lent.display, stack));
     let owner = Box::new(simulator.seen(&geometry, [0, 0]).radiance.into_data());
-    // SAFETY: the caller's promise; on success the plane owns the values, which a box does not move.
+    // SAFETY: guaranteed by the caller; on success the plane owns the values, which a box does not
+    // move.
     unsafe {
         give(plane, &owner, [geometry.rows, geometry.cols, 3])?;
         (*plane).owner = Box::into_raw(owner).cast();
@@ -290,28 +292,28 @@ pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut 
 }
 
 unsafe extern "C" fn release(owner: *mut c_void) {
-    // SAFETY: the owner of a plane of `simulate`, given back once.
+    // SAFETY: the owner of a plane of `simulate`, released once.
     drop(unsafe { Box::from_raw(owner.cast::<Vec<f32>>()) });
 }
 
 /// # Safety
-/// `context` is that of [`Lent::to_abi`], and still lent.
+/// `context` is that of [`Lent::to_abi`], and still on loan.
 unsafe fn lent<'a>(context: *const c_void) -> &'a Lent<'a> {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { &*context.cast::<Lent<'a>>() }
 }
 
-/// Fills in a plane of dense values.
+/// Fills a plane with dense values.
 ///
 /// # Safety
-/// `plane` is a place for a plane that says its own size.
+/// `plane` is memory for a plane whose `size` is set.
 unsafe fn give(plane: *mut Plane, values: &[f32], shape: [usize; 3]) -> Result<(), PluginError> {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
         return Err(PluginError::Refused(format!("a plane of {size} bytes")));
     }
-    // SAFETY: the caller's promise; a newer plugin's plane is longer, and its end stays as the plugin left it.
+    // SAFETY: guaranteed by the caller. A newer plugin's plane is longer; its end stays unchanged.
     unsafe { *plane = Plane { size, ..dense(values, shape) } };
     Ok(())
 }

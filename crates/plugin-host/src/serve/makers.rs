@@ -1,4 +1,4 @@
-//! Runs importers, sources and nodes, and checks what they make.
+//! Runs importers, sources and nodes, and checks their results.
 
 use std::ffi::c_void;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -15,16 +15,17 @@ use crate::serve::lend::{Lent, NodeData};
 use crate::serve::plugin::{Plugin, PluginKind};
 use crate::serve::services::{Services, table};
 
-/// Most numbers of a light field that a plugin makes: 16 GiB.
-const MOST_NUMBERS: usize = 1 << 32;
+/// Largest number of values in a plugin's light field: 16 GiB.
+const MAX_VALUES: usize = 1 << 32;
 
-/// Reads files for an importer: a path relative to the folder of the imported file, to the file's bytes.
+/// Reads files for an importer: from a path, relative to the folder of the imported file, to the
+/// file's bytes.
 pub type ReadAsset<'a> = dyn Fn(&str) -> Result<Vec<u8>, PluginError> + Sync + 'a;
 
-/// Has an importer turn the file `file` into a glTF document, which is not yet validated.
+/// Runs an importer: converts `file` into a glTF document, which is not yet validated.
 ///
 /// # Errors
-/// If the plugin is no importer, or what it returns.
+/// If the plugin is no importer; otherwise the plugin's error.
 pub fn import<S: Services>(
     plugin: &Plugin,
     services: &S,
@@ -37,7 +38,7 @@ pub fn import<S: Services>(
     let mut bytes: Vec<u8> = Vec::new();
     let sink = ByteSink { size: size_of::<ByteSink>(), context: (&raw mut bytes).cast(), write: append };
     let host = table(services);
-    // SAFETY: everything is lent for the call.
+    // SAFETY: all arguments are lent for the call.
     call(|error| unsafe { functions.import(&host, Str::new(params_json), Str::new(file), &assets, &sink, error) })?;
     Ok(bytes)
 }
@@ -48,7 +49,8 @@ unsafe extern "C" fn read_asset(
     bytes: *const ByteSink,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the plugin passes back the context of `import`, a reference that is lent until it returns, and lends text and sink.
+    // SAFETY: the plugin returns the context of `import`, a reference valid until it returns, and
+    // lends text and sink.
     unsafe {
         answer(error, || {
             let read = *context.cast::<&ReadAsset<'_>>();
@@ -59,10 +61,10 @@ unsafe extern "C" fn read_asset(
     }
 }
 
-/// Has a source make the light field of one time.
+/// Runs a source and returns the light field of one time step.
 ///
 /// # Errors
-/// If the plugin is no source, what it returns, or what is wrong with the light field.
+/// If the plugin is no source, it fails, or its light field is invalid.
 pub fn make_field<S: Services>(
     plugin: &Plugin,
     services: &S,
@@ -80,7 +82,7 @@ pub fn make_field<S: Services>(
         view_plane: field_view,
     };
     let (host, time) = (table(services), time.to_abi());
-    // SAFETY: everything is lent for the call.
+    // SAFETY: all arguments are lent for the call.
     call(|error| unsafe {
         functions.make_field(&host, Str::new(params_json), Str::new(&display_json), &time, &sink, error)
     })?;
@@ -91,21 +93,22 @@ pub fn make_field<S: Services>(
     Ok(field)
 }
 
-/// Patterns that a node made, and what it told of the way there.
+/// A node's layer stack, and its reports on the solution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Made {
-    /// The patterns.
+    /// The layer stack.
     pub stack: LayerStack,
-    /// Where an iterative method stood, and after how many seconds.
+    /// Steps of an iterative solver, each with its time since the call, seconds.
     pub steps: Vec<(Step, f64)>,
-    /// How the patterns were found.
+    /// The solver's summary.
     pub solution: Option<Solution>,
 }
 
-/// Has a node make the layer stack of one time.
+/// Runs a node and returns the layer stack of one time step.
 ///
 /// # Errors
-/// If the plugin is no node, the data do not fit the display, what it returns, or what is wrong with the stack.
+/// If the plugin is no node, the data do not match the display, it fails, or its layer stack is
+/// invalid.
 pub fn make_stack<S: Services>(
     plugin: &Plugin,
     services: &S,
@@ -116,6 +119,7 @@ pub fn make_stack<S: Services>(
     let display = node.display;
     let display_json = display_json(display)?;
     let lent = Lent::for_node(node)?;
+    // The sink collects planes in a builder, which records the planes received.
     let stack = LayerStack::filled(display, 0.0);
     let frames = stack.frames();
     let bins = stack.emission.as_ref().map_or([0, 0], |emission| [emission.shape()[1], emission.shape()[2]]);
@@ -134,10 +138,11 @@ pub fn make_stack<S: Services>(
         solution: stack_solution,
     };
     let (host, time, data) = (table(services), node.time.to_abi(), lent.to_abi());
-    // SAFETY: everything is lent for the call.
+    // SAFETY: all arguments are lent for the call.
     call(|error| unsafe {
         functions.make_stack(&host, Str::new(params_json), Str::new(&display_json), &time, &data, &sink, error)
     })?;
+    // All planes must have arrived, and the stack must match the display.
     let Stack { made, given_layers, given_bins, .. } = builder.into_inner();
     all_given(&given_layers, |i| format!("layer {}, frame {}", i / frames, i % frames))?;
     all_given(&given_bins, |i| {
@@ -149,24 +154,24 @@ pub fn make_stack<S: Services>(
     Ok(made)
 }
 
-/// What a sink's context points to; a plugin may call from several threads although it should not.
+/// Context of a sink. Plugins must call from one thread; the lock guards against those that do not.
 struct Builder<T>(Mutex<T>);
 
-/// A light field on its way in: its values, and which views were given.
+/// A light field under construction: its values, and a flag for each view received.
 struct Field {
     made: Option<(LightField, Vec<bool>)>,
 }
 
 struct Stack {
     made: Made,
-    /// When the node was asked.
+    /// Time of the call.
     began: Instant,
     frames: usize,
-    /// Of the emission: [bins_y, bins_x].
+    /// Bins of the emission: [bins_y, bins_x].
     bins: [usize; 2],
-    /// `[layer][frame]`.
+    /// Planes received, `[layer][frame]`.
     given_layers: Vec<bool>,
-    /// `[frame][bin_y][bin_x]`.
+    /// Planes received, `[frame][bin_y][bin_x]`.
     given_bins: Vec<bool>,
 }
 
@@ -180,16 +185,16 @@ impl<T> Builder<T> {
     }
 
     /// # Safety
-    /// `context` is that of a sink whose builder is of this type and still there.
+    /// `context` is that of a sink whose builder is of this type and alive.
     unsafe fn of<'a>(context: *mut c_void) -> MutexGuard<'a, T> {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { &*context.cast_const().cast::<Self>() }.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 unsafe extern "C" fn field_geometry(context: *mut c_void, geometry_json: Str, error: *const ErrorSink) -> Status {
     let take = || {
-        // SAFETY: the plugin passes back the sink's context and lends the text.
+        // SAFETY: the plugin returns the sink's context and lends the text.
         let (mut field, text) = unsafe { (Builder::<Field>::of(context), lent_text(geometry_json, "geometry")?) };
         if field.made.is_some() {
             return Err(PluginError::Refused("the geometry was already given".into()));
@@ -197,7 +202,7 @@ unsafe extern "C" fn field_geometry(context: *mut c_void, geometry_json: Str, er
         let geometry: Geometry = serde_json::from_str(text).map_err(|error| PluginError::failed("geometry", error))?;
         let geometry = FieldGeometry::try_from(geometry)?;
         let shape = LightField::shape_of(&geometry);
-        if Tensor::<5>::element_count(shape).is_none_or(|count| count > MOST_NUMBERS) {
+        if Tensor::<5>::element_count(shape).is_none_or(|count| count > MAX_VALUES) {
             return Err(PluginError::Refused(format!("a light field of shape {shape:?} is too large")));
         }
         let views = shape[0] * shape[1];
@@ -342,10 +347,11 @@ unsafe extern "C" fn stack_solution(context: *mut c_void, solution_json: Str, er
     unsafe { answer(error, take) }
 }
 
-/// The values of a plane that a plugin lends, if it has this shape and all lie in 0..`most`.
+/// The values of a plane lent by a plugin. They must have this shape and lie in 0..`most`.
 ///
 /// # Safety
-/// `plane` points to a plane that says its own size, and whose pointer, shape, strides and type describe readable memory.
+/// `plane` points to a plane whose `size` is set, and whose pointer, shape, strides and type
+/// describe readable memory.
 unsafe fn values_of(
     plane: *const Plane,
     shape: [usize; 3],
@@ -353,12 +359,12 @@ unsafe fn values_of(
     what: &dyn Fn() -> String,
 ) -> Result<Vec<f32>, PluginError> {
     let refused = |text: String| Err(PluginError::Refused(format!("{}: {text}", what())));
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
         return refused(format!("a plane of {size} bytes"));
     }
-    // SAFETY: the caller's promise; it stays the plugin's, so that nothing is released.
+    // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.
     let view = unsafe { PlaneView::new(Plane { release: None, ..*plane })? };
     let found = [view.rows(), view.cols(), view.channels()];
     if found != shape {
@@ -390,10 +396,10 @@ fn display_json(display: &Display) -> Result<String, PluginError> {
     serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))
 }
 
-/// The parameters of a plugin as it gets them: checked, with defaults.
+/// The parameters passed to a plugin: checked, with defaults, as JSON.
 ///
 /// # Errors
-/// [`PluginError::Refused`] for parameters that the plugin's schema does not allow.
+/// [`PluginError::Refused`] for parameters that the plugin's schema refuses.
 pub fn resolved(plugin: &Plugin, params: &Value) -> Result<String, PluginError> {
     Ok(Value::Object(plugin.info().schema.resolve(params)?).to_string())
 }

@@ -1,7 +1,7 @@
-//! The boundary from the host's side: describes plugins, lends data, offers services, and drives plugins through their C functions, the same way
-//! whether they are compiled in or loaded.
+//! The host's side of the plugin interface. It describes plugins, lends data, provides services,
+//! and calls plugins through their C functions. Compiled-in and loaded plugins are handled alike.
 //!
-//! The rest of this crate adds a registry and files on disk, the test kit files in memory.
+//! The rest of this crate adds a registry and files on disk; the test kit adds files in memory.
 
 mod functions;
 mod lend;

@@ -1,4 +1,4 @@
-//! One output that is being written.
+//! An output in progress.
 
 use std::ffi::c_void;
 use std::marker::PhantomData;
@@ -16,7 +16,7 @@ use crate::serve::lend::{Lent, OutputData};
 use crate::serve::plugin::{Plugin, PluginKind};
 use crate::serve::services::{Services, table};
 
-/// An open output of a plugin; closed when dropped, abandoned unless it was finished.
+/// An open output of a plugin. Dropping it closes it, and discards it unless it was finished.
 pub struct Output<'a> {
     functions: Arc<dyn Functions>,
     instance: *mut c_void,
@@ -28,16 +28,18 @@ pub struct Output<'a> {
     _services: PhantomData<&'a ()>,
 }
 
-// SAFETY: the boundary lets the functions of an output be called from any thread.
+// SAFETY: the interface allows calls of an output's functions from any thread.
 unsafe impl Send for Output<'_> {}
-// SAFETY: `submit` and `command`, which a shared output offers besides `run`, may be called from several threads at once.
+// SAFETY: a shared output offers `submit` and `command` besides `run`, and these may be called
+// concurrently.
 unsafe impl Sync for Output<'_> {}
 
 impl<'a> Output<'a> {
-    /// Starts an output. `params` is an object with any of the plugin's parameters.
+    /// Opens an output. `params` is an object with any of the plugin's parameters.
     ///
     /// # Errors
-    /// [`PluginError::Refused`] for parameters that the plugin's schema does not allow; otherwise what the plugin returns.
+    /// [`PluginError::Refused`] for parameters that the plugin's schema refuses; otherwise the
+    /// plugin's error.
     pub fn open<S: Services>(
         plugin: &Plugin,
         services: &'a S,
@@ -48,10 +50,11 @@ impl<'a> Output<'a> {
         Self::open_unresolved(plugin, services, &Value::Object(resolved).to_string(), display)
     }
 
-    /// As [`open`](Self::open), but leaves all checking of the parameters to the plugin, as a host in another language would.
+    /// As [`open`](Self::open), but leaves all checks of the parameters to the plugin, as a host in
+    /// another language would.
     ///
     /// # Errors
-    /// What the plugin returns.
+    /// The plugin's error.
     pub fn open_unresolved<S: Services>(
         plugin: &Plugin,
         services: &'a S,
@@ -63,7 +66,8 @@ impl<'a> Output<'a> {
         let table = Rc::new(table(services));
         let functions = plugin.of_kind(PluginKind::Output)?.clone();
         let mut instance = std::ptr::null_mut();
-        // SAFETY: the table lives until `close` has returned (fields are dropped after `drop`); the rest is lent for the call.
+        // SAFETY: the table lives until `close` has returned (fields are dropped after `drop`); all
+        // else is lent for the call.
         call(|error| unsafe {
             functions.open(Rc::as_ptr(&table), Str::new(params_json), Str::new(&display_json), &mut instance, error)
         })?;
@@ -78,10 +82,11 @@ impl<'a> Output<'a> {
         })
     }
 
-    /// Hands over one time; from any thread.
+    /// Submits one time step, from any thread.
     ///
     /// # Errors
-    /// If the plugin does not accept the port, the data do not fit the display, or the plugin fails.
+    /// If the plugin does not accept the port, the data do not match the display, or the plugin
+    /// fails.
     pub fn submit(&self, time: Time, data: OutputData<'_>) -> Result<(), PluginError> {
         if !self.ports.contains(&data.port()) {
             let accepted = self.ports.iter().map(Port::to_string).collect::<Vec<_>>().join(", ");
@@ -94,7 +99,7 @@ impl<'a> Output<'a> {
         call(|error| unsafe { self.functions.submit(self.instance, &time, &data, error) })
     }
 
-    /// For presenters: runs until the user closes the presentation. Call it on the main thread.
+    /// Runs a presenter until the user closes it. Call it on the main thread.
     ///
     /// # Errors
     /// If the plugin is no presenter, or fails.
@@ -103,20 +108,20 @@ impl<'a> Output<'a> {
         call(|error| unsafe { self.functions.run(self.instance, error) })
     }
 
-    /// For presenters: passes on a command while [`run`](Self::run) runs; from any thread.
+    /// Sends a command to a presenter while [`run`](Self::run) runs, from any thread.
     ///
     /// # Errors
-    /// If the plugin takes no commands, or not this one.
+    /// If the plugin accepts no commands, or refuses this one.
     pub fn command(&self, command: &Value) -> Result<(), PluginError> {
         let json = command.to_string();
         // SAFETY: the handle is the plugin's own; the text is lent for the call.
         call(|error| unsafe { self.functions.command(self.instance, Str::new(&json), error) })
     }
 
-    /// No more data will come.
+    /// Finishes the output: no more data follow.
     ///
     /// # Errors
-    /// What the plugin returns.
+    /// The plugin's error.
     pub fn finish(self) -> Result<(), PluginError> {
         // SAFETY: the handle is the plugin's own; `self` is consumed, so no submit is running.
         call(|error| unsafe { self.functions.finish(self.instance, error) })
@@ -125,7 +130,7 @@ impl<'a> Output<'a> {
 
 impl Drop for Output<'_> {
     fn drop(&mut self) {
-        // SAFETY: the handle is given back once; the table is dropped after this.
+        // SAFETY: the handle is released once; the table is dropped after this.
         unsafe { self.functions.close(self.instance) };
     }
 }

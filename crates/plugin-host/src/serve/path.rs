@@ -1,29 +1,34 @@
-//! Names of files that plugins write.
+//! Checks names of files that plugins write.
 
 use lumistack_plugin::PluginError;
 
-/// Most bytes of a part, which every usual file system takes.
-const LONGEST_PART: usize = 255;
-/// Most bytes of a path.
-const LONGEST_PATH: usize = 1024;
+/// Longest part of a path, bytes; common file systems allow it.
+const MAX_PART_BYTES: usize = 255;
+/// Longest path, bytes.
+const MAX_PATH_BYTES: usize = 1024;
 
-/// The parts of a file's path, if it stays inside the output's folder and is a file on every system: relative, `/` between parts, no part that
-/// is empty, longer than 255 bytes, starts with a dot (`..`, and names that the host keeps for itself), ends with a dot or a space, is the name
-/// of a device (`nul`, `com1.txt`) or holds a control character or one of `\\ : * ? " < > |`; at most 1024 bytes in all.
+/// Splits a file's path into its parts and checks that it stays inside the output's folder on every
+/// system. The path is relative, with `/` between parts, and at most 1024 bytes long. A part
+///
+/// * is not empty and has at most 255 bytes,
+/// * does not start with a dot (`..`, and names that the host reserves), nor end with a dot or a
+///   space,
+/// * is no device name (`nul`, `com1.txt`),
+/// * contains no control character and none of `\\ : * ? " < > |`.
 ///
 /// # Errors
-/// If it does not.
+/// If a rule is violated.
 pub fn path_parts(path: &str) -> Result<Vec<&str>, PluginError> {
     let parts: Vec<&str> = path.split('/').collect();
     let sound = |part: &&str| {
         !part.is_empty()
-            && part.len() <= LONGEST_PART
+            && part.len() <= MAX_PART_BYTES
             && !part.starts_with('.')
             && !part.ends_with(['.', ' '])
             && !part.contains(|c: char| "\\:*?\"<>|".contains(c) || c.is_control())
             && !is_device(part)
     };
-    if path.len() <= LONGEST_PATH && parts.iter().all(sound) {
+    if path.len() <= MAX_PATH_BYTES && parts.iter().all(sound) {
         Ok(parts)
     } else {
         let (shown, rest) = path.split_at(path.floor_char_boundary(80));
@@ -36,7 +41,7 @@ pub fn path_parts(path: &str) -> Result<Vec<&str>, PluginError> {
     }
 }
 
-/// Whether some system takes a name for a device, with or without an extension.
+/// Detects device names of any system, with or without an extension.
 fn is_device(part: &str) -> bool {
     let stem = part.split('.').next().unwrap_or_default().trim_end().to_ascii_lowercase();
     let numbered =

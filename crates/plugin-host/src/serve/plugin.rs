@@ -1,4 +1,4 @@
-//! A plugin as a host sees it.
+//! A plugin, from the host's side.
 
 use std::fmt;
 use std::mem::offset_of;
@@ -13,22 +13,22 @@ use serde::{Deserialize, Serialize};
 
 use crate::serve::functions::{Functions, Vtable};
 
-/// What a plugin is.
+/// The kind of a plugin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PluginKind {
-    /// Makes scenes from files.
+    /// Converts files into scenes.
     Importer,
     /// Makes light fields.
     Source,
-    /// Turns light fields into layer stacks.
+    /// Solves layer stacks for light fields.
     Node,
-    /// Takes what the graph makes and puts it somewhere.
+    /// Writes or shows the results.
     Output,
 }
 
 impl PluginKind {
-    /// Its name in listings.
+    /// The name in listings.
     pub fn name(self) -> &'static str {
         match self {
             Self::Importer => "importer",
@@ -46,30 +46,30 @@ impl fmt::Display for PluginKind {
     }
 }
 
-/// What a plugin says about itself.
+/// The description of a plugin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PluginInfo {
     /// Name in job files and on the command line.
     pub id: String,
-    /// What it is.
+    /// The kind.
     pub kind: PluginKind,
     /// Version of the plugin.
     pub version: String,
-    /// What it does; the first sentence stands in lists.
+    /// The description; listings show its first sentence.
     pub doc: String,
-    /// What it accepts.
+    /// The data that it accepts.
     pub ports: Vec<Port>,
-    /// Of an importer: extensions of the files that it takes, without the dot.
+    /// For an importer: file extensions that it reads, without the dot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub extensions: Vec<String>,
-    /// Whether it runs until the user closes it.
+    /// A presenter, which runs until the user closes it.
     pub presents: bool,
     /// Its parameters.
     #[serde(flatten)]
     pub schema: Schema,
 }
 
-/// A plugin whose descriptor was checked.
+/// A plugin with a checked descriptor.
 #[derive(Clone)]
 pub struct Plugin {
     info: PluginInfo,
@@ -77,31 +77,34 @@ pub struct Plugin {
 }
 
 impl Plugin {
-    /// Takes a plugin that is compiled in: the `PLUGIN` of its crate.
+    /// A compiled-in plugin: the `PLUGIN` of its crate.
     ///
     /// # Errors
-    /// If the plugin describes itself badly.
+    /// If the plugin's description is invalid.
     pub fn compiled_in(export: &'static Export) -> Result<Self, PluginError> {
         // SAFETY: an `Export` holds a valid descriptor whose texts and functions are static.
         unsafe { Self::from_descriptor(export.descriptor()) }
     }
 
-    /// Takes a plugin from its entry function.
+    /// A plugin from its entry function's descriptor.
     ///
     /// # Errors
-    /// If it was built for another version of the boundary, is of a kind that this host does not drive, or describes itself badly.
+    /// If it was built for another version of the interface, is of a kind that this host does not
+    /// support, or its description is invalid.
     ///
     /// # Safety
-    /// `descriptor` is null or points to a descriptor at least as far as its `size` says, and all that it points to is as the documentation
-    /// of [`Descriptor`] says and lives as long as the process.
+    /// `descriptor` is null, or points to a descriptor of at least `size` bytes. All that it points
+    /// to satisfies the documentation of [`Descriptor`] and lives as long as the process.
     pub unsafe fn from_descriptor(descriptor: *const Descriptor) -> Result<Self, PluginError> {
         if descriptor.is_null() {
             return Err(PluginError::Refused("the plugin could not describe itself".into()));
         }
         // SAFETY: version and size come first in every version of the struct.
         let (major, minor, size) = unsafe { ((*descriptor).abi_major, (*descriptor).abi_minor, (*descriptor).size) };
+        // Refuse other major versions, and structs shorter than this version's.
         if major != ABI_MAJOR {
-            let remedy = if major > ABI_MAJOR { "it needs a newer program" } else { "it must be built anew" };
+            let remedy =
+                if major > ABI_MAJOR { "it needs a newer version of this program" } else { "it must be rebuilt" };
             return Err(PluginError::Refused(format!(
                 "built for version {major}.{minor} of the plugin boundary, this program has {ABI_MAJOR}.{ABI_MINOR}: {remedy}"
             )));
@@ -116,6 +119,7 @@ impl Plugin {
         let descriptor = unsafe { &*descriptor };
         // SAFETY: the texts live as long as the process.
         let text = |text: Str, what: &str| unsafe { lent_text(text, what) };
+        // Parse and check id, parameters, functions, ports and extensions.
         let id = text(descriptor.id, "id")?.to_string();
         if !is_plugin_id(&id) {
             return Err(PluginError::Refused(format!("`{id}` cannot be a plugin's id")));
@@ -152,10 +156,10 @@ impl Plugin {
         Ok(Self { info, functions: Arc::new(vtable) })
     }
 
-    /// A plugin whose functions run elsewhere, described by what its process says.
+    /// A plugin whose functions run in another process, which sent its description.
     ///
     /// # Errors
-    /// If the description is none that [`from_descriptor`](Self::from_descriptor) would give.
+    /// If the description is invalid, by the rules of [`from_descriptor`](Self::from_descriptor).
     pub fn elsewhere(info: PluginInfo, functions: Arc<dyn Functions>) -> Result<Self, PluginError> {
         let refused = |what: String| PluginError::Refused(format!("plugin `{}`: {what}", info.id));
         if !is_plugin_id(&info.id) {
@@ -174,12 +178,12 @@ impl Plugin {
         Ok(&self.functions)
     }
 
-    /// Its functions, for a process that runs them for another.
+    /// Its functions, for a process that runs them for another process.
     pub fn functions(&self) -> &Arc<dyn Functions> {
         &self.functions
     }
 
-    /// What it says about itself.
+    /// Its description.
     pub fn info(&self) -> &PluginInfo {
         &self.info
     }
@@ -191,10 +195,11 @@ impl fmt::Debug for Plugin {
     }
 }
 
-/// The functions of a plugin's kind, if all that must be there are.
+/// The functions of a plugin's kind, if all required ones are present.
 ///
 /// # Safety
-/// The descriptor's `vtable` is null or points to the functions of its kind, at least as far as their `size` says, which live as long as the process.
+/// The descriptor's `vtable` is null, or points to the functions of its kind, at least as many
+/// bytes as their `size`, which live as long as the process.
 unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), String> {
     let missing = |kind: PluginKind| format!("a function of {kind} is missing");
     let table = descriptor.vtable;
@@ -202,7 +207,7 @@ unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), Str
     let size = if table.is_null() { 0 } else { unsafe { *table.cast::<usize>() } };
     match descriptor.kind {
         kind::IMPORTER if size >= size_of::<ImporterVtable>() => {
-            // SAFETY: the caller's promise, and it is long enough.
+            // SAFETY: guaranteed by the caller, and it is long enough.
             let found = unsafe { &*table.cast::<ImporterVtable>() };
             let whole = found.import.is_some();
             whole
@@ -223,7 +228,7 @@ unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), Str
             let (open, submit, run, finish, close, command) = (None, None, None, None, None, None);
             let mut found = OutputVtable { size: 0, open, submit, run, finish, close, command };
             let own = size_of::<OutputVtable>().min(size);
-            // SAFETY: as above; a table is plain memory, of which as much is read as there is.
+            // SAFETY: as above; a table is plain memory, and only its existing part is copied.
             unsafe { std::ptr::copy_nonoverlapping(table.cast::<u8>(), (&raw mut found).cast::<u8>(), own) };
             let whole =
                 found.open.is_some() && found.submit.is_some() && found.finish.is_some() && found.close.is_some();

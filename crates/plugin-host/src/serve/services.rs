@@ -1,4 +1,4 @@
-//! A host's services as a trait, and the C table made from them.
+//! A host's services as a trait, and the C table built from them.
 
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -11,72 +11,73 @@ use serde_json::Value;
 
 use crate::serve::lend;
 
-/// How much a message matters.
+/// Severity of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogLevel {
-    /// Something failed and the plugin goes on without it.
+    /// An operation failed, and the plugin continues without it.
     Error,
-    /// The user should know.
+    /// A warning for the user.
     Warn,
-    /// The user may want to know.
+    /// Information for the user.
     Info,
-    /// For whoever develops the plugin.
+    /// Information for the plugin's developer.
     Debug,
 }
 
-/// What a host does for its plugins. Calls come from any thread.
+/// Services of a host for its plugins. Calls come from any thread.
 pub trait Services: Sync {
-    /// The task for which the plugin works: its progress is that of the plugin, and its stop flag stops the plugin.
+    /// The task of the plugin: receives its progress, and its cancel flag stops the plugin.
     fn task(&self) -> Task<'_>;
-    /// Takes a message that the user should read.
+    /// Receives a warning for the user.
     fn warn(&self, message: &str);
-    /// Takes a message. A task has no place for one that is merely informative.
+    /// Receives a message. By default only errors and warnings are shown: a task does not show
+    /// information.
     fn log(&self, level: LogLevel, message: &str) {
         if matches!(level, LogLevel::Error | LogLevel::Warn) {
             self.warn(message);
         }
     }
-    /// Takes an event of a presenter.
+    /// Receives an event of a presenter.
     fn tell(&self, _event: &Value) {}
-    /// Starts a file at a path relative to the output's folder; returns its handle.
+    /// Opens a file at a path relative to the output's folder; returns its handle.
     ///
     /// # Errors
-    /// If the path leaves the folder or the file cannot be made.
+    /// If the path leaves the folder or the file cannot be created.
     fn file_open(&self, _path: &str) -> Result<u64, PluginError> {
         Err(self.no_files())
     }
-    /// Adds bytes at the end of an open file.
+    /// Appends bytes to an open file.
     ///
     /// # Errors
     /// If the handle is not that of an open file or the bytes cannot be written.
     fn file_append(&self, _file: u64, _bytes: &[u8]) -> Result<(), PluginError> {
         Err(self.no_files())
     }
-    /// The file is whole.
+    /// Completes the file.
     ///
     /// # Errors
-    /// If the handle is not that of an open file or the file cannot be finished.
+    /// If the handle is not that of an open file or the file cannot be completed.
     fn file_commit(&self, _file: u64) -> Result<(), PluginError> {
         Err(self.no_files())
     }
-    /// Drops the file.
+    /// Discards the file.
     ///
     /// # Errors
     /// If the handle is not that of an open file or the file cannot be removed.
     fn file_abort(&self, _file: u64) -> Result<(), PluginError> {
         Err(self.no_files())
     }
-    /// The reason of a host without files. A host with files has the four functions above.
+    /// The error of a host without files. A host with files implements the four functions above.
     fn no_files(&self) -> PluginError {
         PluginError::Refused("no files are taken here".into())
     }
-    /// The port whose data an output will be given, where that is known when it is opened.
+    /// The port of the data that an output will receive, if it is known at `open`.
     fn port(&self) -> Option<Port> {
         None
     }
 }
 
-/// The C table of a host; it borrows the services, whose type the functions remember.
+/// The C table of a host. It borrows the services; their type is compiled into the functions.
 pub(crate) fn table<S: Services>(services: &S) -> HostServices {
     HostServices {
         size: size_of::<HostServices>(),
@@ -97,13 +98,13 @@ pub(crate) fn table<S: Services>(services: &S) -> HostServices {
 }
 
 /// # Safety
-/// `context` is that of [`table`] for the same `S`, whose services are still there.
+/// `context` is that of [`table`] for the same `S`, whose services are alive.
 unsafe fn services<'a, S: Services>(context: *const c_void) -> &'a S {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { &*context.cast::<S>() }
 }
 
-/// Runs a service that cannot fail; a panic in it stays here.
+/// Runs a service that cannot fail; stops panics at the C interface.
 fn contained<T>(function: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(function)).ok()
 }
@@ -115,7 +116,7 @@ unsafe extern "C" fn log<S: Services>(context: *const c_void, level: u32, messag
         level::INFO => LogLevel::Info,
         _ => LogLevel::Debug,
     };
-    // SAFETY: the plugin passes back the table's context and lends the text.
+    // SAFETY: the plugin returns the table's context and lends the text.
     contained(|| unsafe { services::<S>(context).log(level, &lent_lossy(message)) });
 }
 
@@ -145,7 +146,7 @@ unsafe extern "C" fn file_open<S: Services>(
     file: *mut u64,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: as in `log`; the plugin provides the place for the handle.
+    // SAFETY: as in `log`; the plugin provides memory for the handle.
     unsafe {
         answer(error, || {
             let path = lent_text(path, "file name")?;
@@ -190,6 +191,7 @@ unsafe extern "C" fn simulate(
     plane: *mut Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the plugin passes back the data of the running submit, and lends the view and the place for the plane.
+    // SAFETY: the plugin returns the data of the running submit, and lends the view and memory for
+    // the plane.
     unsafe { answer(error, || lend::simulate(data, view, plane)) }
 }

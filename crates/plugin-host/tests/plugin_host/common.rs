@@ -1,11 +1,11 @@
-//! Where the tests find libraries, and the program that loads them.
+//! Locations of test libraries, and the program that loads them.
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX, EXE_SUFFIX};
 use std::path::PathBuf;
 
 use lumistack_plugin_host::{Launcher, PluginPaths};
 
-/// What a plugin's library is called.
+/// File name of a plugin's library.
 pub fn file_name(id: &str) -> String {
     format!("{DLL_PREFIX}lumistack_plugin_{id}{DLL_SUFFIX}")
 }
@@ -20,7 +20,7 @@ pub fn child() -> Launcher {
     Launcher { program: built(&format!("plugin_child{EXE_SUFFIX}")), args: Vec::new() }
 }
 
-/// Places of plugins that are loaded by that program.
+/// Search paths with that program as launcher.
 pub fn paths(named: Vec<PathBuf>) -> PluginPaths {
     PluginPaths { named, launcher: Some(child()), ..PluginPaths::default() }
 }

@@ -1,4 +1,5 @@
-//! Plugins that end their process, or never end: the host names plugin and cause and goes on.
+//! Plugins that end their process, or never return: the host reports plugin and cause, and
+//! continues.
 
 #![cfg(unix)]
 
@@ -20,7 +21,7 @@ use serde_json::json;
 
 use crate::common;
 
-/// Time for a library to load in these tests; a busy machine takes a while to start a process.
+/// Time for a library to load in these tests; a busy machine starts processes slowly.
 const LOAD: Duration = Duration::from_secs(5);
 /// Longest silence in these tests.
 const SILENCE: Duration = Duration::from_secs(2);
@@ -39,7 +40,7 @@ fn hostile(folder: &Path, id: &str, kind: &str, in_entry: &str) -> PathBuf {
     library
 }
 
-/// A registry with these libraries beside what is compiled in; no code of theirs has run.
+/// A registry with the compiled-in plugins and these libraries; no library code has run.
 fn registry(named: &[&Path], load: Duration, silence: Duration) -> Registry {
     let mut registry = Registry::built_in().unwrap();
     let limits = Limits { load: Some(load), silence: Some(silence), grace: Duration::from_millis(500) };
@@ -91,7 +92,7 @@ impl Bench {
     }
 }
 
-/// The message of a failure while a file was written, or `doing`.
+/// The message of a failure while a file was written, or during `doing`.
 fn message(cause: &str, doing: &str) -> String {
     format!("output `hostile` failed: its process ({}) {cause} while {doing}", common::file_name("hostile"))
 }
@@ -125,7 +126,7 @@ fn an_overflow_of_the_stack_is_told() {
     let bench = Bench::new();
     for fault in ["submit:overflow", "finish:overflow"] {
         let error = bench.write(fault).unwrap_err().to_string();
-        // by the guard of Rust's threads, or the system's own
+        // detected by the guard page of Rust's threads, or by the system
         assert!(error.contains("ended by signal 6 (abort)") || error.contains("ended by signal 11"), "{error}");
         assert!(error.starts_with("output `hostile` failed: its process ("), "{error}");
         bench.others_work(fault);
@@ -212,7 +213,7 @@ fn libraries_that_misbehave_while_they_are_loaded_are_listed_with_the_cause() {
     }
     hostile(folder.path(), "sound", "OUTPUT", "print");
     let registry = registry(&[folder.path()], LOAD, SILENCE);
-    // one that is asked for is named with its cause, and the others need not be loaded for that
+    // a requested one is reported with its cause, and no other is loaded for it
     let error = registry.get("aborts").unwrap_err().to_string();
     let library = |id: &str| folder.path().join(common::file_name(id)).display().to_string();
     let told = |id: &str| format!("{}: its process ({}) {}", library(id), common::file_name(id), causes[id].1);
@@ -262,7 +263,8 @@ fn plugins_of_the_other_kinds_are_named_as_well() {
     assert_eq!(made, b"{}");
 }
 
-/// The plugin makes a file when its library is loaded; here a process of its own whose environment says where.
+/// The plugin creates a file when its library is loaded. The test runs in its own process, whose
+/// environment sets the path.
 #[test]
 fn a_library_that_nobody_asks_for_is_not_loaded() {
     let folder = tempfile::tempdir().unwrap();
@@ -290,7 +292,7 @@ fn uses_the_plugin_named() {
     assert!(registry.get("others").unwrap_err().to_string().contains("did you mean `other`?"));
 }
 
-/// Planes cross one by one and are gone when the plugin gives them back.
+/// Planes are sent one by one and freed when the plugin releases them.
 #[test]
 fn a_plugin_needs_memory_for_one_plane() {
     let folder = tempfile::tempdir().unwrap();
@@ -314,12 +316,12 @@ fn a_plugin_needs_memory_for_one_plane() {
     assert_eq!(numbers[0], plane * 18.0 * 4.0);
     println!("{:.0} MB in {seconds:.2} s; most memory of the process {:.0} MB", numbers[0] / 1e6, numbers[1] / 1e3);
     if cfg!(target_os = "linux") {
-        // one plane, and the parts of it that are on their way; all of them would be 207 MB
+        // one plane, and its parts in transit; all planes would be 207 MB
         assert!(numbers[1] * 1024.0 < 6.0 * plane, "{} kB", numbers[1]);
     }
 }
 
-/// A program that is killed leaves no process behind, though the plugin hangs.
+/// A killed program leaves no process behind, even if the plugin hangs.
 #[test]
 fn the_process_ends_with_the_program() {
     let folder = tempfile::tempdir().unwrap();
@@ -357,7 +359,7 @@ fn a_program_that_cannot_be_started_is_named() {
     let error = load(Some(nothing));
     assert!(error.contains("the process for it cannot be started: /no/such/program: "), "{error}");
     assert!(load(None).contains("no program is known that loads plugins for this one"));
-    // one that is no such program
+    // another program than a launcher
     let other = lumistack_plugin_host::Launcher { program: "echo".into(), args: Vec::new() };
     let error = load(Some(other));
     assert!(error.contains("ended itself with exit code 0 while it was loaded"), "{error}");

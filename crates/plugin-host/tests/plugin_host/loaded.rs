@@ -1,4 +1,4 @@
-//! The plugins of this repository as libraries, and the samples for those who write their own.
+//! The plugins of this repository as libraries, and the samples of the tutorial.
 
 use std::path::PathBuf;
 
@@ -8,13 +8,13 @@ use lumistack_plugin_testkit::{MemoryHost, conformance_of, import_conformance, s
 
 use crate::common;
 
-/// Where `cargo xtask plugins` puts the libraries that it builds.
+/// The folder into which `cargo xtask plugins` builds libraries.
 const FOLDER: &str = "LUMISTACK_TEST_PLUGINS";
 
 fn load(named: Vec<PathBuf>) -> Registry {
     let mut registry = Registry::default();
     registry.load(&common::paths(named));
-    // all of them
+    // load all of them
     assert!(registry.infos().count() > 0);
     assert!(registry.failed().is_empty(), "{:?}", registry.failed());
     registry
@@ -107,7 +107,7 @@ mod c {
         assert_eq!(text.lines().collect::<Vec<_>>(), expected);
     }
 
-    /// A plugin in C that names files as it should not, passes nonsense for lengths and handles, and answers with statuses that do not exist.
+    /// A plugin in C with invalid file names, lengths, handles and statuses.
     const GARBAGE: &str = r#"
 #include "lumistack_plugin.h"
 #include <string.h>
@@ -170,7 +170,7 @@ const LumistackDescriptor *lumistack_plugin_entry_garbage(void) { return &descri
         let (host, sample) = (MemoryHost::new(), &samples()[0]);
         let output = Output::open(plugin, &host, &json!({}), &sample.display).unwrap();
         let error = output.submit(Time::default(), sample.data()).unwrap_err();
-        // 1234 is its own status; a negative one would count what the host let pass
+        // 1234 is its own status; a negative one would count operations that the host accepted
         assert_eq!(error.to_string(), "no reason given (status 1234)");
         assert_eq!(host.files().into_keys().collect::<Vec<_>>(), ["a.txt"]);
         assert!(host.open_files().is_empty());
@@ -178,7 +178,7 @@ const LumistackDescriptor *lumistack_plugin_entry_garbage(void) { return &descri
     }
 }
 
-/// The tutorial shows whole files, so that it cannot differ from what is built.
+/// The tutorial contains whole files, so they must equal the built ones.
 #[test]
 fn the_tutorial_shows_the_samples_as_they_are() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

@@ -1,4 +1,4 @@
-//! Files that are no plugins of this program: one clear message each, and the others still work.
+//! Files that are no usable plugins: one clear message each, and the other plugins still work.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,18 +9,18 @@ use lumistack_plugin_host::{PluginPaths, Registry};
 
 use crate::common::{self, example, file_name};
 
-/// ELF's numbers of machines.
+/// ELF machine numbers.
 const ELF_MACHINES: [(u16, &str); 4] = [(62, "x86_64"), (183, "aarch64"), (243, "riscv"), (21, "powerpc64")];
 
 fn load(named: &[&Path]) -> Registry {
     let mut registry = Registry::built_in().unwrap();
     registry.load(&common::paths(named.iter().map(|path| path.to_path_buf()).collect()));
-    // what only shows when they are loaded
+    // load all, for errors that appear only then
     let _ = registry.infos().count();
     registry
 }
 
-/// The one message that loading this file gives.
+/// The single message from loading this file.
 fn failure(path: &Path) -> String {
     let registry = load(&[path]);
     let text = match registry.failed().as_slice() {
@@ -83,13 +83,13 @@ fn libraries_for_other_machines_are_told_apart() {
     windows.resize(0x40 + 24 + 0xf0, 0);
     let message = failure(&write(folder.path(), "windows", &windows));
     assert_eq!(message, format!("expected a library for {here} (elf), found one for x86_64 (pe)"));
-    // the right machine, and nothing behind the header
+    // the right machine, and nothing after the header
     let mine = ELF_MACHINES.iter().find(|(_, name)| here.starts_with(name));
     if let Some((number, _)) = mine {
         let message = failure(&write(folder.path(), "hollow", &elf_header(*number)));
         assert!(message.starts_with("expected the function `lumistack_plugin_entry_hollow`"), "{message}");
     }
-    // a program is no library, though it has the same format and machine
+    // a program is no library, though format and machine are right
     let program = folder.path().join(file_name("program"));
     compile(&["-no-pie", "-o"], &program, "int main(void) { return 0; }");
     assert_eq!(failure(&program), "expected a shared library, found a file of another kind (executable)");
@@ -106,7 +106,7 @@ fn names_and_places_are_checked() {
     assert!(failure(&upper).starts_with("expected a file named"));
     let missing = failure(&folder.path().join("nothing"));
     assert!(missing.starts_with("expected a plugin or a folder of plugins, found: "), "{missing}");
-    // what a library exports counts, not what it is called
+    // the exports count, not the file name
     let renamed = folder.path().join(file_name("other"));
     fs::copy(example("faulty"), &renamed).unwrap();
     let registry = load(&[&renamed]);
@@ -146,7 +146,7 @@ fn the_user_s_folder_need_not_exist() {
     assert_eq!((load().entries().count(), load().failed().len()), (1, 0));
 }
 
-/// Compiles C; every machine that links Rust on Unix has a compiler for it.
+/// Compiles C. Every Unix machine that links Rust has a C compiler.
 #[cfg(unix)]
 fn compile(options: &[&str], output: &Path, code: &str) {
     let source = output.with_extension("c");
@@ -156,7 +156,7 @@ fn compile(options: &[&str], output: &Path, code: &str) {
     assert!(done.success(), "cc on {}", source.display());
 }
 
-/// A library in C whose descriptor says what it is told, with nothing behind it.
+/// A library in C with the given descriptor and no functions.
 #[cfg(unix)]
 fn descriptor_in_c(folder: &Path, id: &str, text: &str) -> PathBuf {
     let library = folder.join(file_name(id));
@@ -189,7 +189,7 @@ fn libraries_of_other_versions_are_told_apart() {
     assert_eq!(
         message("newer", ABI_MAJOR + 1, 4, 200, "4, 4, TEXTS, 0"),
         format!(
-            "built for version {}.4 of the plugin boundary, this program has {ABI_MAJOR}.{ABI_MINOR}: it needs a newer program",
+            "built for version {}.4 of the plugin boundary, this program has {ABI_MAJOR}.{ABI_MINOR}: it needs a newer version of this program",
             ABI_MAJOR + 1
         )
     );
@@ -201,7 +201,8 @@ fn libraries_of_other_versions_are_told_apart() {
     let bare = message("bare", ABI_MAJOR, ABI_MINOR, size, "4, 4, TEXTS, 0");
     assert_eq!(bare, "plugin `bare`: a function of an output is missing");
 
-    // versions of the same boundary differ at the ends of their structs: a newer one has more, one before 0.4 no `command`
+    // Versions of an interface differ at the ends of their structs: a newer one is longer, one
+    // before 0.4 has no `command`.
     for (id, last, vtable) in [("grown", ", *command, *more", vtable + 8), ("older", "", vtable - 8)] {
         let code = format!(
             "static int open_(const void *h, struct str p, struct str d, void **i, const void *e) {{ *i = 0; return 0; }}\n\
@@ -248,7 +249,7 @@ fn a_library_may_hold_several_plugins() {
         assert_eq!(registry.get(id).unwrap().info().id, id);
         assert_eq!(registry.origin(id).unwrap().to_string(), library.display().to_string());
     }
-    // one that cannot be used keeps no other from working
+    // an unusable plugin does not affect the others
     let texts: Vec<String> = registry.failed().iter().map(ToString::to_string).collect();
     let expected = "expected a plugin `third` by the name of its entry function, found `other`";
     assert_eq!(texts, [format!("{}: {expected}", library.display())]);

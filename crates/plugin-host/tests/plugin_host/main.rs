@@ -1,4 +1,6 @@
-//! Plugins through the boundary, compiled in and loaded. One program for all files, which share the processors; `cargo test -p lumistack-plugin-host --test plugin_host hostile::` runs the tests of one.
+//! Plugins through the plugin interface, compiled in and loaded. All files are one program, which
+//! shares the processors. Run the tests of one file by
+//! `cargo test -p lumistack-plugin-host --test plugin_host hostile::`.
 
 mod common;
 mod hostile;

@@ -1,4 +1,4 @@
-//! Outputs on disk: what is there after plugins that work, fail, panic, are cancelled or misbehave.
+//! Outputs on disk: folders after plugins that succeed, fail, panic, are cancelled or misbehave.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -31,7 +31,7 @@ impl Bench {
         Self::with(registry)
     }
 
-    /// The same with the plugin from a library.
+    /// The same, with the plugin from a library.
     fn loaded() -> Self {
         let mut registry = Registry::built_in().unwrap();
         registry.load(&common::paths(vec![common::example("faulty")]));
@@ -68,7 +68,7 @@ impl Bench {
         self.write_to("faulty", params, &self.out(), &NoProgress)
     }
 
-    /// Everything below the bench's folder, hidden files too: path to content.
+    /// All files in the bench's folder, hidden ones included: path to content.
     fn tree(&self) -> BTreeMap<String, String> {
         let mut files = BTreeMap::new();
         let mut folders = vec![self.folder.path().to_path_buf()];
@@ -101,7 +101,7 @@ fn a_plugin_that_works_leaves_its_files_and_nothing_else() {
     assert_eq!(names, [listing, &all[0], &all[1], &all[2]]);
 }
 
-/// Asks to stop at the first step of progress.
+/// Cancels at the first progress step.
 struct StopAtFirstStep<'a>(&'a Cancel);
 
 impl Progress for StopAtFirstStep<'_> {
@@ -112,7 +112,7 @@ impl Progress for StopAtFirstStep<'_> {
     fn end(&self) {}
 }
 
-/// Tries all that can go wrong; the bench's folder must stay as it is.
+/// Tries every failure; the bench's folder must stay unchanged.
 fn everything_goes_wrong(bench: &Bench) {
     let before = bench.tree();
     for (params, message) in [
@@ -167,7 +167,7 @@ fn whatever_goes_wrong_keeps_what_was_there() {
     }
 }
 
-/// How long a plugin may take to notice that it should stop.
+/// Time for a plugin to react to cancellation.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 #[test]
@@ -176,7 +176,7 @@ fn a_plugin_that_hangs_ends_when_the_user_asks() {
         let start = Instant::now();
         let result = std::thread::scope(|scope| {
             let writer = scope.spawn(|| bench.write(json!({"fault": "hang"})));
-            // once it has begun
+            // wait until it has begun
             while !bench.out().with_file_name(".faulty.partial").join("sub0/f.txt").exists() {
                 assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the plugin hangs in its second file");
                 std::thread::yield_now();
@@ -200,7 +200,7 @@ fn a_panic_in_a_thread_of_the_plugin_is_its_own() {
 #[test]
 fn a_loaded_plugin_writes_what_the_compiled_one_writes() {
     let [compiled, loaded] = [Bench::new(), Bench::loaded()].map(|bench| bench.registry.get("faulty").unwrap().clone());
-    // three samples with three files each, and at the ends of `files` none and nine
+    // three samples with three files each, and both extremes of `files`: none and nine
     assert_eq!(same_outputs(&compiled, &loaded, &[]).unwrap(), 18);
 }
 
@@ -222,7 +222,8 @@ fn a_new_output_replaces_the_old_one_and_keeps_files_of_others() {
 fn an_error_while_files_move_into_place_is_undone() {
     let bench = Bench::new();
     bench.write(json!({"files": 2})).unwrap();
-    // a file where the new output needs a folder: found only when sub2/f.txt is moved, after the others
+    // a file in place of a required folder is detected only when sub2/f.txt is moved, after the
+    // others
     fs::write(bench.out().join("sub2"), "in the way").unwrap();
     let before = bench.tree();
     let error = bench.write(json!({"files": 3})).unwrap_err();

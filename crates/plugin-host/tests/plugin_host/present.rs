@@ -1,4 +1,5 @@
-//! Presenters through the boundary, compiled in and loaded: patterns and commands reach one while it runs, events come back.
+//! Presenters through the plugin interface, compiled in and loaded: layer stacks and commands
+//! arrive while one runs, and events return.
 
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, channel};
@@ -25,7 +26,7 @@ fn registries() -> [Registry; 2] {
     [compiled_in, loaded]
 }
 
-/// Events and warnings of a presentation of a sample.
+/// Events and warnings of a sample's presentation.
 fn presented(
     registry: &Registry,
     id: &str,

@@ -1,4 +1,6 @@
-//! The test kit's host and checks against plugins of its own. One program for all files, which share the processors; `cargo test -p lumistack-plugin-testkit --test plugin_testkit makers::` runs the tests of one.
+//! Tests of the kit's host and checks, with plugins of its own. All files are one program, which
+//! shares the processors. Run the tests of one file by
+//! `cargo test -p lumistack-plugin-testkit --test plugin_testkit makers::`.
 
 mod makers;
 mod outputs;

@@ -1,4 +1,4 @@
-//! Importers, sources and nodes through the C boundary, and what the host refuses of what they make.
+//! Importers, sources and nodes through the C interface, and results that the host refuses.
 
 use lumistack_plugin::abi::{self, ErrorSink, Plane, StackSink, Status};
 use lumistack_plugin::core::Tensor;
@@ -24,7 +24,7 @@ fn gain_schema() -> Schema {
     ])
 }
 
-/// Fills every layer and bin with the target's central view times the gain, where it fits.
+/// Fills all layers and bins with the target's central view times the gain, if the sizes match.
 struct Flat;
 
 impl NodePlugin for Flat {
@@ -63,7 +63,7 @@ mod flat {
     lumistack_plugin::export_plugin!("flat", super::Flat as node);
 }
 
-/// A light field whose views differ by a number.
+/// A light field whose views differ by a constant.
 struct Card;
 
 impl SourcePlugin for Card {
@@ -93,7 +93,7 @@ mod card {
     lumistack_plugin::export_plugin!("card", super::Card as source);
 }
 
-/// Returns what it reads.
+/// Returns the file's bytes.
 struct Echo;
 
 impl ImporterPlugin for Echo {
@@ -194,7 +194,8 @@ fn plugins_are_not_taken_for_other_kinds() {
     assert_eq!(error.to_string(), "`card` is no node but a source");
 }
 
-/// A node written against the C boundary itself, which does what its parameters say: `{"steps": [[layer, frame, rows, value], ...]}`.
+/// A node written against the C interface, which executes its parameters:
+/// `{"steps": [[layer, frame, rows, value], ...]}`.
 mod raw {
     use super::*;
     use lumistack_plugin::serde_json::{Value, from_slice};
@@ -208,7 +209,7 @@ mod raw {
         stack: *const StackSink,
         error: *const ErrorSink,
     ) -> Status {
-        // SAFETY: the host lends all of it for the call.
+        // SAFETY: the host lends all arguments for the call.
         let (params, sink) = unsafe { (std::slice::from_raw_parts(params.ptr, params.len), &*stack) };
         let params: Value = from_slice(params).unwrap();
         for step in params["steps"].as_array().unwrap() {
@@ -264,7 +265,8 @@ fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
     assert_eq!([0, 1].map(|frame| stack.layers[0].block([frame])[7]), [0.25, 1.0]);
 }
 
-/// Hands back what it may begin from, each value times the mean weight of a view, and tells a step and a solution.
+/// Returns its start, each value times the mean weight of a view, and reports a step and a
+/// solution.
 struct Warm;
 
 impl NodePlugin for Warm {

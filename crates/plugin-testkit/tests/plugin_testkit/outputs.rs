@@ -1,4 +1,5 @@
-//! A plugin and a host on the two sides of the C boundary, and a test kit that notices plugins that break its rules.
+//! A plugin and a host on the two sides of the C interface, and plugins that violate rules, which
+//! the kit must detect.
 
 use std::sync::{LazyLock, Mutex};
 
@@ -10,7 +11,7 @@ use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_testkit::{MemoryHost, Sample, conformance, samples};
 use serde_json::{Value, json};
 
-/// Writes all it gets as text, and misbehaves as told by its text parameter.
+/// Writes all input as text, and misbehaves as its text parameter selects.
 struct Probe {
     host: Host,
     fault: String,
@@ -25,7 +26,7 @@ struct ProbeParams {
     scale: f64,
 }
 
-/// A host that outlived its output.
+/// A host kept after its output was closed.
 static STOLEN: Mutex<Option<Host>> = Mutex::new(None);
 
 impl OutputPlugin for Probe {
@@ -82,7 +83,7 @@ impl Drop for Probe {
 
 export_plugin!("probe", Probe);
 
-/// Every plane of an input, in order.
+/// All planes of an input, in order.
 fn planes(data: &Input<'_>) -> Result<Vec<(String, Vec<f32>)>, PluginError> {
     let mut all = Vec::new();
     match data {
@@ -231,7 +232,7 @@ fn descriptors_of_other_versions_are_refused() {
     assert!(unsafe { Plugin::from_descriptor(std::ptr::null()) }.is_err());
 }
 
-/// Breaks one rule of the boundary, chosen by `FAULT`.
+/// Violates one rule of the interface, selected by `FAULT`.
 struct Faulty<const FAULT: u8> {
     host: Host,
 }
@@ -289,7 +290,7 @@ impl<const FAULT: u8> OutputPlugin for Faulty<FAULT> {
     }
 
     fn finish(self) -> Result<(), PluginError> {
-        // a file that all variants write, so that only the broken rule stands out
+        // all variants write this file, so that only the violated rule differs
         if FAULT == LEAKS_FILES { self.host.write("finished.txt", b"") } else { Ok(()) }
     }
 }

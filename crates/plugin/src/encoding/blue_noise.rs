@@ -1,8 +1,10 @@
-//! A threshold map of blue noise, by void-and-cluster (Ulichney, "The void-and-cluster method for dither array generation", 1993).
+//! A blue-noise threshold map, by void-and-cluster (Ulichney, "The void-and-cluster method for
+//! dither array generation", 1993).
 //!
-//! Dots are ranked one by one on a torus: the tightness of a place is the sum of exp(−r²/2σ²) over all dots, σ = 1.5 pixels. A first pattern is
-//! relaxed by moving the dot in the tightest cluster to the largest void until that is the same place; its dots are ranked by taking the
-//! tightest away, all others by filling the largest void.
+//! Dots are ranked one by one on a torus. The energy of a position is the sum of exp(−r²/2σ²) over
+//! all dots, σ = 1.5 pixels. The initial pattern is relaxed: the dot in the tightest cluster moves
+//! to the largest void until both coincide. Its dots are ranked by removing the tightest one
+//! repeatedly, all others by filling the largest void.
 
 use std::sync::OnceLock;
 
@@ -12,11 +14,12 @@ use lumistack_core::seed::{Stream, derive};
 pub const BLUE_NOISE_SIDE: usize = 64;
 
 const COUNT: usize = BLUE_NOISE_SIDE * BLUE_NOISE_SIDE;
-/// Dots of the first pattern.
+/// Dots of the initial pattern.
 const FIRST: usize = COUNT / 10;
 const SIGMA: f64 = 1.5;
 
-/// Thresholds (rank + ½) / 4096 of a map of 64 × 64 that repeats without a seam, each once, row by row. Computed once.
+/// Thresholds (rank + ½) / 4096 of a 64 × 64 map that tiles without a seam, row by row. Every rank
+/// occurs once. Computed once.
 pub fn blue_noise() -> &'static [f32] {
     static MAP: OnceLock<Vec<f32>> = OnceLock::new();
     MAP.get_or_init(|| ranks().into_iter().map(|rank| (rank as f32 + 0.5) / COUNT as f32).collect())
@@ -59,7 +62,7 @@ fn ranks() -> Vec<usize> {
 struct Pattern {
     has: Vec<bool>,
     tightness: Vec<f64>,
-    /// What a dot at (0, 0) adds to every place.
+    /// Energy that a dot at (0, 0) adds to every position.
     dot: Vec<f64>,
     dots: usize,
 }
@@ -105,7 +108,7 @@ mod tests {
 
     use super::*;
 
-    /// Mean power of spatial frequencies (cycles per pixel) of a pattern with mean 0, in bands of 1/64.
+    /// Mean power per band of spatial frequency (1/64 cycles per pixel) of a pattern with mean 0.
     fn radial_power(values: &[f64]) -> Vec<f64> {
         let side = BLUE_NOISE_SIDE;
         let turn = |k: usize, x: usize| -TAU * ((k * x) % side) as f64 / side as f64;
@@ -156,7 +159,7 @@ mod tests {
             low_over_mean(&radial_power(&(0..COUNT).map(|_| f64::from(random.next_f32()) - 0.5).collect::<Vec<_>>()));
         println!("power below 0.1 cycles per pixel over the mean: {blue:.4}, white noise {white:.2}");
         assert!(blue < 0.02 && (0.6..1.6).contains(&white), "{blue} {white}");
-        // thresholded at any level it stays blue
+        // a thresholded pattern stays blue noise at any level
         for level in [0.1, 0.25, 0.5, 0.8] {
             let mean = f64::from((level * COUNT as f32).round()) / COUNT as f64;
             let dots: Vec<f64> = blue_noise().iter().map(|&t| f64::from(u8::from(t < level)) - mean).collect();

@@ -1,33 +1,35 @@
-//! Codes of a panel of b bits, with or without dithering.
+//! Codes of a panel of b bits, with optional dithering.
 //!
-//! Between two neighbouring codes of light l₀ < v < l₁ the brighter one is taken for the share t = (v − l₀)/(l₁ − l₀) of the pixels, so that the
-//! mean *light* is right whatever the transfer function: where t exceeds a threshold map, or by passing on the error in light
-//! (Floyd and Steinberg, 1976; rows in alternating direction).
+//! A value v lies between the light l₀ < v < l₁ of two neighbouring codes. The brighter code is
+//! used for the fraction t = (v − l₀)/(l₁ − l₀) of the pixels, so that the mean *light* is exact
+//! for any transfer function. Pixels are selected by a threshold map, or by error diffusion in
+//! linear light (Floyd and Steinberg, 1976; serpentine rows).
 
 use lumistack_display::Transfer;
 use serde::Deserialize;
 
 use super::{BLUE_NOISE_SIDE, blue_noise};
 
-/// How values between two codes are shown.
+/// Dithering of values between two codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dither {
     /// The nearest code.
     None,
-    /// A regular threshold map of 8 × 8 (Bayer).
+    /// An 8 × 8 Bayer threshold map.
     Ordered,
-    /// A threshold map of 64 × 64 without low frequencies.
+    /// A 64 × 64 blue-noise threshold map.
     BlueNoise,
-    /// The error of a pixel goes to its neighbours.
+    /// Error diffusion to neighbouring pixels.
     Diffusion,
 }
 
-/// Codes 0..2^bits − 1 of driven values in 0..1, `[row][col][rgb]`, `size` = [rows, cols], `bits` 1 to 16. Threshold maps are shifted by `pattern` and by
-/// channel, so that patterns of different numbers (layers, frames) do not line up.
+/// Codes 0..2^bits − 1 of driven values in 0..1, `[row][col][rgb]`; `size` is [rows, cols], `bits`
+/// 1 to 16. Threshold maps are shifted by `pattern` and by channel, so that patterns of different
+/// layers and frames are uncorrelated.
 ///
 /// # Panics
-/// If `rgb` does not hold the size's number of values or `bits` is out of range.
+/// If the length of `rgb` is not that of `size`, or `bits` is out of range.
 pub fn panel_codes(
     transfer: &Transfer,
     bits: u32,
@@ -60,7 +62,7 @@ pub fn panel_codes(
     codes
 }
 
-/// The code below a value and its share of the next.
+/// The largest code not above a value, and the fraction of the step to the next code.
 fn between(light: &[f32], value: f32) -> (u16, f32) {
     let value = if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) };
     let above = light.partition_point(|&l| l <= value).clamp(1, light.len() - 1);
@@ -77,7 +79,8 @@ struct ThresholdMap {
 impl ThresholdMap {
     fn of(dither: Dither) -> Self {
         if dither == Dither::Ordered {
-            // the bits of x and x ^ y, interleaved from the lowest on, are the highest of the rank
+            // interleaved bits of x and x ^ y, lowest first, form the rank from its highest bit
+            // down
             let rank = |x: usize, y: usize| {
                 (0..3).fold(0, |rank, bit| {
                     let pair = 2 * ((x ^ y) >> bit & 1) + (y >> bit & 1);
@@ -90,7 +93,8 @@ impl ThresholdMap {
         Self { side: BLUE_NOISE_SIDE, thresholds: blue_noise().to_vec() }
     }
 
-    /// The `n`-th of a sequence of shifts: steps that swap the ordered map's checkerboards; on blue noise places that fill the map evenly.
+    /// The `n`-th of a sequence of shifts. The Bayer map swaps its checkerboards; on blue noise the
+    /// shifts fill the map evenly.
     fn shift(&self, n: usize) -> [usize; 2] {
         if self.side < BLUE_NOISE_SIDE {
             return [3 * n, 2 * n];
@@ -108,7 +112,7 @@ impl ThresholdMap {
 fn diffuse(light: &[Vec<f32>; 3], [rows, cols]: [usize; 2], rgb: &[f32]) -> Vec<u16> {
     let mut codes = vec![0; rgb.len()];
     for channel in 0..3 {
-        // errors of this row and the next, with a column of slack on both sides
+        // errors of this row and the next, padded by a column on both sides
         let (mut here, mut below) = (vec![0.0; cols + 2], vec![0.0; cols + 2]);
         for row in 0..rows {
             let reverse = row % 2 == 1;
@@ -162,7 +166,7 @@ mod tests {
                     let codes = panel_codes(&transfer, bits, dither, SIZE, &flat(value), 3);
                     for channel in 0..3 {
                         let mean = mean_light(&transfer, bits, &codes, channel);
-                        // 64 thresholds: half of 1/64 of a step, whose largest is the highest
+                        // 64 thresholds: half of 1/64 of the largest step, which is the highest
                         let top = ((1u32 << bits) - 1) as f32;
                         let step = 1.0 - transfer.decode(channel, (top - 1.0) / top);
                         let allowed = f64::from(step) / 100.0;

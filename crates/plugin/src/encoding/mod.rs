@@ -1,4 +1,4 @@
-//! From linear values to what a panel is sent: transfer functions, few bits, dithering.
+//! Converts linear values into panel codes: transfer functions, quantization and dithering.
 
 mod blue_noise;
 mod dither;
@@ -8,12 +8,13 @@ use lumistack_display::Transfer;
 pub use blue_noise::{BLUE_NOISE_SIDE, blue_noise};
 pub use dither::{Dither, panel_codes};
 
-/// The code of a linear value of a channel (0 red, 1 green, 2 blue), both in 0..1. Values outside are clamped; NaN becomes 0.
+/// The code of a linear value in one channel (0 red, 1 green, 2 blue), both in 0..1. Values outside
+/// are clamped; NaN becomes 0.
 pub fn encode(transfer: &Transfer, channel: usize, linear: f32) -> f32 {
     transfer.encode(channel, linear)
 }
 
-/// The linear value of a code of a channel, both in 0..1.
+/// The linear value of a code in one channel, both in 0..1.
 pub fn decode(transfer: &Transfer, channel: usize, code: f32) -> f32 {
     transfer.decode(channel, code)
 }
@@ -34,7 +35,7 @@ mod tests {
 
     use super::*;
 
-    /// Codes as exact as f32 arithmetic gives them, in units of 16-bit codes.
+    /// Rounding error of f32 arithmetic, in units of 16-bit codes.
     const CODE_ERROR: f32 = 0.03;
 
     #[test]

@@ -1,4 +1,5 @@
-//! Both directions of a call across the C boundary: results become a status and a text, and back; panics are caught.
+//! Calls across the C interface, in both directions: results become a status and a text, and back.
+//! Panics are caught.
 
 use std::any::Any;
 use std::ffi::c_void;
@@ -27,12 +28,13 @@ pub fn call(function: impl FnOnce(*const ErrorSink) -> Status) -> Result<(), Plu
     }
 }
 
-/// Runs this side's part of a call.
+/// Runs the callee's part of a call.
 ///
 /// # Safety
 /// `error` is null or a valid sink.
 pub unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
-    // What the closure touches is either given up after a panic (the plugin's instance refuses further calls) or guarded by its own lock.
+    // After a panic the plugin's instance refuses further calls, and all other state has its own
+    // lock.
     let outcome = catch_unwind(AssertUnwindSafe(function))
         .unwrap_or_else(|payload| Err(PluginError::Panicked(panic_text(payload))));
     let (status, text) = match outcome {
@@ -42,7 +44,7 @@ pub unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<
         Err(PluginError::Failed(text)) => (Status::FAILED, text),
         Err(PluginError::Panicked(text)) => (Status::PANICKED, text),
     };
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { tell(error, &text) };
     status
 }
@@ -52,7 +54,7 @@ pub unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<
 /// # Safety
 /// `error` is null or a valid sink.
 pub unsafe fn tell(error: *const ErrorSink, text: &str) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     if let Some(sink) = unsafe { error.as_ref() }
         && !text.is_empty()
     {
@@ -61,12 +63,13 @@ pub unsafe fn tell(error: *const ErrorSink, text: &str) {
     }
 }
 
-/// A sink that keeps the text that is written to it; valid as long as `text` is.
+/// A sink that stores the written text; valid as long as `text`.
 pub fn keeping(text: &mut String) -> ErrorSink {
     ErrorSink { size: size_of::<ErrorSink>(), context: (&raw mut *text).cast(), write: keep_text }
 }
 
-/// The message of a panic. Drops the payload where a panic of its destructor cannot unwind further.
+/// The message of a panic. Drops the payload here, where a panic of its destructor cannot unwind
+/// further.
 pub(crate) fn panic_text(payload: Box<dyn Any + Send>) -> String {
     let text = match payload.downcast_ref::<&str>() {
         Some(text) => (*text).to_string(),
@@ -81,56 +84,60 @@ pub(crate) fn panic_text(payload: Box<dyn Any + Send>) -> String {
 /// Text lent by the other side; `what` names it in errors.
 ///
 /// # Errors
-/// If its length is that of no array, or it is not UTF-8.
+/// If its length exceeds that of any array, or it is not UTF-8.
 ///
 /// # Safety
-/// `text` points to `len` readable bytes (or `len` is 0) for as long as the result is used.
+/// `text` points to `len` readable bytes (or `len` is 0) as long as the result is used.
 pub unsafe fn lent_text<'a>(text: Str, what: &str) -> Result<&'a str, PluginError> {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let bytes = unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, what)? };
     std::str::from_utf8(bytes).map_err(|error| PluginError::failed(what, error))
 }
 
-/// Text lent by the other side, with whatever is not UTF-8 replaced; empty where its length is that of no array.
+/// Text lent by the other side, with invalid UTF-8 replaced; empty if its length exceeds that of
+/// any array.
 ///
 /// # Safety
 /// As for [`lent_text`].
 pub unsafe fn lent_lossy<'a>(text: Str) -> std::borrow::Cow<'a, str> {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     String::from_utf8_lossy(unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, "text") }.unwrap_or_default())
 }
 
 /// Bytes lent by the other side; `what` names them in errors.
 ///
 /// # Errors
-/// If their length is that of no array.
+/// If their length exceeds that of any array.
 ///
 /// # Safety
-/// `bytes` points to `len` readable bytes (or `len` is 0) for as long as the result is used.
+/// `bytes` points to `len` readable bytes (or `len` is 0) as long as the result is used.
 pub unsafe fn lent_bytes<'a>(bytes: Bytes, what: &str) -> Result<&'a [u8], PluginError> {
     if bytes.len == 0 {
         return Ok(&[]);
     }
     if bytes.ptr.is_null() || isize::try_from(bytes.len).is_err() {
         let place = if bytes.ptr.is_null() { "nowhere" } else { "somewhere" };
-        return Err(PluginError::Refused(format!("{what}: {} bytes {place}, which cannot be", bytes.len)));
+        return Err(PluginError::Refused(format!("{what}: {} bytes {place}, which is invalid", bytes.len)));
     }
-    // SAFETY: the caller's promise; no array is longer than what was checked.
+    // SAFETY: guaranteed by the caller; the length was checked.
     Ok(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
 }
 
 /// [`ErrorSink::write`] of [`keeping`].
 unsafe extern "C" fn keep_text(context: *mut c_void, text: Str) {
-    // SAFETY: the callee lends the text for this call; `context` is the string of `keeping`, whose owner waits for the callee.
+    // SAFETY: the callee lends the text for this call; `context` is the string of `keeping`, whose
+    // owner waits for the callee.
     unsafe { *context.cast::<String>() = lent_lossy(text).into_owned() };
 }
 
-/// [`ByteSink::write`](lumistack_plugin_abi::ByteSink::write) into a `Vec<u8>`, to which `context` points.
+/// [`ByteSink::write`](lumistack_plugin_abi::ByteSink::write) into a `Vec<u8>`, to which `context`
+/// points.
 ///
 /// # Safety
-/// `context` points to a vector that nobody else uses meanwhile; the bytes are lent for the call; `error` is null or a valid sink.
+/// `context` points to a vector without other users during the call; the bytes are lent for the
+/// call; `error` is null or a valid sink.
 pub unsafe extern "C" fn append(context: *mut c_void, bytes: Bytes, error: *const ErrorSink) -> Status {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         answer(error, || {
             (*context.cast::<Vec<u8>>()).extend_from_slice(lent_bytes(bytes, "bytes")?);
@@ -139,7 +146,7 @@ pub unsafe extern "C" fn append(context: *mut c_void, bytes: Bytes, error: *cons
     }
 }
 
-/// Refuses a struct of an older host.
+/// Refuses a struct of an older version.
 pub(crate) fn needs(size: usize, least: usize) -> Result<(), PluginError> {
     if size < least {
         let text = format!("the host offers a struct of {size} bytes, the plugin needs {least}");

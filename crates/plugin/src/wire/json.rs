@@ -1,4 +1,5 @@
-//! The JSON that accompanies data and displays. Readers ignore keys that they do not know, since the host may be newer.
+//! The JSON that describes data and displays. Readers ignore unknown keys, since the host may be
+//! newer.
 
 use lumistack_display::{Display, FieldGeometry, Projection, SeenDepth, ViewGrid};
 use serde::{Deserialize, Serialize};
@@ -11,7 +12,7 @@ use crate::PluginError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "port", rename_all = "snake_case")]
 pub enum Description {
-    /// Patterns of a tensor display.
+    /// The layer stack of a tensor display.
     LayerStack {
         /// Brightness β.
         brightness: f64,
@@ -21,35 +22,35 @@ pub enum Description {
         layers: Vec<[usize; 2]>,
         /// [bins_y, bins_x, lenslet_rows, lenslet_cols].
         emission: Option<[usize; 4]>,
-        /// The light field that the patterns were made for.
+        /// Geometry of the light field that the stack was solved for.
         target: Geometry,
-        /// Whether the target's views are lent; hosts before this key lend none.
+        /// The target's views can be read; older hosts lack this key and lend none.
         #[serde(default)]
         target_views: bool,
-        /// How deep the target's middle view sees; hosts before this key know nothing of it.
+        /// Depth of the target's central view; older hosts lack this key.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         target_depth: Option<Depth>,
     },
     /// Radiance of many views.
     LightField {
-        /// Its rays.
+        /// Its geometry.
         geometry: Geometry,
-        /// How deep the middle view sees.
+        /// Depth of the central view.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         depth: Option<Depth>,
-        /// Seed of everything random that a node does.
+        /// Random seed for nodes.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         seed: Option<u64>,
-        /// How much each ray counts for a node; without it all count alike.
+        /// Weights of the rays for nodes; without it all are equal.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         weights: Option<RayWeights>,
-        /// Patterns from which a node may begin.
+        /// Layer stack that a node may start from.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         start: Option<Start>,
     },
 }
 
-/// How much rays count.
+/// Weights of rays.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RayWeights {
@@ -59,25 +60,25 @@ pub enum RayWeights {
     PerRay,
 }
 
-/// Patterns of the display's own shape, lent plane by plane.
+/// Layer stack in the display's shape, lent plane by plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Start {
     /// Brightness β.
     pub brightness: f64,
 }
 
-/// How deep a light field's middle view sees.
+/// Depth of a light field's central view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Depth {
     rows: usize,
     cols: usize,
-    /// `[row][col]`, millimetres towards the viewer; null where nothing is met.
+    /// `[row][col]`, millimetres towards the viewer; null for rays without a hit.
     z_mm: Vec<Option<f32>>,
 }
 
 impl From<&SeenDepth> for Depth {
     fn from(seen: &SeenDepth) -> Self {
-        // a JSON number of this length is exact to 10 nm
+        // rounded to 10 nm, which shortens the JSON
         let rounded = |z: &f32| (f64::from(*z) * 1e5).round() / 1e5;
         let z_mm = seen.z_mm.iter().map(|z| z.as_ref().map(|z| rounded(z) as f32)).collect();
         Self { rows: seen.rows, cols: seen.cols, z_mm }
@@ -146,8 +147,8 @@ impl TryFrom<Geometry> for FieldGeometry {
     }
 }
 
-/// Reads a display, stepping over keys that this version does not know. (A display *file* with such a key is an error; see DESIGN
-/// section 5. Here the file was already read by the host.)
+/// Reads a display and skips keys that this version does not know. (A display *file* with such a
+/// key is an error; see DESIGN section 5. The host has already read that file.)
 pub(crate) fn display_from_json(text: &str) -> Result<Display, PluginError> {
     let mut json: Value = serde_json::from_str(text).map_err(|error| PluginError::failed("display", error))?;
     let display: Display = loop {
@@ -166,7 +167,7 @@ pub(crate) fn display_from_json(text: &str) -> Result<Display, PluginError> {
     Ok(display)
 }
 
-/// Removes `key` from the object at the end of `path`, as far as the path leads.
+/// Removes `key` from the object at the end of `path`, if it exists.
 fn remove_key(json: &mut Value, path: &Path, key: &str) -> bool {
     let mut place = json;
     for segment in path {

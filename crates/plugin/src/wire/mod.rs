@@ -1,5 +1,5 @@
-//! The forms in which calls, texts, planes and descriptions cross the C boundary, for both of its sides: this crate's traits on the plugin's, and hosts
-//! such as `lumistack-plugin-host`. Authors of plugins need none of it.
+//! Encodings of calls, texts, planes and descriptions at the C interface, for both sides: this
+//! crate's traits, and hosts such as `lumistack-plugin-host`. Plugin authors do not need it.
 
 mod calls;
 mod json;

@@ -1,8 +1,8 @@
-//! Dense arrays as planes of the boundary.
+//! Dense arrays as planes of the C interface.
 
 use lumistack_plugin_abi::{Plane, dtype};
 
-/// Lends values that lie `[row][col][channel]`; valid as long as they are.
+/// Lends dense values `[row][col][channel]`; the plane is valid as long as they are.
 pub fn dense(values: &[f32], [rows, cols, channels]: [usize; 3]) -> Plane {
     let element = size_of::<f32>() as isize;
     Plane {

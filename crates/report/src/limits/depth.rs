@@ -1,9 +1,11 @@
-//! Where the content of a view lies in depth, from how far it moves to a neighbouring view.
+//! Depth of a view's content, from its disparity to a neighbouring view.
 //!
-//! Block matching: for every pixel the shift along the row that minimizes the sum of absolute differences of √luminance over a square, refined
-//! by a parabola. Content at depth z moves by −z·Δs/p pixels per step Δs of slope (oblique views), or by q = −z·Δs/(1 − z/D) millimetres between
-//! pinholes at distance D. Where all shifts fit about alike, the nearest pixel of the row that can tell decides, and in rows without any the
-//! content counts as lying on the display; a median over squares takes stray pixels away.
+//! Block matching: for every pixel, the shift along the row with the smallest sum of absolute
+//! differences of √luminance over a square, refined by a parabola. Content at depth z is shifted by
+//! −z·Δs/p pixels per step Δs of slope (oblique views), or by q = −z·Δs/(1 − z/D) millimetres
+//! between pinholes at distance D. Where no shift is clearly better, the nearest pixel of the row
+//! with a clear one decides. Rows without any are assigned to the display's plane. A median over
+//! squares removes outliers.
 
 use lumistack_core::colour::luminance;
 use lumistack_display::{FieldGeometry, LightField, Projection};
@@ -11,33 +13,36 @@ use lumistack_display::{FieldGeometry, LightField, Projection};
 /// Depth of every pixel of one view, at a resolution that may be lower than the view's.
 #[derive(Clone, Debug)]
 pub(crate) struct DepthMap {
-    /// Factor by which rows and columns are fewer than the view's.
+    /// Factor by which the map has fewer rows and columns than the view.
     factor: usize,
     cols: usize,
-    /// Millimetres towards the viewer.
+    /// Depth, millimetres towards the viewer.
     z_mm: Vec<f32>,
-    /// Whether the depth jumps nearby.
+    /// Pixels near a depth discontinuity.
     edge: Vec<bool>,
-    /// Depth that moves content by half a pixel of the map.
+    /// Depth that corresponds to a shift of half a map pixel, millimetres.
     pub(crate) resolution_mm: f64,
 }
 
-/// Pixels of a row up to which views are matched at full resolution.
+/// Row length up to which views are matched at full resolution, pixels.
 const LARGEST_COLS: usize = 480;
-/// Half the side of the compared squares: about one in so many of the columns, within limits.
+/// Half the side of the compared squares: columns divided by this, within limits.
 const RADIUS_SHARE: usize = 80;
 const RADIUS: std::ops::RangeInclusive<usize> = 3..=6;
-/// Largest shift as a share of the columns, and in pixels.
+/// Largest shift: columns divided by this, and its limits in pixels.
 const REACH_SHARE: usize = 16;
 const REACH: std::ops::RangeInclusive<usize> = 3..=40;
-/// The best shift must beat the mean over all shifts by this much per pixel (of 4095), or it says nothing.
+/// The best shift must beat the mean over all shifts by this much per pixel (of 4095); otherwise it
+/// is rejected.
 const BETTER_BY: u32 = 40;
-/// A jump by more than this share of the columns, and by more than a pixel, is an edge; pixels up to `NEAR` away belong to it.
+/// A shift change above this fraction of the columns, and above a pixel, is an edge; pixels up to
+/// `NEAR` away belong to it.
 const JUMP_SHARE: f32 = 1.0 / 240.0;
 const NEAR: usize = 2;
 
 impl DepthMap {
-    /// Depth of `view` by matching it with `neighbour` in the same row of views; `None` where both are the same direction.
+    /// Depth of `view` by matching it with `neighbour` in the same row of views; `None` if both
+    /// have the same direction.
     pub(crate) fn new(field: &LightField, view: [usize; 2], neighbour: [usize; 2]) -> Option<Self> {
         let geometry = field.geometry();
         let step = geometry.grid.slope_x[neighbour[1]] - geometry.grid.slope_x[view[1]];
@@ -58,13 +63,14 @@ impl DepthMap {
         f64::from(self.z_mm[row / self.factor * self.cols + col / self.factor])
     }
 
-    /// Whether the depth jumps near a pixel of the view.
+    /// Returns true near a depth discontinuity.
     pub(crate) fn is_edge(&self, row: usize, col: usize) -> bool {
         self.edge[row / self.factor * self.cols + col / self.factor]
     }
 }
 
-/// Depth of what moves by `shift_mm` on z = 0 from a view to one whose slope is larger by `step`.
+/// Depth, millimetres, of content that is shifted by `shift_mm` on z = 0 between two views whose
+/// slopes differ by `step`.
 fn depth(shift_mm: f64, step: f64, geometry: &FieldGeometry) -> f64 {
     match geometry.grid.projection {
         Projection::Oblique => -shift_mm / step,
@@ -72,7 +78,7 @@ fn depth(shift_mm: f64, step: f64, geometry: &FieldGeometry) -> f64 {
     }
 }
 
-/// √luminance of a view, 0..4095: integers, so that running sums stay exact.
+/// √luminance of a view, 0..4095. Integers keep running sums exact.
 struct Levels {
     rows: usize,
     cols: usize,
@@ -99,17 +105,18 @@ impl Levels {
         Self { rows, cols, values }
     }
 
-    /// How far the content of every pixel has moved to the right in `other`, pixels; NaN where nothing tells.
+    /// Shift of every pixel's content to the right in `other`, pixels; NaN where matching is
+    /// ambiguous.
     fn shifts(&self, other: &Self) -> Vec<f32> {
         let (rows, cols, radius) = (self.rows, self.cols, self.radius());
         let reach = (cols / REACH_SHARE).clamp(*REACH.start(), *REACH.end());
         let candidates = 2 * reach + 1;
         let difference = |row: usize, shift: usize, col: usize| {
-            // beyond the picture the outermost pixel
+            // clamp to the outermost pixel
             let to = (col + shift).saturating_sub(reach).min(cols - 1);
             self.values[row * cols + col].abs_diff(other.values[row * cols + to])
         };
-        // sums down the square's rows, [shift][column], kept from row to row
+        // sums over the square's rows, [shift][column], updated from row to row
         let mut sums = vec![0u32; candidates * cols];
         let include = |sums: &mut [u32], row: usize| {
             let places = sums.iter_mut().enumerate();
@@ -148,7 +155,7 @@ impl Levels {
         (self.cols / RADIUS_SHARE).clamp(*RADIUS.start(), *RADIUS.end())
     }
 
-    /// Median over squares, as far as they lie in the picture.
+    /// Median over squares, clipped at the picture's border.
     fn median(&self, shifts: &[f32]) -> Vec<f32> {
         let (rows, cols, radius) = (self.rows, self.cols, self.radius().div_ceil(2));
         let mut square = Vec::with_capacity((2 * radius + 1).pow(2));
@@ -168,7 +175,8 @@ impl Levels {
     }
 }
 
-/// The shift of least cost, or NaN where it is not clearly better than others; `pixels` were summed.
+/// The shift of least cost, or NaN if it is not clearly better than the mean; `pixels` is the
+/// number of summed pixels.
 fn best(cost: impl Fn(usize) -> u32, reach: usize, pixels: u32) -> f32 {
     let place = (0..=2 * reach).min_by_key(|&shift| (cost(shift), shift.abs_diff(reach))).unwrap_or(reach);
     let mean = (0..=2 * reach).map(|shift| u64::from(cost(shift))).sum::<u64>() / (2 * reach as u64 + 1);
@@ -184,7 +192,7 @@ fn best(cost: impl Fn(usize) -> u32, reach: usize, pixels: u32) -> f32 {
     whole + if curvature > 0.0 { (0.5 * (left - right) / curvature).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
-/// NaN takes the nearest value of its row; 0 in rows without any.
+/// Replaces NaN by the nearest value of its row; by 0 in rows without any.
 fn filled(mut shifts: Vec<f32>, cols: usize) -> Vec<f32> {
     for row in shifts.chunks_exact_mut(cols) {
         let known: Vec<(usize, f32)> = row.iter().copied().enumerate().filter(|(_, shift)| !shift.is_nan()).collect();
@@ -199,7 +207,7 @@ fn filled(mut shifts: Vec<f32>, cols: usize) -> Vec<f32> {
     shifts
 }
 
-/// Pixels near a jump of the shift.
+/// Pixels near a discontinuity of the shift.
 fn edges(shifts: &[f32], rows: usize, cols: usize) -> Vec<bool> {
     let mut near = vec![false; rows * cols];
     let jump = (JUMP_SHARE * cols as f32).max(1.0);
@@ -224,12 +232,12 @@ mod tests {
 
     use super::*;
 
-    /// A textured plane at 45 mm with a card at −60 mm in its middle, seen from two directions.
+    /// A textured plane at 45 mm with a card at −60 mm in its centre, from two directions.
     fn two_planes(projection: Projection) -> LightField {
         let grid = ViewGrid { projection, slope_x: vec![0.0, 0.1], slope_y: vec![0.0] };
         let geometry = FieldGeometry { rows: 40, cols: 120, pitch_mm: 1.5, grid };
         let texture = |point: f64, row: usize, seed: u64| {
-            // linear between noise at whole millimetres times three
+            // linear interpolation of noise at multiples of three millimetres
             let noise = |i: f64| Stream::new(seed + 1000 * row as u64 + (i as i64 + 500) as u64).next_f32();
             let (place, t) = ((point / 3.0).floor(), (point / 3.0).rem_euclid(1.0) as f32);
             noise(place) * (1.0 - t) + noise(place + 1.0) * t

@@ -1,4 +1,4 @@
-//! What the panels allow: their brightest and darkest states, their bits, their blur and crosstalk.
+//! Limits of the panels: brightest and darkest states, bits, blur and crosstalk.
 
 use lumistack_core::metrics::SquaredError;
 use lumistack_display::Layer;
@@ -9,12 +9,12 @@ use super::limit::{Limit, without};
 use super::variants::{AT_END, BRIGHTER, Tone, USUAL_BITS, bits_are_given, emission_range};
 use crate::{ReportInput, format};
 
-/// To how much more light the gain of [`BRIGHTER`] is extrapolated.
+/// Light increase to which the gain of [`BRIGHTER`] is extrapolated.
 const BRIGHTER_SHOWN: f64 = 0.1;
 
-/// Shares of the patterns' values that are at the ends of their ranges.
+/// Fractions of the stack's values at the ends of their ranges.
 pub(super) struct Ends {
-    /// Per layer, rearmost first; then the backlight.
+    /// Per layer, rearmost first; the backlight is last.
     darkest: Vec<f64>,
     brightest: Vec<f64>,
 }
@@ -59,7 +59,7 @@ pub(super) fn brightness(
     brighter: Option<SquaredError>,
 ) -> Option<Limit> {
     let relative = ((base.mse() - brighter?.mse()) / base.mse()).max(0.0);
-    // the gain falls off as the step grows, so a straight line bounds it
+    // the gain decreases with the step, so a straight line is an upper bound
     let extrapolated = without((relative * BRIGHTER_SHOWN / BRIGHTER).min(0.99)).max(0.0);
     let mut text = format!("{} are at their brightest. ", listed(&ends.brightest, input.display.layers.len()));
     text += &if relative > 0.0 {
@@ -70,7 +70,7 @@ pub(super) fn brightness(
             format::decibels_fine(extrapolated)
         )
     } else {
-        "A brighter state would not make these patterns better.".into()
+        "A brighter state would not improve this layer stack.".into()
     };
     let figures = json!({ "share_at_brightest": ends.brightest, "less_error_for_1_percent": relative });
     Some(Limit { name: "Brightness", decibels: Some(extrapolated), text, figures })
@@ -88,7 +88,7 @@ pub(super) fn contrast(ends: &Ends, tone: Tone, black: Option<f64>) -> Option<Li
     let darkest = ends.darkest.iter().sum::<f64>() / layers as f64;
     text += &match black {
         Some(gain) => format!(
-            "{} of all values are at their darkest, which is not black; with a perfect black these patterns would be {} dB better.",
+            "{} of all values are at their darkest, which is not black; with a perfect black this layer stack would be {} dB better.",
             format::percent(darkest),
             format::decibels_fine(gain)
         ),
@@ -109,12 +109,10 @@ pub(super) fn bits(input: &ReportInput, gain: Option<f64>) -> Limit {
         _ => format!("{USUAL_BITS} bits (the display does not say how many it has)"),
     };
     let text = if given && loss.abs() < 1e-9 {
-        format!(
-            "The patterns already hold nothing but the values of {which}; what that costs is part of the figures above."
-        )
+        format!("The masks already contain only the values of {which}; the figures above include that loss.")
     } else {
         format!(
-            "Rounded to {which} per channel, these patterns would be {} dB worse.",
+            "Rounded to {which} per channel, this layer stack would be {} dB worse.",
             format::decibels_fine(loss.max(0.0))
         )
     };
@@ -125,12 +123,12 @@ pub(super) fn bits(input: &ReportInput, gain: Option<f64>) -> Limit {
 pub(super) fn blur_and_crosstalk(gain: f64) -> Limit {
     let text = if gain >= 0.0 {
         format!(
-            "On layers without blur and crosstalk these patterns would be {} dB better.",
+            "On layers without blur and crosstalk this layer stack would be {} dB better.",
             format::decibels_fine(gain)
         )
     } else {
         format!(
-            "On layers without blur and crosstalk these patterns would be {} dB worse: they make up for this display's.",
+            "On layers without blur and crosstalk this layer stack would be {} dB worse: it compensates for this display's.",
             format::decibels_fine(-gain)
         )
     };

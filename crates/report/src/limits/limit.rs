@@ -2,20 +2,20 @@
 
 use serde_json::Value;
 
-/// One thing that keeps the result from being better.
+/// One effect that limits the result.
 #[derive(Clone, Debug)]
 pub(crate) struct Limit {
     /// "Depth".
     pub(crate) name: &'static str,
-    /// How much better psnr_view would be without it; `None` where one run cannot tell.
+    /// Gain of psnr_view without it, dB; `None` if one run cannot determine it.
     pub(crate) decibels: Option<f64>,
-    /// What was measured, in plain words.
+    /// The measurement as text.
     pub(crate) text: String,
     /// The numbers behind it.
     pub(crate) figures: Value,
 }
 
-/// dB that taking a share of the squared error away gives.
+/// Gain in dB when a fraction of the squared error is removed.
 pub(super) fn without(share: f64) -> f64 {
     -10.0 * (1.0 - share).log10()
 }

@@ -1,4 +1,4 @@
-//! What the solver was given: iterations, and unknowns against rays.
+//! Limits of the solution: iterations, and unknowns against rays.
 
 use serde_json::json;
 
@@ -6,7 +6,7 @@ use super::limit::Limit;
 use crate::measure::FieldScore;
 use crate::{Iteration, ReportInput, format};
 
-/// Gains below this cannot be seen, dB.
+/// Gains below this are invisible, dB.
 const NEGLIGIBLE_DB: f64 = 0.05;
 
 pub(super) fn iterations(history: &[Iteration]) -> Option<Limit> {
@@ -18,7 +18,7 @@ pub(super) fn iterations(history: &[Iteration]) -> Option<Limit> {
     }
     let text = if gain < NEGLIGIBLE_DB {
         format!(
-            "The second half of the {} iterations brought {} dB: more of them would change nothing that can be seen.",
+            "The second half of the {} iterations brought {} dB: more of them would make no visible difference.",
             last.iteration,
             format::decibels_fine(gain)
         )
@@ -50,9 +50,9 @@ pub(super) fn frames(input: &ReportInput, target: &FieldScore, still: Option<f64
         format::number_short(ratio)
     );
     text += if ratio < 1.0 {
-        "The patterns cannot show just any light field: more layers or frames would help, or views that resemble one another more."
+        "The layer stack cannot represent every light field: more layers or frames would help, or more similar views."
     } else {
-        "There are more unknowns than rays, so the patterns could fit nearly anything: figures above about 60 dB say nothing about a display."
+        "There are more unknowns than rays, so the layer stack could fit nearly any light field: figures above about 60 dB do not describe a display."
     };
     if let Some(still) = still.filter(|still| still.is_finite()) {
         text += &format!(

@@ -1,4 +1,4 @@
-//! Displays and patterns that differ from the given ones in one thing, and the error that they would have.
+//! Variants: displays and stacks that differ from the given ones in one property, and their errors.
 
 use std::borrow::Cow;
 
@@ -10,31 +10,32 @@ use rayon::prelude::*;
 use crate::measure::{counting, outstanding_views};
 use crate::{ReportError, ReportInput};
 
-/// A value so close to an end of its range, as a share of the range, is at it.
+/// Distance from an end of the range, as a fraction of the range, within which a value counts as at
+/// the end.
 pub(super) const AT_END: f32 = 1e-3;
-/// How much brighter the brightest state is made, to see what that is worth.
+/// Relative increase of the brightest state, to measure its gain.
 pub(super) const BRIGHTER: f64 = 0.01;
-/// Bits of a panel that does not say.
+/// Bits of a panel without a declared number.
 pub(super) const USUAL_BITS: u32 = 8;
 
-/// A display or patterns that differ in one thing.
+/// A variant of the display or the stack.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Variant {
-    /// As it is.
+    /// Unchanged.
     Given,
-    /// Values at the brightest state a little brighter.
+    /// Values at the brightest state are slightly brighter.
     Brighter,
-    /// Values at a darkest state that is not black made black.
+    /// Values at a darkest state above black become black.
     Black,
-    /// Values rounded to the panels' codes.
+    /// Values are rounded to the panels' codes.
     Quantized,
     /// Layers without blur and crosstalk.
     SharpAndPure,
-    /// The mean over frames in every frame.
+    /// The mean over frames replaces every frame.
     Still,
 }
 
-/// The variants that say something about this display, [`Variant::Given`] first.
+/// The variants that apply to this display, [`Variant::Given`] first.
 pub(super) fn variants(input: &ReportInput) -> Vec<Variant> {
     let layers = &input.display.layers;
     let mut variants = vec![Variant::Given, Variant::Quantized];
@@ -65,7 +66,8 @@ impl Variant {
             Self::Brighter => {
                 let factors = match display.formation {
                     Formation::Additive => 1.0,
-                    // so that a fully open display is brighter by BRIGHTER in all
+                    // split over layers, so that a fully open display is brighter by BRIGHTER in
+                    // total
                     _ => (stack.layers.len() + usize::from(stack.emission.is_some())) as f64,
                 };
                 let factor = (1.0 + BRIGHTER).powf(1.0 / factors) as f32;
@@ -113,12 +115,12 @@ impl Variant {
     }
 }
 
-/// Whether any layer says how many bits it has.
+/// Returns true if any layer declares its bits.
 pub(super) fn bits_are_given(display: &Display) -> bool {
     display.layers.iter().any(|layer| layer.bits.is_some())
 }
 
-/// What a layer's values are rounded to: its own codes, or usual ones where no layer says anything.
+/// Levels of a layer's values: its own codes, or 8 bits if no layer declares any.
 fn levels(display: &Display, layer: &Layer) -> Option<Vec<f32>> {
     if bits_are_given(display) {
         return layer.levels();
@@ -126,7 +128,7 @@ fn levels(display: &Display, layer: &Layer) -> Option<Vec<f32>> {
     Layer { bits: Some(USUAL_BITS), ..layer.clone() }.levels()
 }
 
-/// Patterns with every value changed; `change` is given the value, its range and the range's width.
+/// The stack with every value changed; `change` takes the value, its range and the range's width.
 fn changed(input: &ReportInput, change: impl Fn(f32, [f32; 2], f32) -> f32 + Sync) -> LayerStack {
     let mut stack = input.stack.clone();
     let ranges = input.display.layers.iter().map(Layer::range).chain(emission_range(input.display));
@@ -145,7 +147,8 @@ pub(super) fn emission_range(display: &Display) -> Option<[f32; 2]> {
     }
 }
 
-/// Error of a display over the central view and the corners, and how its light relates to the target's.
+/// Error of a variant over the central view and the corners, and the relation of its light to the
+/// target's.
 pub(super) fn simulated_error(
     input: &ReportInput,
     display: &Display,
@@ -176,11 +179,11 @@ pub(super) fn simulated_error(
     Ok((error, tone))
 }
 
-/// Sums for the straight line that best tells L from L̃/β.
+/// Sums of the linear regression of L on L̃/β.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tone {
     count: f64,
-    /// Of x = L̃/β and y = L: Σx, Σy, Σx², Σxy, Σy².
+    /// For x = L̃/β and y = L: Σx, Σy, Σx², Σxy, Σy².
     sums: [f64; 5],
 }
 
@@ -203,8 +206,8 @@ impl Tone {
         Self { count: self.count + other.count, sums }
     }
 
-    /// (offset, slope) of x = offset + slope·y: how a target value comes out on average; and the share of the squared error that the best straight
-    /// line y ≈ a + b·x would take away.
+    /// (offset, slope) of x = offset + slope·y, the mean tone curve; and the fraction of the
+    /// squared error that the best straight line y ≈ a + b·x would remove.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);
         let (var_x, var_y, cov) = (xx - x * x, yy - y * y, xy - x * y);

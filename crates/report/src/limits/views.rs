@@ -1,4 +1,5 @@
-//! Where in the views the error sits: beyond the layers in depth, at jumps of depth, in the outer views.
+//! Distribution of the error: content outside the layers' depths, depth discontinuities, outer
+//! views.
 
 use lumistack_core::Task;
 use lumistack_core::metrics::SquaredError;
@@ -11,10 +12,10 @@ use super::limit::Limit;
 use crate::measure::{FieldScore, counting, left_to_right, top_to_bottom};
 use crate::{ReportError, ReportInput, format};
 
-/// Views in which more than this share of the rays is near jumps of depth have not been matched well.
+/// Matching has failed if more than this fraction of the rays is near depth discontinuities.
 const BELIEVABLE_JUMPS: f64 = 0.6;
 
-/// Squared error of a class of pixels beside that of all.
+/// Squared error of a class of pixels, and of all pixels.
 #[derive(Clone, Copy, Debug, Default)]
 struct Part {
     all: SquaredError,
@@ -34,7 +35,7 @@ impl Part {
         if self.all.sum > 0.0 { self.inside.sum / self.all.sum } else { 0.0 }
     }
 
-    /// dB if the class had the mean error of the rest.
+    /// Gain in dB if the class had the mean error of the rest.
     fn gain(self) -> f64 {
         let rest = (self.all.sum - self.inside.sum) / (self.all.count - self.inside.count) as f64;
         if self.inside.count == 0 || self.all.sum == 0.0 {
@@ -45,7 +46,8 @@ impl Part {
     }
 }
 
-/// Error of content beyond the layers, and at jumps of depth, in the leftmost, middle and rightmost view of the middle row.
+/// Error of content outside the layers' depths, and at depth discontinuities, in the leftmost,
+/// central and rightmost view of the central row.
 pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>, ReportError> {
     let geometry = input.target.geometry();
     let (order, down) = (left_to_right(&geometry.grid), top_to_bottom(&geometry.grid));
@@ -54,6 +56,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         return Ok(Vec::new());
     }
     task.cancel.check()?;
+    // Measure the leftmost, central and rightmost view, each matched with a neighbour.
     let mut places = vec![(0, 1), (middle, if middle < last { middle + 1 } else { middle - 1 }), (last, last - 1)];
     places.dedup_by_key(|(place, _)| *place);
     let (low, high) = depth_range(input.display);
@@ -79,8 +82,9 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
             Some((place == middle, far, part(&|row, col| depths.is_edge(row, col))))
         })
         .collect();
+    // Sum the classes over views, and derive the gain if they had the rest's mean error.
     let jumps = found.iter().fold(Part::default(), |sum, (_, _, edges)| sum.merged(*edges));
-    // of noise, and of pictures without texture, matching makes jumps everywhere
+    // on noise and untextured pictures, matching finds discontinuities everywhere
     if found.is_empty() || jumps.share_of_rays() > BELIEVABLE_JUMPS {
         return Ok(Vec::new());
     }
@@ -121,7 +125,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
     Ok(vec![far, edges])
 }
 
-/// Distances between which the display has layers, the backlight's lenslets and z = 0 included.
+/// Range of the layers' depths, millimetres, the backlight's lenslets and z = 0 included.
 fn depth_range(display: &Display) -> (f64, f64) {
     let lenslets = match &display.backlight {
         Backlight::Lenslets(backlight) => Some(backlight.d_mm),

@@ -1,4 +1,4 @@
-//! Where a view stands among others, and what to call it.
+//! Positions of views among others, and their names.
 
 use lumistack_display::ViewGrid;
 
@@ -24,7 +24,8 @@ pub(crate) fn outstanding_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     distinct(places.map(|[y, x]| [down[y], across[x]]))
 }
 
-/// A central view and two opposite corners, to stand for a grid that is not the target's; the ends of one row or column of two.
+/// A central view and two opposite corners, as samples of a grid other than the target's; the ends
+/// of a single row or column.
 pub(super) fn sample_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let (down, across) = (top_to_bottom(grid), left_to_right(grid));
     if down.len() * across.len() == 2 {
@@ -44,7 +45,7 @@ fn distinct<const N: usize>(views: [[usize; 2]; N]) -> Vec<[usize; 2]> {
     list
 }
 
-/// Names a view by its place among the target views.
+/// Names a view by its position among the target views.
 pub(super) fn title(grid: &ViewGrid, target: &ViewGrid, view: [usize; 2]) -> String {
     if grid != target {
         return foreign_title([grid.slope_x[view[1]], grid.slope_y[view[0]]], target).into();
@@ -70,7 +71,7 @@ pub(super) fn title(grid: &ViewGrid, target: &ViewGrid, view: [usize; 2]) -> Str
     }
 }
 
-/// Names a view that is not on the target's grid.
+/// Names a view outside the target's grid.
 fn foreign_title(slope: [f64; 2], target: &ViewGrid) -> &'static str {
     /// Slopes closer than this are the same direction.
     const SAME: f64 = 1e-9;

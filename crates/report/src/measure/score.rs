@@ -8,12 +8,12 @@ use rayon::prelude::*;
 
 use crate::{ReportError, ReportInput, ZoneView};
 
-/// What is known about one view; only rays that count.
+/// Figures of one view, over rays that count.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ViewFigures {
     /// L̃/β against L, linear light.
     pub(crate) error: SquaredError,
-    /// Structural similarity of L̃/β and L as the eye sees them.
+    /// SSIM of L̃/β and L, sRGB-encoded.
     pub(crate) ssim: Mean,
     /// FLIP error of the same.
     pub(crate) flip: Mean,
@@ -32,7 +32,7 @@ pub(crate) struct FieldScore {
     brightness: f64,
 }
 
-/// What simulates views and compares them with their targets.
+/// Simulates views and compares them with their targets.
 pub(crate) struct Judge<'a> {
     pub(crate) input: &'a ReportInput<'a>,
     pub(crate) simulator: Simulator<'a>,
@@ -45,7 +45,7 @@ impl<'a> Judge<'a> {
         Self { input, simulator, flip: Flip::new(input.pixels_per_degree) }
     }
 
-    /// Simulates all views of a field, several at a time, and hands them to `each` in row order.
+    /// Simulates all views of a field in parallel, and passes them to `each` in row order.
     pub(crate) fn field(
         &self,
         field: &LightField,
@@ -76,7 +76,8 @@ impl<'a> Judge<'a> {
         Ok(FieldScore { geometry: geometry.clone(), views, brightness: self.input.stack.brightness })
     }
 
-    /// Figures of a direction of the zone. Its error is that of the score, which knows no noise of the references.
+    /// Figures of a direction of the zone. Its error is that of the zone score, which excludes
+    /// noise of the references.
     pub(crate) fn zone_view(&self, view: &ZoneView) -> ViewFigures {
         let figures = self.figures(self.input.target.geometry(), &view.target, &view.seen, &view.seen.valid);
         let count = 3 * view.score.pixels as u64;
@@ -103,7 +104,7 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Which rays of a view count: those that meet the display and have a weight.
+/// Rays of a view that count: those that hit the display and have a weight.
 pub(crate) fn counting(
     emitted: &EmittedView,
     geometry: &FieldGeometry,
@@ -114,7 +115,7 @@ pub(crate) fn counting(
     emitted.valid.iter().enumerate().map(|(i, valid)| *valid && weight(i) > 0.0).collect()
 }
 
-/// L̃/β; where rays do not count the target, so that they are no error and no edge.
+/// L̃/β; the target for rays that do not count, so that they add neither error nor edges.
 pub(super) fn seen(emitted: &EmittedView, target: &[f32], brightness: f64, counts: &[bool]) -> Vec<f32> {
     let scale = (1.0 / brightness) as f32;
     let pixels = emitted.radiance.data().chunks_exact(3).zip(target.chunks_exact(3)).zip(counts);
@@ -144,12 +145,12 @@ impl FieldScore {
         &self.views[view[0] * self.geometry.grid.views()[1] + view[1]]
     }
 
-    /// Share of a view's rays that count, 0..1.
+    /// Fraction of a view's rays that count, 0..1.
     pub(crate) fn counted_share(&self, view: [usize; 2]) -> f64 {
         self.view(view).error.count as f64 / (3 * self.geometry.rows * self.geometry.cols) as f64
     }
 
-    /// The view with the lowest PSNR, where PSNR tells views apart.
+    /// The view with the lowest PSNR; `None` if all PSNRs are equal.
     pub(crate) fn worst_view(&self) -> Option<[usize; 2]> {
         let figures = self.geometry.grid.iter().map(|view| (view, self.view(view).error.psnr()));
         figures.filter(|(_, psnr)| psnr.is_finite()).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(view, _)| view)

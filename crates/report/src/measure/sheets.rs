@@ -1,4 +1,4 @@
-//! All views in one picture, for looking around.
+//! All views in one picture, for the view explorer.
 
 use lumistack_display::{FieldGeometry, SeenView, ViewGrid};
 
@@ -6,7 +6,8 @@ use super::names::{left_to_right, top_to_bottom};
 use crate::picture::{self, Embedded, Encoding, Linear, Picture};
 use crate::{ReportError, ReportInput, format};
 
-/// All target views in one picture, topmost row and leftmost column first, and the same of the simulated ones.
+/// All target views in one picture, topmost row and leftmost column first; and the same for the
+/// simulated views.
 #[derive(Clone, Debug)]
 pub(crate) struct Sheets {
     pub(crate) target: Embedded,
@@ -17,12 +18,12 @@ pub(crate) struct Sheets {
     pub(crate) up: Vec<String>,
 }
 
-/// Pixels of one sheet of all views.
+/// Pixel budget of one sheet.
 const SHEET_BUDGET: usize = 2_800_000;
-/// Largest width of a view in it, about what the page shows.
+/// Largest width of a view on a sheet, about the width on the page.
 const VIEW_COLS: usize = 640;
 
-/// The sheets while they are filled.
+/// The sheets under construction.
 pub(super) struct SheetPair {
     factor: usize,
     down: Vec<usize>,

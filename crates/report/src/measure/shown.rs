@@ -1,4 +1,4 @@
-//! Views that the page shows: target, simulated, difference and FLIP error.
+//! Views on the page: target, simulated, difference and FLIP error.
 
 use lumistack_core::metrics::Flip;
 use lumistack_display::{EmittedView, FieldGeometry, Weights};
@@ -15,13 +15,13 @@ pub(crate) struct Comparison {
     pub(crate) title: String,
     /// "seen from −8.0° across, +8.0° up".
     pub(crate) direction: String,
-    /// Absent where no target exists.
+    /// Absent without a target.
     pub(crate) figures: Option<ViewFigures>,
     pub(crate) counted_share: f64,
     pub(crate) target: Option<Embedded>,
     pub(crate) simulated: Embedded,
     pub(crate) difference: Option<Embedded>,
-    /// Of the difference.
+    /// Factor of the difference picture.
     pub(crate) amplification: u32,
     /// FLIP error.
     pub(crate) flip: Option<Embedded>,
@@ -31,7 +31,7 @@ pub(crate) struct Comparison {
 pub(super) struct Shown {
     pub(super) title: String,
     pub(super) direction: String,
-    /// Absent where no target exists.
+    /// Absent without a target.
     pub(super) figures: Option<ViewFigures>,
     pub(super) counted_share: f64,
     pub(super) target: Option<Linear>,
@@ -39,7 +39,7 @@ pub(super) struct Shown {
     pub(super) simulated: Linear,
     /// See [`picture::signed_error`].
     pub(super) errors: Option<Vec<Option<f32>>>,
-    /// FLIP error of every pixel; `None` where the ray does not count.
+    /// FLIP error of every pixel; `None` for rays that do not count.
     flip: Option<Vec<Option<f32>>>,
 }
 
@@ -75,7 +75,7 @@ impl Shown {
     pub(super) fn of_zone(input: &ReportInput, view: &ZoneView, figures: &ViewFigures) -> Self {
         let geometry = input.target.geometry().with_grid(view.direction.clone());
         let shown = Self::new(input, &geometry, &view.target, &Weights::Uniform, [0, 0], figures, view.seen.clone());
-        // the rim of the zone lies beyond the outermost views
+        // the zone's border lies outside the outermost views, so the title is general
         Self { title: "Seen picture".into(), ..shown }
     }
 

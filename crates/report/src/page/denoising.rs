@@ -1,4 +1,4 @@
-//! What the denoiser did: its bias per view, and a picture of what it took away.
+//! The denoiser's effect: bias per view, and a picture of the difference.
 
 use maud::{Markup, html};
 
@@ -6,7 +6,7 @@ use super::{figure, legend};
 use crate::picture::{DIVERGING, Encoding, Linear, amplification, difference, shrink_factor, signed_error};
 use crate::{ReportError, ReportInput, format};
 
-/// Pixels of the three pictures together.
+/// Pixel budget of the three pictures.
 const BUDGET: usize = 1_500_000;
 
 pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {

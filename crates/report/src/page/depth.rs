@@ -1,4 +1,4 @@
-//! What the scene's depth asks of the display.
+//! The scene's depth in relation to the display.
 
 use maud::{Markup, PreEscaped, html};
 
@@ -23,11 +23,11 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                     @match &of_field {
                         Some([low, high]) => {
                             "The display can show the finest detail of its pixels from " (low) " to " (high) " mm (towards the viewer is positive). "
-                            strong { (format::percent(budget.inside)) } " of what all views see lies there, " (format::percent(budget.inside_middle)) " of what the middle view sees. "
+                            strong { (format::percent(budget.inside)) } " of the hits in all views lie there, " (format::percent(budget.inside_middle)) " of those in the central view. "
                         }
                         None => "The display shows the finest detail of the light field's pixels at no depth. ",
                     }
-                    "Half of what is seen lies between " (p25) " and " (p75) " mm, 96 % between " (p2) " and " (p98) " mm."
+                    "Half of the hits lie between " (p25) " and " (p75) " mm, 96 % between " (p2) " and " (p98) " mm."
                 }
                 p {
                     "From one view to the next it moves by " (median) " pixels (median), " (most) " (98 %), at most " (largest) ". "

@@ -10,16 +10,20 @@ use crate::measure::{FieldScore, Measured, ViewFigures, left_to_right, top_to_bo
 use crate::picture::{SEQUENTIAL, map_colour};
 use crate::{Found, ReportError, ReportInput, Solution, Stage, format, plot};
 
-/// The strip under the title.
+/// The bar of key figures under the title.
 pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     let geometry = input.target.geometry();
-    // those that were solved for, of which some are shown
+    // the views of the solution, a subset of which is shown
     let [view_cols, view_rows] = input.display.views();
     let pixels = format!("across × up, {} × {} pixels each", geometry.cols, geometry.rows);
     let db = |value: f64| format!("{} dB", format::decibels(value));
     let (zone, worst) = zone_figures(input);
     let mut figures = vec![
-        ("PSNR over the zone", zone, "psnr_zone: what eyes see all over the zone, at no view in particular"),
+        (
+            "PSNR over the zone",
+            zone,
+            "psnr_zone: pixel-averaged views over the whole zone, independent of the target views",
+        ),
         ("Worst tenth of the zone", worst, "the same of the directions that look worst"),
         ("PSNR at the solver's views", db(measured.target.psnr_view()), "psnr_view: a diagnostic of the solver"),
     ];
@@ -56,15 +60,15 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     }
 }
 
-/// The headline and the worst tenth.
+/// The main figure and the worst tenth.
 fn zone_figures(input: &ReportInput) -> (String, String) {
     let db = |value: Option<f64>| value.map_or("not known".into(), |value| format!("{} dB", format::decibels(value)));
     (db(input.zone.and_then(|zone| zone.score.psnr())), db(input.zone.and_then(|zone| zone.score.worst_tenth())))
 }
 
-/// How right the display is all over its zone: a plan of the directions that were looked at.
+/// Quality over the zone: a map of the measured directions.
 pub(super) fn zone(input: &ReportInput) -> Markup {
-    /// Side of the plan, in its own units.
+    /// Side of the map, in its own units.
     const SIDE: f64 = 400.0;
     const DOT: f64 = 19.0;
     let Some(zone) = input.zone else {
@@ -72,7 +76,7 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
             section id="zone" {
                 h2 { "All over the zone" }
                 p class="quiet" {
-                    "Not known: this light field was given and the solver saw all of its views, so nothing tells what lies between them. The figures below are those of these views. "
+                    "Unknown: the solver used all views of the given light field, so there are no references between them. The figures below are those of these views. "
                     "Of a light field with more views than the display needs, fewer may be kept (" code { "--views" } "): the zone is then judged by those that are left out."
                 }
             }
@@ -123,9 +127,9 @@ struct Heat {
     overall: fn(&FieldScore) -> f64,
     text: fn(f64) -> String,
     unit: &'static str,
-    /// A narrower range would paint differences that nobody can see.
+    /// Smallest range of the colours; a smaller one would exaggerate invisible differences.
     narrowest: f64,
-    /// The range of views without a figure.
+    /// The range for views without a figure.
     fallback: (f64, f64),
     larger_is_better: bool,
 }
@@ -145,7 +149,7 @@ const HEATS: [Heat; 3] = [
     },
     Heat {
         heading: "SSIM per view",
-        explanation: "Structural similarity (Wang et al. 2004) of what is seen, sRGB-encoded: 1 where all structure is kept.",
+        explanation: "Structural similarity (Wang et al. 2004) of the views, sRGB-encoded: 1 where all structure is kept.",
         value: |view| view.ssim.value(),
         overall: |score| score.mean(|view| view.ssim),
         text: format::similarity,
@@ -167,7 +171,7 @@ const HEATS: [Heat; 3] = [
     },
 ];
 
-/// PSNR, SSIM and FLIP per view, laid out like the views; other views beside them on the same scale.
+/// PSNR, SSIM and FLIP per view, in the views' layout; other views beside them on the same scale.
 pub(super) fn quality(input: &ReportInput, measured: &Measured) -> Markup {
     html! {
         section id="quality" {
@@ -245,13 +249,13 @@ impl Heat {
     }
 }
 
-/// What limits the result, and how bright it is.
+/// Limits of the result, and its brightness.
 pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
     html! {
         section id="limits" {
             h2 { "What limits the result" }
             p {
-                "Measured on these patterns, without solving again: each line says how much better the PSNR would be without one effect, everything else as it is, the largest first. Effects overlap, so the "
+                "Measured on this layer stack, without solving again. Each line has the gain of the PSNR without one effect, all else unchanged, the largest first. Effects overlap, so the "
                 "figures do not add up. The central view and the corners stand for all."
             }
             ol class="limits" {
@@ -279,7 +283,7 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
         section id="convergence" {
             h2 { "Convergence" }
             @match input.convergence.last() {
-                None => p class="quiet" { "The solver left no history: the patterns came from elsewhere or from an earlier run." },
+                None => p class="quiet" { "No history of the solver: the layer stack came from another source or an earlier run." },
                 Some(last) => p {
                     "After " (format::counted(last.iteration as usize, "iteration")) " and " (format::duration(last.seconds)) ": " (format::decibels(last.psnr_view)) " dB. "
                     "A curve that still climbs at its right end asks for more iterations; a flat one has met the limit of its layers, frames and brightness."
@@ -293,7 +297,7 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
     })
 }
 
-/// How the solver came to the patterns, in a sentence or two.
+/// Summary of the solution, in one or two sentences.
 fn solved_by(solution: &Solution) -> String {
     let begun = match solution.coarse_levels {
         0 => String::new(),

@@ -30,7 +30,7 @@ pub(crate) fn render(input: &GraphInput) -> Result<String, ReportError> {
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// Central views: as it should be, and as every display shows it.
+/// Central views: the target, and every display's.
 fn pictures(input: &GraphInput) -> Result<Markup, ReportError> {
     let mut shown = Vec::new();
     for node in input.nodes {
@@ -40,7 +40,7 @@ fn pictures(input: &GraphInput) -> Result<Markup, ReportError> {
     Ok(html! {
         section id="views" class="headline" {
             h2 { "Central view" }
-            p { "What the displays should show, and what each shows (divided by its β, clamped to 0..1 and sRGB-encoded)." }
+            p { "The target, and each display's view (divided by its β, clamped to 0..1 and sRGB-encoded)." }
             div class="times" style=(format!("--across:{}", shown.len() + 1)) {
                 div class="group" {
                     (picture(&wanted, "target"))
@@ -73,7 +73,7 @@ fn table(nodes: &[GraphNode]) -> Markup {
     html! {
         section id="nodes" {
             h2 { "Every display" }
-            p { "psnr_zone is what eyes see all over the zone. psnr_view compares what an adapted viewer sees, L̃/β, with the light field; psnr_raw the emitted light L̃ with βL." }
+            p { "psnr_zone covers pixel-averaged views over the whole zone. psnr_view compares the view of an adapted viewer, L̃/β, with the light field; psnr_raw compares the emitted light L̃ with βL." }
             div class="scroll" {
                 table class="layers" {
                     thead { tr { @for name in names { th scope="col" { (name) } } } }

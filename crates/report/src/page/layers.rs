@@ -1,4 +1,4 @@
-//! The patterns, in the order in which light passes them: large, close up, and every frame.
+//! The masks, in the order in which light passes the layers: large, close up, and every frame.
 
 use lumistack_display::{Backlight, Display, Formation};
 use maud::{Markup, html};
@@ -23,7 +23,7 @@ pub(super) fn patterns(input: &ReportInput, patterns: &Patterns) -> Markup {
                 @if frames > 1 {
                     " The standard deviation over frames is shown × " (CHANGE) ": black is the same in every frame, white changes between the ends of the range."
                 }
-                @if patterns.large_shrunk > 1 { " Large pictures are at 1/" (patterns.large_shrunk) " size, averaged over areas; the exact patterns are in the run's files." }
+                @if patterns.large_shrunk > 1 { " Large pictures are at 1/" (patterns.large_shrunk) " size, averaged over areas; the exact masks are in the run's files." }
             }
             @if let (Some(emission), Backlight::Lenslets(backlight)) = (&patterns.emission, &display.backlight) {
                 @let [bins_x, bins_y] = backlight.views;
@@ -49,7 +49,7 @@ pub(super) fn patterns(input: &ReportInput, patterns: &Patterns) -> Markup {
             }
             @if frames > 1 {
                 h3 { "All frames" }
-                @if patterns.shrunk > 1 { p { "Shown at 1/" (patterns.shrunk) " size, averaged over areas, which blurs what the close-ups show." } }
+                @if patterns.shrunk > 1 { p { "Shown at 1/" (patterns.shrunk) " size, averaged over areas, which blurs details of the close-ups." } }
                 (flipper(display, patterns))
                 @if let Some(emission) = &patterns.emission { (contact_sheet(&emission.panel, "backlight")) }
                 @for (n, sheet) in patterns.layers.iter().enumerate() { (contact_sheet(sheet, &name(n, display))) }
@@ -59,7 +59,7 @@ pub(super) fn patterns(input: &ReportInput, patterns: &Patterns) -> Markup {
     }
 }
 
-/// How values become grey.
+/// Describes the mapping from values to grey.
 fn scale(display: &Display) -> &'static str {
     match display.formation {
         Formation::Attenuating => {
@@ -72,20 +72,20 @@ fn scale(display: &Display) -> &'static str {
     }
 }
 
-/// What a reader should find in patterns of such a display (section 3.4 of the paper).
+/// Typical features of masks of such a display (section 3.4 of the paper).
 fn expectation(display: &Display, frames: usize) -> &'static str {
     match (&display.backlight, display.layers.len(), frames) {
         (Backlight::Lenslets(_), _, _) => {
-            "The layer should hold what looks the same from everywhere, with flowing slit-like patterns around what does not; the backlight should hold mostly what changes with the view, such as things far in front of or behind the display."
+            "The layer should contain content that is equal in all views, with flowing slit-like patterns around the rest. The backlight should contain mostly content that changes with the view, such as objects far in front of or behind the display."
         }
         (Backlight::Uniform, 1, _) => {
             "One layer with a uniform backlight shows the same picture to every eye: expect the mean of all views."
         }
         (Backlight::Uniform, _, 1) => {
-            "Things near a layer should appear mostly on it. Without further frames a single set of patterns must serve all views, which shows as blurred copies of things that are far from the display."
+            "Objects near a layer should appear mostly on it. With one frame a single set of masks serves all views, so objects far from the display appear as blurred copies."
         }
         (Backlight::Uniform, _, _) => {
-            "Things near a layer should appear mostly on it, under fine patterns that change from frame to frame and act like barriers fitted to the content. The mean over frames shows what a layer holds; single frames show how the light is steered."
+            "Objects near a layer should appear mostly on it, under fine patterns that change from frame to frame and act as content-adaptive barriers. The mean over frames shows a layer's content; single frames show the directions of light."
         }
     }
 }
@@ -99,7 +99,8 @@ fn name(n: usize, display: &Display) -> String {
     }
 }
 
-/// All layers of one frame side by side, with a slider. Its pictures are those of the sheets below; the script swaps them.
+/// All layers of one frame side by side, with a slider. Its pictures are those of the sheets below;
+/// the script swaps them.
 fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     let backlight = patterns.emission.iter().map(|emission| ("backlight".to_string(), &emission.panel.frames));
     let layers = patterns.layers.iter().enumerate().map(|(n, sheet)| (name(n, display), &sheet.frames));
@@ -119,7 +120,7 @@ fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     }
 }
 
-/// What a layer holds, and where it changes.
+/// A layer's mean, and its change over frames.
 fn large(sheet: &Sheet, name: &str) -> Markup {
     html! {
         div class="large group" {
@@ -134,7 +135,7 @@ fn large(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// The same small part of every frame, pixel by pixel.
+/// The same small part of every frame, unscaled.
 fn close_up(sheet: &Sheet, name: &str) -> Markup {
     let Some(closeup) = &sheet.closeup else { return html! {} };
     let Window { row, col, rows, cols } = closeup.window;
@@ -145,7 +146,7 @@ fn close_up(sheet: &Sheet, name: &str) -> Markup {
         p class="note" {
             "Close-up, pixel by pixel: columns " (col) " to " (col + cols - 1) ", rows " (row) " to " (row + rows - 1)
             @if closeup.mean.is_some() { ", where the frames differ most finely" }
-            ". The green channel alone, since every channel has patterns of its own. "
+            ". The green channel alone, since each channel has its own masks. "
             @if stretched { "Contrast stretched: " (low) " is black, " (high) " white." } @else { "Contrast as it is." }
         }
         div class="contact group" style=(format!("--across:{}", if count <= 8 { count.clamp(3, 4) } else { 5 })) {
@@ -166,7 +167,7 @@ fn contact_sheet(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// Columns on a wide page: at most eight, rows equally long.
+/// Number of columns on a wide page: at most eight, with rows of equal length.
 fn across(count: usize) -> String {
     format!("--across:{}", count.div_ceil(count.div_ceil(8)).max(3))
 }
@@ -180,7 +181,7 @@ fn central_bin(emission: &Emission) -> Markup {
     let [row, col] = emission.bin;
     html! {
         @if !emission.central_bin.is_empty() {
-            p { "The same, only what goes straight ahead (direction row " (row) ", column " (col) " counted from 0): one pixel per lenslet." }
+            p { "The same for light straight ahead only (direction row " (row) ", column " (col) " counted from 0): one pixel per lenslet." }
             div class="contact group" style=(across(emission.central_bin.len())) {
                 @for (m, embedded) in emission.central_bin.iter().enumerate() { (numbered(embedded, "backlight, straight ahead", m)) }
             }

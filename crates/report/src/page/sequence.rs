@@ -6,7 +6,7 @@ use super::{document, picture, settings};
 use crate::sequence::{SequenceFigures, SequenceInput, SequenceReport, SequenceSeries, SequenceTime};
 use crate::{ReportError, format, plot};
 
-/// Most times whose pictures are shown.
+/// Largest number of time steps with pictures.
 const PICTURES: usize = 24;
 
 pub(crate) fn render(input: &SequenceInput, report: &SequenceReport) -> Result<String, ReportError> {
@@ -29,7 +29,7 @@ pub(crate) fn render(input: &SequenceInput, report: &SequenceReport) -> Result<S
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// What one display shows over time.
+/// One display over time.
 fn section(series: &SequenceSeries<'_>) -> Result<Markup, ReportError> {
     let name = |name: &str| series.id.map_or(name.to_owned(), |id| format!("{name}-{id}"));
     Ok(html! {
@@ -49,7 +49,7 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
         (
             "Times",
             input.times.len().to_string(),
-            "each starts from the patterns of the one before, unless everything changes",
+            "each starts from the previous time step's stack, unless everything changes",
         ),
         ("PSNR of the views", db(Some(report.psnr_view)), "psnr_view of all times together"),
         ("PSNR of raw light", db(Some(report.psnr_raw)), "psnr_raw: emitted light, L̃ against βL"),
@@ -69,9 +69,9 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
     }
 }
 
-/// Central views, above as they should be, below as they are shown.
+/// Central views: the target above, the display below.
 fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
-    // evenly spread, first and last among them
+    // evenly spaced, with the first and the last
     let count = times.len().min(PICTURES);
     let chosen = (0..count).map(|i| &times[i * (times.len() - 1) / (count - 1).max(1)]);
     let mut cells = Vec::new();
@@ -82,7 +82,7 @@ fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
         section id=(id) class="headline" {
             h2 { "Central view over time" }
             p {
-                "Above what the display should show, below what it shows (divided by β, clamped to 0..1 and sRGB-encoded)."
+                "Above the target, below the display (divided by β, clamped to 0..1 and sRGB-encoded)."
                 @if times.len() > count { " " (count) " of " (times.len()) " times, evenly spread." }
                 " Click a picture and hold an arrow key to play them."
             }
@@ -111,7 +111,7 @@ fn plots(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
             p {
                 "Left, how close every time comes to its target. The first time starts from nothing; where the curve falls after it, more iterations at the later times help."
                 @if flicker.is_some() {
-                    " Then flicker, which is what changes and should not: the rms over all rays and channels of how much the error L̃/β − L differs from the time before, in dB below full "
+                    " Then flicker, the unwanted change: the rms over all rays and channels of the change of the error L̃/β − L since the previous time step, in dB below full "
                     "brightness, so that higher is steadier. An error that stands still has none; errors that are new at every time give 3 dB less than the PSNR."
                 }
                 @if still.is_some() && !same {
@@ -146,7 +146,7 @@ fn table(times: &[SequenceTime], id: &str) -> Markup {
         section id=(id) {
             h2 { "Every time" }
             p {
-                "A \"warm\" start takes the patterns of the time before. Where a fresh start comes nearer to the target within an iteration, as after a cut, the time starts fresh. "
+                "A \"warm\" start uses the previous time step's stack. If a fresh start is nearer to the target within an iteration, as after a cut, it is used instead. "
                 "\"start, dB\" is the PSNR before the first iteration."
             }
             details open[times.len() <= 60] {

@@ -10,10 +10,10 @@ use serde_json::Value;
 
 use crate::{ReportInput, format};
 
-/// Lists longer than this start folded.
+/// Longer lists start collapsed.
 const FOLD: usize = 60;
 
-/// Warnings, above the pictures because they may explain them.
+/// Warnings, above the pictures, since they may explain them.
 pub(super) fn warnings(warnings: &[Warning]) -> Markup {
     html! {
         @if !warnings.is_empty() {

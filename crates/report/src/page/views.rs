@@ -1,4 +1,4 @@
-//! Target, simulated and difference views, and where an eye sees the difference.
+//! Target, simulated and difference views, and FLIP maps.
 
 use maud::{Markup, html};
 
@@ -29,7 +29,7 @@ pub(super) fn headline(measured: &Measured) -> Markup {
     }
 }
 
-/// Two pictures that follow the pointer.
+/// Two pictures whose view follows the pointer.
 pub(super) fn look_around(measured: &Measured) -> Markup {
     let sheets = &measured.sheets;
     let (rows, cols) = (sheets.up.len(), sheets.across.len());
@@ -128,7 +128,7 @@ fn facts(view: &Comparison) -> String {
     facts
 }
 
-/// Target, simulated, difference and FLIP error, as far as there is a target.
+/// Target, simulated, difference and FLIP error; only the simulated view without a target.
 fn pictures(view: &Comparison) -> Markup {
     let amplification = view.amplification;
     let name = |what: &str| format!("{what}: {}, {}", view.title, view.direction);

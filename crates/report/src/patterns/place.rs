@@ -1,8 +1,9 @@
-//! Where the patterns change finely from frame to frame: the place worth a close look.
+//! Selects the position of the close-up: the finest changes of the masks between frames.
 //!
-//! Energy of a mask pixel: squared differences to its right and lower neighbours of what each frame adds to the mean over frames (of a
-//! single frame: of the frame), summed over frames and channels. The place is the point of z = 0 around which the layers' close-ups together hold
-//! most of it, each layer's share of its own total counted alike.
+//! The energy of a mask pixel is based on each frame's deviation from the mean over frames (for a
+//! single frame: on the frame). It is the sum over frames and channels of squared differences to
+//! the right and lower neighbour. The selected point of z = 0 maximizes the energy within the
+//! layers' close-ups, where each layer counts by its fraction of its own total.
 
 use lumistack_core::Tensor;
 use lumistack_display::{Display, Layer};
@@ -19,14 +20,14 @@ pub(crate) struct Window {
     pub(crate) cols: usize,
 }
 
-/// Sums of a quantity over the rectangles of a picture that begin at its corner.
+/// Summed-area table.
 struct Totals {
     rows: usize,
     cols: usize,
     sums: Vec<f64>,
 }
 
-/// The windows around one place on all layers; `None` where no layer is larger than a close-up.
+/// The windows around one point on all layers; `None` if no layer is larger than a close-up.
 pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<Window>> {
     let larger = |layer: &Layer| layer.resolution[0] > CLOSEUP[0] || layer.resolution[1] > CLOSEUP[1];
     if !display.layers.iter().any(larger) {
@@ -44,14 +45,15 @@ pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<W
         let shares = energies.iter().zip(windows).map(|(energy, window)| energy.share(*window));
         shares.sum::<f64>()
     };
-    // of equals the first, so that the place does not depend on anything else
+    // ties are resolved to the first, so that the position is deterministic
     found
         .map(|windows| (gain(&windows), windows))
         .reduce(|best, next| if next.0 > best.0 { next } else { best })
         .map(|(_, windows)| windows)
 }
 
-/// The window of a backlight's panel, which is no layer; `None` where the panel is no larger than a close-up.
+/// The window of a backlight's panel, which is no layer; `None` if the panel is no larger than a
+/// close-up.
 pub(super) fn on_panel(panel: &Tensor<4>) -> Option<Window> {
     let [_, rows, cols, _] = panel.shape();
     if cols <= CLOSEUP[0] && rows <= CLOSEUP[1] {
@@ -66,7 +68,7 @@ pub(super) fn on_panel(panel: &Tensor<4>) -> Option<Window> {
 }
 
 impl Window {
-    /// A close-up of a layer around a point of z = 0, as far as the layer reaches.
+    /// A close-up of a layer around a point of z = 0, moved to lie within the layer.
     fn around(layer: &Layer, x_mm: f64, y_mm: f64) -> Self {
         let [cols, rows] = layer.resolution;
         let start = |position_mm: f64, count: usize, size: usize| {
@@ -118,7 +120,7 @@ impl Totals {
         Self { rows, cols, sums }
     }
 
-    /// Share of the whole energy that lies in a window; 0 where there is none.
+    /// Fraction of the total energy in a window; 0 if the total is 0.
     fn share(&self, window: Window) -> f64 {
         let width = self.cols + 1;
         let sum = |row: usize, col: usize| self.sums[row * width + col];
@@ -142,7 +144,7 @@ mod tests {
                     [[layers]]\nd_mm = 0.0\nresolution = [200, 120]\npitch_mm = 1.0\n[[layers]]\nd_mm = 5.0\nresolution = [100, 60]\npitch_mm = 2.0\noffset_mm = [10.0, 0.0]\n";
         let display = Display::from_toml(text).unwrap();
         let mut stack = LayerStack::filled(&display, 0.5);
-        // a static texture must not attract; checks that change between frames must
+        // static texture must be ignored; patterns that change between frames must be found
         for row in 0..40 {
             for col in 0..40 {
                 for frame in 0..2 {
@@ -156,7 +158,8 @@ mod tests {
         let [first, second] = [windows[0], windows[1]];
         assert!(first.row <= 60 && first.row + first.rows >= 100, "{first:?}");
         assert!(first.col <= 140 && first.col + first.cols >= 180, "{first:?}");
-        // the same place on the coarser layer, which stands 10 mm further right, as far as it reaches
+        // the same position on the coarser layer, which is 10 mm further right, clamped to the
+        // layer
         let centre_mm = first.col as f64 + 36.0 - 100.0;
         let expected = ((centre_mm - 10.0) / 2.0 + 50.0 - 36.0).round().clamp(0.0, 28.0) as usize;
         assert!(second.col.abs_diff(expected) <= 1 && second.rows == 45, "{second:?}");

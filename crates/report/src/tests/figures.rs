@@ -1,6 +1,7 @@
-//! The figures of report.json beside PSNR, against what the display crate or a line of arithmetic says.
+//! Figures of report.json other than PSNR, against the display crate or closed forms.
 //!
-//! Limits are simulated for the central view and the corners, so their tests have two by two views: all of them.
+//! Limits are simulated for the central view and the corners, so their tests have two by two views:
+//! all of them.
 
 use lumistack_core::metrics::{Flip, ssim};
 use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator, ViewGrid, Weights, quantize, score};
@@ -9,7 +10,7 @@ use serde_json::{Value, json};
 use super::{SAME_DB, built, display, json_psnr, noisy_field, noisy_stack, plain};
 use crate::{Iteration, ReportInput};
 
-/// Figures that are f32 pictures' means.
+/// Tolerance of means over f32 pictures.
 const SAME: f64 = 1e-6;
 
 /// The text of a display's two layers, `extra` in each.
@@ -93,7 +94,7 @@ fn outside_views_are_scored_or_shown() {
 
 #[test]
 fn brightness_is_relative_to_the_backlight() {
-    // two layers of 0.5 at most, each at 0.4, over a target of ½: L̃ = 0.16, open 0.25
+    // two layers with a peak of 0.5, each at 0.4, and a target of ½: L̃ = 0.16, open 0.25
     let display = two_layers([1, 1], [12, 8], "peak = 0.5");
     let mut target = LightField::black(display.geometry().unwrap()).unwrap();
     target.radiance_mut().data_mut().fill(0.5);
@@ -105,11 +106,11 @@ fn brightness_is_relative_to_the_backlight() {
     }
     let text = light["text"].as_str().unwrap();
     assert!(
-        text.contains("16.0 % of its backlight") && text.contains("let 25.0 % through") && text.contains("0.5 · 0.5"),
+        text.contains("16.0 % of its backlight") && text.contains("transmit 25.0 %") && text.contains("0.5 · 0.5"),
         "{text}"
     );
-    assert!(report.html.contains("let 25.0 % through"));
-    // layers that emit add up; rotations of 0.5 each make 90° together and let all through
+    assert!(report.html.contains("transmit 25.0 %"));
+    // emissive layers add up; two rotations of 0.5 make 90° and transmit all light
     for (formation, open) in [("additive", 1.0), ("polarization", 1.0)] {
         let text = display.to_toml().replacen("\"attenuating\"", &format!("\"{formation}\""), 1);
         let display = Display::from_toml(&text).unwrap();
@@ -147,9 +148,9 @@ fn rounding_to_codes_costs_what_the_score_says() {
         limit(&report, "Bits")["text"]
             .as_str()
             .unwrap()
-            .contains("already hold nothing but the values of the layers' 3 bits")
+            .contains("already contain only the values of the layers' 3 bits")
     );
-    // a display that says nothing is assumed to have 8 bits
+    // a display without declared bits is assumed to have 8
     let plain_display = two_layers([2, 2], [24, 20], "");
     let levels: Vec<f32> = (0..256).map(|code| lumistack_core::colour::srgb_decode(code as f32 / 255.0)).collect();
     let mut rounded = stack.clone();
@@ -200,7 +201,7 @@ fn ends_of_the_range_are_counted_and_black_is_worth_what_the_score_says() {
 
 #[test]
 fn a_flattened_tone_curve_is_measured() {
-    // every ray comes out as 0.1 + 0.7·L
+    // every ray is shown as 0.1 + 0.7·L
     let display = display(1, 1, [3, 3], [16, 12], "");
     let mut target = noisy_field(&display, None);
     let mut stack = LayerStack::filled(&display, 0.0);
@@ -219,7 +220,7 @@ fn a_flattened_tone_curve_is_measured() {
         "{figures}"
     );
     assert!(number(&figures["share_of_error"]) > 0.999_99);
-    // a single frame at one layer: as many unknowns as rays of one view
+    // a single frame on one layer: as many unknowns as rays of one view
     let ratio = number(&limit(&report, "Frames")["figures"]["ratio"]);
     assert!((ratio - 1.0 / 9.0).abs() < 1e-9, "{ratio}");
 }
@@ -256,7 +257,7 @@ fn blur_and_crosstalk_are_compared_with_a_display_without() {
     assert!(report["limits"].as_array().unwrap().iter().all(|limit| limit["name"] != "Blur and crosstalk"));
 }
 
-/// A wall of fine texture at `z_mm` behind the left half, the same on the display in the right half.
+/// A plane of fine texture at `z_mm` in the left half, and on z = 0 in the right half.
 fn stepped_field(display: &Display, z_mm: f64) -> LightField {
     let mut field = LightField::black(display.geometry().unwrap()).unwrap();
     let geometry = field.geometry().clone();
@@ -277,7 +278,8 @@ fn stepped_field(display: &Display, z_mm: f64) -> LightField {
 
 #[test]
 fn error_behind_the_layers_is_found_there() {
-    // one layer on z = 0 that holds the picture of the middle view: right where content lies on the display, wrong behind it
+    // one layer on z = 0 that contains the central view: exact for content on the display, wrong
+    // behind it
     let text = "name = \"one\"\nframes = 1\nbrightness = 1.0\n[field]\nresolution = [160, 40]\npitch_mm = 1.0\nviews = [3, 1]\nfov_deg = [20.0, 20.0]\n[[layers]]\nd_mm = 0.0\nresolution = [160, 40]\npitch_mm = 1.0\n";
     let display = Display::from_toml(text).unwrap();
     let target = stepped_field(&display, -40.0);

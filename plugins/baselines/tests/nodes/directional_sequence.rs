@@ -1,11 +1,11 @@
-//! What the frames show together against what they should, ray by ray.
+//! The sum over frames against the target, ray by ray.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};
 use lumistack_plugin_baselines::directional_sequence::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by, random_field};
 
-/// Rounding of f32 values.
+/// Tolerance of f32 rounding.
 const ROUNDING: f32 = 1e-5;
 
 fn display(frames: usize) -> Display {
@@ -20,7 +20,7 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// The mean of the target over the views that share a frame, which with a frame for each is the view itself.
+/// Views that share a frame show their mean; with one frame per view, the view itself.
 #[test]
 fn views_that_share_a_frame_share_its_picture() {
     for frames in [6, 3, 1] {

@@ -1,14 +1,14 @@
-//! What the lens array shows against what it should, ray by ray.
+//! The lens array's light field against the target, ray by ray.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};
 use lumistack_plugin_baselines::integral_imaging::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by, random_field};
 
-/// Rounding of f32 values.
+/// Tolerance of f32 rounding.
 const ROUNDING: f32 = 1e-6;
 
-/// A layer in the plane of `lenslets` per axis over 12 × 12 pixels.
+/// A layer in the plane of the lenslets, 12 × 12 pixels, with `lenslets` per axis.
 fn display(lenslets: usize) -> Display {
     let mut display = Display::uniform([12, 12], 1.0, [3, 3], [20.0, 20.0], &[0.0], 2);
     let pitch = 12.0 / lenslets as f64;
@@ -37,7 +37,7 @@ fn with_a_lenslet_per_pixel_all_rays_are_right() {
     }
 }
 
-/// Every lenslet is a pixel: it shows the mean of what lies over it.
+/// Each lenslet is one pixel and shows the mean over its area.
 #[test]
 fn a_coarse_array_shows_means() {
     let display = display(4);

@@ -1,4 +1,4 @@
-//! Stacks that are known are found again, and the optimum is one.
+//! Known stacks are recovered, and the solution is optimal.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::core::seed::Stream;
@@ -12,7 +12,7 @@ fn display(frames: usize) -> Display {
     Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], frames)
 }
 
-/// What a random static stack shows.
+/// The light field of a random static stack.
 fn shown(display: &Display) -> LightField {
     let still = Display { frames: 1, ..display.clone() };
     let mut stack = LayerStack::filled(&still, 1.0);
@@ -48,7 +48,7 @@ fn what_a_static_stack_shows_is_shown_again() {
     assert!(many > 40.0 && many > few + 6.0, "{few} {many}");
 }
 
-/// At the least of a convex sum over a box no small change of a pixel lowers it.
+/// At the minimum of a convex objective over a box, no small change of a pixel lowers it.
 #[test]
 fn the_optimum_is_one() {
     let display = display(1);

@@ -1,4 +1,4 @@
-//! Every baseline makes what its method promises, and refuses other displays.
+//! Every baseline produces its method's result, and refuses other displays.
 
 mod directional_sequence;
 mod integral_imaging;

@@ -1,16 +1,18 @@
-//! The patterns against what a barrier should show, ray by ray.
+//! The masks against a barrier's definition, ray by ray.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, RayMap, Simulator};
 use lumistack_plugin_baselines::parallax_barrier::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by, random_field};
 
-/// Rounding of sums of a few f32 values.
+/// Tolerance of sums of a few f32 values.
 const ROUNDING: f32 = 1e-5;
 
-/// Two layers 1.5 pixels apart per step of slope: neighbouring views behind one slit are neighbouring rear pixels.
+/// Two layers with a disparity of one pixel per step of slope: neighbouring views behind one slit
+/// hit neighbouring rear pixels.
 fn display(views: [usize; 2], frames: usize) -> Display {
-    // slopes of neighbouring views differ by 2·tan(10°)/views; the layers' distance makes that one pixel
+    // slopes of neighbouring views differ by 2·tan(10°)/views; the layers' distance makes that one
+    // pixel
     let step = 2.0 * 10f64.to_radians().tan() / views[0] as f64;
     Display::uniform(
         [24, 18],
@@ -40,7 +42,7 @@ fn with_a_frame_for_every_place_all_rays_are_right() {
         let shown = simulator.view(&map, field.geometry(), view);
         let taps = map.layers[0].x.of_view(view[1]);
         for (i, (shown, wanted)) in shown.radiance.data().iter().zip(field.view(view)).enumerate() {
-            // beside the rear layer there is nothing to show
+            // outside the rear layer there is no picture
             if taps[i / 3 % field.geometry().cols].is_missed() {
                 continue;
             }
@@ -60,7 +62,7 @@ fn one_frame_is_a_static_barrier() {
     for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
         assert_eq!(stack.layers[1].get([0, row, col, 1]), f32::from(col % 3 == 0), "row {row}, column {col}");
     }
-    // every ray through a slit has a rear pixel of its own
+    // every ray through a slit has its own rear pixel
     let map = RayMap::new(&display, field.geometry());
     let mut through = 0;
     for view in field.geometry().grid.iter() {
@@ -83,7 +85,7 @@ fn views_that_share_a_pixel_are_averaged() {
     let display = display([3, 1], 1);
     let mut field = random_field(&display).unwrap();
     field.radiance_mut().data_mut().fill(0.25);
-    // no barrier at all: everything is open, and a constant light field is constant
+    // without a barrier all is open, and a constant light field is constant
     let stack = made_by(&PLUGIN, r#"{"period_x": 1}"#, &display, &field).unwrap();
     assert_eq!(stack.brightness, 1.0);
     assert!(stack.layers[0].data().iter().all(|value| (value - 0.25).abs() < ROUNDING));

@@ -1,11 +1,11 @@
-//! Against the rule written out for a matrix, and what frames are worth.
+//! The update against the matrix rule, and the gain by frames.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, LayerStack, RayMap, Weights, score};
 use lumistack_plugin_baselines::two_layer_nmf::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by, random_field};
 
-/// Single precision over some updates.
+/// Tolerance of single precision over some updates.
 const ROUNDING: f64 = 2e-3;
 
 fn display(frames: usize) -> Display {
@@ -18,7 +18,7 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// From what one update leaves to what two leave: F, then G, in f64, as the equation stands.
+/// From the result of one update to that of two: F, then G, in f64, by the equation.
 #[test]
 fn an_update_is_the_rule_of_the_matrix() {
     let display = display(2);
@@ -27,7 +27,7 @@ fn an_update_is_the_rule_of_the_matrix() {
     let second = made_by(&PLUGIN, r#"{"iterations": 2}"#, &display, &field).unwrap();
     let map = RayMap::new(&display, field.geometry());
     let (channel, rows, cols) = (1, 3, 12);
-    // rays as (rear pixel, front pixel, wanted)
+    // rays as (rear pixel, front pixel, target)
     let mut rays = Vec::new();
     for (view, row, col) in (0..3).flat_map(|v| (0..rows).flat_map(move |r| (0..cols).map(move |c| (v, r, c)))) {
         let [rear, front] = [0, 1].map(|n| map.layers[n].x.of_view(view)[col]);

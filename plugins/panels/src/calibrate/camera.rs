@@ -1,11 +1,13 @@
-//! How a camera sees a plane: a homography and radial distortion, fitted by Levenberg and Marquardt's method.
+//! A camera that photographs a plane: homography and radial distortion, fitted by the
+//! Levenberg-Marquardt method.
 
 use lumistack_plugin::display::Homography;
 
-/// A camera that looks at the plane z = 0.
+/// A camera that photographs the plane z = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// From millimetres on the plane to the undistorted picture, in units of half its diagonal from its centre, y down.
+    /// Maps millimetres on the plane to the undistorted photograph: origin at its centre, unit half
+    /// its diagonal, y down.
     pub homography: Homography,
     /// Radial distortion k₁, k₂.
     pub distortion: [f64; 2],
@@ -13,20 +15,23 @@ pub struct Camera {
     unit_px: f64,
 }
 
-/// Steps of the fit; it ends sooner where nothing improves.
+/// Largest number of iterations; the fit ends earlier without improvement.
 const STEPS: usize = 60;
-/// Steps of undistorting, each of which halves the error at the very least for lenses that anybody has.
+/// Fixed-point iterations of undistortion. Each halves the error at least, for distortions of real
+/// lenses.
 const UNDISTORT: usize = 40;
 
 impl Camera {
-    /// The camera that sees points of the plane (millimetres) at places of a photograph of [columns, rows], as nearly as can be.
+    /// Fits a camera to `pairs` (position on the plane, millimetres; position in the photograph,
+    /// pixels) by least squares of the reprojection error. `size` is [columns, rows] of the
+    /// photograph.
     pub fn fit(pairs: &[([f64; 2], [f64; 2])], size: [f64; 2]) -> Self {
         let centre_px = size.map(|count| (count - 1.0) / 2.0);
         let unit_px = 0.5 * size[0].hypot(size[1]);
         let undistorted: Vec<_> =
             pairs.iter().map(|(mm, px)| (*mm, [0, 1].map(|axis| (px[axis] - centre_px[axis]) / unit_px))).collect();
         let mut camera = Self { homography: homography(&undistorted), distortion: [0.0; 2], centre_px, unit_px };
-        // parameters of a size near 1: millimetres in units of the array
+        // scale millimetres by the array's extent, so that all parameters are near 1
         let extent = pairs.iter().flat_map(|(mm, _)| mm).fold(1e-9f64, |most, value| most.max(value.abs()));
         let mut parameters = camera.parameters(extent);
         let residuals = |parameters: &[f64; 10]| -> Vec<f64> {
@@ -34,8 +39,8 @@ impl Camera {
             pairs
                 .iter()
                 .flat_map(|(mm, px)| {
-                    let seen = camera.see(*mm);
-                    [seen[0] - px[0], seen[1] - px[1]]
+                    let reprojected = camera.see(*mm);
+                    [reprojected[0] - px[0], reprojected[1] - px[1]]
                 })
                 .collect()
         };
@@ -43,6 +48,7 @@ impl Camera {
         let mut now = residuals(&parameters);
         let mut damping = 1e-3;
         for _ in 0..STEPS {
+            // Compute the Jacobian by central differences.
             let columns: Vec<Vec<f64>> = (0..10)
                 .map(|k| {
                     const STEP: f64 = 1e-6;
@@ -54,6 +60,7 @@ impl Camera {
                 .collect();
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
             let mut better = false;
+            // Solve the damped normal equations; raise the damping until the cost falls.
             for _ in 0..8 {
                 let matrix = (0..10).map(|i| {
                     let mut row: Vec<f64> = (0..10).map(|j| dot(&columns[i], &columns[j])).collect();
@@ -104,7 +111,7 @@ impl Camera {
         Self { homography, distortion: [p[8], p[9]], ..self.clone() }
     }
 
-    /// Where a point of the plane is in the photograph, pixels.
+    /// Projects a point of the plane, millimetres, into the photograph, pixels.
     pub fn see(&self, mm: [f64; 2]) -> [f64; 2] {
         let u = self.homography.apply(mm);
         let factor = self.factor(u);
@@ -116,7 +123,7 @@ impl Camera {
         1.0 + r2 * (self.distortion[0] + r2 * self.distortion[1])
     }
 
-    /// The point of the plane, millimetres, that is at a place of the photograph.
+    /// The point of the plane, millimetres, at a position of the photograph, pixels.
     pub fn on_plane(&self, px: [f64; 2]) -> [f64; 2] {
         let distorted = [0, 1].map(|axis| (px[axis] - self.centre_px[axis]) / self.unit_px);
         let mut u = distorted;
@@ -127,21 +134,22 @@ impl Camera {
         self.homography.inverse().apply(u)
     }
 
-    /// Root mean square distance in the photograph, pixels.
+    /// Root mean square reprojection error, pixels.
     pub fn rms_px(&self, pairs: &[([f64; 2], [f64; 2])]) -> f64 {
         let sum: f64 = pairs
             .iter()
             .map(|(mm, px)| {
-                let seen = self.see(*mm);
-                (seen[0] - px[0]).powi(2) + (seen[1] - px[1]).powi(2)
+                let reprojected = self.see(*mm);
+                (reprojected[0] - px[0]).powi(2) + (reprojected[1] - px[1]).powi(2)
             })
             .sum();
         (sum / pairs.len() as f64).sqrt()
     }
 }
 
-/// The homography that takes the first of each pair to the second with the least sum of squares. It starts from the linear solution in centred and scaled
-/// coordinates (Hartley, 1997), whose weights it then corrects: four rounds.
+/// The homography from the first to the second point of each pair, by least squares. It starts from
+/// the linear solution in normalized coordinates (Hartley, 1997). Four rounds of reweighting then
+/// minimize the geometric error.
 pub fn homography(pairs: &[([f64; 2], [f64; 2])]) -> Homography {
     let from = scaling(pairs.iter().map(|(from, _)| *from));
     let to = scaling(pairs.iter().map(|(_, to)| *to));
@@ -168,7 +176,7 @@ pub fn homography(pairs: &[([f64; 2], [f64; 2])]) -> Homography {
     to.inverse().after(&scaled.after(&from))
 }
 
-/// Moves points to the origin and makes them of size 1.
+/// Normalization: moves the centroid to the origin and scales the mean distance from it to 1.
 fn scaling(points: impl Iterator<Item = [f64; 2]> + Clone) -> Homography {
     let count = points.clone().count().max(1) as f64;
     let centre = points.clone().fold([0.0; 2], |sum, p| [sum[0] + p[0] / count, sum[1] + p[1] / count]);
@@ -177,7 +185,8 @@ fn scaling(points: impl Iterator<Item = [f64; 2]> + Clone) -> Homography {
     Homography([[s, 0.0, -s * centre[0]], [0.0, s, -s * centre[1]], [0.0, 0.0, 1.0]])
 }
 
-/// Solves rows [matrix | right side] by Gauss' elimination with row pivots; a singular matrix gives numbers that are not finite.
+/// Solves rows [matrix | right side] by Gaussian elimination with partial pivoting. A singular
+/// matrix yields values that are not finite.
 fn solve(mut rows: Vec<Vec<f64>>) -> Vec<f64> {
     let n = rows.len();
     for i in 0..n {

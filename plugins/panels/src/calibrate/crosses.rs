@@ -1,47 +1,48 @@
-//! Finds dark crosses on a bright ground.
+//! Detects dark crosses on a bright ground.
 //!
-//! What is darker than its surroundings falls into connected pieces; long thin ones are crosses, and one round one is the mark of the middle cross. From there
-//! neighbours are found where a step of the array leads. The centre of a cross is where its two arms' lines meet, each fitted to the arm's own pixels.
+//! Pixels darker than their surroundings form connected components. Long thin ones are crosses; a
+//! round one is the mark of the central cross. From that cross a search follows the steps of the
+//! array. The centre of a cross is the intersection of two lines, one fitted to each arm.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use image::GrayImage;
 
-/// One cross.
+/// A detected cross.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cross {
-    /// How many to the right and up from the middle one.
+    /// Its column to the right and row upwards, counted from the central cross.
     pub index: [i32; 2],
     /// [column, row] of its centre in the photograph.
     pub at_px: [f64; 2],
 }
 
-/// Darkness relative to the darkest from which on a pixel belongs to a cross.
+/// Threshold of a component's pixels, as a fraction of the largest darkness.
 const DARK: f32 = 0.4;
-/// Smallest pieces, pixels.
-const FEW: usize = 12;
-/// Share of its frame that a cross, and a disc, fills.
+/// Smallest component, pixels.
+const MIN_PIXELS: usize = 12;
+/// Fill ratio of the bounding box: below the first is a cross, above the second a disc.
 const CROSS_FILLS: f64 = 0.5;
 const DISC_FILLS: f64 = 0.62;
-/// How far from where it is expected a neighbour may be, in steps.
+/// Largest distance of a neighbour from its expected position, in steps of the array.
 const REACH: f64 = 0.35;
-/// Arm of a cross in steps of the array, as it is drawn.
+/// Length of an arm in steps of the array, as [`crate::Pattern`] draws it.
 const ARM_OF_STEP: f64 = 0.3;
 
-/// How much darker than its surroundings every pixel is.
+/// Darkness of every pixel, relative to the mean of its surroundings.
 struct Darkness {
     cols: usize,
     rows: usize,
     value: Vec<f32>,
 }
 
-struct Piece {
+struct Component {
     low: [usize; 2],
     high: [usize; 2],
     count: usize,
 }
 
-impl Piece {
+impl Component {
     fn size(&self) -> [f64; 2] {
         [0, 1].map(|axis| (self.high[axis] - self.low[axis] + 1) as f64)
     }
@@ -55,54 +56,59 @@ impl Piece {
     }
 }
 
-/// All crosses of an array that reaches `counts` crosses to the right, left, up and down of its middle one.
+/// All crosses of an array with `counts` crosses on each side of its central one.
 ///
 /// # Errors
-/// What was found where it is no array.
+/// A description of the components found, if they are no array.
 pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cross>, String> {
     let dark = Darkness::new(photograph);
-    let pieces = dark.pieces();
+    let components = dark.components();
+    // Classify components: crosses are those of about the median size.
     let mut sizes: Vec<f64> =
-        pieces.iter().filter(|p| p.fills() < CROSS_FILLS).map(|p| p.size()[0].max(p.size()[1])).collect();
+        components.iter().filter(|p| p.fills() < CROSS_FILLS).map(|p| p.size()[0].max(p.size()[1])).collect();
     if sizes.is_empty() {
-        return Err(format!("{} dark pieces, none of them a cross", pieces.len()));
+        return Err(format!("{} dark components, none of them a cross", components.len()));
     }
     sizes.sort_by(f64::total_cmp);
     let usual = sizes[sizes.len() / 2];
-    let is_cross = |piece: &&Piece| {
-        let [width, height] = piece.size();
+    let is_cross = |component: &&Component| {
+        let [width, height] = component.size();
         let near = |length: f64| (0.6..1.6).contains(&(length / usual));
-        piece.fills() < CROSS_FILLS && near(width) && near(height)
+        component.fills() < CROSS_FILLS && near(width) && near(height)
     };
-    let crosses: Vec<[f64; 2]> = pieces.iter().filter(is_cross).map(|piece| piece.centre()).collect();
-    let is_disc = |piece: &&Piece| {
-        let [width, height] = piece.size();
-        piece.fills() > DISC_FILLS && (0.6..1.7).contains(&(width / height)) && (0.08..0.5).contains(&(width / usual))
+    let crosses: Vec<[f64; 2]> = components.iter().filter(is_cross).map(|component| component.centre()).collect();
+    // The largest disc is the mark of the central cross.
+    let is_disc = |component: &&Component| {
+        let [width, height] = component.size();
+        component.fills() > DISC_FILLS
+            && (0.6..1.7).contains(&(width / height))
+            && (0.08..0.5).contains(&(width / usual))
     };
-    let disc = pieces.iter().filter(is_disc).max_by_key(|piece| piece.count).map(Piece::centre);
+    let disc = components.iter().filter(is_disc).max_by_key(|component| component.count).map(Component::centre);
     let disc = disc.ok_or_else(|| format!("{} crosses and no mark", crosses.len()))?;
     let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-    // the mark is up and right of its cross
+    // the mark is above and right of its cross
     let middle = crosses
         .iter()
         .filter(|at| at[0] < disc[0] && at[1] > disc[1])
         .min_by(|a, b| apart(**a, disc).total_cmp(&apart(**b, disc)))
         .ok_or_else(|| format!("{} crosses, none below and left of the mark", crosses.len()))?;
+    // Search from the central cross to its four neighbours, breadth first.
     let step = usual / (2.0 * ARM_OF_STEP);
     let mut found: BTreeMap<[i32; 2], [f64; 2]> = BTreeMap::from([([0, 0], *middle)]);
     let mut open = VecDeque::from([[0, 0]]);
     while let Some(index) = open.pop_front() {
         let here = found[&index];
-        for way in [[1, 0], [-1, 0], [0, 1], [0, -1]] {
-            let next = [index[0] + way[0], index[1] + way[1]];
+        for direction in [[1, 0], [-1, 0], [0, 1], [0, -1]] {
+            let next = [index[0] + direction[0], index[1] + direction[1]];
             let outside = (0..2).any(|axis| next[axis].unsigned_abs() as usize > counts[axis]);
             if outside || found.contains_key(&next) {
                 continue;
             }
-            // the same step as the last one this way, where there is one
-            let back = found.get(&[index[0] - way[0], index[1] - way[1]]);
+            // extrapolate from the opposite neighbour, if it is known
+            let back = found.get(&[index[0] - direction[0], index[1] - direction[1]]);
             let expected = back
-                .map_or([here[0] + step * f64::from(way[0]), here[1] - step * f64::from(way[1])], |back| {
+                .map_or([here[0] + step * f64::from(direction[0]), here[1] - step * f64::from(direction[1])], |back| {
                     [2.0 * here[0] - back[0], 2.0 * here[1] - back[1]]
                 });
             let nearest = crosses.iter().min_by(|a, b| apart(**a, expected).total_cmp(&apart(**b, expected)));
@@ -121,7 +127,7 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
 impl Darkness {
     fn new(photograph: &GrayImage) -> Self {
         let (cols, rows) = (photograph.width() as usize, photograph.height() as usize);
-        // sums over everything above and left
+        // summed-area table
         let mut sums = vec![0.0f64; (cols + 1) * (rows + 1)];
         for row in 0..rows {
             let mut line = 0.0;
@@ -145,8 +151,9 @@ impl Darkness {
         Self { cols, rows, value: value.collect() }
     }
 
-    /// Dark pieces, by flooding.
-    fn pieces(&self) -> Vec<Piece> {
+    /// Connected components of dark pixels, by flood fill.
+    fn components(&self) -> Vec<Component> {
+        // Smooth by a 3 × 3 box filter, which removes noise.
         let mut smooth = self.value.clone();
         for row in 1..self.rows.saturating_sub(1) {
             for col in 1..self.cols.saturating_sub(1) {
@@ -154,26 +161,27 @@ impl Darkness {
                 smooth[row * self.cols + col] = around.sum::<f32>() / 9.0;
             }
         }
-        // the darkest of a thousand pixels stands for all: single ones may be anything
+        // the 99.9 % quantile is the reference, since single pixels may be outliers
         let mut sorted = smooth.clone();
         let rank = (sorted.len() - 1) - sorted.len() / 1000;
         let (_, darkest, _) = sorted.select_nth_unstable_by(rank, f32::total_cmp);
         let limit = DARK * *darkest;
+        // Flood fill every component of pixels above the threshold, with 8 neighbours.
         let mut open: Vec<bool> = smooth.iter().map(|value| *value > limit && limit > 0.0).collect();
-        let mut pieces = Vec::new();
+        let mut components = Vec::new();
         for start in 0..open.len() {
             if !open[start] {
                 continue;
             }
             open[start] = false;
-            let mut piece = Piece { low: [usize::MAX; 2], high: [0; 2], count: 0 };
+            let mut component = Component { low: [usize::MAX; 2], high: [0; 2], count: 0 };
             let mut front = vec![start];
             while let Some(i) = front.pop() {
                 let at = [i % self.cols, i / self.cols];
-                piece.count += 1;
+                component.count += 1;
                 for axis in 0..2 {
-                    piece.low[axis] = piece.low[axis].min(at[axis]);
-                    piece.high[axis] = piece.high[axis].max(at[axis]);
+                    component.low[axis] = component.low[axis].min(at[axis]);
+                    component.high[axis] = component.high[axis].max(at[axis]);
                 }
                 for row in at[1].saturating_sub(1)..=(at[1] + 1).min(self.rows - 1) {
                     for col in at[0].saturating_sub(1)..=(at[0] + 1).min(self.cols - 1) {
@@ -183,16 +191,17 @@ impl Darkness {
                     }
                 }
             }
-            if piece.count >= FEW {
-                pieces.push(piece);
+            if component.count >= MIN_PIXELS {
+                components.push(component);
             }
         }
-        pieces
+        components
     }
 
-    /// Where the lines of a cross' arms meet, near a place; arms of this length.
+    /// Intersection of the lines of a cross's arms near `at`, pixels; `arm` is the arms' length.
+    /// Iterates until the shift is below 1e-4 pixels.
     fn centre(&self, mut at: [f64; 2], arm: f64) -> Option<[f64; 2]> {
-        // the lines' slopes against the photograph's rows and columns
+        // slopes of the lines against the photograph's rows and columns
         let mut slope = [0.0f64; 2];
         for _ in 0..6 {
             let mut line = [[0.0f64; 2]; 2];
@@ -200,7 +209,7 @@ impl Darkness {
                 line[axis] = self.arm(at, arm, axis, slope[axis])?;
                 slope[axis] = line[axis][1];
             }
-            // y = a + b (x − x₀) of the one, x = c + d (y − y₀) of the other, relative to the place
+            // Lines relative to `at`: y = a + b x and x = c + d y.
             let ([a, b], [c, d]) = (line[0], line[1]);
             let x = (c + d * a) / (1.0 - b * d);
             let y = a + b * x;
@@ -212,7 +221,8 @@ impl Darkness {
         at.iter().all(|value| value.is_finite()).then_some(at)
     }
 
-    /// [offset, slope] of the arm along an axis (0: columns) relative to a place: a line through the centres of darkness across it.
+    /// [offset, slope] of the arm along `axis` (0: columns), relative to `at`: a weighted line fit
+    /// to the centres of darkness across the arm.
     fn arm(&self, at: [f64; 2], arm: f64, axis: usize, slope: f64) -> Option<[f64; 2]> {
         let across = 0.3 * arm;
         let (near, far) = (0.3 * arm, 0.85 * arm);
@@ -231,7 +241,7 @@ impl Darkness {
                     return None;
                 }
                 let value = f64::from(self.value[row as usize * self.cols + col as usize]);
-                // pixels at the ends of the window count by the share that lies in it
+                // weight pixels at the ends of the window by their overlap with it
                 let share = (across + 0.5 - (place as f64 - middle).abs()).clamp(0.0, 1.0);
                 weight += share * value;
                 moment += share * value * (place as f64 - at[1 - axis]);

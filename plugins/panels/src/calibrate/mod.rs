@@ -1,14 +1,21 @@
 //! Homographies from photographs of the crosshair array.
 //!
-//! One photograph per layer, all from one place and without touching the camera: the array on that layer alone, drawn in perspective for the camera's place e.
-//! The reference layer's photograph says how the camera sees the display's plane:
+//! There is one photograph per layer, all from one camera position e. Each shows the array on that
+//! layer alone, drawn in perspective for e. The reference layer's photograph yields the camera
+//! model of the display's plane:
 //!
 //! ```text
 //! photograph = centre + size · distort(H(P)),   distort(u) = u · (1 + k₁ |u|² + k₂ |u|⁴)
 //! ```
 //!
-//! Every cross of another layer is then seen where some point P' of that plane is; on the layer itself it is at t = e + (P' − e) · (D − d) / D, and was meant to be
-//! at q, the same of P. The homography from q to t is what the panel's calibration wants.
+//! A cross of another layer appears at some point P' of that plane. It was drawn at q of the layer,
+//! and is at t:
+//!
+//! ```text
+//! q = e + (P − e) · (D − d) / D        t = e + (P' − e) · (D − d) / D
+//! ```
+//!
+//! The homography from q to t is the panel's calibration.
 
 mod camera;
 mod crosses;
@@ -22,55 +29,57 @@ use crate::pattern;
 pub use camera::Camera;
 pub use crosses::{Cross, find_crosses};
 
-/// A photograph from which nothing can be learned.
+/// A photograph that yields no calibration.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CalibrationError {
-    /// The array is not found.
+    /// The array was not found.
     #[error("photograph of layer {layer}: expected {expected}, found {found}")]
     Array {
-        /// Which.
+        /// The photographed layer.
         layer: usize,
-        /// What was needed.
+        /// The expected content.
         expected: String,
-        /// What was there.
+        /// The content found.
         found: String,
     },
-    /// No map fits the points.
+    /// The camera model does not fit the crosses.
     #[error(
-        "photograph of layer {layer}: the crosses do not lie as an array in perspective does: {rms_px:.1} pixels off"
+        "photograph of layer {layer}: expected crosses of an array in perspective, found a reprojection error of {rms_px:.1} pixels"
     )]
     Fit {
-        /// Which.
+        /// The photographed layer.
         layer: usize,
-        /// Root mean square distance, pixels of the photograph.
+        /// Root mean square reprojection error, pixels of the photograph.
         rms_px: f64,
     },
 }
 
-/// What a photograph says about a layer's panel.
+/// Calibration of one layer's panel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// Which layer.
+    /// The layer.
     pub layer: usize,
-    /// The homography for its calibration, what it had before included.
+    /// The homography for its calibration; includes the previous one.
     pub homography: Homography,
-    /// Crosses that were found.
+    /// Number of crosses found.
     pub crosses: usize,
-    /// Root mean square distance of the crosses from what the homography says, millimetres.
+    /// Root mean square error of the crosses under the new homography, millimetres.
     pub rms_mm: f64,
-    /// How far the panel's pixels were from where they should have been, millimetres: root mean square over the crosses.
+    /// Root mean square error of the crosses before the correction, millimetres.
     pub moved_mm: f64,
 }
 
-/// Crosses that must be found at least.
+/// Smallest number of crosses.
 const FEWEST: usize = 9;
-/// Distance beyond which crosses are no array in perspective, pixels of the photograph.
+/// Largest reprojection error of an array, pixels of the photograph.
 const ROUGH_PX: f64 = 3.0;
 
-/// What photographs (a layer each) say about the layers other than the reference.
+/// Calibrates the panels of all layers but the reference, each from one photograph. `eye_mm` is the
+/// camera position of the drawn array, display space. Returns the fitted camera and one result per
+/// layer.
 ///
 /// # Errors
-/// If a photograph does not show the array, or the crosses do not lie as they should.
+/// If a photograph does not show the array, or the camera model does not fit its crosses.
 pub fn calibrate(
     display: &Display,
     eye_mm: [f64; 3],
@@ -78,9 +87,10 @@ pub fn calibrate(
     others: &[(usize, &GrayImage)],
 ) -> Result<(Camera, Vec<Found>), CalibrationError> {
     let spacing = pattern::spacing_mm(display);
+    // Fit the camera to the reference layer, which defines the display's plane.
     let on_plane = |cross: &Cross| cross.index.map(|i| f64::from(i) * spacing);
-    let seen = array(display, reference)?;
-    let pairs: Vec<_> = seen.iter().map(|cross| (on_plane(cross), cross.at_px)).collect();
+    let found = array(display, reference)?;
+    let pairs: Vec<_> = found.iter().map(|cross| (on_plane(cross), cross.at_px)).collect();
     let size = [reference.1.width(), reference.1.height()].map(f64::from);
     let camera = Camera::fit(&pairs, size);
     let rms_px = camera.rms_px(&pairs);
@@ -89,17 +99,20 @@ pub fn calibrate(
     }
     let mut all = Vec::new();
     for &(layer, photograph) in others {
-        let seen = array(display, (layer, photograph))?;
+        // Project drawn and photographed crosses onto the layer, and fit the homography between
+        // them.
+        let found = array(display, (layer, photograph))?;
         let d_mm = display.layers[layer].d_mm;
         let share = (eye_mm[2] - d_mm) / eye_mm[2];
         let onto_layer = |p: [f64; 2]| [0, 1].map(|axis| eye_mm[axis] + (p[axis] - eye_mm[axis]) * share);
         let pairs: Vec<_> =
-            seen.iter().map(|cross| (onto_layer(on_plane(cross)), onto_layer(camera.on_plane(cross.at_px)))).collect();
+            found.iter().map(|cross| (onto_layer(on_plane(cross)), onto_layer(camera.on_plane(cross.at_px)))).collect();
         let map = camera::homography(&pairs);
         let rms = |distance: &dyn Fn([f64; 2], [f64; 2]) -> f64| {
             (pairs.iter().map(|(q, t)| distance(*q, *t).powi(2)).sum::<f64>() / pairs.len() as f64).sqrt()
         };
         let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+        // Compose with the previous calibration, normalized so that the last element is 1.
         let before = display.layers[layer].panel.as_ref().and_then(|panel| panel.homography);
         let mut homography = map.after(&before.map_or(Homography::IDENTITY, Homography));
         let scale = homography.0[2][2];

@@ -1,4 +1,4 @@
-//! The main thread: windows on outputs, keys, and outputs that go away.
+//! The main thread: windows on outputs, keys, commands, and outputs that disappear.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -15,9 +15,9 @@ use winit::keyboard::{Key, ModifiersState, NamedKey};
 use winit::window::{Fullscreen, Window, WindowId};
 
 use super::WindowError;
-use super::conductor::{Baton, Conductor};
-use super::gpu::{self, Part};
+use super::gpu::{self, Viewport};
 use super::outputs::{self, Watch, is_x11, outputs_of};
+use super::present_loop::{PresentLoop, SharedState};
 use super::producer::{Producer, Work};
 use super::session::session;
 use crate::assign::{Change, Output, assign, bounds, change};
@@ -25,35 +25,39 @@ use crate::fit::{fitted, misfits};
 use crate::presentation::{Command, Content, Event, Mode, Report, Settings};
 use crate::{Feed, Picture, Shows};
 
-/// How often outputs are looked at, and whether it is time to end.
-const LOOK: Duration = Duration::from_millis(50);
-/// How long windows may take to become as large as their outputs.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// How long the conductor may take to end before the connection is closed: a surface that nobody sees can hold it for ever.
-const FAREWELL: Duration = Duration::from_secs(2);
-/// How long after a failure of graphics another reason may still be found for it.
-const GRACE: Duration = Duration::from_millis(500);
-/// After how long without a refresh somebody is told.
-const STILL: Duration = Duration::from_secs(2);
-/// Title of the surface across all outputs, by which a compositor can be told about it.
+/// Interval at which outputs, the duration and cancellation are checked.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+/// Time that windows have to reach the size of their outputs.
+const RESIZE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Time that a thread has to end. After it the connection is closed: a hidden surface can block the
+/// present loop for ever.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
+/// Delay before a graphics failure is reported. In it a lost output or session is found, which is
+/// the better error.
+const FAILURE_DELAY: Duration = Duration::from_millis(500);
+/// Time without a refresh after which a warning is emitted.
+const STALL_TIMEOUT: Duration = Duration::from_secs(2);
+/// Title of the surface across all outputs; sway's rule matches it.
 const SPAN_TITLE: &str = "lumistack panels: span";
-/// Degrees of the rehearsal's window from its middle to its edge, in units of half the field of view.
+/// Viewing angle at the edge of the preview window, in units of half the field of view.
 const REACH: f64 = 1.2;
 
-/// Shows something until it is ended, by a key, a command, `cancelled` or the wanted duration. Must be called on the main thread, once per process.
+/// Runs a presentation until a key, a command, `cancelled` or the duration ends it. `emit` receives
+/// events from any thread. Call it on the main thread, once per process.
 ///
 /// # Errors
-/// Without a windowing system, graphics or the outputs that are needed, and when an output goes away.
+/// Without a windowing system, a graphics driver or the required outputs; and if an output is
+/// disconnected or changes.
 pub fn present(
     settings: Settings,
     commands: Receiver<Command>,
     cancelled: &dyn Fn() -> bool,
-    tell: Arc<dyn Fn(Event) + Send + Sync>,
+    emit: Arc<dyn Fn(Event) + Send + Sync>,
 ) -> Result<(), WindowError> {
     let event_loop = EventLoop::<Command>::with_user_event().build().map_err(session)?;
     let proxy = event_loop.create_proxy();
     std::thread::spawn(move || {
-        // ends with the sender, or with the loop
+        // ends when the sender is dropped or the event loop exits
         for command in commands {
             if proxy.send_event(command).is_err() {
                 break;
@@ -63,14 +67,14 @@ pub fn present(
     let mut app = App {
         settings: Some(settings),
         cancelled,
-        tell,
-        stage: None,
-        stage_parts: Vec::new(),
+        emit,
+        running: None,
+        viewports: Vec::new(),
         windows: Vec::new(),
         watch: None,
         begun: Instant::now(),
         shown_since: None,
-        beat: (0, Instant::now(), false),
+        progress: (0, Instant::now(), false),
         pointer: None,
         modifiers: ModifiersState::empty(),
         selected: 0,
@@ -78,41 +82,41 @@ pub fn present(
         result: None,
     };
     let ran = event_loop.run_app(&mut app).map_err(session);
-    // why it ended comes before what the end itself met
+    // the reason for ending precedes errors while ending
     app.result.unwrap_or(ran)
 }
 
 struct App<'a> {
-    /// Until the threads have them.
+    /// Taken when the threads start.
     settings: Option<Settings>,
     cancelled: &'a dyn Fn() -> bool,
-    tell: Arc<dyn Fn(Event) + Send + Sync>,
-    stage: Option<Stage>,
-    stage_parts: Vec<Part>,
+    emit: Arc<dyn Fn(Event) + Send + Sync>,
+    running: Option<Running>,
+    viewports: Vec<Viewport>,
     windows: Vec<(Arc<Window>, String, Option<[usize; 2]>)>,
     watch: Option<Watch>,
     begun: Instant,
     shown_since: Option<Instant>,
-    /// The last sign of the conductor, when, and whether it was said that no other followed.
-    beat: (u64, Instant, bool),
-    /// Where the pointer was last.
+    /// The last progress count, its time, and whether its stall was reported.
+    progress: (u64, Instant, bool),
+    /// The last pointer position.
     pointer: Option<PhysicalPosition<f64>>,
     modifiers: ModifiersState,
     selected: usize,
-    /// Shifts that no file has.
+    /// Nudges that were not saved.
     unsaved: bool,
     result: Option<Result<(), WindowError>>,
 }
 
-/// What runs beside the main thread.
-struct Stage {
-    baton: Arc<Baton>,
+/// The running threads and their channels.
+struct Running {
+    shared: Arc<SharedState>,
     work: Sender<Work>,
     report: Receiver<Report>,
-    /// Closes when the producer has ended.
+    /// Disconnected when the producer has ended.
     produced: Receiver<()>,
-    /// The conductor, and who passes on what it needs no more.
-    conducting: [JoinHandle<()>; 2],
+    /// The present loop, and the thread that forwards its retired frame sets.
+    presenting: [JoinHandle<()>; 2],
     producing: JoinHandle<()>,
     failure: Arc<OnceLock<(Instant, String)>>,
     mode: Mode,
@@ -132,12 +136,12 @@ impl ApplicationHandler<Command> for App<'_> {
     }
 
     fn user_event(&mut self, event_loop: &ActiveEventLoop, command: Command) {
-        self.obey(event_loop, command);
+        self.apply(event_loop, command);
     }
 
     fn window_event(&mut self, event_loop: &ActiveEventLoop, id: WindowId, event: WindowEvent) {
         match event {
-            WindowEvent::CloseRequested => self.obey(event_loop, Command::Quit),
+            WindowEvent::CloseRequested => self.apply(event_loop, Command::Quit),
             WindowEvent::ModifiersChanged(modifiers) => self.modifiers = modifiers.state(),
             WindowEvent::KeyboardInput {
                 event: KeyEvent { logical_key, state: ElementState::Pressed, .. }, ..
@@ -145,28 +149,28 @@ impl ApplicationHandler<Command> for App<'_> {
                 self.key(event_loop, &logical_key);
             }
             WindowEvent::Resized(size) => {
-                let Some(stage) = &self.stage else { return };
-                stage.baton.resized.store(true, Ordering::Relaxed);
-                if stage.mode == Mode::Window {
-                    let _ = stage.work.send(Work::Resized([size.width as usize, size.height as usize]));
+                let Some(running) = &self.running else { return };
+                running.shared.resized.store(true, Ordering::Relaxed);
+                if running.mode == Mode::Window {
+                    let _ = running.work.send(Work::Resized([size.width as usize, size.height as usize]));
                 }
             }
             WindowEvent::CursorMoved { position, .. } => {
-                // a window is also told where a pointer rests that nobody moves
+                // compositors also report the position of a pointer at rest
                 if self.pointer.replace(position).is_none_or(|before| before == position) {
                     return;
                 }
                 let size =
                     self.windows.iter().find(|(window, ..)| window.id() == id).map(|(window, ..)| window.inner_size());
-                if let (Some(stage), Some(size)) = (&self.stage, size)
-                    && stage.mode == Mode::Window
+                if let (Some(running), Some(size)) = (&self.running, size)
+                    && running.mode == Mode::Window
                 {
                     let share = [
                         2.0 * position.x / f64::from(size.width.max(1)) - 1.0,
                         1.0 - 2.0 * position.y / f64::from(size.height.max(1)),
                     ];
-                    let from = [0, 1].map(|axis| share[axis] * REACH * stage.half_fov_deg[axis]);
-                    self.obey(event_loop, Command::Look(from));
+                    let from = [0, 1].map(|axis| share[axis] * REACH * running.half_fov_deg[axis]);
+                    self.apply(event_loop, Command::Look(from));
                 }
             }
             _ => {}
@@ -174,41 +178,41 @@ impl ApplicationHandler<Command> for App<'_> {
     }
 
     fn exiting(&mut self, event_loop: &ActiveEventLoop) {
-        // nobody asked for it
+        // the event loop exits without a request: the connection was lost
         self.end(event_loop, Err(WindowError::Lost));
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
-        event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + LOOK));
+        event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + POLL_INTERVAL));
         if self.result.is_some() || event_loop.exiting() {
             return;
         }
         if (self.cancelled)() {
-            return self.obey(event_loop, Command::Quit);
+            return self.apply(event_loop, Command::Quit);
         }
-        let Some(stage) = &self.stage else {
+        let Some(running) = &self.running else {
             if let Err(error) = self.start_when_ready(event_loop) {
                 self.end(event_loop, Err(error));
             }
             return;
         };
-        let over = stage.duration.zip(self.shown_since).is_some_and(|(duration, since)| since.elapsed() >= duration);
+        let over = running.duration.zip(self.shown_since).is_some_and(|(duration, since)| since.elapsed() >= duration);
         if over {
-            return self.obey(event_loop, Command::Quit);
+            return self.apply(event_loop, Command::Quit);
         }
-        // an output or a session that goes says so in the meantime
-        if let Some((_, found)) = stage.failure.get().filter(|(when, _)| when.elapsed() >= GRACE) {
+        // a lost output or session is reported within this delay, and is the better error
+        if let Some((_, found)) = running.failure.get().filter(|(when, _)| when.elapsed() >= FAILURE_DELAY) {
             let error = WindowError::Graphics { on: "the outputs".into(), found: found.trim().into() };
             return self.end(event_loop, Err(error));
         }
         let watch = self.watch.get_or_insert_with(|| Watch::new(event_loop));
-        watch.keep_keys(&self.windows[0].0, stage.mode == Mode::Span);
-        if stage.mode != Mode::Window {
-            let placed = stage.mode == Mode::Span || is_x11(event_loop);
+        watch.keep_focus(&self.windows[0].0, running.mode == Mode::Span);
+        if running.mode != Mode::Window {
+            let placed = running.mode == Mode::Span || is_x11(event_loop);
             let now = watch.outputs(event_loop);
             let mut changes =
-                self.stage_parts.iter().filter_map(|part| Some((part, change(&part.output, &now, placed)?)));
-            if let Some((Part { shows, output, .. }, change)) = changes.next() {
+                self.viewports.iter().filter_map(|viewport| Some((viewport, change(&viewport.output, &now, placed)?)));
+            if let Some((Viewport { shows, output, .. }, change)) = changes.next() {
                 let (name, shows) = (output.name.clone(), *shows);
                 let error = match change {
                     Change::Gone => WindowError::Gone { name, shows },
@@ -219,7 +223,7 @@ impl ApplicationHandler<Command> for App<'_> {
                 return self.end(event_loop, Err(error));
             }
         }
-        self.feel_pulse();
+        self.warn_if_stalled();
     }
 }
 
@@ -242,30 +246,33 @@ impl App<'_> {
             let size = PhysicalSize::new((cols * scale) as u32, (rows * scale) as u32);
             return open(plain().with_inner_size(size), "the window", None);
         }
+        // Assign outputs to panels; each output gets a viewport on a surface.
         let all: Vec<Output> = outputs.iter().map(|(output, _)| output.clone()).collect();
         let assigned = assign(display, &all)?;
-        let part = |screen: usize, origin: [u32; 2], (shows, output): (Shows, Output)| {
+        let viewport = |screen: usize, origin: [u32; 2], (shows, output): (Shows, Output)| {
             let extent = Some(output.size.map(|count| count as u32));
-            Part { shows, output, screen, origin, extent }
+            Viewport { shows, output, screen, origin, extent }
         };
         if settings.mode == Mode::Span {
             let is_x11 = is_x11(event_loop);
             if !is_x11 {
-                tell_compositor()?;
+                add_span_rule()?;
             }
-            // a compositor's fullscreen across everything begins at the first output; a window of our own where we want it
+            // A Wayland fullscreen surface across all outputs begins at the first output. X11
+            // places a window anywhere.
             let (corner, size) = if is_x11 { bounds(assigned.iter().map(|(_, output)| output)) } else { bounds(&all) };
-            let attributes = spanning(plain().with_title(SPAN_TITLE), corner, size);
+            let attributes = span_attributes(plain().with_title(SPAN_TITLE), corner, size);
             open(attributes, "across all outputs", Some(size))?;
-            self.stage_parts = assigned
+            self.viewports = assigned
                 .into_iter()
                 .map(|(shows, output)| {
                     let origin = [0, 1].map(|axis| (output.position[axis] - corner[axis]) as u32);
-                    part(0, origin, (shows, output))
+                    viewport(0, origin, (shows, output))
                 })
                 .collect();
             return Ok(());
         }
+        // Open one borderless fullscreen window per output.
         for (_, output) in &assigned {
             let monitor =
                 outputs.iter().find(|(other, _)| other.name == output.name).map(|(_, monitor)| monitor.clone());
@@ -278,11 +285,11 @@ impl App<'_> {
             open(attributes, &output.name, Some(output.size))?;
         }
         self.windows.iter().for_each(|(window, ..)| window.set_cursor_visible(false));
-        self.stage_parts = assigned.into_iter().enumerate().map(|(i, assigned)| part(i, [0, 0], assigned)).collect();
+        self.viewports = assigned.into_iter().enumerate().map(|(i, assigned)| viewport(i, [0, 0], assigned)).collect();
         Ok(())
     }
 
-    /// Starts the threads once every window is as large as its output.
+    /// Starts the threads once every window has the size of its output.
     fn start_when_ready(&mut self, event_loop: &ActiveEventLoop) -> Result<(), WindowError> {
         let mut sizes = self.windows.iter().map(|(window, name, expected)| {
             let size = window.inner_size();
@@ -290,7 +297,7 @@ impl App<'_> {
         });
         let wrong = sizes.find(|(_, expected, found)| expected.is_some_and(|size| size != *found));
         if let Some((output, Some(expected), found)) = wrong {
-            if self.begun.elapsed() < PATIENCE {
+            if self.begun.elapsed() < RESIZE_TIMEOUT {
                 return Ok(());
             }
             return Err(WindowError::Size { output: output.clone(), expected, found });
@@ -298,10 +305,11 @@ impl App<'_> {
         let Settings { mut display, content, mode, fit, hold, duration, log } =
             self.settings.take().expect("not yet started");
         let windows = self.windows.iter().map(|(window, name, _)| (window.clone(), name.clone())).collect();
+        // Open the GPU, and in a preview use the window as the only output.
         let (gpu, screens) = gpu::open(event_loop, windows)?;
         if mode == Mode::Window {
             let size = self.windows[0].0.inner_size();
-            // a window may not be on any output yet
+            // a new window may not be on an output yet
             let monitor =
                 self.windows[0].0.current_monitor().or_else(|| Some(outputs_of(event_loop).into_iter().next()?.1));
             let refresh_hz = monitor.and_then(|monitor| monitor.refresh_rate_millihertz()).filter(|rate| *rate > 0);
@@ -311,61 +319,66 @@ impl App<'_> {
                 size: [size.width as usize, size.height as usize],
                 refresh_hz: refresh_hz.map(|rate| f64::from(rate) / 1000.0),
             };
-            self.stage_parts = vec![Part { shows: Shows::Layer(0), output, screen: 0, origin: [0, 0], extent: None }];
+            self.viewports = vec![Viewport { shows: Shows::Layer(0), output, screen: 0, origin: [0, 0], extent: None }];
         }
+        // Scale masks if requested, and report mismatches.
         if mode != Mode::Window {
-            let assigned: Vec<_> = self.stage_parts.iter().map(|part| (part.shows, part.output.clone())).collect();
+            let assigned: Vec<_> =
+                self.viewports.iter().map(|viewport| (viewport.shows, viewport.output.clone())).collect();
             if fit {
                 let (fits, pitch_mm) = fitted(&display, &assigned);
                 display = fits;
-                (self.tell)(Event::Warning(format!(
-                    "fit: a panel pixel stands for {pitch_mm:.4} mm; where it is of another size, so is everything, and distances between the panels have to follow"
+                (self.emit)(Event::Warning(format!(
+                    "fit: one panel pixel is taken as {pitch_mm:.4} mm; scale the distances between the panels by true pitch / {pitch_mm:.4} mm"
                 )));
             }
-            misfits(&display, &assigned).into_iter().for_each(|text| (self.tell)(Event::Warning(text)));
+            misfits(&display, &assigned).into_iter().for_each(|text| (self.emit)(Event::Warning(text)));
         }
-        // the slowest output sets the pace
-        let told = self.stage_parts.iter().filter_map(|part| part.output.refresh_hz).reduce(f64::min);
-        let (refresh_hz, interval_from) = match told {
-            Some(told) => (told, "the platform"),
-            None => (display.refresh_hz, "the display file, since the platform does not tell"),
+        // the slowest output sets the refresh rate
+        let reported = self.viewports.iter().filter_map(|viewport| viewport.output.refresh_hz).reduce(f64::min);
+        let (refresh_hz, interval_from) = match reported {
+            Some(reported) => (reported, "the platform"),
+            None => (display.refresh_hz, "the display file, since the platform does not report it"),
         };
         if matches!(content, Content::Stack(_)) {
             display.refresh_hz = refresh_hz;
             if let Some(warning) = display.flicker_warning() {
-                (self.tell)(Event::Warning(warning));
+                (self.emit)(Event::Warning(warning));
             }
         }
         let fields = if display.colour_sequence == ColourSequence::Field { 3 } else { 1 };
-        let baton = Arc::new(Baton {
+        // Create the state that the threads share.
+        let shared = Arc::new(SharedState {
             stop: AtomicBool::new(false),
             hold: AtomicI64::new(hold.map_or(-1, |frame| frame as i64 * fields)),
             places: AtomicU64::new(1),
             report: AtomicBool::new(false),
             resized: AtomicBool::new(false),
-            beat: AtomicU64::new(0),
-            waits_for: AtomicUsize::new(0),
+            progress: AtomicU64::new(0),
+            blocked_screen: AtomicUsize::new(0),
             feed: Feed::default(),
         });
         let gpu = Arc::new(gpu);
         let failure = gpu.failure.clone();
+        // Forward retired frame sets to the producer, which frees them outside the present loop.
         let (work, works) = channel();
         let (retire, retired) = channel();
         let forward = work.clone();
         let passing = std::thread::spawn(move || {
-            for deck in retired {
-                if forward.send(Work::Retired(deck)).is_err() {
+            for frame_set in retired {
+                if forward.send(Work::Retired(frame_set)).is_err() {
                     break;
                 }
             }
         });
+        // Start the producer and the present loop.
         #[cfg(all(unix, not(target_os = "macos")))]
         let feedback = super::feedback::Feedback::new(&screens, 1.0 / refresh_hz);
-        let conductor = Conductor {
+        let present_loop = PresentLoop {
             gpu: gpu.clone(),
             screens,
-            parts: self.stage_parts.clone(),
-            baton: baton.clone(),
+            viewports: self.viewports.clone(),
+            shared: shared.clone(),
             retired: retire,
             interval_s: 1.0 / refresh_hz,
             interval_from,
@@ -377,44 +390,48 @@ impl App<'_> {
         let from_deg = if let Content::Rehearsal { from_deg, .. } = content { from_deg } else { [0.0; 2] };
         let pictures = match mode {
             Mode::Window => Vec::new(),
-            _ => self.stage_parts.iter().map(|part| Picture::new(&display, part.shows, part.output.size)).collect(),
+            _ => self
+                .viewports
+                .iter()
+                .map(|viewport| Picture::new(&display, viewport.shows, viewport.output.size))
+                .collect(),
         };
         let producer = Producer {
             display,
             content,
-            parts: self.stage_parts.clone(),
+            viewports: self.viewports.clone(),
             gpu,
-            baton: baton.clone(),
+            shared: shared.clone(),
             work: works,
             pictures,
             number: 0,
         };
-        let tell = self.tell.clone();
+        let emit = self.emit.clone();
         let (ends, produced) = channel::<()>();
         let producing = std::thread::Builder::new()
             .name("panels: producer".into())
             .spawn(move || {
-                producer.run(&*tell);
+                producer.run(&*emit);
                 drop(ends);
             })
-            .map_err(thread)?;
+            .map_err(thread_error)?;
         let (done, report) = channel();
-        let tell = self.tell.clone();
-        let conducting = std::thread::Builder::new()
-            .name("panels: conductor".into())
+        let emit = self.emit.clone();
+        let presenting = std::thread::Builder::new()
+            .name("panels: present loop".into())
             .spawn(move || {
-                let _ = done.send(conductor.run(&*tell));
+                let _ = done.send(present_loop.run(&*emit));
             })
-            .map_err(thread)?;
+            .map_err(thread_error)?;
         if mode != Mode::Window {
-            outputs::stay_awake(self.windows.iter().map(|(window, ..)| &**window));
+            outputs::inhibit_idle(self.windows.iter().map(|(window, ..)| &**window));
         }
-        self.stage = Some(Stage {
-            baton,
+        self.running = Some(Running {
+            shared,
             work,
             report,
             produced,
-            conducting: [conducting, passing],
+            presenting: [presenting, passing],
             producing,
             failure,
             mode,
@@ -424,72 +441,73 @@ impl App<'_> {
             duration,
         });
         self.shown_since = Some(Instant::now());
-        // who hears that it has begun may press a key
-        self.watch.insert(Watch::new(event_loop)).keep_keys(&self.windows[0].0, mode == Mode::Span);
+        // take the focus before `Started`: a user may press keys from then on
+        self.watch.insert(Watch::new(event_loop)).keep_focus(&self.windows[0].0, mode == Mode::Span);
         if mode != Mode::Window {
-            for Part { shows: panel, output, .. } in &self.stage_parts {
+            for Viewport { shows: panel, output, .. } in &self.viewports {
                 let Output { name, position, size, refresh_hz } = output.clone();
-                (self.tell)(Event::Shows { panel: *panel, output: name, position, size, refresh_hz });
+                (self.emit)(Event::Shows { panel: *panel, output: name, position, size, refresh_hz });
             }
         }
-        (self.tell)(Event::Started);
+        (self.emit)(Event::Started);
         Ok(())
     }
 
-    /// Says so where refreshes stop: every output waits for the one that takes no picture.
-    fn feel_pulse(&mut self) {
-        let Some(stage) = self.stage.as_ref().filter(|stage| stage.mode != Mode::Window) else { return };
-        let now = stage.baton.beat.load(Ordering::Relaxed);
-        let (last, since, told) = self.beat;
+    /// Warns when refreshes stop: every output waits for the one whose surface is blocked.
+    fn warn_if_stalled(&mut self) {
+        let Some(running) = self.running.as_ref().filter(|running| running.mode != Mode::Window) else { return };
+        let now = running.shared.progress.load(Ordering::Relaxed);
+        let (last, since, reported) = self.progress;
         if now != last {
-            self.beat = (now, Instant::now(), false);
-        } else if now > 0 && !told && since.elapsed() >= STILL {
-            self.beat.2 = true;
-            let (_, name, _) = &self.windows[stage.baton.waits_for.load(Ordering::Relaxed)];
-            let what = if stage.mode == Mode::Span { "the surface across all outputs" } else { name };
-            (self.tell)(Event::Warning(format!(
-                "{what}: no picture was taken for {} s (asleep, or another workspace on it?); all panels wait for it",
-                STILL.as_secs()
+            self.progress = (now, Instant::now(), false);
+        } else if now > 0 && !reported && since.elapsed() >= STALL_TIMEOUT {
+            self.progress.2 = true;
+            let (_, name, _) = &self.windows[running.shared.blocked_screen.load(Ordering::Relaxed)];
+            let what = if running.mode == Mode::Span { "the surface across all outputs" } else { name };
+            (self.emit)(Event::Warning(format!(
+                "{what}: no refresh for {} s (output asleep, or showing another workspace?); all panels wait for it",
+                STALL_TIMEOUT.as_secs()
             )));
         }
     }
 
-    fn obey(&mut self, event_loop: &ActiveEventLoop, command: Command) {
+    fn apply(&mut self, event_loop: &ActiveEventLoop, command: Command) {
         if matches!(command, Command::Quit) {
             return self.end(event_loop, Ok(()));
         }
-        let Some(stage) = &mut self.stage else { return };
-        let hold = &stage.baton.hold;
+        let Some(running) = &mut self.running else { return };
+        let hold = &running.shared.hold;
         match command {
-            Command::Stack(stack) => drop(stage.work.send(Work::Stack(stack))),
-            Command::Hold(frame) => hold.store(frame as i64 * stage.fields, Ordering::Relaxed),
+            Command::Stack(stack) => drop(running.work.send(Work::Stack(stack))),
+            Command::Hold(frame) => hold.store(frame as i64 * running.fields, Ordering::Relaxed),
             Command::Run => hold.store(-1, Ordering::Relaxed),
             Command::Step(by) => {
-                let places = stage.baton.places.load(Ordering::Relaxed).max(1) as i64;
-                let next = (hold.load(Ordering::Relaxed).max(0) + by * stage.fields).rem_euclid(places);
+                let places = running.shared.places.load(Ordering::Relaxed).max(1) as i64;
+                let next = (hold.load(Ordering::Relaxed).max(0) + by * running.fields).rem_euclid(places);
                 hold.store(next, Ordering::Relaxed);
             }
             Command::Nudge(shows, by) => {
                 self.unsaved |= by != [0.0; 2];
-                let _ = stage.work.send(Work::Nudge(shows, by));
+                let _ = running.work.send(Work::Nudge(shows, by));
             }
             Command::Save => {
                 self.unsaved = false;
-                let _ = stage.work.send(Work::Save);
+                let _ = running.work.send(Work::Save);
             }
             Command::Look(from) => {
-                stage.from_deg = from.map(|angle| angle.clamp(-80.0, 80.0));
-                let _ = stage.work.send(Work::Look(stage.from_deg));
+                running.from_deg = from.map(|angle| angle.clamp(-80.0, 80.0));
+                let _ = running.work.send(Work::ViewAngle(running.from_deg));
             }
-            Command::Report => stage.baton.report.store(true, Ordering::Relaxed),
+            Command::Report => running.shared.report.store(true, Ordering::Relaxed),
             Command::Quit => {}
         }
     }
 
-    /// Escape or q ends, space keeps a frame or goes on, comma and full stop step; Tab chooses a panel, arrows shift it (with Shift by ten pixels, with
-    /// Control by a tenth), s saves; r reports. In the rehearsal arrows turn by a degree.
+    /// Keys: Escape or q ends; space holds a frame or resumes; comma and full stop step. Tab
+    /// selects a panel; arrows shift it (Shift: 10 pixels, Control: 0.1); s saves the nudges; r
+    /// reports. In a preview arrows turn the view by one degree.
     fn key(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
-        let Some(stage) = &self.stage else { return };
+        let Some(running) = &self.running else { return };
         let step = match (self.modifiers.shift_key(), self.modifiers.control_key()) {
             (true, _) => 10.0,
             (_, true) => 0.1,
@@ -503,16 +521,16 @@ impl App<'_> {
             _ => None,
         };
         let command = match (key, arrow) {
-            (_, Some([right, down])) if stage.mode == Mode::Window => {
-                Command::Look([stage.from_deg[0] + right, stage.from_deg[1] - down])
+            (_, Some([right, down])) if running.mode == Mode::Window => {
+                Command::Look([running.from_deg[0] + right, running.from_deg[1] - down])
             }
-            (_, Some(shift)) => Command::Nudge(self.stage_parts[self.selected].shows, shift),
+            (_, Some(shift)) => Command::Nudge(self.viewports[self.selected].shows, shift),
             (Key::Named(NamedKey::Escape), _) => Command::Quit,
-            (Key::Named(NamedKey::Space), _) if stage.baton.hold.load(Ordering::Relaxed) >= 0 => Command::Run,
+            (Key::Named(NamedKey::Space), _) if running.shared.hold.load(Ordering::Relaxed) >= 0 => Command::Run,
             (Key::Named(NamedKey::Space), _) => Command::Hold(0),
             (Key::Named(NamedKey::Tab), _) => {
-                self.selected = (self.selected + 1) % self.stage_parts.len().max(1);
-                Command::Nudge(self.stage_parts[self.selected].shows, [0.0, 0.0])
+                self.selected = (self.selected + 1) % self.viewports.len().max(1);
+                Command::Nudge(self.viewports[self.selected].shows, [0.0, 0.0])
             }
             (Key::Character(text), _) => match text.as_str() {
                 "q" => Command::Quit,
@@ -524,55 +542,57 @@ impl App<'_> {
             },
             _ => return,
         };
-        self.obey(event_loop, command);
+        self.apply(event_loop, command);
     }
 
-    /// Ends everything; the first reason counts.
+    /// Stops all threads and emits the report. The first reason is kept as the result.
     fn end(&mut self, event_loop: &ActiveEventLoop, reason: Result<(), WindowError>) {
         event_loop.exit();
         if self.result.is_some() {
             return;
         }
-        let report = match self.stage.take() {
+        let report = match self.running.take() {
             None => Report::default(),
-            Some(stage) => {
-                stage.baton.stop.store(true, Ordering::Relaxed);
-                let report = stage.report.recv_timeout(FAREWELL).or_else(|waits| {
-                    self.windows.iter().take(1).for_each(|(window, ..)| outputs::hang_up(window));
-                    // what it then still has to say
-                    stage.report.recv_timeout(FAREWELL).map_err(|_| waits)
+            Some(running) => {
+                running.shared.stop.store(true, Ordering::Relaxed);
+                let report = running.report.recv_timeout(SHUTDOWN_TIMEOUT).or_else(|waits| {
+                    self.windows.iter().take(1).for_each(|(window, ..)| outputs::disconnect(window));
+                    // without a connection the present loop unblocks, and its report follows
+                    running.report.recv_timeout(SHUTDOWN_TIMEOUT).map_err(|_| waits)
                 });
-                // whoever uses the graphics processor ends before the process does: drivers do not survive it otherwise; a thread that has said its last word may
-                // still be giving back what the driver keeps for it
+                // Join all threads that use the GPU: drivers crash if the process exits before
+                // them. A thread that has sent its report may still be freeing driver resources.
                 if report.is_ok() {
-                    stage.conducting.into_iter().for_each(|thread| drop(thread.join()));
+                    running.presenting.into_iter().for_each(|thread| drop(thread.join()));
                 }
-                drop(stage.work);
-                drop(stage.baton);
-                if stage.produced.recv_timeout(FAREWELL) == Err(RecvTimeoutError::Disconnected) {
-                    let _ = stage.producing.join();
+                drop(running.work);
+                drop(running.shared);
+                if running.produced.recv_timeout(SHUTDOWN_TIMEOUT) == Err(RecvTimeoutError::Disconnected) {
+                    let _ = running.producing.join();
                 }
                 report.unwrap_or_default()
             }
         };
         self.windows.clear();
         if self.unsaved {
-            (self.tell)(Event::Warning("the panels' shifts were not saved (key s, or `save`)".into()));
+            (self.emit)(Event::Warning(
+                "the panels' nudges were not saved (save by key s, or the command `save`)".into(),
+            ));
         }
-        // an error that comes before the first refresh has nothing to count
+        // an error before the first refresh has no statistics
         if reason.is_ok() || report.refreshes > 0 {
-            (self.tell)(Event::Report(Box::new(report)));
+            (self.emit)(Event::Report(Box::new(report)));
         }
         self.result = Some(reason);
     }
 }
 
-fn thread(error: std::io::Error) -> WindowError {
-    WindowError::Session(format!("no thread: {error}"))
+fn thread_error(error: std::io::Error) -> WindowError {
+    WindowError::Session(format!("cannot start a thread: {error}"))
 }
 
-/// A window of a place and size of our own, whatever a window manager thinks.
-fn spanning(
+/// A window of fixed place and size that window managers do not change.
+fn span_attributes(
     attributes: winit::window::WindowAttributes,
     [x, y]: [i32; 2],
     size: [usize; 2],
@@ -589,19 +609,20 @@ fn spanning(
     attributes
 }
 
-/// Wayland gives a client one output; sway can be asked for all of them.
-fn tell_compositor() -> Result<(), WindowError> {
-    // a window is not there for it before it has a picture, so this is a rule for when it comes
-    let wish = format!("for_window [title=\"^{SPAN_TITLE}$\"] fullscreen enable global");
-    let asked = std::env::var_os("SWAYSOCK").map(|_| std::process::Command::new("swaymsg").arg(&wish).output());
+/// Wayland shows a fullscreen surface on one output only; sway can extend it across all.
+fn add_span_rule() -> Result<(), WindowError> {
+    // sway knows a window only after its first frame, so this is a rule for later windows
+    let rule = format!("for_window [title=\"^{SPAN_TITLE}$\"] fullscreen enable global");
+    let asked = std::env::var_os("SWAYSOCK").map(|_| std::process::Command::new("swaymsg").arg(&rule).output());
     match asked {
         Some(Ok(answer)) if answer.status.success() => Ok(()),
-        Some(Ok(answer)) => {
-            Err(WindowError::Span(format!("sway does not do it: {}", String::from_utf8_lossy(&answer.stdout).trim())))
-        }
-        Some(Err(error)) => Err(WindowError::Span(format!("swaymsg does not start: {error}"))),
+        Some(Ok(answer)) => Err(WindowError::Span(format!(
+            "expected sway to accept a fullscreen rule, found {}",
+            String::from_utf8_lossy(&answer.stdout).trim()
+        ))),
+        Some(Err(error)) => Err(WindowError::Span(format!("cannot start swaymsg: {error}"))),
         None => Err(WindowError::Span(
-            "expected X11, or sway, whose surfaces can reach across outputs; other Wayland compositors give a surface to one output only".into(),
+            "expected X11 or sway; other Wayland compositors show a surface on one output only".into(),
         )),
     }
 }

@@ -1,7 +1,8 @@
-//! When pictures were really shown, as Wayland's presentation-time protocol tells it.
+//! Presentation times, by Wayland's presentation-time protocol.
 //!
-//! Every presentation is asked about before it is committed; the answer comes some refreshes later, with the time of the refresh, or says that the picture was
-//! never shown. Answers arrive in a queue of our own. The main thread reads the connection whenever something comes, so nothing here ever blocks.
+//! A request is sent before each commit. The answer follows some refreshes later: the time of
+//! presentation, or that the frame was discarded. Answers arrive in a separate queue. The main
+//! thread reads the connection whenever data arrives, so nothing here blocks.
 
 use wayland_client::protocol::wl_registry::{self, WlRegistry};
 use wayland_client::protocol::wl_surface::WlSurface;
@@ -13,29 +14,29 @@ use super::gpu::Screen;
 use super::wayland::{connection_of, surface_of};
 use crate::{Skew, Tally};
 
-/// Asks and listens.
+/// Requests presentation times and collects statistics of the answers.
 pub(super) struct Feedback {
-    queue: EventQueue<Heard>,
+    queue: EventQueue<FeedbackState>,
     presentation: WpPresentation,
     surfaces: Vec<WlSurface>,
-    heard: Heard,
+    state: FeedbackState,
 }
 
-/// What was told so far.
-struct Heard {
+/// Statistics of the answers so far.
+struct FeedbackState {
     presentation: Option<WpPresentation>,
     tallies: Vec<Tally>,
     skew: Skew,
 }
 
-/// Which refresh of which surface an answer is about.
-struct Asked {
+/// The refresh and surface of a request.
+struct Request {
     screen: usize,
     index: u64,
 }
 
 impl Feedback {
-    /// None where the session is not Wayland or does not tell.
+    /// None if the session is not Wayland, or lacks the protocol.
     pub(super) fn new(screens: &[Screen], interval_s: f64) -> Option<Self> {
         let connection = connection_of(&screens.first()?.window)?;
         let surfaces = screens.iter().map(|screen| surface_of(&connection, &screen.window));
@@ -43,36 +44,36 @@ impl Feedback {
         let mut queue = connection.new_event_queue();
         connection.display().get_registry(&queue.handle(), ());
         let tallies = vec![Tally::new(interval_s); screens.len()];
-        let mut heard = Heard { presentation: None, tallies, skew: Skew::new(screens.len()) };
-        queue.roundtrip(&mut heard).ok()?;
-        let presentation = heard.presentation.clone()?;
-        Some(Self { queue, presentation, surfaces, heard })
+        let mut state = FeedbackState { presentation: None, tallies, skew: Skew::new(screens.len()) };
+        queue.roundtrip(&mut state).ok()?;
+        let presentation = state.presentation.clone()?;
+        Some(Self { queue, presentation, surfaces, state })
     }
 
-    /// Asks about the presentation that follows.
-    pub(super) fn ask(&mut self, screen: usize, index: u64) {
-        self.presentation.feedback(&self.surfaces[screen], &self.queue.handle(), Asked { screen, index });
+    /// Requests the presentation time of the next commit of a surface.
+    pub(super) fn request(&mut self, screen: usize, index: u64) {
+        self.presentation.feedback(&self.surfaces[screen], &self.queue.handle(), Request { screen, index });
     }
 
-    /// Takes the answers that are there.
-    pub(super) fn listen(&mut self) {
-        let _ = self.queue.dispatch_pending(&mut self.heard);
+    /// Dispatches the answers that have arrived.
+    pub(super) fn dispatch(&mut self) {
+        let _ = self.queue.dispatch_pending(&mut self.state);
     }
 
-    /// Per surface.
+    /// Statistics per surface.
     pub(super) fn tallies(&self) -> &[Tally] {
-        &self.heard.tallies
+        &self.state.tallies
     }
 
-    /// Between surfaces.
+    /// Skew between surfaces.
     pub(super) fn skew(&self) -> &Skew {
-        &self.heard.skew
+        &self.state.skew
     }
 }
 
-impl Dispatch<WlRegistry, ()> for Heard {
+impl Dispatch<WlRegistry, ()> for FeedbackState {
     fn event(
-        heard: &mut Self,
+        state: &mut Self,
         registry: &WlRegistry,
         event: wl_registry::Event,
         _: &(),
@@ -82,12 +83,12 @@ impl Dispatch<WlRegistry, ()> for Heard {
         if let wl_registry::Event::Global { name, interface, .. } = event
             && interface == WpPresentation::interface().name
         {
-            heard.presentation = Some(registry.bind(name, 1, queue, ()));
+            state.presentation = Some(registry.bind(name, 1, queue, ()));
         }
     }
 }
 
-impl Dispatch<WpPresentation, ()> for Heard {
+impl Dispatch<WpPresentation, ()> for FeedbackState {
     fn event(
         _: &mut Self,
         _: &WpPresentation,
@@ -99,19 +100,19 @@ impl Dispatch<WpPresentation, ()> for Heard {
     }
 }
 
-impl Dispatch<WpPresentationFeedback, Asked> for Heard {
+impl Dispatch<WpPresentationFeedback, Request> for FeedbackState {
     fn event(
-        heard: &mut Self,
+        state: &mut Self,
         _: &WpPresentationFeedback,
         event: wp_presentation_feedback::Event,
-        asked: &Asked,
+        request: &Request,
         _: &Connection,
         _: &QueueHandle<Self>,
     ) {
         if let wp_presentation_feedback::Event::Presented { tv_sec_hi, tv_sec_lo, tv_nsec, .. } = event {
             let seconds = (u64::from(tv_sec_hi) << 32 | u64::from(tv_sec_lo)) as f64 + f64::from(tv_nsec) * 1e-9;
-            heard.tallies[asked.screen].came(asked.index, seconds);
-            heard.skew.came(asked.index, seconds);
+            state.tallies[request.screen].came(request.index, seconds);
+            state.skew.came(request.index, seconds);
         }
     }
 }

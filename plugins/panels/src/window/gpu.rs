@@ -1,4 +1,4 @@
-//! The graphics processor: code values as textures, drawn texel by texel so that what arrives is what was sent.
+//! The GPU: code values as textures, copied texel by texel so that outputs receive exact codes.
 
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
@@ -14,35 +14,35 @@ use crate::assign::Output;
 pub(super) struct Gpu {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
-    /// The first thing that went wrong, when nobody was there to hear it.
+    /// The first uncaptured error and its time. The main thread reports it.
     pub(super) failure: Arc<OnceLock<(Instant, String)>>,
     pipeline: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
 }
 
-/// A surface and the parts of it that outputs show.
+/// A window and its surface.
 pub(super) struct Screen {
     pub(super) window: Arc<Window>,
     pub(super) surface: wgpu::Surface<'static>,
     pub(super) config: wgpu::SurfaceConfiguration,
 }
 
-/// Where on which screen one output's picture goes.
+/// The area of a screen that one output's picture fills.
 #[derive(Clone, Debug)]
-pub(super) struct Part {
+pub(super) struct Viewport {
     pub(super) shows: Shows,
     pub(super) output: Output,
     pub(super) screen: usize,
     /// [x, y] of its upper left pixel on the screen.
     pub(super) origin: [u32; 2],
-    /// [columns, rows] of it there; none for all that there is.
+    /// [columns, rows] on the screen; none for all of it.
     pub(super) extent: Option<[u32; 2]>,
 }
 
-/// Pictures of one period on the graphics processor: `[place in the period][part]`.
-pub(super) struct Deck {
+/// Uploaded frames of one period: `[place in the period][viewport]`.
+pub(super) struct FrameSet {
     pub(super) pictures: Vec<Vec<wgpu::BindGroup>>,
-    /// How many went before.
+    /// Number of frame sets before this one.
     pub(super) number: u64,
 }
 
@@ -62,7 +62,10 @@ fn texel(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
 }
 ";
 
-/// A device that can present on all windows, and their surfaces.
+/// Opens a device that can present on all windows, and configures their surfaces.
+///
+/// # Errors
+/// If there is no driver, or a surface has no 8-bit unorm format.
 pub(super) fn open(
     event_loop: &ActiveEventLoop,
     windows: Vec<(Arc<Window>, String)>,
@@ -75,6 +78,7 @@ pub(super) fn open(
         let surface = instance.create_surface(window.clone()).map_err(|error| failed(&name, error.to_string()))?;
         surfaces.push((window, name, surface));
     }
+    // Choose an adapter that can present on the first window.
     let first = surfaces.first().ok_or_else(|| failed("any output", "no window".into()))?;
     let options = wgpu::RequestAdapterOptions {
         power_preference: wgpu::PowerPreference::HighPerformance,
@@ -91,15 +95,23 @@ pub(super) fn open(
     let (device, queue) =
         pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| failed(&first.1, error.to_string()))?;
 
+    // Configure every surface: Fifo, two frames of latency, one common format.
     let mut format = None;
     let mut screens = Vec::new();
     for (window, name, surface) in surfaces {
         let offered = surface.get_capabilities(&adapter).formats;
-        // codes go through as they are: no conversion by the surface
+        // unorm formats pass codes unchanged; sRGB formats would convert them
         let plain = [wgpu::TextureFormat::Bgra8Unorm, wgpu::TextureFormat::Rgba8Unorm];
         let chosen = plain.into_iter().find(|plain| offered.contains(plain) && format.is_none_or(|f| f == *plain));
-        let chosen =
-            chosen.ok_or_else(|| failed(&name, format!("surfaces of {offered:?} on {}", adapter.get_info().name)))?;
+        let chosen = chosen.ok_or_else(|| {
+            failed(
+                &name,
+                format!(
+                    "surface formats {offered:?} on {}, none of them Bgra8Unorm or Rgba8Unorm",
+                    adapter.get_info().name
+                ),
+            )
+        })?;
         format = Some(chosen);
         let size = window.inner_size();
         let mut config = surface
@@ -116,7 +128,7 @@ pub(super) fn open(
 }
 
 impl Screen {
-    /// Makes the surface as large as its window is now.
+    /// Resizes the surface to its window.
     pub(super) fn fit(&mut self, device: &wgpu::Device) {
         let size = self.window.inner_size();
         (self.config.width, self.config.height) = (size.width.max(1), size.height.max(1));
@@ -126,11 +138,13 @@ impl Screen {
 
 impl Gpu {
     fn new(device: wgpu::Device, queue: wgpu::Queue, format: wgpu::TextureFormat) -> Self {
+        // Keep the first uncaptured error; the main thread reports it.
         let failure = Arc::new(OnceLock::new());
-        let heard = failure.clone();
+        let first_error = failure.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            let _ = heard.set((Instant::now(), error.to_string()));
+            let _ = first_error.set((Instant::now(), error.to_string()));
         }));
+        // Bindings: the picture, and the viewport's origin.
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("picture"),
             entries: &[
@@ -156,6 +170,7 @@ impl Gpu {
                 },
             ],
         });
+        // The pipeline draws one triangle over the target, one texel per pixel.
         let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("texel by texel"),
             source: wgpu::ShaderSource::Wgsl(SHADER.into()),
@@ -189,7 +204,8 @@ impl Gpu {
         Self { device, queue, failure, pipeline, layout }
     }
 
-    /// Loads the code values `[row][col][red, green, blue, 255]` of an output, and hands them to the graphics processor at once.
+    /// Uploads the code values `[row][col][red, green, blue, 255]` of one output and submits the
+    /// copy at once.
     pub(super) fn load(&self, codes: &[u8], [cols, rows]: [usize; 2], origin: [u32; 2]) -> wgpu::BindGroup {
         let size = wgpu::Extent3d { width: cols as u32, height: rows as u32, depth_or_array_layers: 1 };
         let texture = self.device.create_texture(&wgpu::TextureDescriptor {
@@ -213,7 +229,7 @@ impl Gpu {
         });
         let bytes: Vec<u8> = [origin[0], origin[1], 0, 0].into_iter().flat_map(u32::to_ne_bytes).collect();
         self.queue.write_buffer(&place, 0, &bytes);
-        // one picture at a time, so that no refresh waits for all of them
+        // one submission per picture, so that no refresh waits for a whole period
         self.queue.submit([]);
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("picture"),
@@ -228,12 +244,12 @@ impl Gpu {
         })
     }
 
-    /// Draws the parts of one screen.
+    /// Draws the viewports of one screen.
     pub(super) fn draw<'a>(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         target: &wgpu::Texture,
-        parts: impl IntoIterator<Item = (&'a Part, &'a wgpu::BindGroup)>,
+        viewports: impl IntoIterator<Item = (&'a Viewport, &'a wgpu::BindGroup)>,
     ) {
         let view = target.create_view(&Default::default());
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -247,15 +263,16 @@ impl Gpu {
             ..Default::default()
         });
         pass.set_pipeline(&self.pipeline);
-        for (part, picture) in parts {
-            let [x, y] = part.origin;
-            // an output may have become smaller
+        for (viewport, picture) in viewports {
+            let [x, y] = viewport.origin;
+            // the surface may have shrunk
             let (width, height) = (target.width().saturating_sub(x), target.height().saturating_sub(y));
             if width == 0 || height == 0 {
                 continue;
             }
-            // in one surface outputs lie beside one another; a window's only part grows with it
-            let [cols, rows] = part.extent.unwrap_or([width, height]);
+            // in a span, viewports lie beside one another; in a preview the viewport grows with the
+            // window
+            let [cols, rows] = viewport.extent.unwrap_or([width, height]);
             pass.set_scissor_rect(x, y, cols.min(width), rows.min(height));
             pass.set_bind_group(0, picture, &[]);
             pass.draw(0..3, 0..1);

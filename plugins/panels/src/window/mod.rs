@@ -1,20 +1,22 @@
-//! The windows: one borderless fullscreen surface per output, or one across all of them, each refresh with its picture.
+//! The windows: one borderless fullscreen surface per output, or one surface across all of them.
 //!
 //! ```text
-//! main thread      windows, keys, outputs that come and go             (winit wants it so)
-//! producer         stacks, patterns and nudges become code values, are loaded onto the graphics processor, and wait in the feed
-//! conductor        every refresh: a picture for every surface, one submission, then all are presented; at the start of a period it takes what the feed has
+//! main thread   windows, keys, outputs that appear and disappear  (winit requires this thread)
+//! producer      encodes stacks, patterns and nudges into codes, uploads them, puts them into the feed
+//! present loop  per refresh: one frame on every surface in one submission; takes the feed's frame set
+//!               at the start of a period
 //! ```
 //!
-//! The conductor never waits for the producer. What it waits for is the display: surfaces are presented in order at vertical blanks (Fifo), so its pace is that
-//! of the slowest output, and no output is ever more than one refresh from another by its doing. Where the platform tells when a picture was really shown
-//! (Wayland's presentation-time), late refreshes and the skew between outputs are counted from that; elsewhere from the times of submission, and the skew
-//! is unknown.
+//! The present loop never waits for the producer. It waits for the display alone: Fifo surfaces are
+//! presented at vertical blanks, so the slowest output sets the rate. The loop keeps all outputs
+//! within one refresh of one another.
+//!
+//! Where the platform reports presentation times (Wayland's presentation-time), they define late
+//! refreshes and the skew between outputs. Elsewhere the times of submission define late refreshes,
+//! and the skew is unknown.
 
 #[cfg(feature = "window")]
 mod app;
-#[cfg(feature = "window")]
-mod conductor;
 #[cfg(all(feature = "window", unix, not(target_os = "macos")))]
 mod feedback;
 #[cfg(feature = "window")]
@@ -23,6 +25,8 @@ mod gpu;
 mod none;
 #[cfg(feature = "window")]
 mod outputs;
+#[cfg(feature = "window")]
+mod present_loop;
 #[cfg(feature = "window")]
 mod producer;
 #[cfg(feature = "window")]
@@ -43,13 +47,13 @@ pub use none::{outputs, present};
 #[cfg(feature = "window")]
 pub use outputs::outputs;
 
-/// A presentation that could not be, or had to end.
+/// A presentation could not start, or had to end.
 #[derive(Debug, Error)]
 pub enum WindowError {
-    /// Which output shows what cannot be said.
+    /// The outputs do not match the display.
     #[error(transparent)]
     Assign(#[from] AssignError),
-    /// The pattern does not go with the display.
+    /// The pattern does not match the display.
     #[error(transparent)]
     Pattern(#[from] PatternError),
     /// The program was built without windows.
@@ -60,55 +64,53 @@ pub enum WindowError {
     /// There is no windowing system.
     #[error("windows: expected an X11 or Wayland session (DISPLAY or WAYLAND_DISPLAY), found {0}")]
     Session(String),
-    /// No graphics processor, not even in software.
+    /// There is no graphics driver, not even in software.
     #[error(
         "graphics: expected a Vulkan or OpenGL driver that can present on {on} (Mesa's llvmpipe needs no graphics card), found {found}"
     )]
     Graphics {
         /// The output.
         on: String,
-        /// What went wrong.
+        /// The driver's error.
         found: String,
     },
-    /// A window did not become what it should.
-    #[error(
-        "output {output}: expected a surface of {expected:?} pixels, found {found:?}: an output must not be scaled"
-    )]
+    /// A window did not reach the size of its output.
+    #[error("output {output}: expected a surface of {expected:?} pixels, found {found:?}: set the output's scale to 1")]
     Size {
-        /// Its name.
+        /// The output's name.
         output: String,
-        /// Columns and rows of the output.
+        /// [columns, rows] of the output.
         expected: [usize; 2],
-        /// Those of the window.
+        /// [columns, rows] of the window.
         found: [usize; 2],
     },
-    /// The platform cannot do it.
+    /// The platform cannot show one surface across outputs.
     #[error("span: {0}")]
     Span(String),
-    /// The session ended.
+    /// The connection to the windowing system was lost.
     #[error("windows: the connection to the X server or the compositor was lost")]
     Lost,
-    /// An output went away.
-    #[error("output {name}: it is gone (unplugged, switched off?), and {shows} has nowhere to be shown")]
+    /// An output was disconnected.
+    #[error("output {name}: disconnected while it showed {shows}: check that it is plugged in and switched on")]
     Gone {
-        /// Its name.
+        /// The output's name.
         name: String,
-        /// What it showed.
+        /// The panel that it showed.
         shows: Shows,
     },
-    /// An output became another one.
+    /// An output changed its size or position.
     #[error(
         "output {name}, which shows {shows}: expected {} × {} pixels at {},{} as at the start, found {} × {} at {},{}",
         was.size[0], was.size[1], was.position[0], was.position[1], is.size[0], is.size[1], is.position[0], is.position[1]
     )]
     Changed {
-        /// Its name.
+        /// The output's name.
         name: String,
-        /// What it showed.
+        /// The panel that it showed.
         shows: Shows,
-        /// What it was.
+        /// The output at the start.
         was: Box<Output>,
-        /// What it is.
+        /// The output now.
         is: Box<Output>,
     },
 }

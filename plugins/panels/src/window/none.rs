@@ -1,4 +1,4 @@
-//! The place of the windows in a build without them.
+//! Replaces the windows in a build without the feature `window`.
 
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -7,10 +7,7 @@ use super::WindowError;
 use crate::assign::Output;
 use crate::presentation::{Command, Event, Settings};
 
-/// Shows nothing.
-///
-/// # Errors
-/// Always.
+/// Returns [`WindowError::NotBuilt`].
 pub fn present(
     _: Settings,
     _: Receiver<Command>,
@@ -20,10 +17,7 @@ pub fn present(
     Err(WindowError::NotBuilt)
 }
 
-/// Finds no outputs.
-///
-/// # Errors
-/// Always.
+/// Returns [`WindowError::NotBuilt`].
 pub fn outputs() -> Result<Vec<Output>, WindowError> {
     Err(WindowError::NotBuilt)
 }

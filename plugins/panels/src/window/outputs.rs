@@ -1,11 +1,13 @@
-//! Which outputs there are, whether they stay what they were, and who has the keys.
+//! Lists outputs, detects their changes, and keeps the keyboard focus on X11.
 //!
-//! winit's list follows Wayland, whose registry takes an output back when it goes. On X11 it stays as it was at the start: RandR's events reach winit through
-//! Xlib, which drops those of extensions that it was not told about. So there a connection of our own asks the server.
+//! On Wayland winit's list follows the registry. On X11 winit's list stays as it was at the start:
+//! RandR's events reach it through Xlib, which drops events of extensions that it did not
+//! initialize. Therefore a second connection queries the X server.
 //!
-//! Keys on X11 go to the window that has the focus. Where it is the root window, or no window, they go to the one under the pointer, which winit does not pass on: it
-//! was never told that this window has them. A window manager gives the focus to new windows. Without one nobody does; what ends before us leaves it where its
-//! windows were asked to leave it (winit's for full screens: with the root window).
+//! X11 sends keys to the focused window. If the focus is the root window or none, keys go to the
+//! window under the pointer, and winit drops them. A window manager focuses new windows. Without
+//! one no client does, and a client that exits reverts the focus as its windows requested. For
+//! winit's fullscreen windows that is the root window.
 
 use winit::application::ApplicationHandler;
 use winit::event::WindowEvent;
@@ -35,7 +37,7 @@ pub fn outputs() -> Result<Vec<Output>, WindowError> {
     Ok(lister.0)
 }
 
-/// The outputs of this session, from left to right, with what winit calls them.
+/// The outputs of this session, from left to right, with winit's handles.
 pub(super) fn outputs_of(event_loop: &ActiveEventLoop) -> Vec<(Output, MonitorHandle)> {
     let monitors = event_loop.available_monitors().enumerate().map(|(i, monitor)| {
         let (position, size) = (monitor.position(), monitor.size());
@@ -53,17 +55,17 @@ pub(super) fn outputs_of(event_loop: &ActiveEventLoop) -> Vec<(Output, MonitorHa
     outputs
 }
 
-/// Looks at the outputs while something is shown on them.
+/// Detects changes of outputs during a presentation.
 pub(super) enum Watch {
-    /// As winit tells.
+    /// By winit's list.
     Winit,
-    /// As the X server tells, asked again whenever it says that something is new.
+    /// By queries to the X server, repeated after each change event.
     #[cfg(all(unix, not(target_os = "macos")))]
     X11(Box<x11::Server>),
 }
 
 impl Watch {
-    /// Begins to watch.
+    /// Connects to the X server, if the session is X11.
     pub(super) fn new(event_loop: &ActiveEventLoop) -> Self {
         #[cfg(all(unix, not(target_os = "macos")))]
         if is_x11(event_loop)
@@ -75,25 +77,26 @@ impl Watch {
         Self::Winit
     }
 
-    /// Sees to it that an X server without a window manager sends keys to `window`: at the start, and whenever nobody has them any more. `unmanaged` is a window that
-    /// no window manager cares for, either. Costs nothing where nothing changed.
-    pub(super) fn keep_keys(&mut self, window: &Window, unmanaged: bool) {
+    /// Sets the keyboard focus to `window` on an X server without a window manager: at the start,
+    /// and whenever the focus was lost. `unmanaged`: window managers ignore this window too. It
+    /// returns at once if nothing changed.
+    pub(super) fn keep_focus(&mut self, window: &Window, unmanaged: bool) {
         #[cfg(all(unix, not(target_os = "macos")))]
         if let Self::X11(server) = self {
-            // a window that is not shown yet gets none: next time
-            let _ = server.keep_keys(window, unmanaged);
+            // fails while the window is not mapped; the next call retries
+            let _ = server.keep_focus(window, unmanaged);
         }
         #[cfg(not(all(unix, not(target_os = "macos"))))]
         let _ = (window, unmanaged);
     }
 
-    /// Names, places and sizes of the outputs that are there now.
+    /// The outputs at this time: names, positions and sizes.
     pub(super) fn outputs(&mut self, event_loop: &ActiveEventLoop) -> Vec<Output> {
         #[cfg(all(unix, not(target_os = "macos")))]
         if let Self::X11(server) = self {
             match server.outputs() {
                 Ok(outputs) => return outputs.to_vec(),
-                // a server that does not answer takes the windows with it
+                // the X server is gone, and the windows close with it
                 Err(_) => *self = Self::Winit,
             }
         }
@@ -110,64 +113,70 @@ mod x11 {
     use x11rb::connection::Connection;
     use x11rb::errors::{ConnectionError, ReplyError};
     use x11rb::protocol::Event;
-    use x11rb::protocol::randr::{Connection as Plug, ConnectionExt as _, NotifyMask};
+    use x11rb::protocol::randr::{Connection as PlugState, ConnectionExt as _, NotifyMask};
     use x11rb::protocol::screensaver::ConnectionExt as _;
     use x11rb::protocol::xproto::{ChangeWindowAttributesAux, ConnectionExt as _, EventMask, InputFocus};
     use x11rb::rust_connection::RustConnection;
 
     use crate::assign::Output;
 
-    /// How long a server must be quiet before it is asked: it switches outputs off and on again to change them.
-    const QUIET: Duration = Duration::from_millis(200);
+    /// Time without change events before a query: the server switches outputs off and on to change
+    /// them.
+    const SETTLE_TIME: Duration = Duration::from_millis(200);
 
-    /// A connection of our own, and what was last heard.
+    /// A second connection to the X server, and the state of its events.
     pub(in crate::window) struct Server {
         connection: RustConnection,
         root: u32,
-        /// Names of the outputs with a monitor at the start.
+        /// Outputs with a monitor at the start.
         plugged: Vec<String>,
         outputs: Vec<Output>,
-        /// When something new about outputs was last told.
-        told: Option<Instant>,
-        keys: Keys,
+        /// Time of the last change event that no query followed.
+        changed_at: Option<Instant>,
+        focus_state: Focus,
     }
 
-    /// Who has the keys.
+    /// State of the keyboard focus.
     #[derive(Clone, Copy, PartialEq)]
-    enum Keys {
-        /// Not yet a window of ours.
-        Before,
-        /// A window of ours, or of somebody who took them from it.
-        Given,
-        /// Perhaps nobody: the focus fell to the root window or to none.
-        Fallen,
+    enum Focus {
+        /// Not set yet.
+        NotSet,
+        /// Set to our window, and possibly moved by another client.
+        Set,
+        /// Possibly reverted to the root window or to none.
+        Reverted,
     }
 
     impl Server {
         pub(super) fn connect() -> Result<Self, Box<dyn std::error::Error>> {
             let (connection, screen) = x11rb::connect(None)?;
             let root = connection.setup().roots[screen].root;
-            // the version that knows of current resources
+            // version 1.3 has GetScreenResourcesCurrent
             connection.randr_query_version(1, 3)?.reply()?;
             let all = NotifyMask::SCREEN_CHANGE | NotifyMask::CRTC_CHANGE | NotifyMask::OUTPUT_CHANGE;
             connection.randr_select_input(root, all)?.check()?;
-            // a focus that falls to nobody passes the root window
+            // a focus that reverts generates events on the root window
             let focus = ChangeWindowAttributesAux::new().event_mask(EventMask::FOCUS_CHANGE);
             connection.change_window_attributes(root, &focus)?.check()?;
-            // outputs stay awake as long as this connection lasts; without the extension they follow the server's settings
+            // outputs stay on while this connection is open; without the extension the server's
+            // settings apply
             let _ = connection.screensaver_suspend(1);
             let (plugged, outputs) = (Vec::new(), Vec::new());
-            let mut server = Self { connection, root, plugged, outputs, told: None, keys: Keys::Before };
-            let first = server.ask()?;
+            let mut server = Self { connection, root, plugged, outputs, changed_at: None, focus_state: Focus::NotSet };
+            let first = server.query()?;
             server.plugged =
                 first.iter().filter(|(_, plugged)| *plugged).map(|(output, _)| output.name.clone()).collect();
             server.outputs = first.into_iter().map(|(output, _)| output).collect();
             Ok(server)
         }
 
-        pub(super) fn keep_keys(&mut self, window: &Window, unmanaged: bool) -> Result<(), Box<dyn std::error::Error>> {
-            self.listen()?;
-            if self.keys == Keys::Given {
+        pub(super) fn keep_focus(
+            &mut self,
+            window: &Window,
+            unmanaged: bool,
+        ) -> Result<(), Box<dyn std::error::Error>> {
+            self.poll_events()?;
+            if self.focus_state == Focus::Set {
                 return Ok(());
             }
             let window = match window.window_handle()?.as_raw() {
@@ -175,55 +184,56 @@ mod x11 {
                 RawWindowHandle::Xcb(handle) => handle.window.get(),
                 _ => return Ok(()),
             };
-            // who redirects the root window's children is the window manager
+            // a window manager selects SubstructureRedirect on the root window
             let redirected = self.connection.get_window_attributes(self.root)?.reply()?.all_event_masks;
             let managed = redirected.contains(EventMask::SUBSTRUCTURE_REDIRECT);
-            let take = match self.keys {
-                Keys::Before => unmanaged || !managed,
-                // 0 is nobody, 1 whoever is under the pointer
+            let take = match self.focus_state {
+                Focus::NotSet => unmanaged || !managed,
+                // focus 0 is none, 1 is the window under the pointer
                 _ => !managed && [0, 1, self.root].contains(&self.connection.get_input_focus()?.reply()?.focus),
             };
             if take {
                 self.connection.set_input_focus(InputFocus::POINTER_ROOT, window, x11rb::CURRENT_TIME)?.check()?;
             }
-            self.keys = Keys::Given;
+            self.focus_state = Focus::Set;
             Ok(())
         }
 
-        /// Hears what is new, without waiting.
-        fn listen(&mut self) -> Result<(), ConnectionError> {
+        /// Reads pending events, without blocking.
+        fn poll_events(&mut self) -> Result<(), ConnectionError> {
             while let Some(event) = self.connection.poll_for_event()? {
                 match event {
-                    Event::FocusIn(_) if self.keys == Keys::Given => self.keys = Keys::Fallen,
+                    Event::FocusIn(_) if self.focus_state == Focus::Set => self.focus_state = Focus::Reverted,
                     Event::FocusIn(_) | Event::FocusOut(_) => {}
-                    _ => self.told = Some(Instant::now()),
+                    _ => self.changed_at = Some(Instant::now()),
                 }
             }
             Ok(())
         }
 
-        /// Does not wait unless something is new.
+        /// Queries the server only after a change; returns the known outputs otherwise.
         pub(super) fn outputs(&mut self) -> Result<&[Output], ReplyError> {
-            self.listen()?;
-            if self.told.is_some_and(|told| told.elapsed() >= QUIET) {
-                // a server goes on sending after a cable was drawn; but pictures may also be sent where it never saw a monitor
+            self.poll_events()?;
+            if self.changed_at.is_some_and(|changed_at| changed_at.elapsed() >= SETTLE_TIME) {
+                // The server keeps sending to an unplugged output. Outputs that never had a monitor
+                // are accepted too.
                 let is = |(output, plugged): &(Output, bool)| *plugged || !self.plugged.contains(&output.name);
-                let there = self.ask()?.into_iter().filter(is).map(|(output, _)| output).collect();
-                (self.outputs, self.told) = (there, None);
+                let there = self.query()?.into_iter().filter(is).map(|(output, _)| output).collect();
+                (self.outputs, self.changed_at) = (there, None);
             }
             Ok(&self.outputs)
         }
 
-        /// Every output that a picture is sent to, and whether a monitor is plugged in.
-        fn ask(&self) -> Result<Vec<(Output, bool)>, ReplyError> {
+        /// Every output with a CRTC, and whether a monitor is connected.
+        fn query(&self) -> Result<Vec<(Output, bool)>, ReplyError> {
             let resources = self.connection.randr_get_screen_resources_current(self.root)?.reply()?;
             let when = resources.config_timestamp;
-            let asked = resources.crtcs.iter().map(|crtc| self.connection.randr_get_crtc_info(*crtc, when));
+            let requests = resources.crtcs.iter().map(|crtc| self.connection.randr_get_crtc_info(*crtc, when));
             let mut outputs = Vec::new();
-            for cookie in asked.collect::<Result<Vec<_>, ConnectionError>>()? {
+            for cookie in requests.collect::<Result<Vec<_>, ConnectionError>>()? {
                 let sent = cookie.reply()?;
                 for output in &sent.outputs {
-                    // one that went away meanwhile is none
+                    // the output disappeared in the meantime
                     let Ok(info) = self.connection.randr_get_output_info(*output, when)?.reply() else { continue };
                     let output = Output {
                         name: String::from_utf8_lossy(&info.name).into_owned(),
@@ -231,7 +241,7 @@ mod x11 {
                         size: [usize::from(sent.width), usize::from(sent.height)],
                         refresh_hz: None,
                     };
-                    outputs.push((output, info.connection != Plug::DISCONNECTED));
+                    outputs.push((output, info.connection != PlugState::DISCONNECTED));
                 }
             }
             Ok(outputs)
@@ -245,19 +255,19 @@ pub(super) fn is_x11(event_loop: &ActiveEventLoop) -> bool {
     event_loop.is_x11()
 }
 
-/// Elsewhere windows may be placed anywhere, too.
+/// Other platforms place windows anywhere, as X11 does.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
 pub(super) fn is_x11(_: &ActiveEventLoop) -> bool {
     true
 }
 
 #[cfg(all(unix, not(target_os = "macos")))]
-pub(super) use super::wayland::{hang_up, stay_awake};
+pub(super) use super::wayland::{disconnect, inhibit_idle};
 
-/// Nobody waits for compositors elsewhere.
+/// Only Wayland surfaces block on a compositor.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
-pub(super) fn hang_up(_: &Window) {}
+pub(super) fn disconnect(_: &Window) {}
 
-/// Elsewhere outputs follow the system's settings.
+/// Other platforms follow the system's settings.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
-pub(super) fn stay_awake<'a>(_: impl IntoIterator<Item = &'a Window>) {}
+pub(super) fn inhibit_idle<'a>(_: impl IntoIterator<Item = &'a Window>) {}

@@ -1,4 +1,5 @@
-//! The thread that makes pictures: whatever comes – a new stack, a nudge, another angle – becomes code values, is loaded, and waits in the feed.
+//! The producer thread: encodes new stacks, nudges and viewing angles into codes, uploads them, and
+//! puts them into the feed.
 
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -7,65 +8,65 @@ use lumistack_plugin::core::colour::srgb_code;
 use lumistack_plugin::display::{ColourSequence, Display, LayerStack, Simulator};
 
 use super::WindowError;
-use super::conductor::Baton;
-use super::gpu::{Deck, Gpu, Part};
+use super::gpu::{FrameSet, Gpu, Viewport};
+use super::present_loop::SharedState;
 use crate::presentation::{Content, Event};
 use crate::{Picture, Shows, flat_codes};
 
-/// What comes.
+/// Work for the producer.
 pub(super) enum Work {
     Stack(LayerStack),
     Nudge(Shows, [f64; 2]),
     Save,
-    Look([f64; 2]),
-    /// The ordinary window has another size.
+    ViewAngle([f64; 2]),
+    /// The preview window changed its size.
     Resized([usize; 2]),
-    /// Pictures that nobody shows any more.
-    Retired(Deck),
+    /// A frame set to free.
+    Retired(FrameSet),
 }
 
-/// What a producer works with.
+/// The producer's state.
 pub(super) struct Producer {
     pub(super) display: Display,
     pub(super) content: Content,
-    pub(super) parts: Vec<Part>,
+    pub(super) viewports: Vec<Viewport>,
     pub(super) gpu: Arc<Gpu>,
-    pub(super) baton: Arc<Baton>,
+    pub(super) shared: Arc<SharedState>,
     pub(super) work: Receiver<Work>,
-    /// Where every output reads, while its calibration stays.
+    /// Encoders of all outputs, reused until the calibration changes.
     pub(super) pictures: Vec<Picture>,
     pub(super) number: u64,
 }
 
 impl Producer {
-    /// Works until nobody sends anything any more.
-    pub(super) fn run(mut self, tell: &(dyn Fn(Event) + Sync)) {
-        if let Err(error) = self.offer() {
-            tell(Event::Warning(error.to_string()));
+    /// Runs until all senders are dropped.
+    pub(super) fn run(mut self, emit: &(dyn Fn(Event) + Sync)) {
+        if let Err(error) = self.make_frames() {
+            emit(Event::Warning(error.to_string()));
         }
         while let Ok(first) = self.work.recv() {
             let mut changed = false;
-            // the newest of what has piled up is enough
+            // handle all pending work first, so that only the newest state is encoded
             for work in
                 std::iter::once(first).chain(std::iter::from_fn(|| self.work.try_recv().ok())).collect::<Vec<_>>()
             {
-                match self.take(work, tell) {
+                match self.apply(work, emit) {
                     Ok(change) => changed |= change,
-                    Err(error) => tell(Event::Warning(error)),
+                    Err(error) => emit(Event::Warning(error)),
                 }
             }
-            if changed && let Err(error) = self.offer() {
-                tell(Event::Warning(error.to_string()));
+            if changed && let Err(error) = self.make_frames() {
+                emit(Event::Warning(error.to_string()));
             }
         }
     }
 
-    /// Whether the pictures are other ones now.
-    fn take(&mut self, work: Work, tell: &(dyn Fn(Event) + Sync)) -> Result<bool, String> {
+    /// Applies one item of work; returns true if the frames must be encoded again.
+    fn apply(&mut self, work: Work, emit: &(dyn Fn(Event) + Sync)) -> Result<bool, String> {
         match work {
             Work::Stack(new) => {
                 new.check(&self.display)
-                    .map_err(|error| format!("the new patterns do not fit the display: {error}"))?;
+                    .map_err(|error| format!("the new layer stack does not match the display: {error}"))?;
                 match &mut self.content {
                     Content::Stack(stack) | Content::Rehearsal { stack, .. } => *stack = new,
                     Content::Pattern { .. } | Content::Flat { .. } => return Ok(false),
@@ -74,87 +75,92 @@ impl Producer {
             }
             Work::Nudge(shows, by) => {
                 let Some(nudge) = nudge_of(&mut self.display, shows) else { return Ok(false) };
-                // tenths of a pixel, without the dust of adding them up
+                // round to thousandths of a pixel, which removes accumulated rounding errors
                 *nudge = [0, 1].map(|axis| ((nudge[axis] + by[axis]) * 1000.0).round() / 1000.0);
-                tell(Event::Nudged { panel: shows, nudge_px: *nudge });
-                for (part, picture) in self.parts.iter().zip(&mut self.pictures).filter(|(part, _)| part.shows == shows)
+                emit(Event::Nudged { panel: shows, nudge_px: *nudge });
+                for (viewport, picture) in
+                    self.viewports.iter().zip(&mut self.pictures).filter(|(viewport, _)| viewport.shows == shows)
                 {
-                    *picture = Picture::new(&self.display, shows, part.output.size);
+                    *picture = Picture::new(&self.display, shows, viewport.output.size);
                 }
                 Ok(true)
             }
             Work::Save => {
-                tell(Event::Save { display: Box::new(self.display.clone()) });
+                emit(Event::Save { display: Box::new(self.display.clone()) });
                 Ok(false)
             }
-            Work::Look(from) => {
+            Work::ViewAngle(from) => {
                 let Content::Rehearsal { from_deg, .. } = &mut self.content else { return Ok(false) };
                 *from_deg = from;
                 Ok(true)
             }
             Work::Resized(size) => {
-                self.parts.iter_mut().for_each(|part| part.output.size = size);
+                self.viewports.iter_mut().for_each(|viewport| viewport.output.size = size);
                 Ok(true)
             }
-            Work::Retired(deck) => {
-                drop(deck);
+            Work::Retired(frame_set) => {
+                drop(frame_set);
                 Ok(false)
             }
         }
     }
 
-    /// Makes and loads the pictures of a period, and puts them into the feed.
-    fn offer(&mut self) -> Result<(), WindowError> {
-        let mut deck = Deck { pictures: Vec::new(), number: self.number };
+    /// Encodes and uploads the frames of a period, and puts them into the feed.
+    fn make_frames(&mut self) -> Result<(), WindowError> {
+        let mut frame_set = FrameSet { pictures: Vec::new(), number: self.number };
         match &self.content {
             Content::Stack(stack) => {
+                // One frame per frame of the stack, or per frame and colour in a colour sequence.
                 let colours: Vec<Option<usize>> = match self.display.colour_sequence {
                     ColourSequence::Simultaneous => vec![None],
                     ColourSequence::Field => self.display.colour_order.0.map(Some).to_vec(),
                 };
                 for (frame, &colour) in (0..stack.frames()).flat_map(|frame| colours.iter().map(move |c| (frame, c))) {
                     let shown = self.pictures.iter().map(|picture| picture.codes(stack, frame, colour));
-                    deck.pictures.push(self.load(shown));
+                    frame_set.pictures.push(self.load(shown));
                 }
             }
             Content::Pattern { pattern, only, eye_mm } => {
+                // A test pattern is one frame, encoded per panel.
                 let codes = self
-                    .parts
+                    .viewports
                     .iter()
-                    .map(|part| pattern.codes(&self.display, part.shows, part.output.size, *only, *eye_mm));
+                    .map(|viewport| pattern.codes(&self.display, viewport.shows, viewport.output.size, *only, *eye_mm));
                 let codes = codes.collect::<Result<Vec<_>, _>>()?;
-                deck.pictures.push(self.load(codes));
+                frame_set.pictures.push(self.load(codes));
             }
             Content::Flat { picture, layer } => {
-                let codes = self.parts.iter().map(|part| {
-                    let shown = (part.shows == Shows::Layer(*layer)).then_some(picture);
-                    flat_codes(&self.display, part.shows, part.output.size, shown)
+                let codes = self.viewports.iter().map(|viewport| {
+                    let shown = (viewport.shows == Shows::Layer(*layer)).then_some(picture);
+                    flat_codes(&self.display, viewport.shows, viewport.output.size, shown)
                 });
-                deck.pictures.push(self.load(codes));
+                frame_set.pictures.push(self.load(codes));
             }
             Content::Rehearsal { stack, from_deg } => {
+                // Simulate the view and scale it to the exposure of an adapted viewer.
                 let slope = from_deg.map(|angle| angle.to_radians().tan());
-                let seen = Simulator::new(&self.display, stack).from_slope(slope).radiance;
-                let [rows, cols, _] = seen.shape();
+                let preview = Simulator::new(&self.display, stack).from_slope(slope).radiance;
+                let [rows, cols, _] = preview.shape();
                 let gain = (1.0 / stack.brightness) as f32;
-                let codes: Vec<u8> = seen.data().iter().map(|value| srgb_code(gain * value)).collect();
-                let windows = self.parts.iter().map(|part| fitted(&codes, [cols, rows], part.output.size));
-                deck.pictures.push(self.load(windows));
+                let codes: Vec<u8> = preview.data().iter().map(|value| srgb_code(gain * value)).collect();
+                let windows = self.viewports.iter().map(|viewport| fitted(&codes, [cols, rows], viewport.output.size));
+                frame_set.pictures.push(self.load(windows));
             }
         }
+        // Publish the frame set; an unused one is dropped here, outside the present loop.
         self.number += 1;
-        self.baton.places.store(deck.pictures.len() as u64, std::sync::atomic::Ordering::Relaxed);
-        drop(self.baton.feed.put(deck));
+        self.shared.places.store(frame_set.pictures.len() as u64, std::sync::atomic::Ordering::Relaxed);
+        drop(self.shared.feed.put(frame_set));
         Ok(())
     }
 
     fn load(&self, codes: impl IntoIterator<Item = Vec<u8>>) -> Vec<wgpu::BindGroup> {
-        let parts = self.parts.iter().zip(codes);
-        parts.map(|(part, codes)| self.gpu.load(&codes, part.output.size, part.origin)).collect()
+        let viewports = self.viewports.iter().zip(codes);
+        viewports.map(|(viewport, codes)| self.gpu.load(&codes, viewport.output.size, viewport.origin)).collect()
     }
 }
 
-/// The shift of a panel, which gets a calibration if it has none.
+/// The nudge of a panel; adds a calibration if there is none.
 fn nudge_of(display: &mut Display, shows: Shows) -> Option<&mut [f64; 2]> {
     let panel = match (shows, &mut display.backlight) {
         (Shows::Layer(n), _) => &mut display.layers.get_mut(n)?.panel,
@@ -164,7 +170,8 @@ fn nudge_of(display: &mut Display, shows: Shows) -> Option<&mut [f64; 2]> {
     Some(&mut panel.get_or_insert_default().nudge_px)
 }
 
-/// A picture `[row][col][rgb]` in the middle of a window, enlarged by the largest whole factor that fits, or reduced: `[row][col][red, green, blue, 255]`.
+/// Centres a picture `[row][col][rgb]` in a window, enlarged by the largest whole factor that fits,
+/// or reduced. Returns `[row][col][red, green, blue, 255]`.
 fn fitted(codes: &[u8], [cols, rows]: [usize; 2], [width, height]: [usize; 2]) -> Vec<u8> {
     let fit = (width as f64 / cols as f64).min(height as f64 / rows as f64);
     let scale = if fit >= 1.0 { fit.floor() } else { fit };

@@ -1,11 +1,11 @@
-//! Errors of the session.
+//! Errors of the windowing system.
 
 use super::WindowError;
 
-/// The session refused, or went away.
+/// The windowing system refused the connection, or closed it.
 pub(super) fn session(error: winit::error::EventLoopError) -> WindowError {
     let said = error.to_string();
-    // winit begins with a place in its own sources
+    // drop the place in its own sources that winit prepends
     let found =
         said.split_once(".rs:").and_then(|(_, rest)| rest.split_once(": ")).map_or(said.as_str(), |(_, found)| found);
     WindowError::Session(found.trim_end_matches('.').to_owned())

@@ -1,4 +1,4 @@
-//! What a Wayland connection is asked beside what winit asks: not to go dark, and to end.
+//! Requests to Wayland beside winit's: inhibit idling, and disconnect.
 
 use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
@@ -12,10 +12,11 @@ use wayland_protocols::wp::idle_inhibit::zv1::client::zwp_idle_inhibitor_v1::Zwp
 use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle, RawDisplayHandle, RawWindowHandle};
 use winit::window::Window;
 
-/// The connection of a window; none where the session is not Wayland.
+/// The connection of a window; none if the session is not Wayland.
 pub(super) fn connection_of(window: &Window) -> Option<Connection> {
     let RawDisplayHandle::Wayland(handle) = window.display_handle().ok()?.as_raw() else { return None };
-    // SAFETY: the windows' own connection, which outlives them, and so what is made of it here
+    // SAFETY: the pointer is the windows' connection, which outlives them and all objects created
+    // here.
     let backend = unsafe { Backend::from_foreign_display(handle.display.as_ptr().cast()) };
     Some(Connection::from_backend(backend))
 }
@@ -23,13 +24,14 @@ pub(super) fn connection_of(window: &Window) -> Option<Connection> {
 /// The surface of a window of this connection.
 pub(super) fn surface_of(connection: &Connection, window: &Window) -> Option<WlSurface> {
     let RawWindowHandle::Wayland(handle) = window.window_handle().ok()?.as_raw() else { return None };
-    // SAFETY: the pointer of a living window's surface
+    // SAFETY: the pointer is that of a live window's surface.
     let id = unsafe { ObjectId::from_ptr(WlSurface::interface(), handle.surface.as_ptr().cast()) }.ok()?;
     WlSurface::from_id(connection, id).ok()
 }
 
-/// Closes a window's connection for good, so that whoever waits for the compositor waits no more: it answers nothing about a surface that nobody sees.
-pub(super) fn hang_up(window: &Window) {
+/// Closes a window's connection, which unblocks every thread that waits for the compositor. A
+/// compositor never answers about a hidden surface.
+pub(super) fn disconnect(window: &Window) {
     if let Some(connection) = connection_of(window)
         && let Ok(socket) = connection.backend().poll_fd().try_clone_to_owned()
     {
@@ -37,8 +39,9 @@ pub(super) fn hang_up(window: &Window) {
     }
 }
 
-/// Asks for outputs that stay awake while they show these windows. Where nobody listens they follow the session's settings.
-pub(super) fn stay_awake<'a>(windows: impl IntoIterator<Item = &'a Window>) {
+/// Inhibits idling of outputs that show these windows. Compositors without the protocol follow the
+/// session's settings.
+pub(super) fn inhibit_idle<'a>(windows: impl IntoIterator<Item = &'a Window>) {
     let mut windows = windows.into_iter().peekable();
     let Some(connection) = windows.peek().and_then(|window| connection_of(window)) else { return };
     let mut queue = connection.new_event_queue();
@@ -49,7 +52,7 @@ pub(super) fn stay_awake<'a>(windows: impl IntoIterator<Item = &'a Window>) {
     }
     let Some(manager) = globals.0 else { return };
     for surface in windows.filter_map(|window| surface_of(&connection, window)) {
-        // it lasts as long as the surface
+        // the inhibitor lasts as long as the surface
         manager.create_inhibitor(&surface, &queue.handle(), ());
     }
     let _ = connection.flush();

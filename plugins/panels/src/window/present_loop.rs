@@ -1,45 +1,45 @@
-//! The thread that keeps time: one picture per surface and refresh.
+//! The present loop: one frame per surface and refresh, on its own thread.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
-use super::gpu::{Deck, Gpu, Part, Screen};
+use super::gpu::{FrameSet, Gpu, Screen, Viewport};
 use crate::presentation::{Event, Report};
 use crate::{Feed, Tally};
 
-/// What other threads tell the conductor, and it never waits for.
-pub(super) struct Baton {
+/// State shared with the present loop, which reads it without blocking.
+pub(super) struct SharedState {
     pub(super) stop: AtomicBool,
-    /// Place in the period that is kept, or −1.
+    /// Place in the period to hold, or −1 to show all in turn.
     pub(super) hold: AtomicI64,
-    /// Frames and colours of a period.
+    /// Number of places in a period: frames, times three in a colour sequence.
     pub(super) places: AtomicU64,
-    /// Somebody wants a report.
+    /// A report is requested.
     pub(super) report: AtomicBool,
-    /// A window has another size.
+    /// A window changed its size.
     pub(super) resized: AtomicBool,
-    /// Refreshes and swaps so far; 0 until there are pictures.
-    pub(super) beat: AtomicU64,
-    /// Screen that is waited for.
-    pub(super) waits_for: AtomicUsize,
-    pub(super) feed: Feed<Deck>,
+    /// Number of refreshes and swaps; 0 before the first frame set.
+    pub(super) progress: AtomicU64,
+    /// Index of the screen whose image is acquired or presented; reported in a stall.
+    pub(super) blocked_screen: AtomicUsize,
+    pub(super) feed: Feed<FrameSet>,
 }
 
-/// Entries that the log may have.
+/// Largest number of log entries.
 const LOG_LIMIT: usize = 1 << 20;
-/// Pause where no surface gives a picture, as on outputs that sleep.
-const NOTHING: Duration = Duration::from_millis(5);
+/// Pause before a retry when no surface has an image, as on sleeping outputs.
+const RETRY_PAUSE: Duration = Duration::from_millis(5);
 
-/// What a conductor works with.
-pub(super) struct Conductor {
+/// The present loop and all that it uses.
+pub(super) struct PresentLoop {
     pub(super) gpu: Arc<Gpu>,
     pub(super) screens: Vec<Screen>,
-    pub(super) parts: Vec<Part>,
-    pub(super) baton: Arc<Baton>,
-    /// Where decks go to be dropped: that may take time.
-    pub(super) retired: Sender<Deck>,
+    pub(super) viewports: Vec<Viewport>,
+    pub(super) shared: Arc<SharedState>,
+    /// Receives replaced frame sets, since freeing them takes time.
+    pub(super) retired: Sender<FrameSet>,
     pub(super) interval_s: f64,
     pub(super) interval_from: &'static str,
     pub(super) log: bool,
@@ -47,43 +47,46 @@ pub(super) struct Conductor {
     pub(super) feedback: Option<super::feedback::Feedback>,
 }
 
-impl Conductor {
-    /// Shows pictures until told to stop; `tell` is called for swaps and wanted reports.
-    pub(super) fn run(mut self, tell: &(dyn Fn(Event) + Sync)) -> Report {
+impl PresentLoop {
+    /// Presents frames until `stop` is set. Emits swaps and requested reports; returns the final
+    /// report.
+    pub(super) fn run(mut self, emit: &(dyn Fn(Event) + Sync)) -> Report {
         let mut report = Report {
             interval_s: self.interval_s,
             interval_from: self.interval_from.into(),
             submitted: Some(Tally::new(self.interval_s)),
             ..Report::default()
         };
-        let (mut deck, mut place, mut start): (Option<Deck>, usize, Option<Instant>) = (None, 0, None);
-        while !self.baton.stop.load(Ordering::Relaxed) {
-            let hold = self.baton.hold.load(Ordering::Relaxed);
-            let count = deck.as_ref().map_or(1, |deck| deck.pictures.len());
+        let (mut frame_set, mut place, mut start): (Option<FrameSet>, usize, Option<Instant>) = (None, 0, None);
+        while !self.shared.stop.load(Ordering::Relaxed) {
+            let hold = self.shared.hold.load(Ordering::Relaxed);
+            let count = frame_set.as_ref().map_or(1, |frame_set| frame_set.pictures.len());
             if hold >= 0 {
                 place = hold as usize % count;
             }
-            // new pictures begin with a period; one that is kept begins with every refresh
+            // Swap only at the start of a period, so that no period mixes two stacks. A held frame
+            // may be swapped at any refresh.
             if (hold >= 0 || place == 0)
-                && let Some(new) = self.baton.feed.take()
+                && let Some(new) = self.shared.feed.take()
             {
                 report.swaps += 1;
-                self.baton.beat.store(report.swaps + report.refreshes, Ordering::Relaxed);
-                tell(Event::Swapped { times: report.swaps, refresh: report.refreshes });
+                self.shared.progress.store(report.swaps + report.refreshes, Ordering::Relaxed);
+                emit(Event::Swapped { times: report.swaps, refresh: report.refreshes });
                 place = if hold >= 0 { hold as usize % new.pictures.len() } else { 0 };
-                if let Some(old) = deck.replace(new) {
+                if let Some(old) = frame_set.replace(new) {
                     let _ = self.retired.send(old);
                 }
             }
-            let Some(showing) = &deck else {
-                // the first pictures are not there yet
-                std::thread::sleep(NOTHING);
+            let Some(showing) = &frame_set else {
+                // the first frame set is not ready
+                std::thread::sleep(RETRY_PAUSE);
                 continue;
             };
             if !self.refresh(&showing.pictures[place], report.refreshes, &mut report.missed) {
-                std::thread::sleep(NOTHING);
+                std::thread::sleep(RETRY_PAUSE);
                 continue;
             }
+            // Record the submission, then advance to the next place of the period.
             let start = *start.get_or_insert_with(Instant::now);
             let now_s = start.elapsed().as_secs_f64();
             if let Some(tally) = &mut report.submitted {
@@ -93,28 +96,29 @@ impl Conductor {
                 report.log.push((report.refreshes, place, showing.number, now_s));
             }
             report.refreshes += 1;
-            self.baton.beat.store(report.swaps + report.refreshes, Ordering::Relaxed);
+            self.shared.progress.store(report.swaps + report.refreshes, Ordering::Relaxed);
             report.seconds = now_s;
             report.rate_hz = if now_s > 0.0 { (report.refreshes - 1) as f64 / now_s } else { 0.0 };
             place = (place + 1) % showing.pictures.len();
-            self.listen(&mut report);
-            if self.baton.report.swap(false, Ordering::Relaxed) {
-                tell(Event::Report(Box::new(report.clone())));
+            self.collect_feedback(&mut report);
+            if self.shared.report.swap(false, Ordering::Relaxed) {
+                emit(Event::Report(Box::new(report.clone())));
             }
         }
-        self.last_words(&mut report);
+        self.drain_feedback(&mut report);
         report
     }
 
-    /// One refresh of all surfaces; false where none could be had.
+    /// Presents one frame on all surfaces; false if no surface had an image.
     fn refresh(&mut self, pictures: &[wgpu::BindGroup], index: u64, missed: &mut u64) -> bool {
-        let resized = self.baton.resized.swap(false, Ordering::Relaxed);
+        let resized = self.shared.resized.swap(false, Ordering::Relaxed);
+        // Acquire an image of every surface; this blocks until one is free.
         let mut textures = Vec::with_capacity(self.screens.len());
         for (number, screen) in self.screens.iter_mut().enumerate() {
             if resized {
                 screen.fit(&self.gpu.device);
             }
-            self.baton.waits_for.store(number, Ordering::Relaxed);
+            self.shared.blocked_screen.store(number, Ordering::Relaxed);
             match screen.surface.get_current_texture() {
                 wgpu::CurrentSurfaceTexture::Success(texture) | wgpu::CurrentSurfaceTexture::Suboptimal(texture) => {
                     textures.push((number, texture));
@@ -129,58 +133,62 @@ impl Conductor {
         if textures.is_empty() {
             return false;
         }
+        // Draw all surfaces in one submission, so that they are ready together.
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         for (number, texture) in &textures {
-            let parts = self.parts.iter().zip(pictures).filter(|(part, _)| part.screen == *number);
-            self.gpu.draw(&mut encoder, &texture.texture, parts);
+            let viewports = self.viewports.iter().zip(pictures).filter(|(viewport, _)| viewport.screen == *number);
+            self.gpu.draw(&mut encoder, &texture.texture, viewports);
         }
         self.gpu.queue.submit([encoder.finish()]);
+        // Present, and request the presentation time before each commit.
         for (number, texture) in textures {
             #[cfg(all(unix, not(target_os = "macos")))]
             if let Some(feedback) = &mut self.feedback {
-                feedback.ask(number, index);
+                feedback.request(number, index);
             }
             #[cfg(not(all(unix, not(target_os = "macos"))))]
             let _ = index;
-            self.baton.waits_for.store(number, Ordering::Relaxed);
+            self.shared.blocked_screen.store(number, Ordering::Relaxed);
             self.gpu.queue.present(texture);
         }
         true
     }
 
-    /// Takes what the platform told about past refreshes.
-    fn listen(&mut self, report: &mut Report) {
+    /// Collects the platform's presentation times, without blocking.
+    fn collect_feedback(&mut self, report: &mut Report) {
         #[cfg(all(unix, not(target_os = "macos")))]
         if let Some(feedback) = &mut self.feedback {
-            feedback.listen();
+            feedback.dispatch();
             if report.refreshes.is_multiple_of(16) {
-                self.take_over(report);
+                self.copy_feedback(report);
             }
         }
         #[cfg(not(all(unix, not(target_os = "macos"))))]
         let _ = report;
     }
 
-    fn last_words(&mut self, report: &mut Report) {
+    /// Waits for the presentation times of the last refreshes and adds them to the report.
+    fn drain_feedback(&mut self, report: &mut Report) {
         #[cfg(all(unix, not(target_os = "macos")))]
         {
             if let Some(feedback) = &mut self.feedback {
                 std::thread::sleep(Duration::from_secs_f64((4.0 * self.interval_s).min(0.2)));
-                feedback.listen();
+                feedback.dispatch();
             }
-            self.take_over(report);
+            self.copy_feedback(report);
         }
         let _ = report;
     }
 
+    /// Copies statistics of presentation times into the report.
     #[cfg(all(unix, not(target_os = "macos")))]
-    fn take_over(&self, report: &mut Report) {
+    fn copy_feedback(&self, report: &mut Report) {
         let Some(feedback) = &self.feedback else { return };
         let name = |screen: usize| {
-            let parts = self.parts.iter().filter(|part| part.screen == screen);
-            parts.map(|part| part.output.name.as_str()).collect::<Vec<_>>().join(" + ")
+            let viewports = self.viewports.iter().filter(|viewport| viewport.screen == screen);
+            viewports.map(|viewport| viewport.output.name.as_str()).collect::<Vec<_>>().join(" + ")
         };
-        // what a platform promised and never told is not known
+        // a platform that announced presentation times and reported none counts as one without
         if feedback.tallies().iter().all(|tally| tally.shown == 0) {
             return;
         }
