@@ -13,6 +13,7 @@ use crate::python;
 use crate::tools::{self, EVERYTHING, Outcome, cargo, command, output_of, run};
 use crate::usd;
 use crate::web;
+use crate::words;
 
 /// The Rust version whose lints we have seen. A newer compiler may know lints that nobody has answered yet, so there they only warn.
 const LINTED_WITH: &str = "1.95";
@@ -40,6 +41,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     }
     steps.step("format", || cargo(&["fmt", "--all", "--check"]))?;
     steps.step("layers", layers::check)?;
+    steps.step("words", || words::check(false))?;
     let python = beside(
         || {
             let mut python = PathBuf::new();
