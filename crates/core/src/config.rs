@@ -1,4 +1,5 @@
-//! Strict configuration files: TOML whose unknown keys are errors that name the line and the nearest known key.
+//! Strict configuration files: TOML whose unknown keys are errors that name the line and the
+//! nearest known key.
 
 use serde::de::DeserializeOwned;
 use thiserror::Error;
@@ -40,8 +41,8 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     })
 }
 
-/// serde's sentence about a value of another type, in the words of the file; `key` names the value, and its ending the unit (`pitch_mm`). Other
-/// sentences stay as they are.
+/// serde's sentence about a value of another type, in the words of the file; `key` names the value,
+/// and its ending the unit (`pitch_mm`). Other sentences stay as they are.
 pub fn plain(message: &str, key: &str) -> String {
     let kinds = ["invalid type: ", "invalid value: ", "invalid length "];
     let Some((kind, rest)) = kinds.iter().find_map(|kind| Some((*kind, message.strip_prefix(*kind)?))) else {
@@ -98,7 +99,8 @@ const UNITS: [(&str, &str); 10] = [
     ("_percent", " in per cent"),
 ];
 
-/// Reads the unknown and the expected names out of serde's message and picks the expected one that is spelled most like the other.
+/// Reads the unknown and the expected names out of serde's message and picks the expected one that
+/// is spelled most like the other.
 pub fn nearest_key(message: &str) -> Option<String> {
     if !message.starts_with("unknown ") {
         return None;

@@ -1,12 +1,14 @@
-//! Large pages for large arrays: what is read here and there waits for addresses too where pages are small, and new memory comes faster in large ones.
+//! Large pages for large arrays: what is read here and there waits for addresses too where pages
+//! are small, and new memory comes faster in large ones.
 
 use std::mem::MaybeUninit;
 
 /// Arrays below twice this are left alone, in bytes: the size of a large page on most machines.
 const LARGE_PAGE: usize = 2 << 20;
 
-/// Asks the system for large pages where it can be asked (Linux) and there is room for some. For memory that nobody has touched yet, such as the
-/// spare capacity of a new [`Vec`] or large `vec![0; n]`: that is when pages are made.
+/// Asks the system for large pages where it can be asked (Linux) and there is room for some. For
+/// memory that nobody has touched yet, such as the spare capacity of a new [`Vec`] or large
+/// `vec![0; n]`: that is when pages are made.
 pub fn prefer_large_pages<T>(memory: &[T]) {
     if size_of_val(memory) >= 2 * LARGE_PAGE {
         advise(memory.as_ptr() as usize, size_of_val(memory));
@@ -34,7 +36,8 @@ fn advise(address: usize, length: usize) {
     let start = address.next_multiple_of(LARGE_PAGE);
     let end = (address + length) / LARGE_PAGE * LARGE_PAGE;
     if start < end {
-        // SAFETY: the range lies within memory that the caller has borrowed, and the advice changes no values. A refusal changes nothing.
+        // SAFETY: the range lies within memory that the caller has borrowed, and the advice changes
+        // no values. A refusal changes nothing.
         unsafe { madvise(start as *mut c_void, end - start, MADV_HUGEPAGE) };
     }
 }

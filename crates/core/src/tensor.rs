@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-/// Dense row-major tensor of order `N`; the last axis is contiguous. Its values are its own, or [lent](Tensor::lent) by somebody else.
+/// Dense row-major tensor of order `N`; the last axis is contiguous. Its values are its own, or
+/// [lent](Tensor::lent) by somebody else.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tensor<const N: usize> {
     axes: [&'static str; N],

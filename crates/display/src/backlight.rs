@@ -33,7 +33,8 @@ pub struct LensletBacklight {
     /// [x, y] of the grid's centre, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
-    /// Emission of the darkest state relative to the brightest, 0 to less than 1: the lower bound of the optimized emission.
+    /// Emission of the darkest state relative to the brightest, 0 to less than 1: the lower bound
+    /// of the optimized emission.
     #[serde(default)]
     pub black_level: f64,
     /// What a ray reads beyond the bins.
@@ -57,8 +58,8 @@ pub struct LensletBacklight {
 }
 
 impl LensletBacklight {
-    /// A centred grid at `d_mm` of [columns, rows] lenslets of `pitch_mm`, with [horizontal, vertical] bins `views` over full angles `fov_deg`; dark outside
-    /// the bins.
+    /// A centred grid at `d_mm` of [columns, rows] lenslets of `pitch_mm`, with [horizontal,
+    /// vertical] bins `views` over full angles `fov_deg`; dark outside the bins.
     pub fn new(d_mm: f64, lenslets: [usize; 2], pitch_mm: f64, views: [usize; 2], fov_deg: [f64; 2]) -> Self {
         Self {
             d_mm,
@@ -82,8 +83,8 @@ impl LensletBacklight {
         [self.black_level as f32, 1.0]
     }
 
-    /// What the transfer function encodes to emit `value`: 0 for the darkest state, 1 for the brightest. Values outside the range are clamped; NaN
-    /// becomes 0.
+    /// What the transfer function encodes to emit `value`: 0 for the darkest state, 1 for the
+    /// brightest. Values outside the range are clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) - self.black_level) / (1.0 - self.black_level);
         if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }

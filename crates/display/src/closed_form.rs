@@ -1,6 +1,8 @@
-//! The paper's closed forms of the bound on depth of field, eqs. (23) to (26), with what each assumes of a display.
+//! The paper's closed forms of the bound on depth of field, eqs. (23) to (26), with what each
+//! assumes of a display.
 //!
-//! With slopes (d_r = 1), ω0 = 1/(2p), Δs = (2/A) tan(α/2), Δd the distance of neighbouring layers and z the depth:
+//! With slopes (d_r = 1), ω0 = 1/(2p), Δs = (2/A) tan(α/2), Δd the distance of neighbouring layers
+//! and z the depth:
 //!
 //! ```text
 //! (23) lens array                1/(2Δx)          if |z| ≤ Δx/Δs,                   else 1/(2|z|Δs)
@@ -9,7 +11,8 @@
 //! (26) a layer on a lens array   1/(2Δx) + ω0     if |z| ≤ Δx/(Δs + 2ΔxΔsω0),      else 1/(2|z|Δs)
 //! ```
 //!
-//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions; where they hold, both agree.
+//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions; where they
+//! hold, both agree.
 
 use crate::{Backlight, Display};
 
@@ -37,7 +40,8 @@ enum Form {
 const ROUNDING: f64 = 1e-9;
 
 impl Display {
-    /// The closed form for a display of this kind along one axis (0: x, 1: y); `None` where the paper has none.
+    /// The closed form for a display of this kind along one axis (0: x, 1: y); `None` where the
+    /// paper has none.
     pub fn closed_form(&self, axis: usize) -> Option<ClosedForm> {
         let own = self.layers.iter().map(|layer| 0.5 / layer.pitch_mm).fold(f64::INFINITY, f64::min);
         let mut broken = Vec::new();
@@ -80,7 +84,8 @@ impl Display {
         Some(ClosedForm { equation, assumes, broken, form })
     }
 
-    /// Equation (23) for the display's lens array alone: integral imaging with the same lenslets and views. `None` without a lens array.
+    /// Equation (23) for the display's lens array alone: integral imaging with the same lenslets
+    /// and views. `None` without a lens array.
     pub fn lens_array_form(&self, axis: usize) -> Option<ClosedForm> {
         let mut broken = Vec::new();
         let form = self.lenses(axis, &mut broken)?;
@@ -184,7 +189,8 @@ mod tests {
         assert_eq!(four.closed_form(0), None);
     }
 
-    /// The prototype's lenses stand 8.5 mm behind the layer: away from the screen the bound is some 60 % above (26), which assumes no gap.
+    /// The prototype's lenses stand 8.5 mm behind the layer: away from the screen the bound is some
+    /// 60 % above (26), which assumes no gap.
     #[test]
     fn a_gap_before_the_lenses_raises_the_bound() {
         let mut display = Display::uniform([840, 525], 0.5655, [5, 5], [48.0, 48.0], &[0.0], 12);

@@ -9,8 +9,8 @@ pub enum ColourSequence {
     /// Colour filters beside one another: one refresh per frame.
     #[default]
     Simultaneous,
-    /// No colour filters; red, green and blue light in turn: three refreshes per frame. Each colour has its own pattern, so layers keep
-    /// [`LayerColour::Rgb`](crate::LayerColour::Rgb).
+    /// No colour filters; red, green and blue light in turn: three refreshes per frame. Each colour
+    /// has its own pattern, so layers keep [`LayerColour::Rgb`](crate::LayerColour::Rgb).
     Field,
 }
 
@@ -24,7 +24,8 @@ impl ColourSequence {
     }
 }
 
-/// Which colour each of a frame's three refreshes shows where colours follow one another: a text such as `"rgb"`.
+/// Which colour each of a frame's three refreshes shows where colours follow one another: a text
+/// such as `"rgb"`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct ColourOrder(pub [usize; 3]);

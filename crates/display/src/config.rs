@@ -104,9 +104,10 @@ impl Display {
     /// Value of the key `schema`.
     pub const SCHEMA: &'static str = "lumistack/display";
 
-    /// A plain stack: `frames` frames, and layers at `d_mm` (rear to front, millimetres) that all have the field's pixels; oblique views,
-    /// uniform backlight, every other key at its default. `resolution` and `views` are [columns, rows], `fov_deg` full angles. Like every display
-    /// that is put together by hand it is checked by [`check`](Self::check).
+    /// A plain stack: `frames` frames, and layers at `d_mm` (rear to front, millimetres) that all
+    /// have the field's pixels; oblique views, uniform backlight, every other key at its default.
+    /// `resolution` and `views` are [columns, rows], `fov_deg` full angles. Like every display that
+    /// is put together by hand it is checked by [`check`](Self::check).
     ///
     /// ```
     /// use lumistack_display::{Display, Missing};
@@ -192,7 +193,8 @@ impl Display {
         }
     }
 
-    /// The display without what patterns do not depend on: its panels' calibration. Two displays that differ in nothing else have the same patterns.
+    /// The display without what patterns do not depend on: its panels' calibration. Two displays
+    /// that differ in nothing else have the same patterns.
     #[must_use]
     pub fn without_panels(&self) -> Self {
         let mut display = Self { colour_order: Default::default(), ..self.clone() };

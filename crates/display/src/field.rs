@@ -4,7 +4,8 @@ use lumistack_core::Tensor;
 
 use crate::{FieldGeometry, GridError};
 
-/// Display-referred linear radiance of every view: `radiance[view_y][view_x][row][col][rgb]`, 0..1 after exposure.
+/// Display-referred linear radiance of every view: `radiance[view_y][view_x][row][col][rgb]`, 0..1
+/// after exposure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LightField {
     geometry: FieldGeometry,
@@ -12,19 +13,22 @@ pub struct LightField {
     depth: Option<SeenDepth>,
 }
 
-/// How deep the middle view of a light field sees, where that is known: of a scene, not of pictures.
+/// How deep the middle view of a light field sees, where that is known: of a scene, not of
+/// pictures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenDepth {
     /// Rows of the map, over the whole height of the view; may be fewer than its pixels.
     pub rows: usize,
     /// Columns of the map, over the whole width.
     pub cols: usize,
-    /// z of the first surface in display space, `[row][col]`, millimetres towards the viewer; `None` where a ray meets nothing.
+    /// z of the first surface in display space, `[row][col]`, millimetres towards the viewer;
+    /// `None` where a ray meets nothing.
     pub z_mm: Vec<Option<f32>>,
 }
 
 impl SeenDepth {
-    /// z at a pixel of a view of `size` = [rows, columns] pixels: that of the nearest place of the map.
+    /// z at a pixel of a view of `size` = [rows, columns] pixels: that of the nearest place of the
+    /// map.
     pub fn at(&self, row: usize, col: usize, size: [usize; 2]) -> Option<f32> {
         let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to.saturating_sub(1));
         let index = place(row, size[0], self.rows) * self.cols + place(col, size[1], self.cols);

@@ -17,9 +17,11 @@ pub enum Formation {
     /// Layers absorb: the product of their transmittances.
     #[default]
     Attenuating,
-    /// Layers emit and are clear: the sum of their emissions. A uniform backlight adds nothing; a directional one is one more emitter.
+    /// Layers emit and are clear: the sum of their emissions. A uniform backlight adds nothing; a
+    /// directional one is one more emitter.
     Additive,
-    /// Layers between one pair of crossed polarizers rotate the polarization: sin² of the summed rotation. A value of 1 is a rotation by 90°.
+    /// Layers between one pair of crossed polarizers rotate the polarization: sin² of the summed
+    /// rotation. A value of 1 is a rotation by 90°.
     Polarization,
 }
 

@@ -1,11 +1,13 @@
-//! The forward model: what a display emits; the equations are those of [`Formation`], channels independent.
+//! The forward model: what a display emits; the equations are those of [`Formation`], channels
+//! independent.
 //!
-//! Rays meet what the layers' hardware makes of the stored values ([`LayerStack::effective`]); a [`Simulator`] works that out once and then
-//! gives any number of views.
+//! Rays meet what the layers' hardware makes of the stored values ([`LayerStack::effective`]); a
+//! [`Simulator`] works that out once and then gives any number of views.
 //!
-//! The simple version reads four pixels of a layer for every ray. Departure: where the rays of a view meet single pixels one after another – nearest sampling at
-//! equal pitch, any view along the layer's own pixels, or the parts of pixels of a seen picture – whole lines are combined at once (`Reads::Runs`), to the
-//! same bits.
+//! The simple version reads four pixels of a layer for every ray. Departure: where the rays of a
+//! view meet single pixels one after another – nearest sampling at equal pitch, any view along the
+//! layer's own pixels, or the parts of pixels of a seen picture – whole lines are combined at once
+//! (`Reads::Runs`), to the same bits.
 
 use std::borrow::Cow;
 
@@ -20,20 +22,23 @@ pub const LEAST_SHARE: f32 = 0.5;
 /// One emitted view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmittedView {
-    /// Emitted radiance L̃, `[row][col][rgb]`; divide by the stack's brightness for what an adapted viewer sees. Rays that leave the
-    /// display are 0.
+    /// Emitted radiance L̃, `[row][col][rgb]`; divide by the stack's brightness for what an adapted
+    /// viewer sees. Rays that leave the display are 0.
     pub radiance: Tensor<3>,
-    /// Whether the ray counts, `[row][col]` row-major: false where it misses the display under the display's [`Missing`] rule.
+    /// Whether the ray counts, `[row][col]` row-major: false where it misses the display under the
+    /// display's [`Missing`] rule.
     pub valid: Vec<bool>,
 }
 
 /// A picture as an eye sees it: every pixel is the mean over its area.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenView {
-    /// Mean of the emitted radiance L̃ over the part of the pixel whose rays count, `[row][col][rgb]`; 0 where none counts. Divide by the stack's brightness
-    /// for what an adapted viewer sees.
+    /// Mean of the emitted radiance L̃ over the part of the pixel whose rays count,
+    /// `[row][col][rgb]`; 0 where none counts. Divide by the stack's brightness for what an adapted
+    /// viewer sees.
     pub radiance: Tensor<3>,
-    /// That part of the pixel's area, 0..1, `[row][col]` row-major: the rest misses the display under its [`Missing`] rule.
+    /// That part of the pixel's area, 0..1, `[row][col]` row-major: the rest misses the display
+    /// under its [`Missing`] rule.
     pub share: Vec<f32>,
 }
 
@@ -74,7 +79,8 @@ impl<'a> Simulator<'a> {
         self.seen(&self.display.field_pixels().with_grid(view.clone()), [0, 0])
     }
 
-    /// The view `view` = [view_y, view_x] of a geometry whose tables for this display are `map`: one ray per pixel, through its centre, as solvers have it.
+    /// The view `view` = [view_y, view_x] of a geometry whose tables for this display are `map`:
+    /// one ray per pixel, through its centre, as solvers have it.
     pub fn view(&self, map: &RayMap, geometry: &FieldGeometry, view: [usize; 2]) -> EmittedView {
         let (rows, cols) = (geometry.rows, geometry.cols);
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -94,8 +100,9 @@ impl<'a> Simulator<'a> {
         EmittedView { radiance, valid }
     }
 
-    /// The seen picture of a view: for every pixel of `geometry` the mean over its area of the emission along the rays of that view. Exact, since layers are
-    /// squares of constant value: pixels are cut where rays pass from one square to the next.
+    /// The seen picture of a view: for every pixel of `geometry` the mean over its area of the
+    /// emission along the rays of that view. Exact, since layers are squares of constant value:
+    /// pixels are cut where rays pass from one square to the next.
     pub fn seen(&self, geometry: &FieldGeometry, view: [usize; 2]) -> SeenView {
         let area = AreaMap::new(self.display, geometry, view);
         let missing = self.display.missing;
@@ -151,7 +158,8 @@ impl<'a> Lines<'a> {
         Self { simulator, map, view, reads, met: vec![0.0; cols * 3], sum: vec![0.0; cols * 3] }
     }
 
-    /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, whether they count or not.
+    /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, whether they count or
+    /// not.
     fn emitted(&mut self, row: usize) -> &[f64] {
         let Self { simulator, map, view, reads, met, sum } = self;
         let (stack, formation) = (&simulator.stack, simulator.display.formation);
@@ -243,8 +251,8 @@ impl<'a> Reads<'a> {
 /// Mean length of runs, in rays, below which rays are read one by one.
 const SHORT_RUN: usize = 4;
 
-/// Hands each `met[col][rgb]` the layer's value there. Where the ray misses, nothing happens: that is the neutral value, and a ray that does
-/// not count is set to 0 later.
+/// Hands each `met[col][rgb]` the layer's value there. Where the ray misses, nothing happens: that
+/// is the neutral value, and a ray that does not count is set to 0 later.
 fn meet_layer(
     met: &mut [f32],
     values: &Tensor<4>,
@@ -305,8 +313,8 @@ fn meet_backlight(
     }
 }
 
-/// sin²(π/2 · x) for 0 ≤ x < 1000, which no number of layers passes; the absolute error stays below 1e-6 up to x = 8. In place of `f32::sin`,
-/// whose calls would take most of a view's time.
+/// sin²(π/2 · x) for 0 ≤ x < 1000, which no number of layers passes; the absolute error stays below
+/// 1e-6 up to x = 8. In place of `f32::sin`, whose calls would take most of a view's time.
 fn sin2_of_quarter_turns(x: f32) -> f32 {
     // adding 1.5 · 2²³ leaves no room for a fraction: the sum is rounded to whole half turns
     const ROUND: f32 = 12_582_912.0;
@@ -351,7 +359,8 @@ mod tests {
         };
         let straight = dark(&view_from_slope(&display, &stack, [0.0, 0.0]));
         assert_eq!(straight, (rows / 2, cols / 2));
-        // an eye further right sees the front dot further left on z = 0; an eye further up sees it further down
+        // an eye further right sees the front dot further left on z = 0; an eye further up sees it
+        // further down
         let right = dark(&view_from_slope(&display, &stack, [0.1, 0.0]));
         assert!(right.1 < straight.1 && right.0 == straight.0, "{right:?}");
         let up = dark(&view_from_slope(&display, &stack, [0.0, 0.1]));

@@ -19,7 +19,8 @@ pub enum Projection {
 pub struct ViewGrid {
     /// How the rays of one view relate.
     pub projection: Projection,
-    /// Slope of each view column at the centre of the field; increasing from left to right in our own grids.
+    /// Slope of each view column at the centre of the field; increasing from left to right in our
+    /// own grids.
     pub slope_x: Vec<f64>,
     /// Slope of each view row, y up; decreasing from top to bottom in our own grids.
     pub slope_y: Vec<f64>,
@@ -44,11 +45,13 @@ impl GridError {
 }
 
 impl ViewGrid {
-    /// `views` = [horizontal, vertical] views at the centres of equal bins of the slope, over full angles `fov_deg`:
-    /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2), s_y alike with the topmost view first. The spacing is eq. 23's Δv.
+    /// `views` = [horizontal, vertical] views at the centres of equal bins of the slope, over full
+    /// angles `fov_deg`: s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2), s_y alike with the topmost
+    /// view first. The spacing is eq. 23's Δv.
     ///
     /// # Errors
-    /// If there are no views, or an angle is outside 0..180°, or the viewing distance is not above 0.
+    /// If there are no views, or an angle is outside 0..180°, or the viewing distance is not above
+    /// 0.
     pub fn uniform(projection: Projection, views: [usize; 2], fov_deg: [f64; 2]) -> Result<Self, GridError> {
         if views.contains(&0) {
             return Err(GridError::new("views", "at least 1 × 1", format!("{} × {}", views[0], views[1])));
@@ -116,8 +119,8 @@ impl ViewGrid {
         ]
     }
 
-    /// The midpoints between neighbouring views: the grid of in-between views that a display was not optimized for. An axis with one
-    /// view keeps it.
+    /// The midpoints between neighbouring views: the grid of in-between views that a display was
+    /// not optimized for. An axis with one view keeps it.
     pub fn in_between(&self) -> Self {
         let midpoints = |slopes: &[f64]| match slopes {
             [only] => vec![*only],
@@ -126,8 +129,9 @@ impl ViewGrid {
         Self { projection: self.projection, slope_x: midpoints(&self.slope_x), slope_y: midpoints(&self.slope_y) }
     }
 
-    /// Views beyond the zone: `steps` on the left and as many on the right of the outermost columns, one mean spacing apart, in the middle row; of a
-    /// grid with one column above and below. `None` without steps or without two different views.
+    /// Views beyond the zone: `steps` on the left and as many on the right of the outermost
+    /// columns, one mean spacing apart, in the middle row; of a grid with one column above and
+    /// below. `None` without steps or without two different views.
     pub fn outside(&self, steps: usize) -> Option<Self> {
         let beyond = |slopes: &[f64]| {
             let (low, high) = slopes.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));
@@ -145,15 +149,17 @@ impl ViewGrid {
         Some(Self { projection: self.projection, slope_x: middle(&self.slope_x), slope_y })
     }
 
-    /// All slopes times `factor`: views closer together, or further apart. From such views everything moves `factor` times as far as between the
-    /// original ones, as if depth were [scaled](Projection::scaled_depth); the view of slope 0 stays.
+    /// All slopes times `factor`: views closer together, or further apart. From such views
+    /// everything moves `factor` times as far as between the original ones, as if depth were
+    /// [scaled](Projection::scaled_depth); the view of slope 0 stays.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         let scaled = |slopes: &[f64]| slopes.iter().map(|slope| slope * factor).collect();
         Self { projection: self.projection, slope_x: scaled(&self.slope_x), slope_y: scaled(&self.slope_y) }
     }
 
-    /// Width of one view's bin of slopes per axis (x, y): the mean spacing; 0 for an axis with one view.
+    /// Width of one view's bin of slopes per axis (x, y): the mean spacing; 0 for an axis with one
+    /// view.
     pub fn bin_width(&self) -> [f64; 2] {
         [&self.slope_x, &self.slope_y].map(|slopes| match slopes.as_slice() {
             [first, .., last] => (last - first).abs() / (slopes.len() - 1) as f64,
@@ -163,7 +169,8 @@ impl ViewGrid {
 }
 
 impl Projection {
-    /// Slope along one axis of a view's ray at position `x_mm`, for the view of slope `view_slope` at the centre.
+    /// Slope along one axis of a view's ray at position `x_mm`, for the view of slope `view_slope`
+    /// at the centre.
     #[inline]
     pub fn slope(self, view_slope: f64, x_mm: f64) -> f64 {
         match self {
@@ -172,8 +179,9 @@ impl Projection {
         }
     }
 
-    /// Where content at depth `z_mm` appears when its parallax is `factor` times its own: factor · z of parallel projections; of pinholes at distance D
-    /// that z' with z'/(D − z') = factor · z/(D − z).
+    /// Where content at depth `z_mm` appears when its parallax is `factor` times its own: factor ·
+    /// z of parallel projections; of pinholes at distance D that z' with z'/(D − z') = factor ·
+    /// z/(D − z).
     pub fn scaled_depth(self, z_mm: f64, factor: f64) -> f64 {
         match self {
             Self::Oblique => factor * z_mm,
@@ -240,7 +248,8 @@ impl FieldGeometry {
     }
 }
 
-/// Evenly spread places among `count`, `most` ≥ 2 at most: the first and the last among them, and of an odd number the middle where there is one.
+/// Evenly spread places among `count`, `most` ≥ 2 at most: the first and the last among them, and
+/// of an odd number the middle where there is one.
 pub fn spread(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();
@@ -291,7 +300,8 @@ mod tests {
         }
     }
 
-    /// Seen from slopes of a factor, a point moves as one at the scaled depth does from the slopes themselves, and looks the same from the middle.
+    /// Seen from slopes of a factor, a point moves as one at the scaled depth does from the slopes
+    /// themselves, and looks the same from the middle.
     #[test]
     fn scaled_slopes_are_scaled_depths() {
         for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 400.0 }] {

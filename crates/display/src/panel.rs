@@ -1,4 +1,5 @@
-//! Calibration of the physical panels: which output of the computer drives which layer, and where its pixels really are.
+//! Calibration of the physical panels: which output of the computer drives which layer, and where
+//! its pixels really are.
 //!
 //! ```text
 //! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal place (x, y) mm ─homography─▶ place on the layer, mm ─pitch─▶ mask pixel
@@ -12,11 +13,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::Sampling;
 
-/// One physical panel. In a browser nothing looks at its numbers, and to read them would take a twentieth of the page: there all is default.
+/// One physical panel. In a browser nothing looks at its numbers, and to read them would take a
+/// twentieth of the page: there all is default.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Panel {
-    /// Name of the output that drives it, as `lumistack show --list` prints it; without it the outputs that nobody names, from left to right.
+    /// Name of the output that drives it, as `lumistack show --list` prints it; without it the
+    /// outputs that nobody names, from left to right.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<String>,
     /// How far the upright picture is turned on the output, clockwise: 0, 90, 180 or 270 degrees.
@@ -25,17 +28,20 @@ pub struct Panel {
     /// How the upright picture is mirrored before it is turned: a panel that is seen from behind.
     #[serde(default)]
     pub flip: Flip,
-    /// [left, top, columns, rows] of the part of the upright picture that is used; its centre is the layer's centre. Default: all of it.
+    /// [left, top, columns, rows] of the part of the upright picture that is used; its centre is
+    /// the layer's centre. Default: all of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crop: Option<[usize; 4]>,
     /// [right, down] by which the upright picture is shifted, panel pixels.
     #[serde(default)]
     pub nudge_px: [f64; 2],
-    /// From where a pixel should be to where it is, millimetres from the layer's centre, x right, y up: rows of a 3 × 3 matrix. Default: where it should.
+    /// From where a pixel should be to where it is, millimetres from the layer's centre, x right, y
+    /// up: rows of a 3 × 3 matrix. Default: where it should.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homography: Option<[[f64; 3]; 3]>,
-    /// Crosstalk that was measured and that the patterns do not know of (`layers[].crosstalk` is what they know): made up for when they are shown. Row =
-    /// emitted channel, column = channel of the picture.
+    /// Crosstalk that was measured and that the patterns do not know of (`layers[].crosstalk` is
+    /// what they know): made up for when they are shown. Row = emitted channel, column = channel of
+    /// the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
     /// How a panel pixel reads the mask.
@@ -56,14 +62,16 @@ pub enum Flip {
     Vertical,
 }
 
-/// A lens array as built, where it differs from what the patterns were made for. In a browser all is default, as in [`Panel`].
+/// A lens array as built, where it differs from what the patterns were made for. In a browser all
+/// is default, as in [`Panel`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Lens {
     /// Distance of lens axes, millimetres; default: the backlight's `pitch_mm`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pitch_mm: Option<f64>,
-    /// Focal length as light travels in air, millimetres; default: the one at which a lens fills the horizontal bins.
+    /// Focal length as light travels in air, millimetres; default: the one at which a lens fills
+    /// the horizontal bins.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_mm: Option<f64>,
     /// Turn against the panel, counterclockwise seen from the front, degrees.

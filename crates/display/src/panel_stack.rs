@@ -1,4 +1,5 @@
-//! A display from what its builder knows: panels of one kind, the gaps between them, and maybe a lens array.
+//! A display from what its builder knows: panels of one kind, the gaps between them, and maybe a
+//! lens array.
 
 use crate::{Backlight, Display, DisplayError, Lens, LensletBacklight, Panel, Transfer};
 
@@ -15,7 +16,8 @@ pub struct PanelStack {
     pub panel_pitch_mm: f64,
     /// Panel pixels per pixel of the masks and of the light field, per axis; at least 1.
     pub panel_pixels: usize,
-    /// Names of the outputs, rear to front, that of the backlight's panel first; empty for those from left to right.
+    /// Names of the outputs, rear to front, that of the backlight's panel first; empty for those
+    /// from left to right.
     pub outputs: Vec<String>,
     /// [horizontal, vertical] views of the light field.
     pub views: [usize; 2],
@@ -59,7 +61,8 @@ impl PanelStack {
         ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)
     }
 
-    /// The display. The plane of zero parallax is the middle layer, or the middle between the two in the middle.
+    /// The display. The plane of zero parallax is the middle layer, or the middle between the two
+    /// in the middle.
     ///
     /// # Errors
     /// If a number makes no sense.

@@ -1,8 +1,9 @@
 //! Where the rays of a light field meet the layers and the backlight.
 //!
-//! Column c of the field at slope s meets layer n at pixel u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2, computed in f64; rows alike with y
-//! down. The map is separable, so one table of W entries per view column and one of H entries per view row and layer describe all rays: rays
-//! are never expanded into a list.
+//! Column c of the field at slope s meets layer n at pixel u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2,
+//! computed in f64; rows alike with y down. The map is separable, so one table of W entries per
+//! view column and one of H entries per view row and layer describe all rays: rays are never
+//! expanded into a list.
 
 use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideBins, Sampling};
 
@@ -27,8 +28,9 @@ impl Tap {
         self.first == Self::MISSED
     }
 
-    /// The pixel or pixels around position `u` (in pixels, 0 = centre of the first) of an axis of `count` pixels. The layer ends
-    /// half a pixel outside its outermost centres, whatever the sampling.
+    /// The pixel or pixels around position `u` (in pixels, 0 = centre of the first) of an axis of
+    /// `count` pixels. The layer ends half a pixel outside its outermost centres, whatever the
+    /// sampling.
     fn at(u: f64, count: usize, sampling: Sampling) -> Self {
         let nearest = (u + 0.5).floor();
         if !(nearest >= 0.0 && nearest < count as f64) {
@@ -128,7 +130,8 @@ impl RayMap {
         Self::of_rays(display, display.sampling, [(&x, geometry.cols), (&y, geometry.rows)])
     }
 
-    /// Tables of any rays; per axis (x, y) the rays of all views, and how many of them belong to one view.
+    /// Tables of any rays; per axis (x, y) the rays of all views, and how many of them belong to
+    /// one view.
     pub(crate) fn of_rays(display: &Display, sampling: Sampling, rays: [(&[AxisRay], usize); 2]) -> Self {
         let layers = display
             .layers
@@ -238,8 +241,9 @@ impl Axis {
     }
 }
 
-/// The ray reads the lenslet by its position at d_b and the bin by its slope. Under `repeat` a ray beyond the bins sees, as behind a real lens
-/// array, the picture of the neighbouring lenslet: bins continue periodically while the lenslet moves by one per zone.
+/// The ray reads the lenslet by its position at d_b and the bin by its slope. Under `repeat` a ray
+/// beyond the bins sees, as behind a real lens array, the picture of the neighbouring lenslet: bins
+/// continue periodically while the lenslet moves by one per zone.
 fn backlight_taps(backlight: &LensletBacklight, rays: &[AxisRay], axis: Axis) -> Vec<BacklightTap> {
     let lenslets = backlight.lenslets[axis.index()] as f64;
     let bins = backlight.views[axis.index()] as f64;
@@ -270,13 +274,15 @@ mod tests {
         let geometry = display.geometry().unwrap();
         let map = RayMap::new(&display, &geometry);
         let front = map.layers.last().unwrap();
-        // rightmost view column: slope > 0, so the front layer (d > 0) is met further right than z = 0
+        // rightmost view column: slope > 0, so the front layer (d > 0) is met further right than z
+        // = 0
         let view = geometry.grid.slope_x.len() - 1;
         let shift =
             (display.layers.last().unwrap().d_mm * geometry.grid.slope_x[view] / geometry.pitch_mm + 0.5).floor();
         assert!(shift >= 1.0, "the test needs a shift");
         assert_eq!(front.x.of_view(view)[0].first, shift as u32);
-        // topmost view row: slope_y > 0, the ray climbs, so the front layer is met further up: a smaller row
+        // topmost view row: slope_y > 0, the ray climbs, so the front layer is met further up: a
+        // smaller row
         assert!(front.y.of_view(0)[0].is_missed());
         assert!(front.y.of_view(0)[geometry.rows - 1].first < geometry.rows as u32 - 1);
     }

@@ -1,11 +1,13 @@
-//! What a layer's hardware does to the values that it stores: the linear map A from mask pixels to what rays meet.
+//! What a layer's hardware does to the values that it stores: the linear map A from mask pixels to
+//! what rays meet.
 //!
 //! ```text
 //! F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c')
 //! ```
 //!
-//! The filters stand on the mask's columns; the blur is a Gaussian along both axes that keeps constants. On a `mono` layer the three stored channels
-//! are equal: there A maps one unknown per pixel to three channels.
+//! The filters stand on the mask's columns; the blur is a Gaussian along both axes that keeps
+//! constants. On a `mono` layer the three stored channels are equal: there A maps one unknown per
+//! pixel to three channels.
 
 use lumistack_core::Tensor;
 
@@ -25,7 +27,8 @@ pub struct Response {
 const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl Layer {
-    /// What the hardware does to this layer's values; `None` where rays meet just what is stored and every channel is free.
+    /// What the hardware does to this layer's values; `None` where rays meet just what is stored
+    /// and every channel is free.
     pub fn response(&self) -> Option<Response> {
         let response = Response::of(self);
         (response.is_tied() || !response.is_identity()).then_some(response)

@@ -66,7 +66,8 @@ impl LayerStack {
         self.layers.first().map_or(0, |layer| layer.shape()[0])
     }
 
-    /// The stack that rays meet: every layer's [`Response`](crate::Response) applied. Borrowed where no layer has one that changes values.
+    /// The stack that rays meet: every layer's [`Response`](crate::Response) applied. Borrowed
+    /// where no layer has one that changes values.
     pub fn effective(&self, display: &Display) -> Cow<'_, Self> {
         let responses: Vec<_> =
             display.layers.iter().map(|layer| layer.response().filter(|response| !response.is_identity())).collect();
@@ -80,8 +81,9 @@ impl LayerStack {
         Cow::Owned(Self { layers: layers.collect(), emission: self.emission.clone(), brightness: self.brightness })
     }
 
-    /// Checks that the stack has the shapes of the display and values in 0..1. The box of a layer is narrower where its hardware is limited
-    /// ([`Layer::range`](crate::Layer::range)); patterns from elsewhere may ignore it.
+    /// Checks that the stack has the shapes of the display and values in 0..1. The box of a layer
+    /// is narrower where its hardware is limited ([`Layer::range`](crate::Layer::range)); patterns
+    /// from elsewhere may ignore it.
     ///
     /// # Errors
     /// On the first part that does not fit.

@@ -1,12 +1,15 @@
-//! From linear values to a panel's code values and back: standard curves, or what was measured on the panel.
+//! From linear values to a panel's code values and back: standard curves, or what was measured on
+//! the panel.
 //!
-//! A measured table holds pairs (code, amount of light), each in any unit: the first pair is the darkest state and the last the brightest, and
+//! A measured table holds pairs (code, amount of light), each in any unit: the first pair is the
+//! darkest state and the last the brightest, and
 //!
 //! ```text
 //! code → (code − code_first) / (code_last − code_first),   light → (light − light_first) / (light_last − light_first)
 //! ```
 //!
-//! with straight lines in between. How bright the darkest state is, is said by `black_level` and `peak`, not here.
+//! with straight lines in between. How bright the darkest state is, is said by `black_level` and
+//! `peak`, not here.
 
 use lumistack_core::colour::{srgb_decode, srgb_encode};
 use serde::{Deserialize, Serialize};
@@ -63,7 +66,8 @@ impl Transfer {
         Self::Gamma(Channels::Same(gamma))
     }
 
-    /// The code of a linear value of a channel, both in 0..1. Values outside are clamped; NaN becomes 0.
+    /// The code of a linear value of a channel, both in 0..1. Values outside are clamped; NaN
+    /// becomes 0.
     pub fn encode(&self, channel: usize, linear: f32) -> f32 {
         let linear = if linear.is_nan() { 0.0 } else { linear.clamp(0.0, 1.0) };
         match self {
@@ -115,7 +119,8 @@ impl Transfer {
     }
 }
 
-/// Straight lines between the pairs of a table, from its column `from` to the other, both scaled to 0..1.
+/// Straight lines between the pairs of a table, from its column `from` to the other, both scaled to
+/// 0..1.
 fn interpolate(table: &[[f64; 2]], [from, to]: [usize; 2], value: f32) -> f32 {
     let (first, last) = (table[0], table[table.len() - 1]);
     let scaled = |pair: [f64; 2], column: usize| (pair[column] - first[column]) / (last[column] - first[column]);

@@ -8,8 +8,8 @@ use crate::{Backlight, Display, DisplayError};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Variation {
-    /// Number of layers N. They stand `gap_mm` apart around the middle of the old ones; new ones are like the frontmost. A directional backlight keeps
-    /// its distance from the rearmost.
+    /// Number of layers N. They stand `gap_mm` apart around the middle of the old ones; new ones
+    /// are like the frontmost. A directional backlight keeps its distance from the rearmost.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub layers: Option<usize>,
     /// Frames M.

@@ -39,11 +39,13 @@ pub struct EyeBox {
 }
 
 impl Weights {
-    /// Weights that follow viewers: a ray counts `floor` + Σ weight · exp(−½ (r/σ)²), where r is its distance from the eye in the plane through the
-    /// eye parallel to the display. `floor` ≥ 0 is what every ray counts, so that the space between eye boxes is not left to chance.
+    /// Weights that follow viewers: a ray counts `floor` + Σ weight · exp(−½ (r/σ)²), where r is
+    /// its distance from the eye in the plane through the eye parallel to the display. `floor` ≥ 0
+    /// is what every ray counts, so that the space between eye boxes is not left to chance.
     ///
     /// # Errors
-    /// If the geometry makes no sense, an eye is not in front of the display, σ is not above 0, or a weight or the floor is negative or not finite.
+    /// If the geometry makes no sense, an eye is not in front of the display, σ is not above 0, or
+    /// a weight or the floor is negative or not finite.
     pub fn eye_boxes(geometry: &FieldGeometry, boxes: &[EyeBox], floor: f32) -> Result<Self, WeightError> {
         let check = |ok: bool, expected: String, found: String| {
             if ok { Ok(()) } else { Err(WeightError { expected, found }) }
@@ -86,7 +88,8 @@ impl Weights {
     /// Checks shape and values.
     ///
     /// # Errors
-    /// If the shape is not that of the geometry, a value is negative, infinite or NaN, or all are 0.
+    /// If the shape is not that of the geometry, a value is negative, infinite or NaN, or all are
+    /// 0.
     pub fn check(&self, geometry: &FieldGeometry) -> Result<(), WeightError> {
         let [view_rows, view_cols] = geometry.grid.views();
         let (shape, expected, data) = match self {
@@ -119,7 +122,8 @@ impl Weights {
 }
 
 impl EyeBox {
-    /// The Gaussian's factors along x `[view_x][col]` and y `[view_y][row]`: a ray at p with slope s passes the eye's plane at p + z·s.
+    /// The Gaussian's factors along x `[view_x][col]` and y `[view_y][row]`: a ray at p with slope
+    /// s passes the eye's plane at p + z·s.
     fn falloff(&self, geometry: &FieldGeometry) -> [Vec<f64>; 2] {
         let [eye_x, eye_y, z] = self.eye_mm;
         let along = |slopes: &[f64], positions: Vec<f64>, eye: f64| {

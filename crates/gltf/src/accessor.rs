@@ -1,7 +1,9 @@
-//! Accessors: typed elements in buffer views, dense or sparse, with every bound checked before the first byte is read.
+//! Accessors: typed elements in buffer views, dense or sparse, with every bound checked before the
+//! first byte is read.
 //!
-//! Element i starts at byte `offset + stride · i` of its view. Integers become floats as they are, or, when `normalized`,
-//! by f = c / (2ⁿ − 1) unsigned and f = max(c / (2ⁿ⁻¹ − 1), −1) signed (glTF 2.0, sections 3.6.2 and 3.11).
+//! Element i starts at byte `offset + stride · i` of its view. Integers become floats as they are,
+//! or, when `normalized`, by f = c / (2ⁿ − 1) unsigned and f = max(c / (2ⁿ⁻¹ − 1), −1) signed (glTF
+//! 2.0, sections 3.6.2 and 3.11).
 
 use gltf::json;
 use gltf::json::accessor::{ComponentType, Type};
@@ -11,7 +13,8 @@ use crate::document::Document;
 use crate::draco;
 use crate::error::Fault;
 
-/// Elements of an accessor without a buffer view are zeros that take no room in the file; more are refused.
+/// Elements of an accessor without a buffer view are zeros that take no room in the file; more are
+/// refused.
 const MAX_IMPLICIT_COUNT: u64 = 1 << 24;
 
 /// What an accessor must hold at the place that uses it.
@@ -99,7 +102,8 @@ impl<'a> Accessor<'a> {
         Ok(Self { used_at, count, dimensions, component, normalized, dense, sparse })
     }
 
-    /// Elements that came out of a Draco stream in place of those of the accessor that the index at `used_at` refers to.
+    /// Elements that came out of a Draco stream in place of those of the accessor that the index at
+    /// `used_at` refers to.
     pub(crate) fn decoded(
         document: &'a Document<'_>,
         index: json::Index<json::Accessor>,
@@ -120,7 +124,8 @@ impl<'a> Accessor<'a> {
         Ok(Self { used_at: used_at.to_owned(), count, dimensions, component, normalized, dense, sparse: None })
     }
 
-    /// Elements as floats. `fill` stands in for components that the accessor lacks; components past `N` are left out.
+    /// Elements as floats. `fill` stands in for components that the accessor lacks; components past
+    /// `N` are left out.
     pub(crate) fn floats<const N: usize>(
         &self,
         document: &Document<'_>,
@@ -217,7 +222,8 @@ impl<'a> Accessor<'a> {
         if self.normalized { (value / largest).max(-1.0) } else { value }
     }
 
-    /// Takes integers for normalized ones; some writers forget to say so where glTF allows nothing else.
+    /// Takes integers for normalized ones; some writers forget to say so where glTF allows nothing
+    /// else.
     pub(crate) fn assume_normalized(mut self) -> Self {
         self.normalized = true;
         self
@@ -225,8 +231,8 @@ impl<'a> Accessor<'a> {
 }
 
 impl<'a> Elements<'a> {
-    /// `count` elements of `size` bytes from byte `offset` of a view. `place` holds the fields `bufferView` and
-    /// `byteOffset`.
+    /// `count` elements of `size` bytes from byte `offset` of a view. `place` holds the fields
+    /// `bufferView` and `byteOffset`.
     fn open(
         document: &'a Document<'_>,
         view: json::Index<json::buffer::View>,
@@ -241,7 +247,8 @@ impl<'a> Elements<'a> {
         let length = view.bytes.len();
         let mut stride = view.stride.unwrap_or(size);
         if stride != size && !may_stride {
-            // glTF has no stride here. Most readers follow one that leaves room for the elements, and so does this one; others mean nothing.
+            // glTF has no stride here. Most readers follow one that leaves room for the elements,
+            // and so does this one; others mean nothing.
             let room = (length as u64).saturating_sub(offset);
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;

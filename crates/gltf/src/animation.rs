@@ -1,9 +1,10 @@
 //! Animations sampled at one time: where nodes stand and how much morph targets weigh.
 //!
-//! Between keys k and k+1, with u = (t − t_k) / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k seconds: STEP takes v_k; LINEAR takes
-//! (1−u)·v_k + u·v_{k+1}, rotations along the shorter arc (slerp); CUBICSPLINE takes the Hermite spline
-//! (2u³−3u²+1)·v_k + Δ(u³−2u²+u)·b_k + (3u²−2u³)·v_{k+1} + Δ(u³−u²)·a_{k+1} with in-tangents a and out-tangents b. Before the first
-//! key and after the last the values hold (glTF 2.0, section 3.11 and appendix C).
+//! Between keys k and k+1, with u = (t − t_k) / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k seconds: STEP
+//! takes v_k; LINEAR takes (1−u)·v_k + u·v_{k+1}, rotations along the shorter arc (slerp);
+//! CUBICSPLINE takes the Hermite spline (2u³−3u²+1)·v_k + Δ(u³−2u²+u)·b_k + (3u²−2u³)·v_{k+1} +
+//! Δ(u³−u²)·a_{k+1} with in-tangents a and out-tangents b. Before the first key and after the last
+//! the values hold (glTF 2.0, section 3.11 and appendix C).
 
 use std::collections::{HashMap, HashSet};
 
@@ -222,7 +223,8 @@ fn moment(times: &[f32], time_s: f64) -> Moment {
     Moment { key: after - 1, share: (time_s - before_s) / gap_s, gap_s }
 }
 
-/// Values of a channel around a time, each of `group` elements of `N` numbers, and how to blend them.
+/// Values of a channel around a time, each of `group` elements of `N` numbers, and how to blend
+/// them.
 enum Values<const N: usize> {
     Held(Vec<[f64; N]>),
     Linear {

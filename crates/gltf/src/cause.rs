@@ -1,7 +1,9 @@
-//! Why a file shows nothing: the first reason that its structure gives, and the first defect in what nothing shows.
+//! Why a file shows nothing: the first reason that its structure gives, and the first defect in
+//! what nothing shows.
 //!
-//! A file that breaks off early, or whose scene lost its nodes, is sound as far as it is read. A reader who has to find out why the scene is empty
-//! is helped by a look at the rest, which takes no more memory than any scene may.
+//! A file that breaks off early, or whose scene lost its nodes, is sound as far as it is read. A
+//! reader who has to find out why the scene is empty is helped by a look at the rest, which takes
+//! no more memory than any scene may.
 
 use std::collections::HashSet;
 

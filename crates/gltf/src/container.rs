@@ -121,8 +121,8 @@ fn write_integers_as_integers(value: &mut Value) {
     }
 }
 
-/// The `gltf` crate's types ask for what glTF leaves optional: the nodes of a scene, and the target node of an animation. Takes the
-/// animations out, which are read without types.
+/// The `gltf` crate's types ask for what glTF leaves optional: the nodes of a scene, and the target
+/// node of an animation. Takes the animations out, which are read without types.
 fn adapt_to_types(raw: &mut Value) -> Option<Value> {
     let scenes = raw.get_mut("scenes").and_then(Value::as_array_mut);
     for scene in scenes.into_iter().flatten().filter_map(Value::as_object_mut) {

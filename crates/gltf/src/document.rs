@@ -1,4 +1,5 @@
-//! The opened file: checked look-ups, the bytes of buffers and files, and the memory that may still be spent on it.
+//! The opened file: checked look-ups, the bytes of buffers and files, and the memory that may still
+//! be spent on it.
 
 use std::borrow::Cow;
 use std::cell::{Cell, OnceCell, RefCell};
@@ -206,7 +207,8 @@ impl<'a> Document<'a> {
     }
 }
 
-/// Of every entry the position of the first one with the same URI; entries without one are their own.
+/// Of every entry the position of the first one with the same URI; entries without one are their
+/// own.
 fn firsts<'u>(uris: impl Iterator<Item = Option<&'u str>>) -> Vec<usize> {
     let mut known = HashMap::new();
     uris.enumerate().map(|(i, uri)| uri.map_or(i, |uri| *known.entry(uri).or_insert(i))).collect()

@@ -22,7 +22,8 @@ pub enum GltfError {
         /// What was there.
         found: String,
     },
-    /// The file is sound and says that nobody should show it without an extension that is not supported.
+    /// The file is sound and says that nobody should show it without an extension that is not
+    /// supported.
     #[error("{file}: {place}: expected extensions that can be read ({supported}), found {name}{advice}")]
     UnsupportedExtension {
         /// The file as the caller named it.
@@ -80,7 +81,8 @@ impl Fault {
     }
 }
 
-/// Runs the decoder of a library. Its panic says that the file is broken in a way that the library does not look for; our own code has none.
+/// Runs the decoder of a library. Its panic says that the file is broken in a way that the library
+/// does not look for; our own code has none.
 pub(crate) fn contained<T>(place: &str, expected: &str, decode: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     let broken = |_| Err(Fault::new(place, expected, "bytes on which its decoder stops"));
     std::panic::catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(broken)

@@ -1,4 +1,5 @@
-//! Which extensions are read, and what becomes of the others. `docs/GLTF.md` has the table for users; a test keeps both the same.
+//! Which extensions are read, and what becomes of the others. `docs/GLTF.md` has the table for
+//! users; a test keeps both the same.
 
 use crate::document::Document;
 use crate::error::Fault;
@@ -10,8 +11,8 @@ enum Handling {
     Read,
     /// Does not change the picture; a file may require it.
     WithoutEffect,
-    /// Not read: refused where a file requires it, left out with a warning where it uses it. With what the user can do instead, which
-    /// starts with "; ", or nothing.
+    /// Not read: refused where a file requires it, left out with a warning where it uses it. With
+    /// what the user can do instead, which starts with "; ", or nothing.
     NotRead(&'static str),
 }
 
@@ -123,7 +124,8 @@ mod tests {
             let source = &sources.iter().find(|(stem, _)| stem == file).unwrap_or_else(|| panic!("{test}")).1;
             let body = source.split(&format!("#[test]\nfn {name}()")).nth(1);
             let body = body.unwrap_or_else(|| panic!("{extension}: no test {test}")).split("\n}\n").next().unwrap();
-            // the extension is in the test, in a list beside it, or in what a helper of that file writes
+            // the extension is in the test, in a list beside it, or in what a helper of that file
+            // writes
             let plain = extension.trim_matches('`');
             assert!(body.contains(plain) || source.contains(plain), "{extension}: {test} does not mention it");
         }

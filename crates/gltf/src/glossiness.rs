@@ -1,9 +1,11 @@
 //! `KHR_materials_pbrSpecularGlossiness` as metallic-roughness.
 //!
-//! The material is a dielectric (metallic 0) of base colour `diffuse` whose reflection at normal incidence is `specular`: the index of
-//! refraction 0 turns the Fresnel term off, so that the specular colour alone sets it (KHR_materials_specular, "Conversions", and
-//! KHR_materials_ior). Roughness is 1 − glossiness; where a texture holds glossiness in its alpha, a picture is made whose green
-//! channel is 1 − glossinessFactor · alpha, since no factor on a roughness texture can say the same.
+//! The material is a dielectric (metallic 0) of base colour `diffuse` whose reflection at normal
+//! incidence is `specular`: the index of refraction 0 turns the Fresnel term off, so that the
+//! specular colour alone sets it (KHR_materials_specular, "Conversions", and KHR_materials_ior).
+//! Roughness is 1 − glossiness; where a texture holds glossiness in its alpha, a picture is made
+//! whose green channel is 1 − glossinessFactor · alpha, since no factor on a roughness texture can
+//! say the same.
 
 use glam::{Vec3, Vec4};
 use lumistack_scene::{Material, Texture};

@@ -1,8 +1,9 @@
-//! `KHR_texture_basisu`: KTX2 pictures whose texels are packed by Basis Universal, as ETC1S or UASTC.
+//! `KHR_texture_basisu`: KTX2 pictures whose texels are packed by Basis Universal, as ETC1S or
+//! UASTC.
 //!
-//! Every offset and size of the container is checked here before the decoder sees it. Only the largest level is decoded; the path
-//! tracer makes its own pyramid. Sources: KTX 2.0 specification, sections 3 and 5; KHR_texture_basisu, "KTX v2 Images with Basis
-//! Universal Supercompression".
+//! Every offset and size of the container is checked here before the decoder sees it. Only the
+//! largest level is decoded; the path tracer makes its own pyramid. Sources: KTX 2.0 specification,
+//! sections 3 and 5; KHR_texture_basisu, "KTX v2 Images with Basis Universal Supercompression".
 
 use std::ops::Range;
 
@@ -55,7 +56,8 @@ pub(crate) fn size(document: &Document<'_>, bytes: &[u8], place: &str) -> Result
 pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
     let Header { width, height, channels } = Header::read(bytes, place)?;
     let broken = |error| Fault::new(place, "a sound Basis Universal picture", format!("{error:?}"));
-    // notes on the file say nothing about its texels, and the decoder trusts the length of the last one
+    // notes on the file say nothing about its texels, and the decoder trusts the length of the last
+    // one
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;

@@ -23,12 +23,13 @@ use crate::{
 
 /// Loads a `.gltf` or `.glb` file.
 ///
-/// `name` stands for the file in messages, `bytes` is its content, and `resolver` reads the files it refers to. Only what the default
-/// scene shows is read.
+/// `name` stands for the file in messages, `bytes` is its content, and `resolver` reads the files
+/// it refers to. Only what the default scene shows is read.
 ///
 /// # Errors
-/// [`GltfError`] with the place in the file: when the file or one it refers to is missing or broken, when it requires an extension
-/// that is not supported, when nothing in it can be rendered, and when the task is cancelled.
+/// [`GltfError`] with the place in the file: when the file or one it refers to is missing or
+/// broken, when it requires an extension that is not supported, when nothing in it can be rendered,
+/// and when the task is cancelled.
 pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }
@@ -213,7 +214,8 @@ fn place_meshes(
     Ok(())
 }
 
-/// The primitives of a mesh that are splats: numbers of their clouds, and where they stand in the mesh.
+/// The primitives of a mesh that are splats: numbers of their clouds, and where they stand in the
+/// mesh.
 fn read_splats(
     document: &Document<'_>,
     mesh: &json::Mesh,

@@ -1,7 +1,8 @@
-//! Materials and their textures: the metallic-roughness model with the extensions that change how a path tracer shades.
+//! Materials and their textures: the metallic-roughness model with the extensions that change how a
+//! path tracer shades.
 //!
-//! Source: glTF 2.0, section 3.9, and the KHR_materials_* extensions. Occlusion textures are left out: a path tracer finds
-//! occlusion itself.
+//! Source: glTF 2.0, section 3.9, and the KHR_materials_* extensions. Occlusion textures are left
+//! out: a path tracer finds occlusion itself.
 
 use glam::{Vec3, Vec4};
 use gltf::json;
@@ -20,14 +21,15 @@ use crate::{glossiness, material_extensions};
 /// Materials in the file's order, with what they need.
 pub(crate) struct Materials {
     pub(crate) materials: Vec<Material>,
-    /// Per material, the texture coordinate sets of the file that the mesh's sets 0 and 1 are to hold.
+    /// Per material, the texture coordinate sets of the file that the mesh's sets 0 and 1 are to
+    /// hold.
     pub(crate) uv_sets: Vec<[u32; 2]>,
     pub(crate) textures: Vec<Texture>,
     pub(crate) images: Images,
 }
 
-/// Reads the materials of the file. Those that nothing uses keep their place but get no textures, so that a picture which
-/// nobody sees cannot be missing.
+/// Reads the materials of the file. Those that nothing uses keep their place but get no textures,
+/// so that a picture which nobody sees cannot be missing.
 pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, Fault> {
     let mut loader = Loader::new(document);
     let (mut materials, mut uv_sets) = (Vec::new(), Vec::new());
@@ -131,8 +133,8 @@ impl Loader<'_, '_> {
     }
 }
 
-/// Assigns the texture coordinate sets of the file that a material uses to the two that a mesh can hold. Returns the file's
-/// sets in the mesh's order: 0 and 1 unless another is used.
+/// Assigns the texture coordinate sets of the file that a material uses to the two that a mesh can
+/// hold. Returns the file's sets in the mesh's order: 0 and 1 unless another is used.
 fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2] {
     let mut used: Vec<usize> = material.textures().map(|(_, texture)| texture.uv_set).collect();
     used.sort_unstable();

@@ -113,7 +113,8 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         material: request.material,
         ..Mesh::default()
     };
-    // normals and tangents may be broken: the scene's validator and `mend_tangents` replace what has no direction
+    // normals and tangents may be broken: the scene's validator and `mend_tangents` replace what
+    // has no direction
     if let Some(normals) = attributes.open(Semantic::Normals, &NORMAL, Some(count))? {
         mesh.normals = vec3s(normals.assume_normalized().floats::<3>(document, &selection, 0.0)?);
         if let Some(tangents) = attributes.open(Semantic::Tangents, &TANGENT, Some(count))? {
@@ -163,7 +164,8 @@ fn indices(document: &Document<'_>, request: &Request<'_>, count: usize) -> Resu
     }
 }
 
-/// Triangles of a list, strip or fan, all of one orientation, and the number of vertices that are too many.
+/// Triangles of a list, strip or fan, all of one orientation, and the number of vertices that are
+/// too many.
 fn triangles(mode: Mode, v: &[u32]) -> (Vec<[u32; 3]>, usize) {
     match mode {
         Mode::TriangleStrip => {
@@ -257,7 +259,8 @@ fn clamp_colors(document: &Document<'_>, place: &str, colors: Vec<[f32; 4]>) -> 
     clamped
 }
 
-/// Makes tangents unit vectors with handedness ±1. If any has no direction all are dropped and generated anew.
+/// Makes tangents unit vectors with handedness ±1. If any has no direction all are dropped and
+/// generated anew.
 fn mend_tangents(document: &Document<'_>, mesh: &mut Mesh) {
     let mended: Option<Vec<Vec4>> = mesh
         .tangents

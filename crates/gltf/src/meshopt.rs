@@ -1,7 +1,9 @@
-//! `EXT_meshopt_compression` and `KHR_meshopt_compression`: buffer views that the file holds packed.
+//! `EXT_meshopt_compression` and `KHR_meshopt_compression`: buffer views that the file holds
+//! packed.
 //!
-//! A view's bytes are `count` elements of `byteStride` bytes, packed by one of three codecs and, for attributes, passed through a
-//! filter after unpacking. Its own `buffer` is for readers without the extension.
+//! A view's bytes are `count` elements of `byteStride` bytes, packed by one of three codecs and,
+//! for attributes, passed through a filter after unpacking. Its own `buffer` is for readers without
+//! the extension.
 
 use gltf::json;
 use meshoptimizer_rs::codec::{
@@ -16,7 +18,8 @@ use crate::fields::Fields;
 
 const NAMES: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
 
-/// No codec packs tighter than this: a block of 256 vertices takes at least a byte for every four columns of bytes.
+/// No codec packs tighter than this: a block of 256 vertices takes at least a byte for every four
+/// columns of bytes.
 const MAX_RATIO: u64 = 1024;
 
 /// Largest unpacked view.

@@ -1,7 +1,7 @@
 //! The node hierarchy: which nodes the scene shows and where they stand.
 //!
-//! scene_from_node = scene_from_parent · parent_from_node, with parent_from_node a matrix or translation · rotation · scale
-//! (glTF 2.0, section 3.5). Products are taken in f64.
+//! scene_from_node = scene_from_parent · parent_from_node, with parent_from_node a matrix or
+//! translation · rotation · scale (glTF 2.0, section 3.5). Products are taken in f64.
 
 use std::collections::HashMap;
 
@@ -37,7 +37,8 @@ impl Nodes {
     }
 }
 
-/// Reads the hierarchy of the default scene: the file's choice, or its first scene, or, without scenes, all nodes.
+/// Reads the hierarchy of the default scene: the file's choice, or its first scene, or, without
+/// scenes, all nodes.
 pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> Result<Nodes, Fault> {
     let mut parents = parents(document)?;
     let root = &document.root;
@@ -85,8 +86,9 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
     Ok(Nodes { scene_place, shown, scene_from_node, poses })
 }
 
-/// Whether a node that the scene lists is a root of what it shows. A child is not meant to be listed, but many readers show it: where the scene
-/// shows an ancestor too, it stands there; otherwise it stands alone, without its parents. `known` keeps what was found about ancestors.
+/// Whether a node that the scene lists is a root of what it shows. A child is not meant to be
+/// listed, but many readers show it: where the scene shows an ancestor too, it stands there;
+/// otherwise it stands alone, without its parents. `known` keeps what was found about ancestors.
 fn adopt(
     document: &Document<'_>,
     node: usize,
@@ -229,7 +231,8 @@ const TRANSLATION: Format = Format { types: &[Type::Vec3], components: &[F32], t
 const ROTATION: Format =
     Format { types: &[Type::Vec4], components: &[F32, I8, I16], text: "VEC4 of FLOAT, BYTE or SHORT" };
 
-/// `EXT_mesh_gpu_instancing`: the copies of the node's mesh, in the node's space. `None` without the extension.
+/// `EXT_mesh_gpu_instancing`: the copies of the node's mesh, in the node's space. `None` without
+/// the extension.
 pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<DAffine3>>, Fault> {
     let place = format!("/nodes/{node}/extensions/EXT_mesh_gpu_instancing");
     if document.json(&place).is_none() {
@@ -278,7 +281,8 @@ fn vectors(document: &Document<'_>, accessor: Option<Accessor<'_>>) -> Result<Op
     accessor.map(|accessor| accessor.finite::<3>(document, &Selection::All, 0.0)).transpose()
 }
 
-/// Our own notes `extras.lumistack` of the object at `owner`; warns of those that are not in `known`.
+/// Our own notes `extras.lumistack` of the object at `owner`; warns of those that are not in
+/// `known`.
 pub(crate) fn extras<'a>(document: &'a Document<'_>, owner: &str, known: &[&str]) -> Option<&'a Value> {
     let place = format!("{owner}/extras/lumistack");
     let value = document.json(&place)?;

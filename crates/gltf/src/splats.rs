@@ -1,4 +1,5 @@
-//! `KHR_gaussian_splatting`: primitives of points that are Gaussian splats, from accessors or from an SPZ stream.
+//! `KHR_gaussian_splatting`: primitives of points that are Gaussian splats, from accessors or from
+//! an SPZ stream.
 
 use glam::{DAffine3, DQuat, Quat, Vec3};
 use gltf::json;

@@ -1,4 +1,5 @@
-//! Textures of materials: references of every kind that glTF has, samplers, and the transform of texture coordinates.
+//! Textures of materials: references of every kind that glTF has, samplers, and the transform of
+//! texture coordinates.
 //!
 //! Source: glTF 2.0, sections 3.8 and 3.9, and KHR_texture_transform.
 
@@ -128,8 +129,9 @@ pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTra
     })
 }
 
-/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v (v points down, so this is
-/// counter-clockwise to the eye); the extension's text leaves the sense open, its test scene and all common viewers agree.
+/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v (v
+/// points down, so this is counter-clockwise to the eye); the extension's text leaves the sense
+/// open, its test scene and all common viewers agree.
 fn affine(transform: &TextureTransform) -> Affine2 {
     let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
     Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)

@@ -1,12 +1,14 @@
-//! Renders the scenes of `cargo xtask bench agreement` in independent batches, and writes them with the pictures for another renderer.
+//! Renders the scenes of `cargo xtask bench agreement` in independent batches, and writes them with
+//! the pictures for another renderer.
 //!
 //! ```text
 //! cargo run --release -p lumistack-pathtracer --example agreement -- FOLDER [--batches N] [--samples N] [--size N]
 //! ```
 //!
-//! Per scene a folder with `scene.json` (camera: orthographic, along −z, the square −1..1), `mesh_K.f32` (corners of triangles: position xyz,
-//! texture uv; 15 numbers each) and `ours.f32`: `[batch][row][col][rgb]`. Surfaces are flat, so that no renderer interpolates normals in its own way;
-//! microfacets scatter once, as they do there.
+//! Per scene a folder with `scene.json` (camera: orthographic, along −z, the square −1..1),
+//! `mesh_K.f32` (corners of triangles: position xyz, texture uv; 15 numbers each) and `ours.f32`:
+//! `[batch][row][col][rgb]`. Surfaces are flat, so that no renderer interpolates normals in its own
+//! way; microfacets scatter once, as they do there.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -116,7 +118,8 @@ fn scenes() -> Vec<SceneSpec> {
     // seen from +z; the floor leans back by 50°
     let lean = Mat3::from_rotation_x(-0.7);
     let floor = |surface| (panel(Vec3::new(0.0, 0.0, -0.6), lean * Vec3::X * 2.5, lean * Vec3::Y * 2.5), surface);
-    // its front, u × v, looks down and away from the camera; a black panel right behind it hides its back, which renderers treat differently
+    // its front, u × v, looks down and away from the camera; a black panel right behind it hides
+    // its back, which renderers treat differently
     let (lamp_u, lamp_v) = (Vec3::X * 0.6, Vec3::new(0.0, -0.42, 0.42));
     let lamp_at = Vec3::new(0.3, 1.1, 1.2);
     let lamp = |radiance| (panel(lamp_at, lamp_u, lamp_v), Surface::Light(radiance));
@@ -321,7 +324,8 @@ fn describe(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<()
         Sky::Constant(value) => write!(text, "], \"sky\": {value}}}")?,
         Sky::Map => {
             text += "], \"sky\": \"sky.f32\"}";
-            // rows from +y to −y, both ends included; columns of equal angles from −z over −x... as the script says
+            // rows from +y to −y, both ends included; columns of equal angles from −z over −x... as
+            // the script says
             let [width, height] = SKY;
             let texel = |k: usize| {
                 let phi = std::f32::consts::TAU * ((k % width) as f32 + 0.5) / width as f32;

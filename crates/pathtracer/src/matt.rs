@@ -1,4 +1,5 @@
-//! Lambert's law alone, f = c/π: what [`Bsdf`](crate::bsdf::Bsdf) is for materials that reflect and transmit nothing, at a fraction of the cost.
+//! Lambert's law alone, f = c/π: what [`Bsdf`](crate::bsdf::Bsdf) is for materials that reflect and
+//! transmit nothing, at a fraction of the cost.
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -52,8 +53,8 @@ impl Matt {
         }
     }
 
-    /// A scattered direction, from one of [`cosine_directions`](crate::bsdf::cosine_directions) around the z axis; `None` when it is below the surface
-    /// or nothing is reflected.
+    /// A scattered direction, from one of [`cosine_directions`](crate::bsdf::cosine_directions)
+    /// around the z axis; `None` when it is below the surface or nothing is reflected.
     #[inline]
     pub(crate) fn sample(&self, local: Vec3) -> Option<Scatter> {
         let (tangent, bitangent) = self.normals.mapped.any_orthonormal_pair();

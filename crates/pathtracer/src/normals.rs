@@ -36,10 +36,12 @@ impl Normals {
         Self { mapped, smooth: if self.alpha2 == 0.0 { mapped } else { turn(self.smooth) }, alpha2: self.alpha2 }
     }
 
-    /// Share of the light from `direction` that bumps do not keep from one another, 2 cos θ / (cos θ + √(cos² θ + α² sin² θ)) with the angle θ to the
-    /// smooth normal: Smith's shadowing of a GGX surface as rough as they are (Estevez, Lecocq, Stein 2019, "A microfacet-based shadowing function to
-    /// solve the bump terminator problem", Ray Tracing Gems; Cycles has it too). By the cosine to the mapped normal alone light ends in a hard edge
-    /// where the smooth surface turns away, and slopes are lit through their neighbours.
+    /// Share of the light from `direction` that bumps do not keep from one another, 2 cos θ / (cos
+    /// θ + √(cos² θ + α² sin² θ)) with the angle θ to the smooth normal: Smith's shadowing of a GGX
+    /// surface as rough as they are (Estevez, Lecocq, Stein 2019, "A microfacet-based shadowing
+    /// function to solve the bump terminator problem", Ray Tracing Gems; Cycles has it too). By the
+    /// cosine to the mapped normal alone light ends in a hard edge where the smooth surface turns
+    /// away, and slopes are lit through their neighbours.
     #[inline]
     pub(crate) fn unshadowed(&self, direction: Vec3) -> f32 {
         if self.alpha2 == 0.0 {
@@ -55,8 +57,9 @@ impl Normals {
 mod tests {
     use super::*;
 
-    /// What bumps keep from one another: all light at the smooth surface's horizon, none from straight above, and in between more the steeper they are and
-    /// the flatter it falls, without a step.
+    /// What bumps keep from one another: all light at the smooth surface's horizon, none from
+    /// straight above, and in between more the steeper they are and the flatter it falls, without a
+    /// step.
     #[test]
     fn the_shadow_of_bumps_ends_softly() {
         let from = |degrees: f32| Vec3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos());

@@ -32,7 +32,8 @@ impl Tree {
         Some((hit.t, hit.triangle))
     }
 
-    /// How many of up to [`BEAM_RAYS`] rays without an end, origins and directions, meet a triangle; those that lie close together share work.
+    /// How many of up to [`BEAM_RAYS`] rays without an end, origins and directions, meet a
+    /// triangle; those that lie close together share work.
     #[inline]
     pub fn met_by_beam(&self, rays: impl ExactSizeIterator<Item = (Vec3, Vec3)>, scratch: &mut Scratch) -> usize {
         let count = rays.len();

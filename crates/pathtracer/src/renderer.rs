@@ -143,8 +143,9 @@ pub enum RenderError {
 }
 
 impl Renderer {
-    /// Prepares a scene: image pyramids, tree, lights. Takes time and memory in proportion to the scene, not to the views; in scenes of
-    /// more than a million triangles, a mesh that is placed often counts once.
+    /// Prepares a scene: image pyramids, tree, lights. Takes time and memory in proportion to the
+    /// scene, not to the views; in scenes of more than a million triangles, a mesh that is placed
+    /// often counts once.
     ///
     /// # Errors
     /// If the scene has more than 2²⁹ − 1 triangles or 2³⁰ − 1 instances, or when cancelled.
@@ -196,31 +197,35 @@ impl Renderer {
         self.memory
     }
 
-    /// Leaves out the light that microfacets scatter more than once, for comparisons with renderers that have none of it: rough metals
-    /// and rough glass are then darker than they should be.
+    /// Leaves out the light that microfacets scatter more than once, for comparisons with renderers
+    /// that have none of it: rough metals and rough glass are then darker than they should be.
     #[must_use]
     pub fn single_scattering(mut self) -> Self {
         self.materials.without_compensation();
         self
     }
 
-    /// Shows the environment past the scene whatever the scene's backdrop, for comparisons with renderers that have none.
+    /// Shows the environment past the scene whatever the scene's backdrop, for comparisons with
+    /// renderers that have none.
     #[must_use]
     pub fn without_backdrop(mut self) -> Self {
         self.backdrop = None;
         self
     }
 
-    /// Steps by which one call of [`render_view`](Self::render_view) advances the progress: its tiles.
+    /// Steps by which one call of [`render_view`](Self::render_view) advances the progress: its
+    /// tiles.
     pub fn steps_per_view(geometry: &FieldGeometry) -> u64 {
         Tiles::new(geometry).count() as u64
     }
 
-    /// Renders one view, `view` = [view_y, view_x] of the geometry's grid: scene-linear radiance `[row][col][rgb]`, not exposed.
+    /// Renders one view, `view` = [view_y, view_x] of the geometry's grid: scene-linear radiance
+    /// `[row][col][rgb]`, not exposed.
     ///
-    /// The pixel filter is a box as wide as the pixel. The caller begins and ends the progress stage, which may span many views;
-    /// this call advances it by [`steps_per_view`](Self::steps_per_view). Samples that are not finite numbers are left out of the mean
-    /// and reported as a warning, as is what [`Settings::clamp`] removes.
+    /// The pixel filter is a box as wide as the pixel. The caller begins and ends the progress
+    /// stage, which may span many views; this call advances it by
+    /// [`steps_per_view`](Self::steps_per_view). Samples that are not finite numbers are left out
+    /// of the mean and reported as a warning, as is what [`Settings::clamp`] removes.
     ///
     /// # Errors
     /// If a setting, the geometry or the view is out of range, or when cancelled.
@@ -235,8 +240,9 @@ impl Renderer {
         self.view_of(window, geometry, view, settings, task, |pixel| pixel.mean.to_array())
     }
 
-    /// [`render_view`](Self::render_view), and the variance of every mean, `[row][col][rgb]`: the variance of the samples over their number.
-    /// Samples are stratified, so the means scatter less than this says. NaN where fewer than two samples are finite numbers.
+    /// [`render_view`](Self::render_view), and the variance of every mean, `[row][col][rgb]`: the
+    /// variance of the samples over their number. Samples are stratified, so the means scatter less
+    /// than this says. NaN where fewer than two samples are finite numbers.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).
@@ -295,7 +301,8 @@ impl Renderer {
         Ok(radiance)
     }
 
-    /// 1 for every pixel whose central ray meets a surface, else 0: `[row][col]`. Does not advance the progress.
+    /// 1 for every pixel whose central ray meets a surface, else 0: `[row][col]`. Does not advance
+    /// the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.
@@ -421,7 +428,8 @@ impl Renderer {
         }
     }
 
-    /// Fills `[row][col][k]` tile by tile. Values depend only on the pixel, so threads do not matter.
+    /// Fills `[row][col][k]` tile by tile. Values depend only on the pixel, so threads do not
+    /// matter.
     fn by_tiles<const K: usize>(
         &self,
         geometry: &FieldGeometry,
@@ -511,7 +519,8 @@ mod tests {
 
     use super::*;
 
-    /// A bowl with texture coordinates, placed often: turned, stretched, mirrored; transparent in one material.
+    /// A bowl with texture coordinates, placed often: turned, stretched, mirrored; transparent in
+    /// one material.
     fn bowls(alpha_mode: AlphaMode) -> Arc<Scene> {
         let size = 7;
         let mut mesh = Mesh::default();
@@ -567,8 +576,9 @@ mod tests {
         Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
     }
 
-    /// Instances that share a tree and copies in one tree are the same scene. The same random numbers make the same paths except where
-    /// rounding decides, so the pictures agree far below their noise; transparency draws other numbers and agrees within it.
+    /// Instances that share a tree and copies in one tree are the same scene. The same random
+    /// numbers make the same paths except where rounding decides, so the pictures agree far below
+    /// their noise; transparency draws other numbers and agrees within it.
     #[test]
     fn shared_and_copied_meshes_look_the_same() {
         let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -599,7 +609,8 @@ mod tests {
             let noise = square(&copied, &other_noise);
             let share = if alpha_mode == AlphaMode::Opaque { 0.05 } else { 1.3 };
             assert!(square(&copied, &shared) < share * noise, "{} against noise {noise}", square(&copied, &shared));
-            // the noise of the difference of two means, five standard errors (one pixel in three channels is one sample)
+            // the noise of the difference of two means, five standard errors (one pixel in three
+            // channels is one sample)
             let bound = 5.0 * (noise / (copied.data().len() / 3) as f64).sqrt();
             assert!((mean(&copied) - mean(&shared)).abs() < bound, "{} and {}", mean(&copied), mean(&shared));
             assert!(mean(&copied) > 0.1);

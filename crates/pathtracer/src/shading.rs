@@ -11,7 +11,8 @@ use crate::geometry::{SurfacePoint, bend_normal};
 use crate::normals::Normals;
 use crate::texture::{Encoding, Slot, Textures};
 
-/// Footprint of lookups that must not be filtered: alpha, whose average is not the alpha of an average once it is thresholded.
+/// Footprint of lookups that must not be filtered: alpha, whose average is not the alpha of an
+/// average once it is thresholded.
 const FINEST: f32 = 0.0;
 
 /// All materials, ready for shading.
@@ -112,7 +113,8 @@ impl Materials {
         }
     }
 
-    /// Radiance that the surface emits towards a viewer on its front or back side, at a direction with this cosine to the normal.
+    /// Radiance that the surface emits towards a viewer on its front or back side, at a direction
+    /// with this cosine to the normal.
     pub(crate) fn emission(
         &self,
         index: usize,

@@ -5,21 +5,27 @@
 //! w = p² / (p_b² + p_l²)
 //! ```
 //!
-//! T is the throughput, E what the hit surface emits, the second term one sampled light; w is the power heuristic with the density of
-//! the technique that made the sample on top. Alpha of mode `Blend` is decided by chance along scattered rays and multiplied along
-//! shadow rays, so both have the right mean.
+//! T is the throughput, E what the hit surface emits, the second term one sampled light; w is the
+//! power heuristic with the density of the technique that made the sample on top. Alpha of mode
+//! `Blend` is decided by chance along scattered rays and multiplied along shadow rays, so both have
+//! the right mean.
 //!
-//! The samples of a pixel are traced together, a vertex of all paths at a time: first rays lie close together and meet
-//! the tree as a beam, random numbers of a vertex share their hash, and what one path waits for the next does not.
+//! The samples of a pixel are traced together, a vertex of all paths at a time: first rays lie
+//! close together and meet the tree as a beam, random numbers of a vertex share their hash, and
+//! what one path waits for the next does not.
 //!
-//! Of the time on FlightHelmet half goes into rays. The rest waits for memory and for branches rather than for arithmetic: the whole program
-//! compiled for AVX2 with FMA was no faster. Nearly all variance of a diffuse scene comes from the first scattered direction: four jointly stratified
-//! points of lights at the first hit instead of one lowered the squared error by 7 % and cost 80 % more time (FlightHelmet, 16 spp).
-//! What paths wait for between rays are chains of roots and quotients, and results read in larger pieces than they were written in. So directions
-//! around normals and primary rays are worked out for all paths at once, as vectors, hits are written where they are read, and a light's density is
-//! kept as what it is multiplied with (FlightHelmet: together 9 % more samples).
-//! A loop over the paths for each part of a vertex (surface, light, scattered direction) cost 3 %: what they hand on has to be stored.
-//! The shadow rays of first hits as a beam, with a test of every block's bounds against eight rays at once, took 1.6 times as long as alone.
+//! Of the time on FlightHelmet half goes into rays. The rest waits for memory and for branches
+//! rather than for arithmetic: the whole program compiled for AVX2 with FMA was no faster. Nearly
+//! all variance of a diffuse scene comes from the first scattered direction: four jointly
+//! stratified points of lights at the first hit instead of one lowered the squared error by 7 % and
+//! cost 80 % more time (FlightHelmet, 16 spp). What paths wait for between rays are chains of roots
+//! and quotients, and results read in larger pieces than they were written in. So directions around
+//! normals and primary rays are worked out for all paths at once, as vectors, hits are written
+//! where they are read, and a light's density is kept as what it is multiplied with (FlightHelmet:
+//! together 9 % more samples). A loop over the paths for each part of a vertex (surface, light,
+//! scattered direction) cost 3 %: what they hand on has to be stored. The shadow rays of first hits
+//! as a beam, with a test of every block's bounds against eight rays at once, took 1.6 times as
+//! long as alone.
 
 use glam::Vec3;
 use lumistack_scene::{Lamp, Material};
@@ -35,10 +41,11 @@ use crate::shading::Materials;
 
 /// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
-/// Pairs per vertex of a path: scattered direction, point of a light, roulette and choice between reflection and refraction.
+/// Pairs per vertex of a path: scattered direction, point of a light, roulette and choice between
+/// reflection and refraction.
 const VERTEX_PAIRS: u64 = 3;
-/// First of the pairs that decide about surfaces with alpha: one for each bounce and triangle, so that surfaces behind one another
-/// decide independently.
+/// First of the pairs that decide about surfaces with alpha: one for each bounce and triangle, so
+/// that surfaces behind one another decide independently.
 const ALPHA_PAIRS: u64 = 1 << 62;
 /// Odd step that spreads instances over these pairs.
 const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
@@ -49,7 +56,8 @@ const MOST_SURVIVAL: f32 = 0.95;
 /// Footprints widen by this share of the distance after a scattering lobe of α = 1.
 const SCATTER_SPREAD: f32 = 0.1;
 
-/// Footprint of a ray: `width + spread · t`, in render space (Akenine-Möller et al. 2019, "Texture level of detail strategies").
+/// Footprint of a ray: `width + spread · t`, in render space (Akenine-Möller et al. 2019, "Texture
+/// level of detail strategies").
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cone {
     pub(crate) width: f32,
@@ -100,7 +108,8 @@ struct Path {
     radiance: Vec3,
     throughput: Vec3,
     cone: Cone,
-    /// The last vertex that scattered other than straight through: its place and density, for the heuristic.
+    /// The last vertex that scattered other than straight through: its place and density, for the
+    /// heuristic.
     scattered_at: Receiver,
     scattered_pdf: f32,
     /// Whether nothing has turned the path aside since the viewer.
@@ -109,7 +118,8 @@ struct Path {
     inside: Option<usize>,
     /// Wavelength of a path that has entered dispersing glass.
     wave_nm: Option<f32>,
-    /// Share of what arrives that the first surface scatters by Lambert's law, where that is asked for.
+    /// Share of what arrives that the first surface scatters by Lambert's law, where that is asked
+    /// for.
     diffuse: Vec3,
 }
 
@@ -133,7 +143,8 @@ struct Shadows {
     rays: [Ray; BEAM],
     /// Path, direction towards the light, contribution.
     lights: [(usize, Vec3, Vec3); BEAM],
-    /// Share of the contribution that a first surface scatters by Lambert's law, where that is asked for.
+    /// Share of the contribution that a first surface scatters by Lambert's law, where that is
+    /// asked for.
     diffuse: [Vec3; BEAM],
 }
 
@@ -148,8 +159,9 @@ struct Vertex<'a> {
 }
 
 impl Tracer<'_> {
-    /// Radiance that arrives along at most [`BEAM`] rays of a pixel, which draw their numbers from `draws` one after another. Rays that are not `in_bounds`
-    /// meet nothing. What is left in `rays` is of no use.
+    /// Radiance that arrives along at most [`BEAM`] rays of a pixel, which draw their numbers from
+    /// `draws` one after another. Rays that are not `in_bounds` meet nothing. What is left in
+    /// `rays` is of no use.
     pub(crate) fn radiance(
         &self,
         rays: &mut [Ray],
@@ -162,7 +174,8 @@ impl Tracer<'_> {
         self.radiance_split::<false>(rays, cone, in_bounds, settings, draws, stack, &mut [])
     }
 
-    /// [`radiance`](Self::radiance); with `SPLIT` also what is known of every path's first surface, into as many places as there are rays.
+    /// [`radiance`](Self::radiance); with `SPLIT` also what is known of every path's first surface,
+    /// into as many places as there are rays.
     pub(crate) fn radiance_split<const SPLIT: bool>(
         &self,
         rays: &mut [Ray],
@@ -286,7 +299,8 @@ impl Tracer<'_> {
         }
     }
 
-    /// Directions around a normal for the paths that go on, in their order: worked out together, they are vectors.
+    /// Directions around a normal for the paths that go on, in their order: worked out together,
+    /// they are vectors.
     #[inline]
     fn cosine_directions(&self, going: u32, pair: &Pair<'_>) -> [[f32; BEAM]; 3] {
         let mut u = [[0.0; BEAM]; 2];
@@ -404,7 +418,8 @@ impl Tracer<'_> {
         hit.map(|hit| hit.t)
     }
 
-    /// Place in render space, shading normal on the viewer's side and appearance of the first surface that a path meets.
+    /// Place in render space, shading normal on the viewer's side and appearance of the first
+    /// surface that a path meets.
     pub(crate) fn first_seen(
         &self,
         ray: &Ray,
@@ -463,7 +478,8 @@ impl Tracer<'_> {
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
             return;
         };
-        // hard light ends where the smooth surface turns away, not its triangles: no other technique finds it, so the weights stay right
+        // hard light ends where the smooth surface turns away, not its triangles: no other
+        // technique finds it, so the weights stay right
         let is_hard = light.inverse_pdf == 0.0 && vertex.may_bulge(surface);
         let (value, scatter_pdf) = if is_hard {
             surface.evaluate_above(vertex.smooth_normal(), light.direction)
@@ -492,7 +508,8 @@ impl Tracer<'_> {
         self.traits[self.geometry.material_index(hit.triangle)] & UNSEEN != 0
     }
 
-    /// Decides whether a surface is there: one with alpha by chance, a lamp that is not seen for all but first hits.
+    /// Decides whether a surface is there: one with alpha by chance, a lamp that is not seen for
+    /// all but first hits.
     fn is_there(&self, hit: &Hit, bounce: u32, draws: &Draws<'_>, index: usize) -> bool {
         if hit.flags & ALPHA == 0 {
             return true;
@@ -527,7 +544,8 @@ impl Tracer<'_> {
         open + coverage * self.bsdf(&vertex, &appearance, -direction).straight()
     }
 
-    /// What a solid leaves of light after `distance`: attenuation_color^(distance / attenuation_distance).
+    /// What a solid leaves of light after `distance`: attenuation_color^(distance /
+    /// attenuation_distance).
     fn absorption(&self, material: usize, distance: f32) -> Vec3 {
         let (color, reference) = self.materials.attenuation(material);
         let exponent = distance / (reference * self.geometry.space.scale as f32);
@@ -596,7 +614,8 @@ impl Surface {
 }
 
 impl Vertex<'_> {
-    /// What the choice of a light needs to know; `horizon` where it matters that the surface may be smoother than its triangles.
+    /// What the choice of a light needs to know; `horizon` where it matters that the surface may be
+    /// smoother than its triangles.
     #[inline(always)]
     fn receiver(&self, surface: &Surface, horizon: bool) -> Receiver {
         let tilt = if horizon && self.may_bulge(surface) {
@@ -608,7 +627,8 @@ impl Vertex<'_> {
         Receiver { position: self.point.position, normal: (!surface.transmits()).then_some(self.normal), tilt }
     }
 
-    /// Whether light may arrive from below the triangle's horizon: where it stands for a smooth surface that passes nothing.
+    /// Whether light may arrive from below the triangle's horizon: where it stands for a smooth
+    /// surface that passes nothing.
     fn may_bulge(&self, surface: &Surface) -> bool {
         !self.point.is_flat() && !surface.transmits()
     }
@@ -637,7 +657,8 @@ fn heuristic(ratio: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)
 }
 
-/// A density over that of the technique that made the sample, which is infinite where no other could have.
+/// A density over that of the technique that made the sample, which is infinite where no other
+/// could have.
 #[inline]
 fn ratio(other: f32, own: f32) -> f32 {
     if other == 0.0 { 0.0 } else { other / own }

@@ -1,4 +1,5 @@
-//! From [`SceneParts`] to [`Scene`]: what cannot be rendered is refused, what can be mended is mended and reported.
+//! From [`SceneParts`] to [`Scene`]: what cannot be rendered is refused, what can be mended is
+//! mended and reported.
 
 use std::f32::consts::FRAC_PI_2;
 use std::ops::Deref;
@@ -30,12 +31,14 @@ impl Scene {
         self.bounds
     }
 
-    /// Bounds of what the viewer sees: all but [unseen lamps](Lamp::Unseen) and floating splats. Those of everything where nothing else is there.
+    /// Bounds of what the viewer sees: all but [unseen lamps](Lamp::Unseen) and floating splats.
+    /// Those of everything where nothing else is there.
     pub fn seen_bounds(&self) -> Bounds {
         self.seen_bounds
     }
 
-    /// Whether the viewer sees an instance, if it stands in view: it is no [unseen lamp](Lamp::Unseen).
+    /// Whether the viewer sees an instance, if it stands in view: it is no [unseen
+    /// lamp](Lamp::Unseen).
     pub fn is_seen(&self, instance: &crate::Instance) -> bool {
         self.materials[self.meshes[instance.mesh].material].lamp != Lamp::Unseen
     }
@@ -57,8 +60,9 @@ impl Scene {
         })
     }
 
-    /// Whether something lights the scene: an environment, a punctual light, or a surface that emits more than white (radiance 1). What emits
-    /// less, such as a label or a display in the scene, is seen but leaves the rest black.
+    /// Whether something lights the scene: an environment, a punctual light, or a surface that
+    /// emits more than white (radiance 1). What emits less, such as a label or a display in the
+    /// scene, is seen but leaves the rest black.
     pub fn is_lit(&self) -> bool {
         // a picture of light has values of its own; codes reach 1
         let brightest = |texture: &TextureUse| match &self.images[self.textures[texture.texture].image].pixels {
@@ -82,11 +86,13 @@ impl Scene {
 }
 
 impl SceneParts {
-    /// Checks everything that later stages rely on, generates missing normals and tangents, drops triangles without area, splats that are no
-    /// Gaussians and instances without volume (with a warning).
+    /// Checks everything that later stages rely on, generates missing normals and tangents, drops
+    /// triangles without area, splats that are no Gaussians and instances without volume (with a
+    /// warning).
     ///
     /// # Errors
-    /// On the first index out of range, number that is not finite, or attribute of the wrong length; and when nothing is left to render.
+    /// On the first index out of range, number that is not finite, or attribute of the wrong
+    /// length; and when nothing is left to render.
     pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
         self.check_images()?;
         self.check_materials(task)?;
@@ -436,7 +442,8 @@ fn mend_normals(mesh: &mut Mesh, task: Task<'_>) {
     );
 }
 
-/// Gives every triangle its own vertices and its face normal (glTF: meshes without normals are shaded flat).
+/// Gives every triangle its own vertices and its face normal (glTF: meshes without normals are
+/// shaded flat).
 fn generate_flat_normals(mesh: &mut Mesh) {
     fn spread<T: Copy>(values: &mut Vec<T>, triangles: &[[u32; 3]]) {
         if !values.is_empty() {
@@ -455,8 +462,9 @@ fn generate_flat_normals(mesh: &mut Mesh) {
     mesh.triangles = (0..mesh.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
 }
 
-/// Tangents along increasing u, averaged over the triangles around a vertex and made perpendicular to its normal. The bitangent
-/// points up in the texture, which is along decreasing v (glTF's normal maps have green up and v down).
+/// Tangents along increasing u, averaged over the triangles around a vertex and made perpendicular
+/// to its normal. The bitangent points up in the texture, which is along decreasing v (glTF's
+/// normal maps have green up and v down).
 fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
     let count = mesh.positions.len();
     let uvs = &mesh.uvs[uv_set];
@@ -606,7 +614,8 @@ mod tests {
             filter: crate::Filter::Linear,
         });
         parts.images.push(crate::Image { name: "n".into(), width: 1, height: 1, pixels: Pixels::Rgba8(vec![[0; 4]]) });
-        // u along x and v along −y, as in an unmirrored picture: up in the texture is +y = normal × tangent
+        // u along x and v along −y, as in an unmirrored picture: up in the texture is +y = normal ×
+        // tangent
         parts.meshes[0].uvs[0] = vec![Vec2::new(0.0, 1.0), Vec2::new(1.0, 1.0), Vec2::new(0.0, 0.0)];
         let scene = validate(parts).0.unwrap();
         assert_eq!(scene.meshes[0].tangents[0], Vec3::X.extend(1.0));

@@ -134,7 +134,8 @@ fn two_quarter_turns_of_half_a_right_angle_are_bright() {
     assert!(half.radiance.data().iter().all(|value| (value - 0.5).abs() < 1e-6));
 }
 
-/// Oblique views whose edges all lie on the sixteenths of a pixel: there 16 × 16 rays per pixel are exact.
+/// Oblique views whose edges all lie on the sixteenths of a pixel: there 16 × 16 rays per pixel are
+/// exact.
 #[test]
 fn seen_pictures_are_exact_means_over_pixels() {
     for (seed, formation) in FORMATIONS.into_iter().enumerate() {

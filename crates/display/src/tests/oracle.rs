@@ -1,4 +1,5 @@
-//! The equations, written down naively and once more: no tables, no separable passes, double precision.
+//! The equations, written down naively and once more: no tables, no separable passes, double
+//! precision.
 
 use lumistack_core::Tensor;
 
@@ -14,7 +15,8 @@ pub(super) struct Met {
 }
 
 impl Met {
-    /// F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c'), the blur as one sum over all pixels of a square.
+    /// F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c'), the blur as one sum over all pixels of
+    /// a square.
     pub(super) fn of(layer: &Layer, stored: &Tensor<4>) -> Self {
         let shape @ [frames, rows, cols, _] = stored.shape();
         let radius = (3.0 * layer.blur_px).ceil() as i64;
@@ -82,7 +84,8 @@ pub(super) fn emitted(
     emitted_at(display, met, stack, geometry, view, [row as f64, col as f64])
 }
 
-/// Mean over a pixel's area: of the rays through the centres of `fine` × `fine` squares of it, and the share of them that counts.
+/// Mean over a pixel's area: of the rays through the centres of `fine` × `fine` squares of it, and
+/// the share of them that counts.
 pub(super) fn seen(
     display: &Display,
     met: &[Met],

@@ -1,4 +1,5 @@
-//! Packed meshes and pictures, written by the encoders of others (`data/make.mjs`), against what was packed.
+//! Packed meshes and pictures, written by the encoders of others (`data/make.mjs`), against what
+//! was packed.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +15,8 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// Vertices by their grid position in halves, and triangles by those of their corners, the least first.
+/// Vertices by their grid position in halves, and triangles by those of their corners, the least
+/// first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
 fn grid(scene: &Scene) -> Grid {

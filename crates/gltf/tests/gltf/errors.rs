@@ -371,7 +371,8 @@ fn copies_of_copies_do_not_exhaust_memory() {
     assert!(message.starts_with(expected), "{message}");
 }
 
-/// Fifty thousand nodes of a mesh with twenty thousand primitives: a billion of anything would take minutes.
+/// Fifty thousand nodes of a mesh with twenty thousand primitives: a billion of anything would take
+/// minutes.
 #[test]
 fn nodes_that_share_a_large_mesh_take_no_time() {
     let mut builder = Builder::triangle();

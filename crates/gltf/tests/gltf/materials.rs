@@ -21,7 +21,8 @@ fn triangle_with(material: Value) -> Builder {
     b
 }
 
-/// A texture reference with a transform that tells it from the others, and how the scene should hold it.
+/// A texture reference with a transform that tells it from the others, and how the scene should
+/// hold it.
 fn texture(number: usize) -> (Value, Option<TextureUse>) {
     let shift = 0.0625 * number as f32;
     let json = json!({"index": number, "texCoord": number % 2,

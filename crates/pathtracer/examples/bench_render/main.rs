@@ -8,10 +8,14 @@
 //! bench_render field SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES] [--samples N] [--size COLSxROWS]
 //! ```
 //!
-//! `rays` counts rays per second of the tree alone. `big` renders a scene of many copies and prints what it occupies. `view` renders one view of a diffuse scene (see [`case`]) with everyone in turn and prints, per renderer and sampler, the median time,
-//! samples per second, the mean squared error against the renderer's own converged picture, and error × seconds per megapixel. `agree` compares converged pictures of the
-//! same view and fails where they differ. `field` renders many views one by one, and with the light that views share averaged, and prints a table row for each: processor
-//! seconds, squared error with that of the worst view and the bias in it, and how many times less time it takes to the same error.
+//! `rays` counts rays per second of the tree alone. `big` renders a scene of many copies and prints
+//! what it occupies. `view` renders one view of a diffuse scene (see [`case`]) with everyone in
+//! turn and prints, per renderer and sampler, the median time, samples per second, the mean squared
+//! error against the renderer's own converged picture, and error × seconds per megapixel. `agree`
+//! compares converged pictures of the same view and fails where they differ. `field` renders many
+//! views one by one, and with the light that views share averaged, and prints a table row for each:
+//! processor seconds, squared error with that of the worst view and the bias in it, and how many
+//! times less time it takes to the same error.
 
 mod case;
 #[cfg(unix)]
@@ -47,7 +51,8 @@ struct Options {
     peers: Vec<[PathBuf; 2]>,
     copies: usize,
     embree: Option<PathBuf>,
-    /// Of a light field: rows and columns of views, their zone, and whether surfaces stay as the file has them.
+    /// Of a light field: rows and columns of views, their zone, and whether surfaces stay as the
+    /// file has them.
     views: [usize; 2],
     fov_deg: f64,
     own_materials: bool,
@@ -308,7 +313,8 @@ fn mean_square(picture: &[f32], reference: &[f32]) -> f64 {
     sum / picture.len() as f64
 }
 
-/// Relative difference of the mean radiance, and root mean square of the pixels' relative differences.
+/// Relative difference of the mean radiance, and root mean square of the pixels' relative
+/// differences.
 fn agreement(ours: &[f32], theirs: &[f32]) -> (f64, f64) {
     let mean = |values: &[f32]| values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;
     let (own_mean, their_mean) = (mean(ours), mean(theirs));

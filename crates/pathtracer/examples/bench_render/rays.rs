@@ -1,5 +1,6 @@
-//! Rays per second of the tree alone, beside Embree over the same rays on the same threads. Beams and packets are taken over neighbouring pixels
-//! (`primary`) and over the samples of one pixel (`pixels`), as the path tracer takes them.
+//! Rays per second of the tree alone, beside Embree over the same rays on the same threads. Beams
+//! and packets are taken over neighbouring pixels (`primary`) and over the samples of one pixel
+//! (`pixels`), as the path tracer takes them.
 
 use std::path::Path;
 use std::time::Instant;
@@ -39,7 +40,8 @@ enum Kind {
     Shadow,
 }
 
-/// Prints Mrays/s of primary rays, two bounces and shadow rays: the fastest of rounds in turn, since what else a machine does only takes time away.
+/// Prints Mrays/s of primary rays, two bounces and shadow rays: the fastest of rounds in turn,
+/// since what else a machine does only takes time away.
 pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     let triangles = world_triangles(case);
     let start = Instant::now();
@@ -149,7 +151,8 @@ fn world_triangles(case: &Case) -> Vec<[Vec3; 3]> {
     triangles
 }
 
-/// Rays of a path tracer: through every pixel, as many samples of some pixels, then scattered by Lambert's law, and from the first hits to the light.
+/// Rays of a path tracer: through every pixel, as many samples of some pixels, then scattered by
+/// Lambert's law, and from the first hits to the light.
 fn batches(case: &Case, tree: &Tree, triangles: &[[Vec3; 3]]) -> Vec<Batch> {
     let mut stream = Stream::new(1);
     let geometry = &case.geometry;

@@ -1,18 +1,21 @@
 //! Directional albedo of the GGX reflection lobe, tabulated once.
 //!
-//! E(μ, α) is the albedo of the lobe without Fresnel and B(μ, α) that with s(o·h) of [`fresnel`] in its place, so that with Fresnel it is
-//! F₀(E − B) + F₉₀B. Single scattering loses 1 − E of what it reflects. That share strikes the surface again, is reflected by the mean F̄ of the
-//! Fresnel term, and leaves in the share Ē or strikes once more, so that the lobe has to be multiplied by K:
+//! E(μ, α) is the albedo of the lobe without Fresnel and B(μ, α) that with s(o·h) of [`fresnel`] in
+//! its place, so that with Fresnel it is F₀(E − B) + F₉₀B. Single scattering loses 1 − E of what it
+//! reflects. That share strikes the surface again, is reflected by the mean F̄ of the Fresnel term,
+//! and leaves in the share Ē or strikes once more, so that the lobe has to be multiplied by K:
 //!
 //! ```text
 //! E K = E + (1 − E) F̄ Ē (1 + F̄(1 − Ē) + F̄²(1 − Ē)² + …) = E + (1 − E) F̄ Ē / (1 − F̄(1 − Ē))
 //! F̄ = 2 ∫ F(μ) μ dμ = F₀ + (1 − F₀)/21,   Ē = 2 ∫ E(μ) μ dμ
 //! ```
 //!
-//! F̄ is that of a metal's s. A dielectric's is a little greater (0.092 instead of 0.086 at n = 1.5), which would change its gloss by less than a percent.
+//! F̄ is that of a metal's s. A dielectric's is a little greater (0.092 instead of 0.086 at n =
+//! 1.5), which would change its gloss by less than a percent.
 //!
-//! A white metal is lossless, a coloured one becomes more saturated. Sources: Turquin 2019, "Practical multiple scattering compensation for
-//! microfacet models" (a factor on the lobe that depends on the viewer alone); Kulla, Conty 2017, "Revisiting physically based shading at
+//! A white metal is lossless, a coloured one becomes more saturated. Sources: Turquin 2019,
+//! "Practical multiple scattering compensation for microfacet models" (a factor on the lobe that
+//! depends on the viewer alone); Kulla, Conty 2017, "Revisiting physically based shading at
 //! Imageworks" (the series).
 
 use std::sync::OnceLock;
@@ -29,7 +32,8 @@ const ROUGHNESSES: usize = 32;
 const SAMPLES: u32 = 987;
 /// Step of the Fibonacci lattice of [`SAMPLES`] points.
 const LATTICE_STEP: u32 = 610;
-/// Nodes of the table for stretched lobes, and its samples: root of the cosine, azimuth, √α along and across.
+/// Nodes of the table for stretched lobes, and its samples: root of the cosine, azimuth, √α along
+/// and across.
 const STRETCHED: [usize; 4] = [16, 6, 13, 13];
 const STRETCHED_SAMPLES: u32 = 377;
 const STRETCHED_STEP: u32 = 233;
@@ -37,7 +41,8 @@ const STRETCHED_STEP: u32 = 233;
 const SMALLEST: f32 = 1e-3;
 /// The index of refraction whose B every table has: the format's own, and that of clear coats.
 pub(crate) const COMMON_IOR: f32 = 1.5;
-/// Nodes of the table for other indices over the root of the cosine, √α, and the root of (n − 1)/(n + 1); samples per node.
+/// Nodes of the table for other indices over the root of the cosine, √α, and the root of (n − 1)/(n
+/// + 1); samples per node.
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;
@@ -89,7 +94,8 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
-/// Albedo of a stretched lobe: linear in the root of the cosine, in cos² of the azimuth from the stretch, and in √α along and across.
+/// Albedo of a stretched lobe: linear in the root of the cosine, in cos² of the azimuth from the
+/// stretch, and in √α along and across.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -97,7 +103,8 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// B of a dielectric of any index: linear in the root of the cosine, in √α, and in the root of (n − 1)/(n + 1).
+/// B of a dielectric of any index: linear in the root of the cosine, in √α, and in the root of (n −
+/// 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;
@@ -143,7 +150,8 @@ fn tabulate_indices() -> Table<3, 1> {
     })
 }
 
-/// ∫ E density over nodes that are spread evenly over 0..1, for a density whose own integral is 1: exact where E is constant.
+/// ∫ E density over nodes that are spread evenly over 0..1, for a density whose own integral is 1:
+/// exact where E is constant.
 fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);

@@ -39,7 +39,8 @@ pub(crate) struct Extras {
 }
 
 impl Appearance {
-    /// The appearance of dispersing glass at a wavelength, drawn from `u` for a path that has none yet; returns the wavelength.
+    /// The appearance of dispersing glass at a wavelength, drawn from `u` for a path that has none
+    /// yet; returns the wavelength.
     pub(crate) fn disperse(&mut self, path_nm: Option<f32>, u: impl FnOnce() -> f32) -> Option<f32> {
         let extras = self.extras.as_mut().filter(|extras| extras.dispersion > 0.0)?;
         let wave = match path_nm {

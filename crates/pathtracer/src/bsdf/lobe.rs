@@ -1,4 +1,5 @@
-//! What every lobe is to the others: a share of the light, a density to sample, and for layers a shadow on all below.
+//! What every lobe is to the others: a share of the light, a density to sample, and for layers a
+//! shadow on all below.
 
 use std::fmt::Debug;
 
@@ -10,13 +11,15 @@ use super::frame::Frame;
 use super::fresnel::{Film, Fresnel};
 use crate::texture::{Encoding, Slot};
 
-/// Below this α a lobe is a perfect mirror (perceptual roughness 0.032): light sampling could not find it.
+/// Below this α a lobe is a perfect mirror (perceptual roughness 0.032): light sampling could not
+/// find it.
 pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
 
 /// A part of the scattering function, at one point for one outgoing direction.
 pub(crate) trait Lobe {
-    /// Whether the lobe has a frame or a horizon of its own. The others are evaluated only for light on whose side geometric and shading normal agree:
-    /// otherwise it would leak through the surface.
+    /// Whether the lobe has a frame or a horizon of its own. The others are evaluated only for
+    /// light on whose side geometric and shading normal agree: otherwise it would leak through the
+    /// surface.
     const OWN_FRAME: bool = false;
     /// Whether light from behind can be evaluated.
     const TRANSMITS: bool = false;
@@ -29,10 +32,12 @@ pub(crate) trait Lobe {
     /// Whether it can be evaluated; otherwise it is a mirror.
     fn is_rough(&self, facet: &Facet) -> bool;
 
-    /// f |cos|, and the density with which [`sample`](Self::sample) finds the light. Mirrors count as zero.
+    /// f |cos|, and the density with which [`sample`](Self::sample) finds the light. Mirrors count
+    /// as zero.
     fn evaluate(&self, facet: &Facet, light: &Light) -> (Vec3, f32);
 
-    /// A direction for `u` in [0, 1)²; `u_fresnel` chooses between reflection and refraction, `chance` is that of the lobe. `None` when light is absorbed.
+    /// A direction for `u` in [0, 1)²; `u_fresnel` chooses between reflection and refraction,
+    /// `chance` is that of the lobe. `None` when light is absorbed.
     fn sample(&self, facet: &Facet, chance: f32, u: [f32; 2], u_fresnel: f32) -> Option<Sample>;
 
     /// Share of light that passes on its straight way.
@@ -57,19 +62,22 @@ pub(crate) trait Layer: Lobe + Sized {
     /// The layer's textures; `slot` prepares one.
     fn slots(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self::Slots;
 
-    /// The parameters at a point, `None` where the layer has no effect. `texel` looks a texture up, and is 1 where there is none.
+    /// The parameters at a point, `None` where the layer has no effect. `texel` looks a texture up,
+    /// and is 1 where there is none.
     fn parameters(
         material: &Material,
         slots: &Self::Slots,
         texel: &impl Fn(&Option<Slot>) -> Vec4,
     ) -> Option<Self::Parameters>;
 
-    /// Share of the light from below that passes towards a viewer at this cosine, for light that the base emits.
+    /// Share of the light from below that passes towards a viewer at this cosine, for light that
+    /// the base emits.
     fn passed(_: &Self::Parameters, _cosine: f32) -> f32 {
         1.0
     }
 
-    /// The lobe below others that leave the share `below`, which becomes the share that this one leaves.
+    /// The lobe below others that leave the share `below`, which becomes the share that this one
+    /// leaves.
     fn new(parameters: &Self::Parameters, surface: &Surface<'_>, below: &mut f32) -> Self;
 }
 
@@ -164,7 +172,8 @@ impl Surface<'_> {
         if self.compensated { self.table.compensation(f0) } else { Vec3::ONE }
     }
 
-    /// Albedo of a reflection before compensation, and the reflectance for that; `rise` is s at the viewer and `mean_rise` that of the table.
+    /// Albedo of a reflection before compensation, and the reflectance for that; `rise` is s at the
+    /// viewer and `mean_rise` that of the table.
     #[inline]
     pub(crate) fn seen(&self, lobe: &Fresnel, rise: f32, mean_rise: f32) -> (Vec3, Vec3) {
         match &self.film {

@@ -122,7 +122,8 @@ macro_rules! lobes {
                 sum
             }
 
-            /// Adds what the lobes with or without frames of their own scatter, and their densities by the lobes' chances.
+            /// Adds what the lobes with or without frames of their own scatter, and their densities
+            /// by the lobes' chances.
             #[inline]
             pub(crate) fn evaluate<const OWN_FRAME: bool>(
                 &self,

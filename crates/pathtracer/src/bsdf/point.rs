@@ -36,7 +36,8 @@ pub(crate) struct Scatter {
 }
 
 impl Bsdf {
-    /// `to_viewer` is a unit vector; the normals of `frame` are on the viewer's side. `front` tells whether the viewer sees the front face.
+    /// `to_viewer` is a unit vector; the normals of `frame` are on the viewer's side. `front` tells
+    /// whether the viewer sees the front face.
     pub(crate) fn new(appearance: &Appearance, to_viewer: Vec3, frame: &Frame, front: bool) -> Self {
         let Appearance { base, metallic, roughness, ior, transmission, solid, compensated, .. } = *appearance;
         let extras = appearance.extras.as_ref();
@@ -117,7 +118,8 @@ impl Bsdf {
         self.lobes.straight(&self.facet)
     }
 
-    /// f |cos| for light from `direction`, and the density with which [`sample`](Self::sample) finds it. Mirrors count as zero.
+    /// f |cos| for light from `direction`, and the density with which [`sample`](Self::sample)
+    /// finds it. Mirrors count as zero.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         self.evaluate_above(self.facet.geometric_normal, direction)
     }
@@ -156,9 +158,10 @@ impl Bsdf {
         self.lobes.diffuse().map_or(Vec3::ZERO, |lobe| lobe.evaluate(&self.facet, &light).0)
     }
 
-    /// Chooses a direction for `u` in [0, 1)². The first number also chooses the lobe and is stretched over the lobe's share, which
-    /// leaves each lobe a stratified set of its own; `u_fresnel` chooses between reflection and refraction in glass. `None` when light
-    /// is absorbed.
+    /// Chooses a direction for `u` in [0, 1)². The first number also chooses the lobe and is
+    /// stretched over the lobe's share, which leaves each lobe a stratified set of its own;
+    /// `u_fresnel` chooses between reflection and refraction in glass. `None` when light is
+    /// absorbed.
     pub(crate) fn sample(&self, u: [f32; 2], u_fresnel: f32) -> Option<Scatter> {
         let mut first = u[0];
         let lobe = choose(&self.chances, &mut first)?;
@@ -187,7 +190,8 @@ fn dielectric_reflectance(ior: f32, extras: Option<&Extras>) -> (Vec3, f32) {
     }
 }
 
-/// Chooses an entry by its chance and stretches `u` over the entry's share. `None` when all chances are 0.
+/// Chooses an entry by its chance and stretches `u` over the entry's share. `None` when all chances
+/// are 0.
 fn choose(chances: &[f32; LOBES], u: &mut f32) -> Option<usize> {
     let last = chances.iter().rposition(|&chance| chance > 0.0)?;
     let mut below = 0.0;

@@ -1,4 +1,5 @@
-//! A thin wall: the reflection lobe mirrored to the far side, in the base's colour (`KHR_materials_transmission`).
+//! A thin wall: the reflection lobe mirrored to the far side, in the base's colour
+//! (`KHR_materials_transmission`).
 
 use glam::Vec3;
 

@@ -1,18 +1,23 @@
-//! Traversal by a beam: the nearest hits of rays that start and run close together, as the samples of one pixel do.
+//! Traversal by a beam: the nearest hits of rays that start and run close together, as the samples
+//! of one pixel do.
 //!
-//! The rays' points at distance t lie in the box o₀ + t d₀ ..= o₁ + t d₁, where o and d are the least and greatest coordinates of their
-//! origins and directions. That box meets a child's bounds b₀ ..= b₁ along an axis while
+//! The rays' points at distance t lie in the box o₀ + t d₀ ..= o₁ + t d₁, where o and d are the
+//! least and greatest coordinates of their origins and directions. That box meets a child's bounds
+//! b₀ ..= b₁ along an axis while
 //!
 //! ```text
 //! o₁ + t d₁ ≥ b₀   and   o₀ + t d₀ ≤ b₁
 //! ```
 //!
-//! and each of the two bounds t from below or from above, by the sign of d. So a node costs the beam as much as it costs a ray. A block's eight
-//! triangles are tested against the beam as boxes too; those that are left, mostly one or two, against all rays at once, one ray per lane, by the
-//! arithmetic of single rays: hits are the same bit for bit. That takes rays that are longest along the same axis, as neighbours nearly always
-//! are. A beam that spreads over many blocks, as out of focus, is given up and its rays go on alone.
+//! and each of the two bounds t from below or from above, by the sign of d. So a node costs the
+//! beam as much as it costs a ray. A block's eight triangles are tested against the beam as boxes
+//! too; those that are left, mostly one or two, against all rays at once, one ray per lane, by the
+//! arithmetic of single rays: hits are the same bit for bit. That takes rays that are longest along
+//! the same axis, as neighbours nearly always are. A beam that spreads over many blocks, as out of
+//! focus, is given up and its rays go on alone.
 //!
-//! On FlightHelmet (16 samples of a pixel) this took 60 % of the time of blocks tested ray by ray, which was that of single rays.
+//! On FlightHelmet (16 samples of a pixel) this took 60 % of the time of blocks tested ray by ray,
+//! which was that of single rays.
 
 use std::marker::PhantomData;
 
@@ -27,10 +32,12 @@ pub(crate) const BEAM: usize = 16;
 const VECTORS: usize = BEAM / WIDTH;
 /// Fewer rays are traced alone.
 const FEWEST: usize = 3;
-/// Blocks after which the rays go on alone: 6 are 3 % slower in focus, 16 out of focus (FlightHelmet).
+/// Blocks after which the rays go on alone: 6 are 3 % slower in focus, 16 out of focus
+/// (FlightHelmet).
 const MOST_BLOCKS: usize = 10;
 
-/// A bound of t for eight boxes: plane · inverse + shift, `row` being the planes in [`Node::bounds`].
+/// A bound of t for eight boxes: plane · inverse + shift, `row` being the planes in
+/// [`Node::bounds`].
 #[derive(Clone, Copy)]
 struct Bound<V> {
     row: usize,
@@ -47,8 +54,9 @@ struct Beam<V> {
 }
 
 impl Bvh {
-    /// The nearest hit of each of at most [`BEAM`] rays without an end, as [`nearest`](Self::nearest) finds it; `accept` is told which ray
-    /// asks, and may be asked twice.
+    /// The nearest hit of each of at most [`BEAM`] rays without an end, as
+    /// [`nearest`](Self::nearest) finds it; `accept` is told which ray asks, and may be asked
+    /// twice.
     #[inline]
     pub(crate) fn nearest_of_beam(
         &self,
@@ -101,8 +109,9 @@ impl Bvh {
         }
         // of all rays
         let mut t_max = f32::INFINITY;
-        // SAFETY: the caller has the instruction set. Child references point into the arrays they were made with, and no more than
-        // `stack_depth` children are ever postponed, which `build` counts and the assertion above checks.
+        // SAFETY: the caller has the instruction set. Child references point into the arrays they
+        // were made with, and no more than `stack_depth` children are ever postponed, which `build`
+        // counts and the assertion above checks.
         unsafe {
             let beam = Beam::<V>::new(rays, self.extent);
             let mut sheared = Sheared::<V>::new(rays, &shear);
@@ -173,7 +182,8 @@ impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
     }
 }
 
-/// The rays of a beam prepared for the triangle test, one per lane, and the nearest hit of each. All are longest along the same axis.
+/// The rays of a beam prepared for the triangle test, one per lane, and the nearest hit of each.
+/// All are longest along the same axis.
 struct Sheared<V> {
     /// As [`Shear::axes`].
     axes: [usize; 3],
@@ -277,7 +287,8 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// Tests all rays against a triangle, as [`Shear::meets`] tests a ray against eight; returns whether some meet it nearer than all before.
+    /// Tests all rays against a triangle, as [`Shear::meets`] tests a ray against eight; returns
+    /// whether some meet it nearer than all before.
     #[inline(always)]
     unsafe fn meet(&mut self, block: &Block, lane: usize, accept: &mut impl FnMut(usize, &Hit) -> bool) -> bool {
         unsafe {
@@ -401,7 +412,8 @@ impl<V: Lanes> Beam<V> {
         beam
     }
 
-    /// Distances from which on some ray may be in eight boxes, and a bit per box that is entered before `t_max`.
+    /// Distances from which on some ray may be in eight boxes, and a bit per box that is entered
+    /// before `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, boxes: &[[f32; WIDTH]; 6], t_max: f32) -> (V, u32) {
         unsafe {
@@ -410,7 +422,8 @@ impl<V: Lanes> Beam<V> {
             for bound in self.near.get_unchecked(..self.near_count) {
                 entry = entry.max(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));
             }
-            // children that do not exist are entered at infinity, and a beam that spreads to all sides never leaves
+            // children that do not exist are entered at infinity, and a beam that spreads to all
+            // sides never leaves
             let mut exit = V::splat(t_max.min(f32::MAX));
             for bound in self.far.get_unchecked(..self.far_count) {
                 exit = exit.min(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));

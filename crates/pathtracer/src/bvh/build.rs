@@ -15,14 +15,15 @@ use obvhs::triangle::Triangle;
 use super::plan::Plan;
 use super::tree::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed, WIDTH};
 
-/// Share of the nodes tried per reinsertion round: obvhs' figure for a slow, good build, and more where it takes no time: all of still-life's
-/// (0.04 s) give 3 to 4 % more rays, all of FlightHelmet's (0.4 s) or half of 15 copies' (4 s more) 1 to 2 %.
+/// Share of the nodes tried per reinsertion round: obvhs' figure for a slow, good build, and more
+/// where it takes no time: all of still-life's (0.04 s) give 3 to 4 % more rays, all of
+/// FlightHelmet's (0.4 s) or half of 15 copies' (4 s more) 1 to 2 %.
 const REINSERTION_RATIO: f32 = 0.2;
 const REINSERTED_AT_LEAST: f32 = 20_000.0;
 /// obvhs' depth of the narrow search.
 const SEARCH_DEPTH: usize = 2;
-/// Bounds of instances are widened by this share of their largest coordinate, for the rounding of their corners and of rays that
-/// are moved into their space.
+/// Bounds of instances are widened by this share of their largest coordinate, for the rounding of
+/// their corners and of rays that are moved into their space.
 const INSTANCE_WIDENING: f32 = 2e-6;
 
 /// One finished tree.
@@ -71,7 +72,8 @@ impl Bvh {
         bvh
     }
 
-    /// Bounds of a moved tree: those of its root's children, moved one by one, since turned boxes of boxes are large.
+    /// Bounds of a moved tree: those of its root's children, moved one by one, since turned boxes
+    /// of boxes are large.
     fn placed_bounds(&self, tree: &Tree, place: impl Fn(Vec3) -> Vec3) -> Aabb {
         let mut bounds = Aabb::INVALID;
         let mut extend = |min: [f32; 3], max: [f32; 3]| {
@@ -128,8 +130,8 @@ impl Bvh {
     }
 }
 
-/// Cuts the boxes of large triangles into smaller ones. Only opaque triangles: a traversal may meet them twice, which no one notices,
-/// while the others are asked for their alpha.
+/// Cuts the boxes of large triangles into smaller ones. Only opaque triangles: a traversal may meet
+/// them twice, which no one notices, while the others are asked for their alpha.
 fn split_large(boxes: &mut Vec<Aabb>, primitives: &mut Vec<u32>, triangles: &[[Vec3; 3]], flags: &[u32]) {
     if triangles.is_empty() {
         return;
@@ -172,8 +174,8 @@ struct Collapse<'a> {
 }
 
 impl Collapse<'_> {
-    /// Returns the root and the depth of the traversal stack. An own list of open nodes instead of recursion: obvhs' trees over
-    /// hostile input may be deep.
+    /// Returns the root and the depth of the traversal stack. An own list of open nodes instead of
+    /// recursion: obvhs' trees over hostile input may be deep.
     fn run(&mut self) -> (u32, usize) {
         if self.binary.nodes.is_empty() {
             return (EMPTY, 1);

@@ -1,4 +1,5 @@
-//! The traversal against every triangle in turn, against its scalar twin, and against flattened instances.
+//! The traversal against every triangle in turn, against its scalar twin, and against flattened
+//! instances.
 
 use glam::{DVec3, Mat3, Quat, Vec3};
 use lumistack_core::seed::Stream;
@@ -9,7 +10,8 @@ use super::tree::*;
 
 /// Distances of the f32 test and the f64 oracle agree to this share of the scene's size.
 const DISTANCE_TOLERANCE: f64 = 2e-5;
-/// Rays that pass an edge closer than this (in barycentric units) may go either way in f32 and are not compared.
+/// Rays that pass an edge closer than this (in barycentric units) may go either way in f32 and are
+/// not compared.
 const EDGE_MARGIN: f64 = 1e-4;
 
 fn build(triangles: &[[Vec3; 3]], flags: &[u32]) -> Bvh {
@@ -30,7 +32,8 @@ fn soup(count: usize, edge: f32, seed: u64) -> Vec<[Vec3; 3]> {
         .collect()
 }
 
-/// Möller, Trumbore 1997 in f64 over all triangles; also returns whether any edge is so near that f32 may differ.
+/// Möller, Trumbore 1997 in f64 over all triangles; also returns whether any edge is so near that
+/// f32 may differ.
 fn oracle(triangles: &[[Vec3; 3]], ray: &Ray) -> (Option<(f64, u32)>, bool) {
     let (o, d) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
     let mut best: Option<(f64, u32)> = None;
@@ -102,7 +105,8 @@ fn traversal_agrees_with_testing_every_triangle() {
 
 #[test]
 fn a_closed_surface_has_no_cracks() {
-    // a finely divided, bumpy sphere seen from inside: every ray must hit, also through vertices and along edges
+    // a finely divided, bumpy sphere seen from inside: every ray must hit, also through vertices
+    // and along edges
     let (rows, cols) = (40, 60);
     let point = |row: usize, col: usize| {
         let (theta, phi) = (
@@ -330,8 +334,8 @@ fn an_instance_alone_is_a_scene() {
     assert_eq!(empty.transmittance(&ray, &mut empty.stack(), |_| Vec3::ZERO), Vec3::ONE);
 }
 
-/// Beams of every width, along axes and across them, that see some triangles only sometimes: the distances of single rays, bit for bit. Of
-/// coincident triangles either will do.
+/// Beams of every width, along axes and across them, that see some triangles only sometimes: the
+/// distances of single rays, bit for bit. Of coincident triangles either will do.
 #[test]
 fn a_beam_meets_what_its_rays_meet_alone() {
     let mut triangles = hostile_soup(13);

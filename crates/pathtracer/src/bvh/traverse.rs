@@ -7,25 +7,32 @@
 //!     instance   move the ray into the instance's space and go on with its tree
 //! ```
 //!
-//! Departures from the simple version: near and far planes are picked by the ray's signs, not by min and max; distances are one fused
-//! multiply-add, b/d − o/d; what is postponed is kept sorted with its distance and dropped when a nearer hit is known; the whole loop
-//! is one function compiled for the instruction set. An unsorted loop serves where any hit will do.
-//! A ray meets few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so its preparation counts: what blocks need stays in numbers, and trees
-//! without instances have a loop of their own, whose rays never change (together a fifth to a third more rays per second). A block is
-//! tested to its end whether or not a triangle lies across the ray, since that is a coin toss too (4 to 9 % more scattered and shadow rays),
-//! and a hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
+//! Departures from the simple version: near and far planes are picked by the ray's signs, not by
+//! min and max; distances are one fused multiply-add, b/d − o/d; what is postponed is kept sorted
+//! with its distance and dropped when a nearer hit is known; the whole loop is one function
+//! compiled for the instruction set. An unsorted loop serves where any hit will do. A ray meets few
+//! nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so its preparation counts: what blocks need
+//! stays in numbers, and trees without instances have a loop of their own, whose rays never change
+//! (together a fifth to a third more rays per second). A block is tested to its end whether or not
+//! a triangle lies across the ray, since that is a coin toss too (4 to 9 % more scattered and
+//! shadow rays), and a hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
 //!
-//! Tried on FlightHelmet, the same as 15 copies (1.4 million triangles) and still-life, on Zen 4, one pinned thread, fastest of rounds in turn:
-//! no branch on whether none, one or two children are met (5 % slower: what is guessed right need not wait for numbers), a branch
-//! on which of two children is nearer (1 to 3 % slower), the triangle test prepared at a ray's first block (primary rays 5 % slower),
-//! the block that stopped the last shadow ray tested before all others (2 % slower: most shadow rays arrive), no prefetch (on 15 copies 10 to 20 % slower) or that of the postponed children alone (0 to 10 % slower there), large pages in place of small ones (helmet: no
-//! difference), boxes of large triangles cut further, by area or by priority (Karras, Aila 2013; up to 10 % more nodes per ray).
+//! Tried on FlightHelmet, the same as 15 copies (1.4 million triangles) and still-life, on Zen 4,
+//! one pinned thread, fastest of rounds in turn: no branch on whether none, one or two children are
+//! met (5 % slower: what is guessed right need not wait for numbers), a branch on which of two
+//! children is nearer (1 to 3 % slower), the triangle test prepared at a ray's first block (primary
+//! rays 5 % slower), the block that stopped the last shadow ray tested before all others (2 %
+//! slower: most shadow rays arrive), no prefetch (on 15 copies 10 to 20 % slower) or that of the
+//! postponed children alone (0 to 10 % slower there), large pages in place of small ones (helmet:
+//! no difference), boxes of large triangles cut further, by area or by priority (Karras, Aila 2013;
+//! up to 10 % more nodes per ray).
 //!
-//! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle intersection", JCGT 2(1)): shear
-//! the triangle into a space where the ray is the z axis and compare edge functions with zero. Shared edges give exactly opposite
-//! values, so a ray cannot pass between two triangles. The edge functions therefore must not be fused: a·b − c·d with one product
-//! rounded and the other not is not the opposite of c·d − a·b. Boxes are widened by the rounding of the slab test, see
-//! [`SLAB_ROUNDING`].
+//! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle
+//! intersection", JCGT 2(1)): shear the triangle into a space where the ray is the z axis and
+//! compare edge functions with zero. Shared edges give exactly opposite values, so a ray cannot
+//! pass between two triangles. The edge functions therefore must not be fused: a·b − c·d with one
+//! product rounded and the other not is not the opposite of c·d − a·b. Boxes are widened by the
+//! rounding of the slab test, see [`SLAB_ROUNDING`].
 
 use std::marker::PhantomData;
 
@@ -38,11 +45,12 @@ use super::tree::{
 
 /// Direction components below this are replaced by it in the slab test, so that 0 · ∞ cannot occur.
 pub(super) const SMALLEST_SLOPE: f32 = 1e-18;
-/// Rounding of b/d − o/d as a share of (|o| + |b|)/|d|: half an epsilon each for 1/d, o/d and the result, and as much again for boxes
-/// of cut triangles, whose corners are rounded.
+/// Rounding of b/d − o/d as a share of (|o| + |b|)/|d|: half an epsilon each for 1/d, o/d and the
+/// result, and as much again for boxes of cut triangles, whose corners are rounded.
 pub(super) const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 
-/// Reusable memory for postponed children: the distance's bits above, the child below, so that numbers sort as distances do.
+/// Reusable memory for postponed children: the distance's bits above, the child below, so that
+/// numbers sort as distances do.
 pub(crate) struct Stack(pub(super) Vec<u64>);
 
 /// Above the last entry of an instance; read as a distance it is −∞, so that it is never dropped.
@@ -50,8 +58,8 @@ const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY 
 
 /// The longest axis, by whether x is longer than y, x than z and y than z, one bit each.
 const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
-/// The axes that follow an axis when the ray runs up it and when it runs down it: exchanged, which keeps the winding. Padded: an index
-/// of three bits needs no check.
+/// The axes that follow an axis when the ray runs up it and when it runs down it: exchanged, which
+/// keeps the winding. Padded: an index of three bits needs no check.
 const OTHERS: [[u8; 2]; 8] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0], [0, 0], [0, 0]];
 
 /// A ray prepared for the slab test.
@@ -66,7 +74,8 @@ struct Slabs<V> {
     far: [usize; 3],
 }
 
-/// A ray prepared for the triangle test. Numbers, not vectors: a block reads them as it needs them, and rays that meet no block pay little.
+/// A ray prepared for the triangle test. Numbers, not vectors: a block reads them as it needs them,
+/// and rays that meet no block pay little.
 #[derive(Clone, Copy)]
 pub(super) struct Shear {
     /// Rows of the axes in a block; the last is that along which the ray is longest.
@@ -84,8 +93,10 @@ pub(super) struct Test<V> {
     pub(super) determinant: V,
 }
 
-/// The arrays that a traversal reads. They are a variable of the kernel, as its copy of the ray is: what is reached through a kernel's arguments is read again after every
-/// write to the stack, since the two might overlap as far as the compiler knows (FlightHelmet: 5 % fewer single rays, 2 to 3 % fewer in beams).
+/// The arrays that a traversal reads. They are a variable of the kernel, as its copy of the ray is:
+/// what is reached through a kernel's arguments is read again after every write to the stack, since
+/// the two might overlap as far as the compiler knows (FlightHelmet: 5 % fewer single rays, 2 to 3
+/// % fewer in beams).
 #[derive(Clone, Copy)]
 pub(super) struct Arrays<'a> {
     pub(super) nodes: &'a [Node],
@@ -93,7 +104,8 @@ pub(super) struct Arrays<'a> {
 }
 
 impl Arrays<'_> {
-    /// Asks for a child's memory, which a ray waits for more than for anything else; sorting its siblings hides a part of that.
+    /// Asks for a child's memory, which a ray waits for more than for anything else; sorting its
+    /// siblings hides a part of that.
     #[inline(always)]
     fn prefetch(&self, child: u32) {
         let base = if child & LEAF == 0 {
@@ -125,8 +137,8 @@ impl Bvh {
         Stack(vec![0; self.stack_depth + 1])
     }
 
-    /// The nearest hit that `accept` agrees to. It is asked only for triangles with flags other than [`CULL_BACK`], in any order and
-    /// at most once per triangle and instance.
+    /// The nearest hit that `accept` agrees to. It is asked only for triangles with flags other
+    /// than [`CULL_BACK`], in any order and at most once per triangle and instance.
     #[inline]
     pub(crate) fn nearest(&self, ray: &Ray, stack: &mut Stack, accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
         let mut hit = None;
@@ -134,7 +146,8 @@ impl Bvh {
         hit
     }
 
-    /// [`nearest`](Self::nearest) written to its place: returned, it would be copied in larger pieces than it was written in, for which a processor waits.
+    /// [`nearest`](Self::nearest) written to its place: returned, it would be copied in larger
+    /// pieces than it was written in, for which a processor waits.
     #[inline]
     pub(crate) fn find_nearest(
         &self,
@@ -147,8 +160,9 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Nearest<_>>((self, ray, stack, accept, found)) }
     }
 
-    /// Product of `transmittance` over all triangles that the segment crosses; it is asked only for triangles with flags other than
-    /// [`CULL_BACK`], at most once each; the others are opaque. Stops at zero.
+    /// Product of `transmittance` over all triangles that the segment crosses; it is asked only for
+    /// triangles with flags other than [`CULL_BACK`], at most once each; the others are opaque.
+    /// Stops at zero.
     #[inline]
     pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
         // SAFETY: the kernel makes no demands
@@ -176,8 +190,9 @@ impl Bvh {
             return None;
         }
         assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
-        // SAFETY: the caller has the instruction set. Child references point into the arrays they were made with, and no more than
-        // `stack_depth` children are ever postponed, which `build` counts and the assertion above checks.
+        // SAFETY: the caller has the instruction set. Child references point into the arrays they
+        // were made with, and no more than `stack_depth` children are ever postponed, which `build`
+        // counts and the assertion above checks.
         unsafe {
             // a copy, as `Arrays` says
             let ray = &{ *ray };
@@ -207,7 +222,8 @@ impl Bvh {
                 };
             }
             loop {
-                // a loop of its own, so that what nodes need stays in registers rather than what blocks need
+                // a loop of its own, so that what nodes need stays in registers rather than what
+                // blocks need
                 while current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
                     let (t_near, mut hits) = slabs.enters(node, t_max);
@@ -233,7 +249,8 @@ impl Bvh {
                             u64::from(t_near.get_unchecked(lane).to_bits()) << 32 | u64::from(child)
                         }};
                     }
-                    // which child is nearer is a coin toss: two and three are sorted without branches
+                    // which child is nearer is a coin toss: two and three are sorted without
+                    // branches
                     let other = next!();
                     let (mut a, mut b) = (one.min(other), one.max(other));
                     if hits == 0 {
@@ -464,7 +481,8 @@ impl<V: Lanes> Slabs<V> {
             std::array::from_fn(|axis| SLAB_ROUNDING * (o[axis].abs() + extent) * inverse[axis].abs());
         let sign = |axis: usize| (inverse[axis].to_bits() >> 31) as usize;
         let near = [3 * sign(0) * WIDTH, (1 + 3 * sign(1)) * WIDTH, (2 + 3 * sign(2)) * WIDTH];
-        // written out: a closure would not have the instruction set, and the vector operations in it would become calls
+        // written out: a closure would not have the instruction set, and the vector operations in
+        // it would become calls
         unsafe {
             Self {
                 inverse: [V::splat(inverse[0]), V::splat(inverse[1]), V::splat(inverse[2])],
@@ -490,7 +508,8 @@ impl<V: Lanes> Slabs<V> {
         unsafe { V::from_array(eight(node.bounds.as_flattened(), row)).fused_mul_add(self.inverse[axis], shift) }
     }
 
-    /// Distances at which the ray enters eight boxes, and a bit per box that it enters before `t_max`.
+    /// Distances at which the ray enters eight boxes, and a bit per box that it enters before
+    /// `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, node: &Node, t_max: f32) -> (V, u32) {
         unsafe {
@@ -586,12 +605,14 @@ impl Shear {
     }
 }
 
-/// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z is not scaled yet.
+/// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z
+/// is not scaled yet.
 ///
 /// Single rays and beams both test by these functions: their hits are the same to the bit.
 pub(super) struct Corners<V>(pub(super) [[V; 3]; 3]);
 
-/// A triangle per lane as seen along the lane's ray: twice the areas that the ray makes with each edge, and whether it passes inside.
+/// A triangle per lane as seen along the lane's ray: twice the areas that the ray makes with each
+/// edge, and whether it passes inside.
 pub(super) struct Edges<V: Lanes> {
     pub(super) u: V,
     pub(super) v: V,

@@ -11,11 +11,13 @@ pub(super) const WIDTH: usize = 8;
 pub(super) const LEAF: u32 = 1 << 31;
 /// Marks a child reference, together with [`LEAF`], as an instance.
 pub(super) const INSTANCE: u32 = 1 << 30;
-/// A child that does not exist. Its bounds are empty, so that no ray enters it. On a traversal's stack: the end of an instance.
+/// A child that does not exist. Its bounds are empty, so that no ray enters it. On a traversal's
+/// stack: the end of an instance.
 pub(super) const EMPTY: u32 = u32::MAX;
 /// Bits of a triangle reference that hold its index; the others are flags.
 pub(super) const INDEX_MASK: u32 = (1 << 29) - 1;
-/// The largest number of triangles, each counted once however often its mesh is placed, that references can hold.
+/// The largest number of triangles, each counted once however often its mesh is placed, that
+/// references can hold.
 pub(crate) const MAX_TRIANGLES: usize = INDEX_MASK as usize;
 /// The largest number of instances of shared trees.
 pub(crate) const MAX_INSTANCES: usize = INSTANCE as usize - 1;
@@ -58,7 +60,8 @@ pub(crate) struct Hit {
 
 /// What a tree is built over.
 pub(crate) struct Input<'a> {
-    /// Corners of all triangles: those of `loose` in render space, those of each range of `shared` in a space of its own.
+    /// Corners of all triangles: those of `loose` in render space, those of each range of `shared`
+    /// in a space of its own.
     pub(crate) triangles: &'a [[Vec3; 3]],
     /// [`CULL_BACK`], [`ALPHA`] and [`TINT`] of every triangle.
     pub(crate) flags: &'a [u32],
@@ -101,8 +104,8 @@ pub(super) struct Node {
     pub(super) children: [u32; WIDTH],
 }
 
-/// Eight triangles, one per lane: `vertices[vertex][axis]`. Unused lanes are points, which no ray hits.
-/// Five cache lines.
+/// Eight triangles, one per lane: `vertices[vertex][axis]`. Unused lanes are points, which no ray
+/// hits. Five cache lines.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct Block {

@@ -1,7 +1,8 @@
 //! The filter of a few rows of one view.
 //!
-//! Neighbouring views are first brought into the view's own frame, pixel by pixel; then every window, in the view itself or in one of those, is a
-//! set of shifts of whole pictures. A shift's distances are maps, the patches' sums over them are boxes, and everything runs along rows.
+//! Neighbouring views are first brought into the view's own frame, pixel by pixel; then every
+//! window, in the view itself or in one of those, is a set of shifts of whole pictures. A shift's
+//! distances are maps, the patches' sums over them are boxes, and everything runs along rows.
 
 use std::ops::Range;
 
@@ -19,8 +20,8 @@ const PLANE_SCALE: f32 = 1.5;
 const ALBEDO_SCALE: f32 = 0.2;
 const GLOSS_SCALE: f32 = 0.2;
 const COVERED_SCALE: f32 = 0.2;
-/// Answers per pixel: colours and guides, with weights from the other half; guides alone; and colours and guides with weights from the half itself,
-/// which is only measured.
+/// Answers per pixel: colours and guides, with weights from the other half; guides alone; and
+/// colours and guides with weights from the half itself, which is only measured.
 pub(super) const ANSWERS: usize = 3;
 
 /// Filtered demodulated radiance of a band, per answer and half: `[row][col][rgb]`.
@@ -96,7 +97,8 @@ impl Block {
         Self { planes, width }
     }
 
-    /// Share of what a pixel shows that another view shows alike: all of it but mirrored light, whose lobe turns with the view by half the angle.
+    /// Share of what a pixel shows that another view shows alike: all of it but mirrored light,
+    /// whose lobe turns with the view by half the angle.
     fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
         let mut steady = Vec::with_capacity(height * cols);
         for y in 0..height {
@@ -222,7 +224,8 @@ impl Scratch {
     }
 }
 
-/// Weights by the guides of a row of pixels that starts at `p` in one block and at `q` in the other.
+/// Weights by the guides of a row of pixels that starts at `p` in one block and at `q` in the
+/// other.
 fn guide_row(centre: &Block, block: &Block, p: usize, q: usize, steady: &[f32], weights: &mut [f32]) {
     let cols = weights.len();
     let here = |plane: usize| &centre.planes[plane][p..][..cols];
@@ -273,7 +276,8 @@ impl Sums {
                 .map(|i| {
                     let at = (i / cols + margin) * centre.width + margin + i % cols;
                     let weight = self.weights[half][i];
-                    // the sky is free of noise, and nothing else stands for a pixel without weight but itself
+                    // the sky is free of noise, and nothing else stands for a pixel without weight
+                    // but itself
                     let as_is = centre.planes[COVERED][at] <= 0.0 || weight <= 0.0;
                     [0, 1, 2].map(|c| {
                         if as_is { centre.planes[HALVES[half] + c][at] } else { self.values[half][c][i] / weight }

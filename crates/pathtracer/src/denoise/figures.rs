@@ -1,13 +1,16 @@
 //! What a filter did to a view, against pixels that it never saw.
 //!
-//! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks), whose noise is independent of the picture F and of each other: their
-//! expectation is the squared error itself, whatever the filter. The change of the mean, F minus the unbiased picture, is the filter's bias as a whole.
+//! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks), whose noise is
+//! independent of the picture F and of each other: their expectation is the squared error itself,
+//! whatever the filter. The change of the mean, F minus the unbiased picture, is the filter's bias
+//! as a whole.
 
 use lumistack_core::Tensor;
 
 use crate::Checks;
 
-/// Edge of the blocks over which the change of the mean is spread, pixels: wide enough that noise in one says little of the next.
+/// Edge of the blocks over which the change of the mean is spread, pixels: wide enough that noise
+/// in one says little of the next.
 const BLOCK: usize = 16;
 
 /// A mean with what its standard error needs.
@@ -75,7 +78,8 @@ impl Estimate {
     }
 }
 
-/// Compares a filtered view with the unbiased one that it was made from and with its checks, all `[row][col][rgb]`.
+/// Compares a filtered view with the unbiased one that it was made from and with its checks, all
+/// `[row][col][rgb]`.
 pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> ViewFigures {
     let [rows, cols, _] = unbiased.shape();
     let mut figures = ViewFigures::default();

@@ -7,7 +7,8 @@ use super::view::NoisyView;
 
 /// Least reflectance that radiance is divided by: darker surfaces keep their own contrast.
 const LEAST_ALBEDO: f32 = 0.02;
-/// Half the width of the square over which the variance of a pixel is averaged. One pixel's two halves alone say almost nothing.
+/// Half the width of the square over which the variance of a pixel is averaged. One pixel's two
+/// halves alone say almost nothing.
 const VARIANCE_RADIUS: usize = 2;
 
 /// Number of planes in [`Frame::planes`].
@@ -96,7 +97,8 @@ impl Frame {
         (self.slope - other.slope).length() as f32
     }
 
-    /// Number of the pixel of `other` that shows what pixel (row, col) shows; `None` where that is nothing or out of the picture.
+    /// Number of the pixel of `other` that shows what pixel (row, col) shows; `None` where that is
+    /// nothing or out of the picture.
     pub(super) fn seen_in(&self, other: &Self, row: usize, col: usize) -> Option<usize> {
         let i = row * self.cols + col;
         if self.planes[COVERED][i] <= 0.0 {

@@ -1,4 +1,5 @@
-//! A filter for noisy views, guided by what they show, over all views of a light field together. It trades noise for bias.
+//! A filter for noisy views, guided by what they show, over all views of a light field together. It
+//! trades noise for bias.
 //!
 //! ```text
 //! u = L / albedo                                                                    (textures stay out of it)
@@ -6,18 +7,23 @@
 //! w(p, q) = k(colour distance of patches) · k(distance of guides) · (share of light that does not depend on the view)
 //! ```
 //!
-//! a and b are two renders of half of the samples each. The weights of one come from the other, so that they know nothing of the noise that
-//! they average. q runs over a window around p in p's own view, and over small windows in neighbouring views around the place where p's surface
-//! point appears there: a point at depth Z that view s sees at x stands at x + (s − s')·Z in view s' (a line in an epipolar picture). Views thus share
-//! their samples, and agree with one another about what is left of the noise.
+//! a and b are two renders of half of the samples each. The weights of one come from the other, so
+//! that they know nothing of the noise that they average. q runs over a window around p in p's own
+//! view, and over small windows in neighbouring views around the place where p's surface point
+//! appears there: a point at depth Z that view s sees at x stands at x + (s − s')·Z in view s' (a
+//! line in an epipolar picture). Views thus share their samples, and agree with one another about
+//! what is left of the noise.
 //!
-//! Three answers are kept for every pixel (as rendered, guides and colours, guides alone) and weighed by their squared errors, which the halves
-//! tell without bias where the weights of F_a come from a itself: E[(F_a − u_b)²] = E[(F_a − truth)²] + Var(u_b), as F_a and u_b are independent. Such
-//! answers are computed beside those with crossed weights for this purpose alone. Their errors are not those of the result: those are measured
-//! against [pixels that the filter never saw](crate::Checks).
+//! Three answers are kept for every pixel (as rendered, guides and colours, guides alone) and
+//! weighed by their squared errors, which the halves tell without bias where the weights of F_a
+//! come from a itself: E[(F_a − u_b)²] = E[(F_a − truth)²] + Var(u_b), as F_a and u_b are
+//! independent. Such answers are computed beside those with crossed weights for this purpose alone.
+//! Their errors are not those of the result: those are measured against [pixels that the filter
+//! never saw](crate::Checks).
 //!
-//! Sources: Rousselle, Manzi, Zwicker 2013, "Robust Denoising using Feature and Color Information" (distances, two half buffers); Bitterli et al. 2016,
-//! "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo Renderings" (demodulation, estimates by halves).
+//! Sources: Rousselle, Manzi, Zwicker 2013, "Robust Denoising using Feature and Color Information"
+//! (distances, two half buffers); Bitterli et al. 2016, "Nonlinearly Weighted First-order
+//! Regression for Denoising Monte Carlo Renderings" (demodulation, estimates by halves).
 
 mod band;
 mod choice;

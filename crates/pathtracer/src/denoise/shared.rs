@@ -1,4 +1,5 @@
-//! Light that does not depend on the view, averaged over all views that see the point it comes from.
+//! Light that does not depend on the view, averaged over all views that see the point it comes
+//! from.
 //!
 //! ```text
 //! E = D / ρ_d                                     of the first surface (see SplitView): the same for every view that sees the point
@@ -6,12 +7,15 @@
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! p_u is where view u sees the point of p: a point at depth z moves by (s − s')·z from view to view. w is 1 where u sees the same surface there, told by the
-//! distance of its point from the plane of p's, and falls to 0 where it is another. Nothing is averaged over pixels, so shadows and textures stay as sharp as a
-//! pixel's rounding leaves them: E is taken at the pixel nearest to p_u. What mirrors show, G, stays as it was rendered.
+//! p_u is where view u sees the point of p: a point at depth z moves by (s − s')·z from view to
+//! view. w is 1 where u sees the same surface there, told by the distance of its point from the
+//! plane of p's, and falls to 0 where it is another. Nothing is averaged over pixels, so shadows
+//! and textures stay as sharp as a pixel's rounding leaves them: E is taken at the pixel nearest to
+//! p_u. What mirrors show, G, stays as it was rendered.
 //!
-//! So a point that hundreds of views see has the samples of all of them, for the price of one shift and one comparison each. Sharing over rows and columns
-//! one after another takes as many steps as there are rows and columns; in one pass over all views it would take their product.
+//! So a point that hundreds of views see has the samples of all of them, for the price of one shift
+//! and one comparison each. Sharing over rows and columns one after another takes as many steps as
+//! there are rows and columns; in one pass over all views it would take their product.
 
 use glam::{DVec2, Vec3};
 use lumistack_core::{Cancelled, Task, Tensor};
@@ -21,7 +25,8 @@ use rayon::prelude::*;
 
 use crate::SplitView;
 
-/// Distance of a point from the plane of another, in pixels, at which its weight has fallen to about a third.
+/// Distance of a point from the plane of another, in pixels, at which its weight has fallen to
+/// about a third.
 const PLANE_SCALE: f32 = 0.75;
 /// Cosine between normals at which surfaces count as different.
 const LEAST_COSINE: f32 = 0.8;

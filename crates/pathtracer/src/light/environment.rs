@@ -1,11 +1,14 @@
-//! Light from infinity: an equirectangular map, bilinear, sampled by its magnitude (the length of its colour).
+//! Light from infinity: an equirectangular map, bilinear, sampled by its magnitude (the length of
+//! its colour).
 //!
-//! The map is covered by a grid of cells with constant density in (u, v); a cell's weight is the integral over it of bilinear
-//! magnitude times sin θ. Large maps share a cell between several texels, small ones split their texels, so that the grid is
-//! neither huge nor so coarse that sin θ varies much inside a cell.
+//! The map is covered by a grid of cells with constant density in (u, v); a cell's weight is the
+//! integral over it of bilinear magnitude times sin θ. Large maps share a cell between several
+//! texels, small ones split their texels, so that the grid is neither huge nor so coarse that sin θ
+//! varies much inside a cell.
 //!
-//! Only what is brighter than the mean is sampled ("MIS compensation", Karlík et al. 2019): scattered rays find the rest as well or
-//! better, and the heuristic would take most of such samples away again. A sky of one radiance is thus never sampled here.
+//! Only what is brighter than the mean is sampled ("MIS compensation", Karlík et al. 2019):
+//! scattered rays find the rest as well or better, and the heuristic would take most of such
+//! samples away again. A sky of one radiance is thus never sampled here.
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -99,7 +102,8 @@ impl EnvironmentLight {
         self.sampled_magnitude
     }
 
-    /// Radiance from a direction, and the density per solid angle with which [`sample`](Self::sample) finds it.
+    /// Radiance from a direction, and the density per solid angle with which
+    /// [`sample`](Self::sample) finds it.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         if let Some(radiance) = self.constant {
             return (radiance, 0.0);
@@ -142,7 +146,8 @@ impl EnvironmentLight {
         let mut sum = 0.0;
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
         let (across, down) = (self.columns.joined, self.rows.joined);
-        // corner points of texel-sized parts; the outermost points count half, since neighbours share them
+        // corner points of texel-sized parts; the outermost points count half, since neighbours
+        // share them
         for j in 0..=2 * down {
             let v = v0 + (v1 - v0) * j as f32 / (2 * down) as f32;
             let mut line = 0.0;

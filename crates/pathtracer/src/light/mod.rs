@@ -1,5 +1,6 @@
-//! Everything that emits: triangles, the environment, punctual lights. Whether a light is local or shines from infinity is chosen with a
-//! chance that follows power; which local one, by a tree that knows what each may send to the point that is lit ([`tree`]).
+//! Everything that emits: triangles, the environment, punctual lights. Whether a light is local or
+//! shines from infinity is chosen with a chance that follows power; which local one, by a tree that
+//! knows what each may send to the point that is lit ([`tree`]).
 
 mod environment;
 mod punctual;
@@ -22,14 +23,15 @@ use crate::distribution::Distribution;
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::shading::Materials;
 
-/// Part of the choice that is shared equally between the kinds of light that exist, so that a kind of little power that shines
-/// from close by is not starved.
+/// Part of the choice that is shared equally between the kinds of light that exist, so that a kind
+/// of little power that shines from close by is not starved.
 const EQUAL_SHARE: f64 = 0.3;
 /// Points per triangle at which a textured emission is looked at to estimate its power, per edge.
 const POWER_POINTS: usize = 6;
 /// Step between the random numbers that choose a light.
 const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
-/// Share of its size by which a parallelogram may differ from one, about the rounding of its corners.
+/// Share of its size by which a parallelogram may differ from one, about the rounding of its
+/// corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
 /// Powers of two of [`Parts`] that a choice of lights is made for, more count as the last.
 const PART_POWERS: u32 = 13;
@@ -47,16 +49,16 @@ pub(crate) struct Lights {
     directional: Vec<PunctualLight>,
     /// Over triangles, then points and spots.
     tree: Option<LightTree>,
-    /// Over the tree ([`LOCAL`]), then directional lights, then the environment, rounded to whole parts: one for each power of two of parts; empty in
-    /// the dark.
+    /// Over the tree ([`LOCAL`]), then directional lights, then the environment, rounded to whole
+    /// parts: one for each power of two of parts; empty in the dark.
     choices: Vec<Distribution>,
 }
 
 /// Index of the tree in the choice.
 const LOCAL: usize = 0;
 
-/// A triangle, or two that make a parallelogram of one radiance: lamps mostly are, and one light is quicker to choose and better
-/// stratified than two.
+/// A triangle, or two that make a parallelogram of one radiance: lamps mostly are, and one light is
+/// quicker to choose and better stratified than two.
 struct TriangleLight {
     triangle: u32,
     /// The other half.
@@ -121,7 +123,8 @@ impl Lights {
         !self.choices.is_empty()
     }
 
-    /// Radiance from infinity, and the density with which [`sample`](Self::sample) finds its direction.
+    /// Radiance from infinity, and the density with which [`sample`](Self::sample) finds its
+    /// direction.
     pub(crate) fn infinite(&self, direction: Vec3, parts: Parts) -> (Vec3, f32) {
         let Some(environment) = &self.environment else { return (Vec3::ZERO, 0.0) };
         let chance = self.chance(1 + self.directional.len(), parts);
@@ -135,8 +138,8 @@ impl Lights {
         !self.points.is_empty()
     }
 
-    /// Density per solid angle with which [`sample`](Self::sample) for this receiver finds a point on a triangle, `distance` away and seen
-    /// under this cosine.
+    /// Density per solid angle with which [`sample`](Self::sample) for this receiver finds a point
+    /// on a triangle, `distance` away and seen under this cosine.
     pub(crate) fn triangle_pdf(
         &self,
         triangle: u32,
@@ -156,9 +159,10 @@ impl Lights {
         }
     }
 
-    /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also chooses the light and is stretched over
-    /// the light's share, which leaves each light a stratified set of its own; `u_fine` adds the digits that this costs it. Of the first numbers of a
-    /// pixel one lies in each of so many `parts` of [0, 1).
+    /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
+    /// chooses the light and is stretched over the light's share, which leaves each light a
+    /// stratified set of its own; `u_fine` adds the digits that this costs it. Of the first numbers
+    /// of a pixel one lies in each of so many `parts` of [0, 1).
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
@@ -244,7 +248,8 @@ impl TriangleLight {
 }
 
 impl TriangleLight {
-    /// This triangle and the one before it as one light, where they are the halves of a parallelogram and shine alike.
+    /// This triangle and the one before it as one light, where they are the halves of a
+    /// parallelogram and shine alike.
     fn joined(&self, before: &Self, geometry: &Geometry) -> Option<Self> {
         let alike = before.partner.is_none()
             && before.triangle + 1 == self.triangle
@@ -274,7 +279,8 @@ impl TriangleLight {
     }
 }
 
-/// Uniform over a triangle, with little distortion (Heitz 2019, "A low-distortion map between triangle and square").
+/// Uniform over a triangle, with little distortion (Heitz 2019, "A low-distortion map between
+/// triangle and square").
 fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     if y > x {
         x *= 0.5;
@@ -354,7 +360,8 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
     (lights, emitters)
 }
 
-/// Weights for the choice of a light: by power, mixed with an equal share for each kind that exists.
+/// Weights for the choice of a light: by power, mixed with an equal share for each kind that
+/// exists.
 fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     let sums = kinds.each_ref().map(|powers| powers.iter().sum::<f64>());
     let total: f64 = sums.iter().sum();
@@ -371,8 +378,8 @@ fn parts_of(chance: f32, parts: Parts) -> Parts {
     (chance * parts as f32 + 0.5) as Parts
 }
 
-/// Weights as chances that are whole numbers of parts, but for those of less than half a part, which the greatest makes room for. Without effect where
-/// too little is left of it.
+/// Weights as chances that are whole numbers of parts, but for those of less than half a part,
+/// which the greatest makes room for. Without effect where too little is left of it.
 fn in_whole_parts(weights: &[f64], parts: Parts) -> Vec<f64> {
     let (sum, parts) = (weights.iter().sum::<f64>(), f64::from(parts));
     if !(sum > 0.0 && sum.is_finite()) {
@@ -401,7 +408,8 @@ mod tests {
 
     use crate::geometry::Sharing;
 
-    /// Emitting meshes: a one-sided rectangle, a triangle, a two-sided kite, a sheared parallelogram.
+    /// Emitting meshes: a one-sided rectangle, a triangle, a two-sided kite, a sheared
+    /// parallelogram.
     fn lit_scene() -> Arc<Scene> {
         let mesh = |corners: &[[f32; 3]], triangles: &[[u32; 3]], material: usize| Mesh {
             positions: corners.iter().map(|&corner| Vec3::from_array(corner)).collect(),
@@ -434,8 +442,9 @@ mod tests {
     /// Cells of a triangle: congruent parts by whole numbers of its weights.
     const PARTS: usize = 4;
 
-    /// Points of lights fall where the density says: chi-square over small parts of every triangle. Scattered rays that hit a light weigh themselves
-    /// against the same density. Four receivers, each with [`FALSE_ALARM_RATE`].
+    /// Points of lights fall where the density says: chi-square over small parts of every triangle.
+    /// Scattered rays that hit a light weigh themselves against the same density. Four receivers,
+    /// each with [`FALSE_ALARM_RATE`].
     #[test]
     fn points_of_lights_follow_their_density() {
         let scene = lit_scene();
@@ -514,7 +523,8 @@ mod tests {
         }
     }
 
-    /// Red, green and blue light of one strength is chosen alike, and white light by the length of its colour more often.
+    /// Red, green and blue light of one strength is chosen alike, and white light by the length of
+    /// its colour more often.
     #[test]
     fn no_colour_is_starved() {
         let mut parts = Arc::try_unwrap(lit_scene()).ok().unwrap().into_parts();

@@ -1,18 +1,22 @@
-//! Chooses among many local lights by what they may send to a point: a binary tree over lights, descended by importance.
+//! Chooses among many local lights by what they may send to a point: a binary tree over lights,
+//! descended by importance.
 //!
-//! A node bounds its lights' places by a box, their directions by a cone, and sums their strengths I (radiant intensity along the normal). At each
-//! node the child is chosen with a chance in proportion to a bound of the irradiance that it gives (Conty Estevez, Kulla 2018):
+//! A node bounds its lights' places by a box, their directions by a cone, and sums their strengths
+//! I (radiant intensity along the normal). At each node the child is chosen with a chance in
+//! proportion to a bound of the irradiance that it gives (Conty Estevez, Kulla 2018):
 //!
 //! ```text
 //! I cos θ' max(cos θᵢ', 0) / d²,   θ' = max(0, θ_w − θ_o − θ_b),   θᵢ' = max(0, θ_i − θ_b)
 //! ```
 //!
-//! θ_b is the half angle of the box seen from the point, θ_w that from the cone's axis to the point, θ_o the cone's, θ_i that from the
-//! receiver's normal, less its tilt; d is at least the box's radius. A bound of 0 means that nothing can arrive, so the estimate stays unbiased.
+//! θ_b is the half angle of the box seen from the point, θ_w that from the cone's axis to the
+//! point, θ_o the cone's, θ_i that from the receiver's normal, less its tilt; d is at least the
+//! box's radius. A bound of 0 means that nothing can arrive, so the estimate stays unbiased.
 //!
-//! Of the numbers that a pixel chooses with, one lies in each of n equal parts of [0, 1) ([`Parts`]). Chances are rounded to whole parts where a child
-//! keeps at least one: every sample count is then what its chance says, and a few point lights leave no noise. Rounded chances are chances too: the
-//! estimate stays unbiased.
+//! Of the numbers that a pixel chooses with, one lies in each of n equal parts of [0, 1)
+//! ([`Parts`]). Chances are rounded to whole parts where a child keeps at least one: every sample
+//! count is then what its chance says, and a few point lights leave no noise. Rounded chances are
+//! chances too: the estimate stays unbiased.
 
 use std::f32::consts::PI;
 
@@ -25,10 +29,11 @@ const BUCKETS: usize = 12;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Receiver {
     pub(crate) position: Vec3,
-    /// Unit normal of a surface that passes nothing; light comes from its side only. `None` for surfaces that pass light.
+    /// Unit normal of a surface that passes nothing; light comes from its side only. `None` for
+    /// surfaces that pass light.
     pub(crate) normal: Option<Vec3>,
-    /// Cosine and sine of the angle by which light may come from below its horizon all the same, as it does to surfaces that are smoother than their
-    /// triangles.
+    /// Cosine and sine of the angle by which light may come from below its horizon all the same, as
+    /// it does to surfaces that are smoother than their triangles.
     pub(crate) tilt: [f32; 2],
 }
 
@@ -53,10 +58,12 @@ pub(crate) struct Emitter {
     pub(crate) two_sided: bool,
 }
 
-/// How many equal parts of [0, 1) hold a number each of those that choose; 0 where nothing is known about them.
+/// How many equal parts of [0, 1) hold a number each of those that choose; 0 where nothing is known
+/// about them.
 pub(crate) type Parts = u32;
 
-/// The nearest chance that is a whole number of parts, unless that is none or all of them, and the parts on either side.
+/// The nearest chance that is a whole number of parts, unless that is none or all of them, and the
+/// parts on either side.
 #[inline]
 pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
     let first = (chance * parts as f32 + 0.5) as Parts;
@@ -97,7 +104,8 @@ impl LightTree {
         Some(tree)
     }
 
-    /// A light for `u` in [0, 1), one of so many parts, its chance, and `u` stretched over its share. `None` where nothing can arrive.
+    /// A light for `u` in [0, 1), one of so many parts, its chance, and `u` stretched over its
+    /// share. `None` where nothing can arrive.
     pub(crate) fn sample(&self, receiver: &Receiver, mut u: f64, mut parts: Parts) -> Option<(usize, f32, f64)> {
         let (mut index, mut chance) = (0, 1.0);
         loop {
@@ -244,7 +252,8 @@ impl Emitter {
         }
     }
 
-    /// Strength times extent times solid angle: what it costs to have these lights in one node (Conty Estevez, Kulla 2018, equation 1).
+    /// Strength times extent times solid angle: what it costs to have these lights in one node
+    /// (Conty Estevez, Kulla 2018, equation 1).
     fn cost(&self) -> f32 {
         let size = self.max - self.min;
         let area = size.x * size.y + size.y * size.z + size.z * size.x;
@@ -365,7 +374,8 @@ mod tests {
         ]
     }
 
-    /// What a light sends to a receiver (unshadowed irradiance, a panel taken as a point at its centre).
+    /// What a light sends to a receiver (unshadowed irradiance, a panel taken as a point at its
+    /// centre).
     fn irradiance(light: &Emitter, receiver: &Receiver) -> f32 {
         let to_receiver = receiver.position - light.centre();
         let direction = to_receiver.normalize();
@@ -431,7 +441,8 @@ mod tests {
         }
     }
 
-    /// The second moment of irradiance estimated from one light, Σ E²/p, against that of a choice by power alone: exact, without noise.
+    /// The second moment of irradiance estimated from one light, Σ E²/p, against that of a choice
+    /// by power alone: exact, without noise.
     #[test]
     fn the_tree_beats_a_choice_by_power() {
         let mut ratios = Vec::new();
@@ -472,7 +483,8 @@ mod tests {
         assert!(geometric > 2.0, "{geometric}");
     }
 
-    /// Of n stratified numbers each light gets n times its chance, whole: exact, where the chances themselves would give one more or less.
+    /// Of n stratified numbers each light gets n times its chance, whole: exact, where the chances
+    /// themselves would give one more or less.
     #[test]
     fn a_few_lights_get_whole_parts() {
         for parts in [16u32, 64] {

@@ -1,4 +1,5 @@
-//! A few pixels of a view rendered again, twice, independently of all else: the yardstick of a denoiser.
+//! A few pixels of a view rendered again, twice, independently of all else: the yardstick of a
+//! denoiser.
 //!
 //! ```text
 //! E[(F − c₁)(F − c₂)] = E[(F − truth)²]          for any picture F that knows nothing of c₁ and c₂, whose noises are independent
@@ -16,7 +17,8 @@ use crate::settings::Settings;
 
 /// Pixels from one check to the next.
 const SPACING: usize = 8;
-/// Streams of random numbers that no view's radiance uses: one chooses the pixels, one renders them.
+/// Streams of random numbers that no view's radiance uses: one chooses the pixels, one renders
+/// them.
 const PLACES: u64 = 0xc4ec_0001;
 const RADIANCE: u64 = 0xc4ec_0002;
 
@@ -35,7 +37,8 @@ pub(crate) struct Check {
 }
 
 impl Renderer {
-    /// Renders a sixty-fourth of the pixels of a view twice with `settings`, whose seed is that of the views. Does not advance the progress.
+    /// Renders a sixty-fourth of the pixels of a view twice with `settings`, whose seed is that of
+    /// the views. Does not advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).

@@ -15,8 +15,9 @@ use super::{RenderError, Renderer};
 use crate::settings::AngularFilter;
 
 impl Renderer {
-    /// Depth of a view, `view` = [view_y, view_x] of the geometry's grid: z in display space of what the central ray of every pixel meets first,
-    /// millimetres, `[row][col]`; NaN where it meets nothing. Does not advance the progress.
+    /// Depth of a view, `view` = [view_y, view_x] of the geometry's grid: z in display space of
+    /// what the central ray of every pixel meets first, millimetres, `[row][col]`; NaN where it
+    /// meets nothing. Does not advance the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.

@@ -1,7 +1,7 @@
 //! What a view sees first, without its light: the guides of the denoiser.
 //!
-//! Every number is the mean over the primary rays of a pixel that meet a surface. They carry next to no noise at a few rays per pixel, because
-//! nothing is traced beyond the first hit.
+//! Every number is the mean over the primary rays of a pixel that meet a surface. They carry next
+//! to no noise at a few rays per pixel, because nothing is traced beyond the first hit.
 
 use glam::{DVec3, Vec3};
 use lumistack_core::{NoProgress, Task, Tensor, seed};
@@ -29,15 +29,18 @@ pub struct Features {
 /// The guides of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Feature {
-    /// Share of the pixel where a surface is seen, 0..1; the other values are means over that part, and 0 where it is empty.
+    /// Share of the pixel where a surface is seen, 0..1; the other values are means over that part,
+    /// and 0 where it is empty.
     pub covered: f32,
     /// Reflectance, 0..1: base colour plus a dielectric's few percent.
     pub albedo: Vec3,
-    /// Shading normal on the viewer's side, display axes; shorter than 1 where the pixel sees several.
+    /// Shading normal on the viewer's side, display axes; shorter than 1 where the pixel sees
+    /// several.
     pub normal: Vec3,
     /// Depth in display space, millimetres, towards the viewer.
     pub z_mm: f32,
-    /// Share of the reflectance that goes with the viewer's direction (mirrors, metals, glass), 0..1.
+    /// Share of the reflectance that goes with the viewer's direction (mirrors, metals, glass),
+    /// 0..1.
     pub gloss: f32,
     /// Width of that lobe: squared roughness, 0..1.
     pub alpha: f32,
@@ -57,7 +60,8 @@ impl Features {
         [rows, cols]
     }
 
-    /// Guides from values `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha]`, for tests.
+    /// Guides from values `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha]`, for
+    /// tests.
     #[cfg(test)]
     pub(crate) fn from_values(values: Tensor<3>) -> Self {
         Self { values }
@@ -65,8 +69,8 @@ impl Features {
 }
 
 impl Renderer {
-    /// Guides of one view from `samples` rays per pixel, over the same pixel and slopes as [`render_view`](Self::render_view). Does not advance
-    /// the progress.
+    /// Guides of one view from `samples` rays per pixel, over the same pixel and slopes as
+    /// [`render_view`](Self::render_view). Does not advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).

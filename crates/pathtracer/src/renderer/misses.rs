@@ -8,8 +8,9 @@ use super::{RenderError, Renderer};
 use crate::settings::Settings;
 
 impl Renderer {
-    /// Share 0..1 of the samples of every pixel that meet no surface at first, `[row][col]`: those very rays that
-    /// [`render_view`](Self::render_view) traces with the same settings. Does not advance the progress.
+    /// Share 0..1 of the samples of every pixel that meet no surface at first, `[row][col]`: those
+    /// very rays that [`render_view`](Self::render_view) traces with the same settings. Does not
+    /// advance the progress.
     ///
     /// # Errors
     /// As [`render_view`](Self::render_view).

@@ -1,4 +1,5 @@
-//! The denoiser on rendered views, against long renders: what it tells of itself is true, means stay, edges stay.
+//! The denoiser on rendered views, against long renders: what it tells of itself is true, means
+//! stay, edges stay.
 
 use crate::common::{Builder, WINDOW_MM, glowing, matt, rectangle, window};
 use glam::{Quat, Vec3, Vec4};
@@ -13,7 +14,8 @@ const SIZE: usize = 64;
 const POLE: usize = 16;
 const COLOUR: usize = 44;
 
-/// A corner of a room: a back wall of two colours, a floor, and a pole before the wall, lit by a lamp and a dim sky.
+/// A corner of a room: a back wall of two colours, a floor, and a pole before the wall, lit by a
+/// lamp and a dim sky.
 fn room() -> Renderer {
     let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);
     let mut builder = Builder::default();
@@ -86,7 +88,8 @@ fn the_report_is_true_and_means_and_edges_stay() {
         after += error(picture);
         let truth = 0.5 * (mean(&a) + mean(&b));
         assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
-        // either side of both edges of the middle view, where they stand between two columns, and the columns beside
+        // either side of both edges of the middle view, where they stand between two columns, and
+        // the columns beside
         for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
             let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
             assert!((found / truth - 1.0).abs() < 0.08, "view {view:?}, column {col}: {found} instead of {truth}");

@@ -34,7 +34,8 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
             // (x + s z, y, z) lies on the plane through (0, 0, −0.2) with that normal
             let [nx, nz] = [f64::from(normal.x), f64::from(normal.z)];
             let z = (-0.2 * nz - geometry.x_mm(col) * nx) / (nz + slope[0] * nx);
-            // rays are spread over the pixel: the mean of 16 stratified ones stands off its centre by a small part of it
+            // rays are spread over the pixel: the mean of 16 stratified ones stands off its centre
+            // by a small part of it
             assert!((f64::from(z_mm) - z).abs() < 0.2 * geometry.pitch_mm, "{z_mm} {z}");
         }
     }

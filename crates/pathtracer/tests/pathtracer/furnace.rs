@@ -12,10 +12,12 @@ use lumistack_testkit::statistics::FALSE_ALARM_RATE;
 const ROUNDING: f64 = 2e-4;
 /// Energy that microfacet surfaces may miss: the interpolation error of the albedo table.
 const ALBEDO_TABLE: f64 = 5e-3;
-/// The same on a sphere of triangles, where the shading normal leans away from the surface and light from below it is lost.
+/// The same on a sphere of triangles, where the shading normal leans away from the surface and
+/// light from below it is lost.
 const TRIANGLES: f64 = 1e-2;
 
-/// Inside a closed room whose matt walls of albedo ρ all emit L, every point radiates L + ρL + ρ²L + ... = L/(1 − ρ).
+/// Inside a closed room whose matt walls of albedo ρ all emit L, every point radiates L + ρL + ρ²L
+/// + ... = L/(1 − ρ).
 #[test]
 fn a_closed_room_radiates_the_geometric_series() {
     for albedo in [0.0, 0.5, 0.8] {
@@ -83,7 +85,8 @@ fn lossless_spheres_are_invisible_in_a_uniform_environment() {
     }
 }
 
-/// A flat white metal without curvature or shading normals returns what the environment sends, at every roughness.
+/// A flat white metal without curvature or shading normals returns what the environment sends, at
+/// every roughness.
 #[test]
 fn a_flat_white_metal_is_invisible_at_every_roughness() {
     for roughness in [0.05, 0.2, 0.4, 0.6, 0.8, 1.0] {
@@ -110,8 +113,8 @@ fn an_absorbing_sphere_is_visible() {
     black.assert_is(0.7 * (1.0 - std::f64::consts::PI * 0.81 / 4.0), 5e-3, 0.5);
 }
 
-/// Layers that absorb nothing are as invisible as what they cover: coats with and without roughness, stretched metal, rough glass, and
-/// glass that disperses.
+/// Layers that absorb nothing are as invisible as what they cover: coats with and without
+/// roughness, stretched metal, rough glass, and glass that disperses.
 #[test]
 fn lossless_layers_are_invisible_in_a_uniform_environment() {
     let white = Material { base_color: Vec4::ONE, ..matt(1.0) };

@@ -1,4 +1,6 @@
-//! The renderer against what is known of light. One program for all files, which share the processors; `cargo test -p lumistack-pathtracer --test pathtracer denoise::` runs the tests of one.
+//! The renderer against what is known of light. One program for all files, which share the
+//! processors; `cargo test -p lumistack-pathtracer --test pathtracer denoise::` runs the tests of
+//! one.
 
 mod common;
 mod denoise;

@@ -1,4 +1,5 @@
-//! What goes with a view's radiance: the share of a pixel without a surface, and the variance of its mean.
+//! What goes with a view's radiance: the share of a pixel without a surface, and the variance of
+//! its mean.
 
 use crate::common::{Builder, matt, one_view, rectangle, sphere, window};
 use glam::Vec3;
@@ -8,7 +9,8 @@ use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 /// Relative rounding of f32 sums.
 const ROUNDING: f32 = 1e-5;
 
-/// Two balls of which the one behind shows beside the other, under a sky of one radiance, which no lamp can be told from.
+/// Two balls of which the one behind shows beside the other, under a sky of one radiance, which no
+/// lamp can be told from.
 fn balls(sky: f32) -> Renderer {
     let mut scene = Builder::default();
     scene.add(sphere(Vec3::new(0.2, 0.1, 0.0), 0.6, 12), matt(0.7));
@@ -17,7 +19,8 @@ fn balls(sky: f32) -> Renderer {
     scene.renderer()
 }
 
-/// With the environment hidden, each pixel lacks exactly its share of the background: L = L_hidden + m · L_sky.
+/// With the environment hidden, each pixel lacks exactly its share of the background: L = L_hidden
+/// + m · L_sky.
 #[test]
 fn hiding_the_environment_takes_its_share_away_and_no_light() {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -42,8 +45,8 @@ fn hiding_the_environment_takes_its_share_away_and_no_light() {
     }
 }
 
-/// The variance that one render reports against that of many: the samples' own is an upper bound, since they are stratified, and no loose one where
-/// light is random.
+/// The variance that one render reports against that of many: the samples' own is an upper bound,
+/// since they are stratified, and no loose one where light is random.
 #[test]
 fn the_reported_variance_is_that_of_the_mean() {
     const RENDERS: usize = 200;

@@ -1,4 +1,5 @@
-//! What first hits pass: all before a near plane, lamps that are not seen, and the environment behind a backdrop. Light is the same with and without.
+//! What first hits pass: all before a near plane, lamps that are not seen, and the environment
+//! behind a backdrop. Light is the same with and without.
 
 use crate::common::{Builder, WINDOW_MM, glowing, long_paths, matt, mean_of, one_view, rectangle, render, window};
 use glam::{Vec3, Vec4};
@@ -52,7 +53,8 @@ fn nothing_before_the_near_plane_is_seen() {
     }
 }
 
-/// A wall under a lamp that fills the half space before it, and the viewer too: radiance ρ L, and L in a mirror.
+/// A wall under a lamp that fills the half space before it, and the viewer too: radiance ρ L, and L
+/// in a mirror.
 #[test]
 fn a_lamp_that_is_not_seen_lights_as_ever() {
     let (albedo, radiance) = (0.8, 2.5);
@@ -90,7 +92,8 @@ fn a_lamp_that_is_not_seen_lights_as_ever() {
     assert_eq!(seen(Lamp::Unseen).bounds().max, Vec3::new(50.0, 50.0, 1.0));
 }
 
-/// A sky of radiance 1 behind a backdrop of 1/4: surfaces, mirrors and what refracts see the sky, the viewer sees the backdrop, through panes as well.
+/// A sky of radiance 1 behind a backdrop of 1/4: surfaces, mirrors and what refracts see the sky,
+/// the viewer sees the backdrop, through panes as well.
 #[test]
 fn a_backdrop_is_seen_and_lights_nothing() {
     let backdrop = 0.25;

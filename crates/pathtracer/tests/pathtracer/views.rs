@@ -1,4 +1,5 @@
-//! Where things appear in the views: parallax, orientation, occlusion, both projections, filters; and the same bytes on any number of threads.
+//! Where things appear in the views: parallax, orientation, occlusion, both projections, filters;
+//! and the same bytes on any number of threads.
 
 use crate::common::{self, Builder, WINDOW_MM, glowing, matt, one_view, rectangle, render, render_view, window};
 use glam::{Affine3A, DVec3, Quat, Vec3, Vec4};
@@ -50,8 +51,8 @@ fn card(centre: Vec3, half: f32, radiance: Vec3) -> Builder {
     scene
 }
 
-/// The ray of slope s through (x, y) of the display reaches the viewer from x + z s: a card at z appears at x_card − z s, on either side of
-/// the display, and rows count down.
+/// The ray of slope s through (x, y) of the display reaches the viewer from x + z s: a card at z
+/// appears at x_card − z s, on either side of the display, and rows count down.
 #[test]
 fn a_card_appears_where_its_rays_cross_the_display() {
     for (x, y, z) in [(0.2, 0.3, 0.5), (-0.2, 0.1, -0.6), (0.1, -0.3, 0.0)] {
@@ -86,7 +87,8 @@ fn perspective_views_meet_at_the_eye() {
     }
 }
 
-/// Views at scaled slopes: everything moves that much less from view to view, as if it lay at the scaled depth, and the view from straight ahead has the same bytes.
+/// Views at scaled slopes: everything moves that much less from view to view, as if it lay at the
+/// scaled depth, and the view from straight ahead has the same bytes.
 #[test]
 fn scaled_slopes_scale_parallax_and_leave_the_middle_alone() {
     let factor = 0.4;
@@ -129,7 +131,8 @@ fn perspective_views_do_not_see_behind_the_eye() {
 
 #[test]
 fn the_window_maps_display_to_scene() {
-    // the window is turned by a quarter around y, moved far away and scaled; a card 100 units before it in its own frame
+    // the window is turned by a quarter around y, moved far away and scaled; a card 100 units
+    // before it in its own frame
     let centre = DVec3::new(1e4, -2e3, 5e3);
     let scale = 250.0;
     let window = Window::given(centre, DVec3::NEG_X, DVec3::Y, scale * WINDOW_MM, [WINDOW_MM, WINDOW_MM]).unwrap();
@@ -200,7 +203,8 @@ fn masked_and_blended_surfaces_let_light_through() {
     assert!((image.get([6, 6, 0]) - (alpha + (1.0 - alpha) * 0.5)).abs() < 1.0 / 256.0, "{}", image.get([6, 6, 0]));
 }
 
-/// Surfaces that cover one another decide independently in every pixel: noise must vanish with more samples.
+/// Surfaces that cover one another decide independently in every pixel: noise must vanish with more
+/// samples.
 #[test]
 fn layers_of_blended_surfaces_converge() {
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 2.0, Vec3::Z);
@@ -246,7 +250,8 @@ fn blended_surfaces_cast_partial_shadows() {
     assert!((lit(Some(0.25)) / open - 0.75).abs() < 1e-5 && lit(Some(1.0)) == 0.0);
 }
 
-/// A normal map whose picture is lit from its upper left must look so on every placement: turned, mirrored, scaled unevenly.
+/// A normal map whose picture is lit from its upper left must look so on every placement: turned,
+/// mirrored, scaled unevenly.
 #[test]
 fn normal_maps_keep_their_relief() {
     use lumistack_scene::{Light, LightKind};
@@ -287,8 +292,9 @@ fn normal_maps_keep_their_relief() {
     }
 }
 
-/// A matt surface is as bright from all sides, however steep its normal map: gloss alone has its normals bent towards the viewer. Light
-/// is weakened by the bumps that it falls past: by 2 cos θ / (cos θ + √(cos² θ + α² sin² θ)) with α² = tan² 45° / 8.
+/// A matt surface is as bright from all sides, however steep its normal map: gloss alone has its
+/// normals bent towards the viewer. Light is weakened by the bumps that it falls past: by 2 cos θ /
+/// (cos θ + √(cos² θ + α² sin² θ)) with α² = tan² 45° / 8.
 #[test]
 fn matt_normal_maps_do_not_depend_on_the_viewer() {
     use lumistack_scene::{Light, LightKind};
@@ -333,7 +339,8 @@ fn single_sided_backs_are_invisible_and_mirrored_copies_keep_their_front() {
 
 #[test]
 fn a_fine_texture_is_filtered_to_its_mean() {
-    // a checkerboard of 512 × 512 texels seen by 4 × 4 pixels: each pixel is near the mean even with one sample
+    // a checkerboard of 512 × 512 texels seen by 4 × 4 pixels: each pixel is near the mean even
+    // with one sample
     let mut scene = Builder::default();
     let size = 512;
     let texels =
@@ -353,7 +360,8 @@ fn a_fine_texture_is_filtered_to_its_mean() {
     }
 }
 
-/// A card off the display plane is blurred by its parallax over the bin: a box of width z·Δs, while one on the plane stays sharp.
+/// A card off the display plane is blurred by its parallax over the bin: a box of width z·Δs, while
+/// one on the plane stays sharp.
 #[test]
 fn the_angular_filter_blurs_what_is_off_the_plane() {
     let grid = ViewGrid { projection: Projection::Oblique, slope_x: vec![-0.4, 0.0, 0.4], slope_y: vec![0.0] };
@@ -373,8 +381,9 @@ fn the_angular_filter_blurs_what_is_off_the_plane() {
     }
 }
 
-/// A lens focused on the display plane blurs the edge of a card at depth z over a disc of diameter z times the lens: its profile is the share of a disc on
-/// one side of a chord, 1/2 + (u√(1 − u²) + asin u)/π at u radii from the middle.
+/// A lens focused on the display plane blurs the edge of a card at depth z over a disc of diameter
+/// z times the lens: its profile is the share of a disc on one side of a chord, 1/2 + (u√(1 − u²) +
+/// asin u)/π at u radii from the middle.
 #[test]
 fn a_lens_blurs_with_a_disc() {
     let geometry = one_view(SIZE, [0.0, 0.0]);
@@ -396,7 +405,8 @@ fn a_lens_blurs_with_a_disc() {
             }
             let expected = (profile(x - 0.5 * PITCH) + 4.0 * profile(x) + profile(x + 0.5 * PITCH)) / 6.0;
             let found = f64::from(image.get([SIZE / 2, col, 0]));
-            // 256 stratified samples of a share: far below one standard deviation of independent ones, 0.03
+            // 256 stratified samples of a share: far below one standard deviation of independent
+            // ones, 0.03
             assert!((found - expected).abs() < 0.03, "z {z}, {x} from the rim: {found} instead of {expected}");
         }
     }
@@ -435,7 +445,8 @@ fn the_same_bytes_come_out_on_one_and_two_threads() {
 
 #[test]
 fn views_are_decorrelated() {
-    // two views of the same slope: same expectation, different noise; a matt scene, whose noise has no heavy tails
+    // two views of the same slope: same expectation, different noise; a matt scene, whose noise has
+    // no heavy tails
     let mut scene = Builder::default();
     scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 3.0 * Vec3::X, 3.0 * Vec3::Y), matt(0.7)).sky(&[1.0, 0.2]);
     let renderer = scene.renderer();
@@ -503,7 +514,8 @@ fn a_scene_without_light_is_reported() {
 
 #[test]
 fn samples_that_overflow_are_counted_and_left_out() {
-    // so bright that the sum of emitted and reflected light is beyond f32; what one ray sees directly is not
+    // so bright that the sum of emitted and reflected light is beyond f32; what one ray sees
+    // directly is not
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 1.0, Vec3::splat(3e38));
     scene.parts.materials[0].base_color = Vec4::ONE;
     scene.add(rectangle(Vec3::new(0.0, -0.9, 0.0), Vec3::X, Vec3::NEG_Z), glowing(Vec3::splat(3e38)));
@@ -515,7 +527,8 @@ fn samples_that_overflow_are_counted_and_left_out() {
 
 #[test]
 fn extreme_scenes_stay_finite() {
-    // huge and tiny scales, far from the origin, light on the surface itself, black and white, roughness 0
+    // huge and tiny scales, far from the origin, light on the surface itself, black and white,
+    // roughness 0
     for (scale, at) in [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e4)] {
         let mut scene = Builder::default();
         let place = |v: Vec3| (scale * v.as_dvec3() + DVec3::splat(at)).as_vec3();
