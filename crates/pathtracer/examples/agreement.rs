@@ -2,7 +2,8 @@
 //! the pictures for another renderer.
 //!
 //! ```text
-//! cargo run --release -p lumistack-pathtracer --example agreement -- FOLDER [--batches N] [--samples N] [--size N]
+//! cargo run --release -p lumistack-pathtracer --example agreement --
+//!     FOLDER [--batches N] [--samples N] [--size N]
 //! ```
 //!
 //! Per scene a folder with `scene.json` (camera: orthographic, along −z, the square −1..1),
@@ -27,10 +28,11 @@ use lumistack_scene::{
 const SKY: [usize; 2] = [1024, 512];
 /// Scattering events after the first hit.
 const MAX_BOUNCES: u32 = 6;
-/// Texels per edge of the floor's texture: each several pixels wide, so that nobody filters.
+/// Texels per edge of the floor's texture. Each is several pixels wide, so that no renderer
+/// filters.
 const TEXELS: usize = 6;
 
-/// What a surface is, in words that several renderers share.
+/// A surface, in terms that several renderers share.
 #[derive(Clone, Copy)]
 enum Surface {
     Diffuse(Vec3),

@@ -1,7 +1,8 @@
 //! Renders views of a glTF file to PNG and prints how long that took.
 //!
 //! ```text
-//! cargo run --release -p lumistack-pathtracer --example render_gltf -- SCENE [-o FOLDER] [--size COLSxROWS] [--samples N] [--views N]
+//! cargo run --release -p lumistack-pathtracer --example render_gltf --
+//!     SCENE [-o FOLDER] [--size COLSxROWS] [--samples N] [--views N]
 //! ```
 //!
 //! The window comes from the file's first camera or is framed on the scene; a scene without light

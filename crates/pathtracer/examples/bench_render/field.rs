@@ -11,8 +11,8 @@ use lumistack_pathtracer::{Renderer, Settings};
 use crate::case::{Case, Outcome};
 use crate::{BOUNCES, Options};
 
-/// Share of the values that are not brighter than what counts as white. Errors above it do not
-/// count: no display shows them, and a few would hide all others.
+/// Share of the values that are at most white. Brighter values do not count as errors: no display
+/// shows them, and a few would hide all others.
 const BELOW_WHITE: f64 = 0.99;
 /// Tick of `/proc/self/stat` in milliseconds.
 const TICK_MS: u64 = 10;

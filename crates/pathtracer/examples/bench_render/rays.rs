@@ -36,12 +36,12 @@ enum Kind {
     Coherent,
     /// The nearest hits of rays to all sides.
     Scattered,
-    /// Whether anything is in the way.
+    /// Any hit on a segment.
     Shadow,
 }
 
-/// Prints Mrays/s of primary rays, two bounces and shadow rays: the fastest of rounds in turn,
-/// since what else a machine does only takes time away.
+/// Prints Mrays/s of primary rays, two bounces and shadow rays. Each is the fastest of rounds in
+/// turn, since other programs of the machine only take time away.
 pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     let triangles = world_triangles(case);
     let start = Instant::now();

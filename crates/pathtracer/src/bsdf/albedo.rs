@@ -1,9 +1,11 @@
 //! Directional albedo of the GGX reflection lobe, tabulated once.
 //!
-//! E(μ, α) is the albedo of the lobe without Fresnel and B(μ, α) that with s(o·h) of [`fresnel`] in
-//! its place, so that with Fresnel it is F₀(E − B) + F₉₀B. Single scattering loses 1 − E of what it
-//! reflects. That share strikes the surface again, is reflected by the mean F̄ of the Fresnel term,
-//! and leaves in the share Ē or strikes once more, so that the lobe has to be multiplied by K:
+//! E(μ, α) is the albedo of the lobe without Fresnel. B(μ, α) is the albedo with s(o·h) of
+//! [`fresnel`] in the place of Fresnel's term. So the albedo with Fresnel is F₀(E − B) + F₉₀B.
+//!
+//! Single scattering loses the share 1 − E of the reflected light. That share strikes the surface
+//! again and is reflected by the mean F̄ of the Fresnel term. The share Ē of it leaves, and the
+//! rest strikes once more. So the lobe has to be multiplied by K:
 //!
 //! ```text
 //! E K = E + (1 − E) F̄ Ē (1 + F̄(1 − Ē) + F̄²(1 − Ē)² + …) = E + (1 − E) F̄ Ē / (1 − F̄(1 − Ē))
@@ -13,10 +15,11 @@
 //! F̄ is that of a metal's s. A dielectric's is a little greater (0.092 instead of 0.086 at n =
 //! 1.5), which would change its gloss by less than a percent.
 //!
-//! A white metal is lossless, a coloured one becomes more saturated. Sources: Turquin 2019,
-//! "Practical multiple scattering compensation for microfacet models" (a factor on the lobe that
-//! depends on the viewer alone); Kulla, Conty 2017, "Revisiting physically based shading at
-//! Imageworks" (the series).
+//! A white metal is lossless, a coloured one becomes more saturated. Sources:
+//!
+//! * Turquin 2019, "Practical multiple scattering compensation for microfacet models": a factor on
+//!   the lobe that depends on the viewer alone.
+//! * Kulla, Conty 2017, "Revisiting physically based shading at Imageworks": the series.
 
 use std::sync::OnceLock;
 
@@ -72,7 +75,7 @@ impl Albedo {
         f0 * (self.full - rise) + f90 * rise
     }
 
-    /// Factor that returns what single scattering loses.
+    /// The factor K, which returns the light that single scattering loses.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
         let fresnel = f0 + (Vec3::ONE - f0) * (1.0 / 21.0);

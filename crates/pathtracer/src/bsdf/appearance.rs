@@ -1,4 +1,4 @@
-//! What the scattering function needs to know about a point.
+//! Parameters of the scattering function at a point.
 
 use glam::Vec3;
 
@@ -16,9 +16,9 @@ pub(crate) struct Appearance {
     pub(crate) roughness: f32,
     pub(crate) ior: f32,
     pub(crate) transmission: f32,
-    /// Whether transmitted light refracts into a solid.
+    /// True if transmitted light refracts into a solid.
     pub(crate) solid: bool,
-    /// Whether microfacets return what single scattering loses.
+    /// True if microfacets return the light that single scattering loses.
     pub(crate) compensated: bool,
     pub(crate) extras: Option<Extras>,
 }

@@ -2,16 +2,18 @@
 //! thin film on top.
 //!
 //! F = f₀ + (f₉₀ − f₀) s(cos θ), where s rises from 0 to 1. Metals have s = (1 − cos θ)⁵ (Schlick
-//! 1994), dielectrics the course of Fresnel's equations F_n for their index: s = (F_n(cos θ) −
-//! F_n(1)) / (1 − F_n(1)), so that F = F_n where nothing changes f₀ and f₉₀. (The format's sample
-//! code takes Schlick's term for both; at n = 1.5 it reflects 8.6 % of diffuse light, the equations
-//! 9.2 %.) A film (`KHR_materials_iridescence`) replaces F by the reflectance of outside–film–base
-//! with interference, integrated over the spectrum in closed form (Belcour, Barla 2017, section 4;
-//! the constants are their fit of the CIE colour-matching functions), with Schlick's reflectances
-//! at both interfaces and without polarization:
+//! 1994). Dielectrics follow Fresnel's equations F_n of their index: s = (F_n(cos θ) − F_n(1)) / (1
+//! − F_n(1)). So F = F_n unless the material changes f₀ or f₉₀. (The sample code of glTF takes
+//! Schlick's term for both. At n = 1.5 it reflects 8.6 % of diffuse light, the equations 9.2 %.)
+//!
+//! A film (`KHR_materials_iridescence`) replaces F by the reflectance of outside–film–base with
+//! interference. The spectrum is integrated in closed form (Belcour, Barla 2017, section 4; the
+//! constants are their fit of the CIE colour-matching functions). Both interfaces have Schlick's
+//! reflectances, without polarization:
 //!
 //! ```text
-//! F = C₀ + 2 Σ_m C_m S(m D, m φ),   C₀ = R₁₂ + R_s,   C_m = (R_s − T₁₂₁) (R₁₂ R₂₃)^(m/2),   R_s = T₁₂₁² R₂₃ / (1 − R₁₂ R₂₃)
+//! F = C₀ + 2 Σ_m C_m S(m D, m φ),   C₀ = R₁₂ + R_s,   C_m = (R_s − T₁₂₁) (R₁₂ R₂₃)^(m/2)
+//! R_s = T₁₂₁² R₂₃ / (1 − R₁₂ R₂₃)
 //! D = 2 n₂ d cos θ₂
 //! ```
 

@@ -1,12 +1,17 @@
 //! The GGX microfacet distribution with Smith's height-correlated masking and shadowing,
 //! anisotropic.
 //!
-//! D(h) = 1 / (π α_x α_y (h_x²/α_x² + h_y²/α_y² + h_z²)²), V = G₂ / (4 |o_z| |i_z|) (Walter et al.
-//! 2007; Heitz 2014). Directions are unit vectors in the frame whose z is the shading normal and
-//! whose x is the direction of stretch; the outgoing direction o points to the viewer and has o_z >
-//! 0. Normals are sampled as the viewer sees them (Heitz 2018), by the spherical-cap construction
-//! of Dupuy, Benyoub 2023; where only the reflected direction matters, without most of those that
-//! reflect below the horizon (Eto, Tokuyoshi 2023, "Bounded VNDF sampling for Smith–GGX
+//! ```text
+//! D(h) = 1 / (π α_x α_y (h_x²/α_x² + h_y²/α_y² + h_z²)²)         V = G₂ / (4 |o_z| |i_z|)
+//! ```
+//!
+//! (Walter et al. 2007; Heitz 2014.) Directions are unit vectors in a frame whose z is the shading
+//! normal and whose x is the direction of stretch. The outgoing direction o points to the viewer
+//! and has o_z > 0.
+//!
+//! Normals are sampled as the viewer sees them (Heitz 2018), by the spherical-cap construction of
+//! Dupuy, Benyoub 2023. Where only the reflected direction matters, most normals that reflect below
+//! the horizon are left out (Eto, Tokuyoshi 2023, "Bounded VNDF sampling for Smith–GGX
 //! reflections").
 
 use std::f32::consts::PI;
@@ -56,8 +61,8 @@ pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
     (density * visibility, density / (2.0 * (cap_share(o, alpha) * o.z + root_o)))
 }
 
-/// How far the spherical cap of normals reaches below the equator, as a share of what all visible
-/// normals need.
+/// Extent of the sampled spherical cap below the equator, as a share of the extent that holds all
+/// visible normals.
 #[inline]
 fn cap_share(o: Vec3, alpha: Vec2) -> f32 {
     let a = alpha.min_element().min(1.0);

@@ -1,12 +1,17 @@
 //! The rough interface between air and a solid, reflecting and refracting.
 //!
-//! Walter et al. 2007 with exact Fresnel terms: reflection F D V, transmission (1 − F) D G₂ |o·h| J
-//! / |o_z| with the Jacobian J = η² |i·h| / (o·h + η i·h)². It carries radiance/η² ("basic
-//! radiance"), which leaves out the factor η² that every solid multiplies once and divides once.
-//! Single scattering loses 1 − E(o, α, η); like Turquin 2019, both parts are divided by the
-//! tabulated albedo E, which makes clear glass lossless. Glass that is stretched or whose
-//! reflection a film or `KHR_materials_specular` changes has another albedo and stays
-//! single-scattering.
+//! Walter et al. 2007 with exact Fresnel terms:
+//!
+//! ```text
+//! reflection     F D V
+//! transmission   (1 − F) D G₂ |o·h| J / |o_z|,   J = η² |i·h| / (o·h + η i·h)²
+//! ```
+//!
+//! The path carries radiance/η² ("basic radiance"), so the factor η² that every solid multiplies
+//! once and divides once is left out. Single scattering loses 1 − E(o, α, η). Like Turquin 2019,
+//! both parts are divided by the tabulated albedo E, which makes clear glass lossless. Stretched
+//! glass has another albedo, and so has glass whose reflection a film or `KHR_materials_specular`
+//! changes. Both stay single-scattering.
 
 use std::sync::OnceLock;
 
@@ -37,9 +42,9 @@ pub(crate) struct Glass {
     eta: f32,
     /// Share of the surface, layers above included.
     weight: f32,
-    /// Tint of what is transmitted.
+    /// Tint of the transmitted light.
     tint: Vec3,
-    /// Whether light passes unbent.
+    /// True if light passes unbent.
     straight: bool,
     /// 1/E.
     compensation: f32,

@@ -1,4 +1,4 @@
-//! What every lobe is to the others: a share of the light, a density to sample, and for layers a
+//! Interfaces of lobes and layers: a share of the light, a density to sample, and for layers a
 //! shadow on all below.
 
 use std::fmt::Debug;
@@ -17,19 +17,19 @@ pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
 
 /// A part of the scattering function, at one point for one outgoing direction.
 pub(crate) trait Lobe {
-    /// Whether the lobe has a frame or a horizon of its own. The others are evaluated only for
+    /// True if the lobe has a frame or a horizon of its own. The others are evaluated only for
     /// light on whose side geometric and shading normal agree: otherwise it would leak through the
     /// surface.
     const OWN_FRAME: bool = false;
-    /// Whether light from behind can be evaluated.
+    /// True if light from behind can be evaluated.
     const TRANSMITS: bool = false;
-    /// Whether light from behind crosses into a solid.
+    /// True if light from behind crosses into a solid.
     const REFRACTS: bool = false;
 
     /// Share of the light that it scatters, about: lobes are chosen in proportion to it.
     fn albedo(&self) -> f32;
 
-    /// Whether it can be evaluated; otherwise it is a mirror.
+    /// True if the lobe can be evaluated; otherwise it is a mirror.
     fn is_rough(&self, facet: &Facet) -> bool;
 
     /// f |cos|, and the density with which [`sample`](Self::sample) finds the light. Mirrors count
@@ -53,10 +53,10 @@ pub(crate) trait Layer: Lobe + Sized {
     /// Parameters at a point.
     type Parameters: Copy + Debug;
 
-    /// Whether the material names the layer, be it of no effect.
+    /// True if the material names the layer, even without effect.
     fn is_named(material: &Material) -> bool;
 
-    /// Whether the layer has an effect somewhere.
+    /// True if the layer has an effect somewhere.
     fn is_seen(material: &Material) -> bool;
 
     /// The layer's textures; `slot` prepares one.
@@ -121,7 +121,7 @@ pub(crate) enum Sample {
         /// Widens the ray's footprint; 1 for diffuse.
         alpha: f32,
     },
-    /// Of a mirror.
+    /// The only direction of a mirror.
     Mirror {
         /// In the scene.
         direction: Vec3,
@@ -129,7 +129,7 @@ pub(crate) enum Sample {
         up: f32,
         /// f |cos| / density.
         weight: Vec3,
-        /// Whether the surface was crossed into or out of a solid.
+        /// True if the surface was crossed into or out of a solid.
         refracted: bool,
     },
 }
@@ -139,7 +139,7 @@ pub(crate) struct Surface<'a> {
     pub(crate) facet: &'a Facet,
     pub(crate) frame: &'a Frame,
     pub(crate) to_viewer: Vec3,
-    /// Whether the viewer sees the front face.
+    /// True if the viewer sees the front face.
     pub(crate) front: bool,
     pub(crate) color: Vec3,
     pub(crate) metallic: f32,
@@ -150,15 +150,15 @@ pub(crate) struct Surface<'a> {
     /// Perceptual, 0 for a mirror.
     pub(crate) roughness: f32,
     pub(crate) is_stretched: bool,
-    /// Whether microfacets return what single scattering loses.
+    /// True if microfacets return the light that single scattering loses.
     pub(crate) compensated: bool,
     pub(crate) table: Albedo,
     pub(crate) film: Option<Film>,
     pub(crate) specular: f32,
-    /// Of glass, which another index may bend.
+    /// F₀ of glass; another index may bend the light.
     pub(crate) glass_f0: Vec3,
     pub(crate) wave_weight: Vec3,
-    /// Of the dielectric, without its weight.
+    /// Fresnel's term of the dielectric, without its weight.
     pub(crate) dielectric: Fresnel,
     /// The compensation of its reflection, and its albedo with that, 1 at most.
     pub(crate) dielectric_compensation: Vec3,
@@ -166,7 +166,7 @@ pub(crate) struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// The factor on a lobe that returns what single scattering loses.
+    /// The factor on a lobe that returns the light that single scattering loses.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
         if self.compensated { self.table.compensation(f0) } else { Vec3::ONE }

@@ -27,17 +27,17 @@ pub(crate) struct Scatter {
     pub(crate) weight: Vec3,
     /// Density per solid angle; infinite for a mirror.
     pub(crate) pdf: f32,
-    /// Whether the surface was crossed.
+    /// True if the surface was crossed.
     pub(crate) crossed: bool,
-    /// Whether it was crossed into or out of a solid, not a thin wall.
+    /// True if it was crossed into or out of a solid, not a thin wall.
     pub(crate) refracted: bool,
     /// α of the chosen lobe, 1 for diffuse; widens the ray's footprint.
     pub(crate) alpha: f32,
 }
 
 impl Bsdf {
-    /// `to_viewer` is a unit vector; the normals of `frame` are on the viewer's side. `front` tells
-    /// whether the viewer sees the front face.
+    /// `to_viewer` is a unit vector; the normals of `frame` are on the viewer's side. `front` is
+    /// true if the viewer sees the front face.
     pub(crate) fn new(appearance: &Appearance, to_viewer: Vec3, frame: &Frame, front: bool) -> Self {
         let Appearance { base, metallic, roughness, ior, transmission, solid, compensated, .. } = *appearance;
         let extras = appearance.extras.as_ref();
@@ -101,13 +101,13 @@ impl Bsdf {
         (chance > 0.0 && chance < 1.0 && self.is_smooth()).then_some(self)
     }
 
-    /// Whether any lobe can be evaluated, so that light sampling makes sense.
+    /// True if any lobe can be evaluated, so that light sampling makes sense.
     pub(crate) fn is_smooth(&self) -> bool {
         let [rough, _] = self.lobes.rough(&self.facet);
         self.chances.iter().zip(rough).any(|(&chance, rough)| rough && chance > 0.0)
     }
 
-    /// Whether light from behind can be evaluated.
+    /// True if light from behind can be evaluated.
     pub(crate) fn transmits(&self) -> bool {
         let [_, transmits] = self.lobes.rough(&self.facet);
         self.chances.iter().zip(transmits).any(|(&chance, transmits)| transmits && chance > 0.0)
@@ -158,10 +158,9 @@ impl Bsdf {
         self.lobes.diffuse().map_or(Vec3::ZERO, |lobe| lobe.evaluate(&self.facet, &light).0)
     }
 
-    /// Chooses a direction for `u` in [0, 1)². The first number also chooses the lobe and is
-    /// stretched over the lobe's share, which leaves each lobe a stratified set of its own;
-    /// `u_fresnel` chooses between reflection and refraction in glass. `None` when light is
-    /// absorbed.
+    /// Samples a direction by `u` in [0, 1)². The first number also chooses the lobe and is then
+    /// stretched over the lobe's share, so that each lobe keeps a stratified set. `u_fresnel`
+    /// chooses between reflection and refraction in glass. Returns `None` when light is absorbed.
     pub(crate) fn sample(&self, u: [f32; 2], u_fresnel: f32) -> Option<Scatter> {
         let mut first = u[0];
         let lobe = choose(&self.chances, &mut first)?;

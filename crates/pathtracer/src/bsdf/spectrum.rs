@@ -1,10 +1,10 @@
 //! Light of one wavelength, for glass that disperses (`KHR_materials_dispersion`).
 //!
-//! The three channels are seen as light whose spectra are the non-negative part of linear sRGB's
-//! matching functions, each scaled to a mean of 1, so that white stays white. A path that enters
-//! dispersing glass keeps one wavelength, drawn from the mean of the three, and each of its
-//! channels is weighted by its own spectrum over that mean: the expectation over wavelengths is
-//! exact.
+//! The three channels are treated as light whose spectra are the non-negative part of linear sRGB's
+//! matching functions. Each spectrum is scaled to a mean of 1, so that white stays white. A path
+//! that enters dispersing glass keeps one wavelength, drawn from the mean of the three spectra.
+//! Each of its channels is weighted by its own spectrum over that mean, so the expectation over
+//! wavelengths is exact.
 //!
 //! n(λ) = n_d + (n_d − 1) (dispersion/20) (523655/λ² − 1.5168), λ in nanometres: Cauchy's equation
 //! from Abbe's number.

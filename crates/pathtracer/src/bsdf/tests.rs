@@ -228,9 +228,9 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
     ]
 }
 
-/// Frames with a stretched direction off the axes: a straight one, one with a tilted shading normal
-/// and a coat that leans the other way, and one whose steep normal map had to be bent for the
-/// gloss.
+/// Frames with a stretched direction off the axes. The first is straight. The second has a tilted
+/// shading normal and a coat that leans the other way. The third has a normal map so steep that it
+/// had to be bent for the gloss.
 fn frames() -> [Frame; 3] {
     let tangent = Some(Vec3::new(0.8, 0.6, 0.0));
     let straight = Frame { tangent, ..Frame::flat(Vec3::Z, Vec3::Z) };
@@ -322,7 +322,7 @@ fn lossless_layers_return_all_light() {
     }
 }
 
-/// What is sampled has the weight and density that evaluation gives for its direction.
+/// Each sample has the weight and density that evaluation returns for its direction.
 #[test]
 fn sampling_and_evaluation_agree() {
     for (name, surface) in surfaces() {
@@ -345,8 +345,8 @@ fn sampling_and_evaluation_agree() {
     }
 }
 
-/// Single-scattering microfacets are reciprocal: f(o, i) = f(i, o), where for glass f is divided by
-/// the squared index of the side from which light comes, since it is meant for basic radiance.
+/// Single-scattering microfacets are reciprocal: f(o, i) = f(i, o). For glass f is divided by the
+/// squared index of the side from which light comes, since f is meant for basic radiance.
 #[test]
 fn single_scattering_is_reciprocal() {
     let single = |surface: Appearance| Appearance { compensated: false, ..surface };
@@ -406,9 +406,9 @@ fn films_have_their_limits() {
     assert!(quarter.y < 0.01 && quarter.max_element() < 0.03, "{quarter}");
 }
 
-/// White plastic under a film: what the film reflects in its brightest channel dims what lies below
-/// in all of them (`KHR_materials_iridescence`), so that the brightest returns all light and the
-/// others lose the difference, no more.
+/// White plastic under a film. The largest channel of the film's reflectance dims all channels of
+/// the lobes below (`KHR_materials_iridescence`). So the brightest channel returns all light, and
+/// the others lose only the difference.
 #[test]
 fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
     for thickness_nm in [200.0, 350.0, 600.0] {
@@ -428,7 +428,7 @@ fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
     }
 }
 
-/// A path's wavelength changes the index and tints what is transmitted, nothing else; on average
+/// A path's wavelength changes the index and tints the transmitted light, nothing else. On average
 /// glass stays white.
 #[test]
 fn dispersion_keeps_white_white() {
@@ -496,8 +496,7 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     assert_counts(&observed, &expected, FALSE_ALARM_RATE);
 }
 
-/// Without gloss the whole of the model is its matt special case, whatever the gloss's normal is
-/// bent to.
+/// Without gloss the model equals its diffuse special case, for every bent normal of the gloss.
 #[test]
 fn diffuse_light_is_that_of_matt_surfaces() {
     let surface = Appearance { ior: 1.0, roughness: 1.0, base: Vec3::new(0.9, 0.5, 0.2), ..appearance() };
@@ -508,7 +507,8 @@ fn diffuse_light_is_that_of_matt_surfaces() {
         let direction = Vec3::from_array([(); 3].map(|()| 2.0 * stream.next_f32() - 1.0)).normalize_or(Vec3::Z);
         let ((value, pdf), (expected, expected_pdf)) = (general.evaluate(direction), matt.evaluate(direction));
         assert!((value - expected).abs().max_element() < 1e-5, "{direction}: {value} {expected}");
-        // the matt one leaves below its horizon what it will not be asked for
+        // the diffuse special case leaves out the density below its horizon, which is never
+        // requested
         assert!((pdf - expected_pdf).abs() < 1e-5, "{direction}: {pdf} {expected_pdf}");
         lit += usize::from(value != Vec3::ZERO);
     }
