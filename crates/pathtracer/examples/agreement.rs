@@ -217,7 +217,7 @@ fn block(centre: Vec3, half: f32, turn: Mat3) -> Mesh {
 }
 
 fn material(surface: Surface) -> Material {
-    let matt = |color: Vec3| Material {
+    let diffuse = |color: Vec3| Material {
         base_color: color.extend(1.0),
         metallic: 0.0,
         ior: 1.0,
@@ -225,21 +225,23 @@ fn material(surface: Surface) -> Material {
         ..Material::default()
     };
     match surface {
-        Surface::Diffuse(color) => matt(color),
+        Surface::Diffuse(color) => diffuse(color),
         Surface::Textured => Material {
             base_color_texture: Some(TextureUse { texture: 0, uv_set: 0, texture_from_mesh: Affine2::IDENTITY }),
-            ..matt(Vec3::ONE)
+            ..diffuse(Vec3::ONE)
         },
-        Surface::Conductor(alpha) => Material { metallic: 1.0, roughness: alpha.sqrt(), ior: 1.5, ..matt(Vec3::ONE) },
+        Surface::Conductor(alpha) => {
+            Material { metallic: 1.0, roughness: alpha.sqrt(), ior: 1.5, ..diffuse(Vec3::ONE) }
+        }
         Surface::Dielectric(alpha) => Material {
             roughness: alpha.sqrt(),
             ior: 1.5,
             transmission: 1.0,
             solid: true,
             base_color: Vec4::ONE,
-            ..matt(Vec3::ONE)
+            ..diffuse(Vec3::ONE)
         },
-        Surface::Light(radiance) => Material { emission: radiance, double_sided: false, ..matt(Vec3::ZERO) },
+        Surface::Light(radiance) => Material { emission: radiance, double_sided: false, ..diffuse(Vec3::ZERO) },
     }
 }
 

@@ -6,8 +6,8 @@ pub(crate) struct Distribution {
     /// Cumulative probability up to and including each entry; the last is 1.
     cumulative: Vec<f32>,
     probabilities: Vec<f32>,
-    /// First entry that a number in each of n equal parts of [0, 1) can lead to: the search goes on
-    /// from there, in constant time on average (Chen, Asau 1974).
+    /// First entry for a number in each of n equal parts of [0, 1). The search continues from
+    /// there, in constant time on average (Chen, Asau 1974).
     guide: Vec<u32>,
 }
 

@@ -1,12 +1,12 @@
-//! The scene's triangles, and what a ray finds where it meets one.
+//! The scene's triangles, and the surface data at a hit.
 //!
 //! Triangles of meshes that are placed once are kept in render space, as if the scene were one
 //! mesh. A mesh that is placed often is kept once, in a space of its own around its centre, with a
-//! transform per instance, so that memory follows what is unique.
+//! transform per instance. So memory grows with unique geometry only.
 //!
 //! Render space is the scene moved to the centre of its bounds and scaled by a power of two to a
-//! half diagonal of 1 to 2, so that 32-bit rounding is the same for a scene of a micrometre and of
-//! a kilometre, wherever it stands.
+//! half diagonal of 1 to 2. So 32-bit rounding is the same for a scene of a micrometre and of a
+//! kilometre, at any place.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -65,16 +65,16 @@ pub(crate) struct Geometry {
     instances: Vec<PlacedInstance>,
 }
 
-/// What a hit needs of its triangle, side by side in two cache lines: to collect it from the mesh's
+/// Data of a triangle for its hits, side by side in two cache lines. Collecting it from the mesh's
 /// arrays takes a dozen.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Record {
     corners: [Vec3; 3],
-    /// Of loose triangles in render space, of shared ones in the mesh's; interpolated, then
+    /// In render space for loose triangles, in the mesh's space for shared ones; interpolated, then
     /// normalized.
     normals: [Vec3; 3],
-    /// Of set 0; zeros where the mesh has none.
+    /// Texture coordinates of set 0; zeros where the mesh has none.
     uvs: [Vec2; 3],
     geometric_normal: Vec3,
     /// Length in texture space (set 0) per length in the space of the corners: √(area / area).
@@ -243,7 +243,7 @@ impl Geometry {
         }
     }
 
-    /// Bytes of what is kept per triangle and instance.
+    /// Bytes of the records, instances and placements.
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(self.records.as_slice())
             + size_of_val(self.instances.as_slice())
@@ -276,7 +276,7 @@ impl Geometry {
         &self.scene.materials[self.material_index(triangle)]
     }
 
-    /// Asks for what a hit needs to know of its triangle before it is needed.
+    /// Prefetches the record of a triangle ahead of its hit.
     #[inline]
     pub(crate) fn prefetch(&self, triangle: u32) {
         let record = self.records.as_ptr().wrapping_add(triangle as usize).cast::<u8>();
@@ -389,7 +389,7 @@ impl SurfacePoint<'_> {
         &self.geometry.scene.meshes[self.geometry.scene.instances[self.record.instance as usize].mesh]
     }
 
-    /// Of three corners of a mesh's array, their mean by this point's weights.
+    /// Interpolates three corners of a mesh's array by this point's barycentrics.
     fn interpolated<T>(&self, values: &[T]) -> T
     where
         T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
@@ -423,13 +423,13 @@ impl SurfacePoint<'_> {
         uv_per_length(uvs, normal_and_doubled_area(self.record.corners).1) * self.shrinking
     }
 
-    /// Whether vertex normals turn nothing.
+    /// True if vertex normals equal the geometric normal.
     #[inline]
     pub(crate) fn is_flat(&self) -> bool {
         self.record.flags & FLAT != 0
     }
 
-    /// Whether the mesh has vertex colours.
+    /// True if the mesh has vertex colours.
     pub(crate) fn is_colored(&self) -> bool {
         self.record.flags & COLORED != 0
     }
@@ -487,10 +487,10 @@ impl SurfacePoint<'_> {
     }
 }
 
-/// Turns a shading normal just so far that the mirror direction of `to_viewer` stays above the
+/// Bends a shading normal just so far that the mirror direction of `to_viewer` stays above the
 /// surface (Keller et al. 2017, "The Iray light transport simulation and rendering system",
-/// appendix): no black rims, and the viewer is always on its side. Both normals are on the viewer's
-/// side of the surface.
+/// appendix). So there are no black rims, and the normal is always on the viewer's side. Both
+/// normals are on the viewer's side of the surface.
 pub(crate) fn bend_normal(shading: Vec3, geometric: Vec3, to_viewer: Vec3) -> Vec3 {
     let least = LEAST_REFLECTED_COSINE.min(0.9 * to_viewer.dot(geometric).max(0.0));
     let reflected = 2.0 * shading.dot(to_viewer) * shading - to_viewer;

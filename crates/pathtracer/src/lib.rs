@@ -2,18 +2,20 @@
 //! view grid to radiance.
 //!
 //! ```text
-//! L(x, s) = ∫ over paths of the light that reaches the point x of z = 0 along slope s          (scene-linear, unexposed)
+//! L(x, s) = ∫ over paths of the light that reaches the point x of z = 0 along slope s
+//!                                                                        (scene-linear, unexposed)
 //! ```
 //!
-//! Paths start at the viewer's side of the scene and are traced backwards: each vertex takes light
+//! Paths start at the viewer's side of the scene and are traced backwards. Each vertex takes light
 //! from a sampled light and from the next scattered ray, weighted by the power heuristic (Veach,
-//! Guibas 1995), and ends by Russian roulette or after [`Settings::max_bounces`]. Any number of
+//! Guibas 1995). A path ends by Russian roulette or after [`Settings::max_bounces`]. Any number of
 //! views share one [`Renderer`]; a held-out view is one more call with another geometry.
 //!
 //! ```text
-//! Scene ─▶ Geometry ─▶ Bvh                            PrimaryRays (window, geometry, view)
-//!       ├▶ Materials ─▶ Textures        Renderer          │
-//!       └▶ Lights ─▶ Distribution          └── tiles ──▶ Tracer ─▶ Bsdf, Lights, Draws ─▶ radiance[row][col][rgb]
+//! Scene ─▶ Geometry ─▶ Bvh             PrimaryRays (window, geometry, view)
+//!       ├▶ Materials ─▶ Textures        │
+//!       └▶ Lights ─▶ Distribution    Tracer ─▶ Bsdf, Lights, Draws ─▶ radiance[row][col][rgb]
+//!                                    (per tile, by Renderer)
 //! ```
 //!
 //! The same bytes come out on any number of threads. No file system, no clock: the crate compiles
@@ -25,9 +27,9 @@ mod clamp;
 pub mod denoise;
 mod distribution;
 mod geometry;
+mod lambert;
 mod light;
 mod math;
-mod matt;
 mod normals;
 mod primary;
 pub mod rays;

@@ -3,7 +3,7 @@
 /// Sine and cosine of an angle in turns, −1..1; absolute error below 1e-6.
 #[inline]
 pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
-    // nearest quarter and what is left, at most an eighth of a turn
+    // nearest quarter and the remainder, at most an eighth of a turn
     let quarters = (4.0 * turns + if turns < 0.0 { -0.5 } else { 0.5 }) as i32;
     let x = (turns - 0.25 * quarters as f32) * std::f32::consts::TAU;
     let x2 = x * x;

@@ -7,11 +7,12 @@
 //! (x, y, 0) − τ (s_x, s_y, 1),   τ from τ₀ in millimetres
 //! ```
 //!
-//! from τ₀ in front of the scene's bounds in oblique views, so that what stands in front of the
-//! display plane is seen too, and from no nearer than the eye in perspective ones; where the window
-//! has a near plane, no nearer than that. Start and direction are linear in the offsets of a sample
-//! from the centre of its pixel and of its slopes, so a pixel's central ray is made in f64, and its
-//! samples in f32 from that.
+//! from a start τ₀. In oblique views it lies in front of the scene's bounds, so that objects in
+//! front of the display plane are seen too. In perspective views it is no nearer than the eye.
+//! Where the window has a near plane, it is no nearer than that.
+//!
+//! Start and direction are linear in the offsets of a sample from the centre of its pixel and of
+//! its slopes. So a pixel's central ray is computed in f64, and its samples in f32 from that.
 
 use glam::{DVec3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
@@ -24,10 +25,10 @@ use crate::tracer::Cone;
 /// Bounds are entered this much outside themselves, relative to the radius of the scene.
 const BOUNDS_MARGIN: f64 = 1e-5;
 /// Width of the texture footprint over that of a pixel. Samples are spread over the pixel, so each
-/// needs to cover only a part: 16 of them a quarter of its width each. Half of it pales small
-/// letters, and adds what variance it takes (up to 3 %) as blur. A display shows the paler target
-/// better (still life: 36.8 dB instead of 36.2 dB), but less of what is there: its gradients have
-/// 12 % less energy.
+/// needs to cover only a part: each of 16 samples a quarter of its width. Half of it dims small
+/// letters, and trades variance (up to 3 %) for blur. A display shows the dimmer target better
+/// (still life: 36.8 dB instead of 36.2 dB), but with less detail: its gradients have 12 % less
+/// energy.
 const FOOTPRINT_SHARE: f64 = 0.25;
 
 /// The rays of one view.
@@ -36,7 +37,7 @@ pub(crate) struct PrimaryRays<'a> {
     view: [usize; 2],
     /// Full width of the range of slopes per axis, 0 for a point.
     slope_width: [f64; 2],
-    /// Whether the range is the ellipse of those widths instead of the rectangle.
+    /// True if the range is the ellipse of those widths instead of the rectangle.
     round: bool,
     /// Display space in render space: the origin and one millimetre along each axis.
     origin: DVec3,
@@ -66,7 +67,7 @@ pub(crate) struct PixelRays {
     slope_width: [f32; 2],
     round: bool,
     pub(crate) cone: Cone,
-    /// False where no ray of the pixel can meet the scene.
+    /// False where no ray of the pixel can hit the scene.
     pub(crate) in_bounds: bool,
 }
 
@@ -150,8 +151,9 @@ impl<'a> PrimaryRays<'a> {
 }
 
 impl PixelRays {
-    /// At most [`BEAM`] rays at offsets from the centre of the pixel, in pixels, and from the
-    /// centre of the slopes, in widths; offsets are in −0.5..0.5, x to the right and y up.
+    /// Fills at most [`BEAM`] rays. The offsets are in −0.5..0.5, x to the right and y up. The
+    /// first are from the centre of the pixel, in pixels; the second are from the centre of the
+    /// slopes, in widths.
     #[inline]
     pub(crate) fn fill(&self, rays: &mut [Ray], offsets: impl Fn(usize) -> [[f32; 2]; 2]) {
         // numbers of the same kind side by side: their roots and quotients become vectors
@@ -200,7 +202,7 @@ impl PixelRays {
     }
 }
 
-/// Whether a line meets the box −`half`..`half`.
+/// True if a line intersects the box −`half`..`half`.
 fn passes_through(origin: DVec3, direction: DVec3, half: DVec3) -> bool {
     // no 0 · ∞: along an axis that the line runs across, it is inside all the way or never
     let across = direction.cmpeq(DVec3::ZERO);
@@ -248,9 +250,9 @@ mod tests {
         assert_eq!(in_disc([0.0, 0.0]), [0.0, 0.0]);
     }
 
-    /// Rays of random windows far from the scene, near it and inside it: each is the line through
-    /// its point of the display plane with its slope, starts before the bounds or at the eye, and
-    /// its pixel says so where it meets them.
+    /// Rays of random windows far from the scene, near it and inside it. Each is the line through
+    /// its point of the display plane with its slope, and starts before the bounds or at the eye.
+    /// Where it intersects the bounds, its pixel is `in_bounds`.
     #[test]
     fn rays_are_lines_of_the_display() {
         let mut stream = Stream::new(4);

@@ -78,7 +78,7 @@ pub struct Renderer {
     memory: Memory,
 }
 
-/// What a prepared scene occupies.
+/// Sizes of a prepared scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
     /// Triangles with instances counted.
@@ -95,7 +95,7 @@ pub struct Memory {
     pub texture_bytes: usize,
 }
 
-/// What the samples of a pixel say.
+/// Statistics of the samples of a pixel.
 struct PixelMean {
     /// Mean radiance.
     mean: Vec3,
@@ -119,7 +119,7 @@ pub enum RenderError {
     View {
         /// Number of views, [vertical, horizontal].
         views: [usize; 2],
-        /// The view that was asked for, [y, x].
+        /// The requested view, [y, x].
         view: [usize; 2],
     },
     /// The tree cannot hold so many triangles.
@@ -192,21 +192,21 @@ impl Renderer {
         Ok(Self { geometry, bvh, materials, lights, traits, backdrop: scene.backdrop, memory })
     }
 
-    /// What the prepared scene occupies.
+    /// Memory of the prepared scene.
     pub fn memory(&self) -> Memory {
         self.memory
     }
 
     /// Leaves out the light that microfacets scatter more than once, for comparisons with renderers
-    /// that have none of it: rough metals and rough glass are then darker than they should be.
+    /// that leave it out too. Rough metals and rough glass are then darker than they should be.
     #[must_use]
     pub fn single_scattering(mut self) -> Self {
         self.materials.without_compensation();
         self
     }
 
-    /// Shows the environment past the scene whatever the scene's backdrop, for comparisons with
-    /// renderers that have none.
+    /// Shows the environment past the scene even if the scene has a backdrop, for comparisons with
+    /// renderers without backdrops.
     #[must_use]
     pub fn without_backdrop(mut self) -> Self {
         self.backdrop = None;
@@ -225,7 +225,8 @@ impl Renderer {
     /// The pixel filter is a box as wide as the pixel. The caller begins and ends the progress
     /// stage, which may span many views; this call advances it by
     /// [`steps_per_view`](Self::steps_per_view). Samples that are not finite numbers are left out
-    /// of the mean and reported as a warning, as is what [`Settings::clamp`] removes.
+    /// of the mean. They are reported as a warning, and so is the light that [`Settings::clamp`]
+    /// removes.
     ///
     /// # Errors
     /// If a setting, the geometry or the view is out of range, or when cancelled.
@@ -301,7 +302,7 @@ impl Renderer {
         Ok(radiance)
     }
 
-    /// 1 for every pixel whose central ray meets a surface, else 0: `[row][col]`. Does not advance
+    /// 1 for every pixel whose central ray hits a surface, else 0: `[row][col]`. Does not advance
     /// the progress.
     ///
     /// # Errors
@@ -317,7 +318,7 @@ impl Renderer {
         let quiet = Task { progress: &lumistack_core::NoProgress, ..task };
         let mask = self.by_tiles(geometry, quiet, ["row", "col", "hit"], |row, col, stack| {
             let rays = rays.pixel(row, col);
-            [f32::from(u8::from(rays.in_bounds && self.tracer().meets_surface(rays.central(), stack)))]
+            [f32::from(u8::from(rays.in_bounds && self.tracer().hits_surface(rays.central(), stack)))]
         })?;
         let [rows, cols, _] = mask.shape();
         let mut flat = Tensor::zeros(["row", "col"], [rows, cols]);
@@ -325,7 +326,7 @@ impl Renderer {
         Ok(flat)
     }
 
-    /// Share of the window, 0..1, where the central rays of a view meet a surface.
+    /// Share of the window, 0..1, where the central rays of a view hit a surface.
     ///
     /// # Errors
     /// As [`hit_mask`](Self::hit_mask).

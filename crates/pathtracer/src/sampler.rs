@@ -1,13 +1,14 @@
 //! Sample points: (0,2)-sequences, padded to any dimension, decorrelated per view, pixel and pair
 //! of dimensions.
 //!
-//! Each pair of dimensions takes the first two dimensions of Sobol's sequence with Owen's nested
-//! uniform scrambling of the values and of the order (Owen 1995; shuffling as in Burley 2020,
-//! "Practical Hash-based Owen Scrambling"). Scrambling at every draw costs more than tracing, so a
-//! bank of [`PATTERNS`] scrambled sequences is made once; a draw picks a pattern, flips bits of the
-//! sample's index and of the values by a hash of (pixel, pair), and so costs one hash and one load.
-//! Flipping keeps every sequence's stratification (Kollig, Keller 2002) and makes each point
-//! uniform, hence the estimate unbiased.
+//! Each pair of dimensions takes the first two dimensions of Sobol's sequence. Owen's nested
+//! uniform scrambling permutes its values and its order (Owen 1995; shuffling as in Burley 2020,
+//! "Practical Hash-based Owen Scrambling").
+//!
+//! Scrambling at every draw costs more than tracing, so a bank of [`PATTERNS`] scrambled sequences
+//! is made once. A draw picks a pattern and flips bits of the sample's index and of the values by a
+//! hash of (pixel, pair). So it costs one hash and one load. Flipping keeps every sequence's
+//! stratification (Kollig, Keller 2002) and makes each point uniform, hence the estimate unbiased.
 
 use lumistack_core::seed;
 
@@ -28,8 +29,8 @@ pub(crate) struct SampleBank {
     parts: u32,
 }
 
-/// Draws the random numbers of samples of one pixel that follow one another: what depends on pixel
-/// and pair is worked out once for all.
+/// Draws the random numbers of consecutive samples of one pixel. All samples share the hash of
+/// pixel and pair.
 #[derive(Clone, Copy)]
 pub(crate) struct Draws<'a> {
     bank: &'a SampleBank,
@@ -77,8 +78,8 @@ impl SampleBank {
 }
 
 impl<'a> Draws<'a> {
-    /// Of the pixel's samples one each has its number in one of so many equal parts of [0, 1), or
-    /// one or two where the samples are no power of two: true of both numbers of every pair.
+    /// Number of equal parts of [0, 1) that hold one number each of the pixel's samples, in both
+    /// numbers of every pair. If the number of samples is no power of two, a part holds one or two.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts
@@ -174,9 +175,9 @@ mod tests {
         }
     }
 
-    /// Over pixels, every sample of every pair is uniform over its square, and one number of a pair
-    /// tells nothing of a number of another: chi-square over 12 × 12 cells, false-alarm rate
-    /// [`FALSE_ALARM_RATE`] each of 36.
+    /// Over pixels, every sample of every pair is uniform over its square. Numbers of different
+    /// pairs are independent. Chi-square over 12 × 12 cells, false-alarm rate [`FALSE_ALARM_RATE`]
+    /// for each of 36 tests.
     #[test]
     fn numbers_are_uniform_over_pixels() {
         const EDGE: usize = 12;
@@ -198,8 +199,8 @@ mod tests {
         }
     }
 
-    /// Both numbers of every pair put one sample into each of n equal parts, for powers of two; for
-    /// other n no part of the next smaller power is empty or holds more than two.
+    /// For powers of two n, both numbers of every pair put one sample into each of n equal parts.
+    /// For other n, no part of the next smaller power is empty or holds more than two.
     #[test]
     fn every_number_is_stratified() {
         for samples in [16u32, 48, 64] {

@@ -82,7 +82,7 @@ impl Materials {
         Self { scene, textures, slots, compensated: true }
     }
 
-    /// Leaves out what microfacets return of the light that single scattering loses.
+    /// Leaves out the light that single scattering loses and compensation returns.
     pub(crate) fn without_compensation(&mut self) {
         self.compensated = false;
     }
@@ -291,7 +291,7 @@ impl Materials {
     }
 }
 
-/// Whether a material has any of the [`Extras`].
+/// True if a material has any of the [`Extras`].
 fn has_extras(material: &Material) -> bool {
     material.specular != 1.0
         || material.specular_color != Vec3::ONE
@@ -303,7 +303,7 @@ fn has_extras(material: &Material) -> bool {
         || (is_solid(material) && material.dispersion > 0.0)
 }
 
-/// Whether light can enter a solid behind this surface.
+/// True if light can enter a solid behind this surface.
 fn is_solid(material: &Material) -> bool {
     material.solid && material.transmission > 0.0
 }

@@ -11,7 +11,7 @@ use glam::{Vec2, Vec4};
 use lumistack_core::colour::{srgb_code, srgb_decode};
 use lumistack_scene::{Filter, Image, Pixels, Scene, Texture, TextureUse, Wrap};
 
-/// What the codes of an image mean in one slot.
+/// Meaning of an image's codes in one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Encoding {
     /// RGB is sRGB-encoded, alpha linear.
@@ -53,7 +53,7 @@ enum Texels {
 }
 
 impl Textures {
-    /// Starts without pyramids; [`slot`](Self::slot) makes them as they are asked for.
+    /// Starts without pyramids; [`slot`](Self::slot) builds them on first use.
     pub(crate) fn new(scene: Arc<Scene>) -> Self {
         Self { scene, pyramids: Vec::new(), by_image: HashMap::new() }
     }

@@ -94,7 +94,7 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
                 let (seconds, hits) = timed(rays, |chunk| {
                     let mut scratch = tree.scratch();
                     let beam = |rays: &[(Vec3, Vec3, f32)]| {
-                        tree.met_by_beam(rays.iter().map(|&(o, d, _)| (o, d)), &mut scratch)
+                        tree.hits_of_beam(rays.iter().map(|&(o, d, _)| (o, d)), &mut scratch)
                     };
                     chunk.chunks(BEAM_RAYS).map(beam).sum()
                 });

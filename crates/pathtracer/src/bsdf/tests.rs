@@ -8,7 +8,7 @@ use super::coat::Coating;
 use super::lobes::LOBES;
 use super::sheen::Fabric;
 use super::*;
-use crate::matt::Matt;
+use crate::lambert::Lambert;
 use crate::normals::Normals;
 use lumistack_core::seed::Stream;
 use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_limit};
@@ -180,7 +180,7 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
     let sheen = Some(Fabric { color: Vec3::new(1.0, 0.7, 0.4), roughness: 0.4 });
     let film = Some(Film { factor: 1.0, ior: 1.5, thickness_nm: 420.0 });
     vec![
-        ("matt", Appearance { ior: 1.0, roughness: 1.0, ..plain }),
+        ("diffuse", Appearance { ior: 1.0, roughness: 1.0, ..plain }),
         ("plastic", plain),
         ("metal", metal),
         ("roughest metal", Appearance { roughness: 1.0, ..metal }),
@@ -211,7 +211,7 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
                 },
             ),
         ),
-        ("coated matt", with(Appearance { ior: 1.0, ..plain }, Extras { layers: coated, ..extras() })),
+        ("coated diffuse", with(Appearance { ior: 1.0, ..plain }, Extras { layers: coated, ..extras() })),
         ("coated metal", with(metal, Extras { layers: coated, ..extras() })),
         (
             "mirror coat",
@@ -303,7 +303,7 @@ fn lossless_layers_return_all_light() {
     let tolerances = [
         ("stretched metal", 0.02),
         ("stretched plastic", 0.01),
-        ("coated matt", ENERGY_TOLERANCE),
+        ("coated diffuse", ENERGY_TOLERANCE),
         ("coated metal", ENERGY_TOLERANCE),
         ("mirror coat", ENERGY_TOLERANCE),
         ("coated glass", GLASS_TOLERANCE),
@@ -498,14 +498,14 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
 
 /// Without gloss the model equals its diffuse special case, for every bent normal of the gloss.
 #[test]
-fn diffuse_light_is_that_of_matt_surfaces() {
+fn diffuse_light_is_that_of_lambert_surfaces() {
     let surface = Appearance { ior: 1.0, roughness: 1.0, base: Vec3::new(0.9, 0.5, 0.2), ..appearance() };
     let general = Bsdf::new(&surface, viewer(0.2), &frames()[2], true);
-    let matt = Matt::new(surface.base, Vec3::Z, steep());
+    let lambert = Lambert::new(surface.base, Vec3::Z, steep());
     let (mut stream, mut lit) = (Stream::new(12), 0);
     for _ in 0..2000 {
         let direction = Vec3::from_array([(); 3].map(|()| 2.0 * stream.next_f32() - 1.0)).normalize_or(Vec3::Z);
-        let ((value, pdf), (expected, expected_pdf)) = (general.evaluate(direction), matt.evaluate(direction));
+        let ((value, pdf), (expected, expected_pdf)) = (general.evaluate(direction), lambert.evaluate(direction));
         assert!((value - expected).abs().max_element() < 1e-5, "{direction}: {value} {expected}");
         // the diffuse special case leaves out the density below its horizon, which is never
         // requested

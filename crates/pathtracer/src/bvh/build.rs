@@ -15,9 +15,10 @@ use obvhs::triangle::Triangle;
 use super::plan::Plan;
 use super::tree::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed, WIDTH};
 
-/// Share of the nodes tried per reinsertion round: obvhs' figure for a slow, good build, and more
-/// where it takes no time: all of still-life's (0.04 s) give 3 to 4 % more rays, all of
-/// FlightHelmet's (0.4 s) or half of 15 copies' (4 s more) 1 to 2 %.
+/// Share of the nodes that each round tries to reinsert: the figure of obvhs for a slow, good
+/// build. Small trees get more, where that takes no time. All nodes of still-life (0.04 s) give 3
+/// to 4 % more rays per second. All of FlightHelmet (0.4 s), or half of 15 copies (4 s more), give
+/// 1 to 2 %.
 const REINSERTION_RATIO: f32 = 0.2;
 const REINSERTED_AT_LEAST: f32 = 20_000.0;
 /// obvhs' depth of the narrow search.
@@ -63,7 +64,7 @@ impl Bvh {
         let top = bvh.add_tree(input, input.loose.clone(), &boxes);
         bvh.root = top.root;
         bvh.extent = extent(&top.bounds);
-        // an instance postpones its own end besides what its tree postpones
+        // an instance postpones its own end besides the children that its tree postpones
         bvh.stack_depth = top.stack_depth + 1 + shared.iter().map(|tree| tree.stack_depth).max().unwrap_or(0);
         bvh.nodes.shrink_to_fit();
         bvh.nodes = in_large_pages(bvh.nodes);
@@ -130,8 +131,8 @@ impl Bvh {
     }
 }
 
-/// Cuts the boxes of large triangles into smaller ones. Only opaque triangles: a traversal may meet
-/// them twice, which no one notices, while the others are asked for their alpha.
+/// Cuts the boxes of large triangles into smaller ones. Only opaque triangles are cut: a traversal
+/// may test them twice without effect. The alpha of others would be evaluated twice.
 fn split_large(boxes: &mut Vec<Aabb>, primitives: &mut Vec<u32>, triangles: &[[Vec3; 3]], flags: &[u32]) {
     if triangles.is_empty() {
         return;

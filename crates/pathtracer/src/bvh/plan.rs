@@ -1,10 +1,15 @@
-//! Which subtrees of a binary tree become nodes and blocks: those of the least expected cost of a
-//! ray (Ylitie, Karras, Laine 2017, "Efficient incoherent ray traversal on GPUs through compressed
-//! wide BVHs", section 3), where a node and a block cost the same: their area.
+//! Chooses the subtrees of a binary tree that become nodes and blocks.
+//!
+//! It minimizes the expected cost of a ray (Ylitie, Karras, Laine 2017, "Efficient incoherent ray
+//! traversal on GPUs through compressed wide BVHs", section 3). A node and a block cost the same:
+//! their area.
 //!
 //! ```text
-//! cost of a subtree as one child    C(n, 1) = area(n) if n fits into a block, else or if less area(n) + min over k of C(first, k) + C(second, 8 − k)
-//! as up to j children               C(n, j) = min over k of C(first, k) + C(second, j − k), or C(n, j − 1)
+//! cost of a subtree as one child
+//!     C(n, 1) = area(n) if n fits into a block
+//!     C(n, 1) = area(n) + min over k of C(first, k) + C(second, 8 − k) otherwise, or if less
+//! as up to j children
+//!     C(n, j) = min over k of C(first, k) + C(second, j − k), or C(n, j − 1)
 //! ```
 
 use obvhs::bvh2::Bvh2;
@@ -77,7 +82,7 @@ impl Plan {
         Self(plan)
     }
 
-    /// Whether a subtree becomes a block or an instance.
+    /// True if a subtree becomes a block or an instance.
     pub(super) fn is_end(&self, index: u32) -> bool {
         self.0[index as usize][0] == END
     }

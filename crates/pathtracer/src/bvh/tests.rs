@@ -209,7 +209,7 @@ fn hostile_triangles_are_found_as_by_testing_each() {
         let open = bvh.transmittance(&ray, &mut stack, |_| Vec3::ZERO);
         assert_eq!(open == Vec3::ONE, expected.is_none());
         if let (Some(hit), Some((t, _))) = (hit, expected) {
-            // of coincident triangles either will do; t is in units of a direction of any length
+            // either of coincident triangles will do; t is in units of a direction of any length
             found += 1;
             let error = (f64::from(hit.t) - t).abs() * f64::from(ray.direction.length());
             assert!(error < 10.0 * DISTANCE_TOLERANCE, "{error} {ray:?}");
@@ -334,10 +334,10 @@ fn an_instance_alone_is_a_scene() {
     assert_eq!(empty.transmittance(&ray, &mut empty.stack(), |_| Vec3::ZERO), Vec3::ONE);
 }
 
-/// Beams of every width, along axes and across them, that see some triangles only sometimes: the
-/// distances of single rays, bit for bit. Of coincident triangles either will do.
+/// Beams of every width, along axes and across them, that hit some triangles only sometimes, return
+/// the distances of single rays, bit for bit. Either of coincident triangles will do.
 #[test]
-fn a_beam_meets_what_its_rays_meet_alone() {
+fn a_beam_has_the_hits_of_its_rays() {
     let mut triangles = hostile_soup(13);
     triangles.extend(soup(3000, 0.1, 14));
     let flags: Vec<u32> = (0..triangles.len()).map(|i| [0, CULL_BACK, ALPHA][i % 3]).collect();

@@ -23,7 +23,7 @@ pub(crate) const MAX_TRIANGLES: usize = INDEX_MASK as usize;
 pub(crate) const MAX_INSTANCES: usize = INSTANCE as usize - 1;
 /// The triangle is invisible from behind.
 pub(crate) const CULL_BACK: u32 = 1 << 29;
-/// The triangle has an alpha that must be asked for.
+/// The triangle has an alpha that must be evaluated.
 pub(crate) const ALPHA: u32 = 1 << 30;
 /// Light passes through the triangle on its straight way, tinted.
 pub(crate) const TINT: u32 = 1 << 31;
@@ -43,7 +43,7 @@ impl Ray {
     pub(crate) const ANY: Self = Self { origin: Vec3::ZERO, direction: Vec3::Z, t_max: f32::INFINITY };
 }
 
-/// Where a ray meets a triangle.
+/// A ray's intersection with a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Hit {
     pub(crate) t: f32,
@@ -52,13 +52,13 @@ pub(crate) struct Hit {
     pub(crate) instance: u32,
     /// Weights of the three vertices; their sum is 1.
     pub(crate) barycentric: [f32; 3],
-    /// Whether the triangle shows its front: winds counter-clockwise as seen from the origin.
+    /// True if the triangle shows its front: it winds counter-clockwise as seen from the origin.
     pub(crate) front: bool,
     /// The flags of the triangle.
     pub(crate) flags: u32,
 }
 
-/// What a tree is built over.
+/// Input of [`Bvh::new`](super::Bvh::new).
 pub(crate) struct Input<'a> {
     /// Corners of all triangles: those of `loose` in render space, those of each range of `shared`
     /// in a space of its own.
@@ -74,7 +74,7 @@ pub(crate) struct Input<'a> {
 pub(crate) struct Placement {
     /// Index into [`Input::shared`].
     pub(crate) shared: usize,
-    /// What [`Hit::instance`] says.
+    /// Value of [`Hit::instance`] for hits of this instance.
     pub(crate) id: u32,
     pub(crate) render_from_tree: Mat3,
     pub(crate) tree_from_render: Mat3,

@@ -1,7 +1,7 @@
 //! The filter of a few rows of one view.
 //!
-//! Neighbouring views are first brought into the view's own frame, pixel by pixel; then every
-//! window, in the view itself or in one of those, is a set of shifts of whole pictures. A shift's
+//! Neighbouring views are first resampled into the view's own frame, pixel by pixel. Then every
+//! window, in the view itself or in a neighbour, is a set of shifts of whole pictures. A shift's
 //! distances are maps, the patches' sums over them are boxes, and everything runs along rows.
 
 use std::ops::Range;
@@ -97,7 +97,7 @@ impl Block {
         Self { planes, width }
     }
 
-    /// Share of what a pixel shows that another view shows alike: all of it but mirrored light,
+    /// Share of a pixel's light that is the same in another view: all light except mirrored light,
     /// whose lobe turns with the view by half the angle.
     fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
         let mut steady = Vec::with_capacity(height * cols);

@@ -11,7 +11,7 @@ const ERROR_RADIUS: usize = 4;
 /// Difference of errors, in variances of the noise, at which the better answer counts e times as
 /// much.
 const SOFTNESS: f32 = 0.03;
-/// What a pixel may become: filtered with colours, filtered by guides alone, as it was.
+/// Candidates for a pixel: filtered with colours, filtered by guides alone, as rendered.
 const CHOICES: usize = 3;
 
 /// Blends the answers by their estimated errors, which leave out the pixel itself: otherwise the
@@ -40,7 +40,7 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
 /// the noise there.
 ///
 /// (F_a − u_b)² holds the error of half of the samples and the noise of the other half, which all
-/// answers share; the second term takes off what the mean of both halves gains.
+/// answers share. The second term subtracts the gain of the mean of both halves.
 fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
     let count = halves[0].len();
     let (rows, cols) = (frame.rows, frame.cols);

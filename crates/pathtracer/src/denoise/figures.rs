@@ -1,9 +1,9 @@
-//! What a filter did to a view, against pixels that it never saw.
+//! The effect of a filter on a view, measured at pixels that it never used.
 //!
-//! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks), whose noise is
-//! independent of the picture F and of each other: their expectation is the squared error itself,
-//! whatever the filter. The change of the mean, F minus the unbiased picture, is the filter's bias
-//! as a whole.
+//! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks). The checks' noise is
+//! independent of the picture F and of each other. So the expectation is the squared error itself,
+//! for any filter. The change of the mean, F minus the unbiased picture, is the filter's bias as a
+//! whole.
 
 use lumistack_core::Tensor;
 
@@ -13,7 +13,7 @@ use crate::Checks;
 /// in one says little of the next.
 const BLOCK: usize = 16;
 
-/// A mean with what its standard error needs.
+/// A mean with the sums for its standard error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
     sum: f64,
@@ -21,7 +21,7 @@ pub struct Estimate {
     count: f64,
 }
 
-/// What the filter did to one view, in scene-linear radiance, all channels together.
+/// The effect of the filter on one view, in scene-linear radiance, all channels together.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ViewFigures {
     /// Mean of the unbiased picture.
@@ -72,7 +72,7 @@ impl Estimate {
         [self.sum, self.squares, self.count]
     }
 
-    /// From what [`parts`](Self::parts) gave.
+    /// The inverse of [`parts`](Self::parts).
     pub fn from_parts([sum, squares, count]: [f64; 3]) -> Self {
         Self { sum, squares, count }
     }

@@ -32,7 +32,7 @@ pub(super) struct Frame {
     pub(super) rows: usize,
     pub(super) cols: usize,
     planes: [Vec<f32>; PLANES],
-    /// What radiance was divided by.
+    /// The divisor of the radiance (demodulation).
     pub(super) modulation: Vec<[f32; 3]>,
     /// Slopes of the view at the centre of the field.
     slope: DVec2,
@@ -97,8 +97,8 @@ impl Frame {
         (self.slope - other.slope).length() as f32
     }
 
-    /// Number of the pixel of `other` that shows what pixel (row, col) shows; `None` where that is
-    /// nothing or out of the picture.
+    /// Index of the pixel of `other` that shows the surface of pixel (row, col). `None` if this
+    /// pixel has no surface, or if the place is outside of the picture.
     pub(super) fn seen_in(&self, other: &Self, row: usize, col: usize) -> Option<usize> {
         let i = row * self.cols + col;
         if self.planes[COVERED][i] <= 0.0 {

@@ -27,7 +27,7 @@ impl Default for Window {
 pub struct NoisyView {
     /// Radiance `[row][col][rgb]` from half of the samples each, with seeds of their own.
     pub halves: [Tensor<3>; 2],
-    /// What the view shows.
+    /// Guides of the view's first surfaces.
     pub features: Features,
 }
 

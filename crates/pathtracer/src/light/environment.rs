@@ -1,14 +1,14 @@
 //! Light from infinity: an equirectangular map, bilinear, sampled by its magnitude (the length of
 //! its colour).
 //!
-//! The map is covered by a grid of cells with constant density in (u, v); a cell's weight is the
+//! The map is covered by a grid of cells with constant density in (u, v). A cell's weight is the
 //! integral over it of bilinear magnitude times sin θ. Large maps share a cell between several
-//! texels, small ones split their texels, so that the grid is neither huge nor so coarse that sin θ
-//! varies much inside a cell.
+//! texels, small ones split their texels. So the grid is never huge, and sin θ varies little inside
+//! a cell.
 //!
-//! Only what is brighter than the mean is sampled ("MIS compensation", Karlík et al. 2019):
-//! scattered rays find the rest as well or better, and the heuristic would take most of such
-//! samples away again. A sky of one radiance is thus never sampled here.
+//! Only radiance above the mean is sampled ("MIS compensation", Karlík et al. 2019). Scattered rays
+//! find the rest as well or better, and the heuristic would weight most of such samples down. A sky
+//! of one radiance is thus never sampled here.
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -61,7 +61,7 @@ impl EnvironmentLight {
         if whole.constant.is_some() { Some(whole) } else { Self::above(scene, mean).or(Some(whole)) }
     }
 
-    /// Samples what is brighter than a magnitude.
+    /// Prepares sampling of the radiance above a magnitude.
     fn above(scene: &Arc<Scene>, floor: f32) -> Option<Self> {
         let environment = scene.environment?;
         let image = &scene.images[environment.image];
@@ -97,7 +97,8 @@ impl EnvironmentLight {
         Some(this)
     }
 
-    /// Mean magnitude of what [`sample`](Self::sample) looks for; 0 for a sky of one radiance.
+    /// Mean magnitude of the radiance that [`sample`](Self::sample) draws from; 0 for a sky of one
+    /// radiance.
     pub(crate) fn sampled_magnitude(&self) -> f32 {
         self.sampled_magnitude
     }
@@ -248,7 +249,7 @@ mod tests {
         for (yaw, up, expected) in [(45.0, 45.0, 2.0), (-45.0, 45.0, 1.0), (135.0, 45.0, 3.0), (45.0, -45.0, 6.0)] {
             assert!((sky.evaluate(direction(yaw, up)).0.x - expected).abs() < 1e-4, "{yaw} {up}");
         }
-        // turned a quarter to the left around y: what was at −z is now at −x
+        // turned a quarter to the left around y: −z moves to −x
         let turned = light(4, 2, Quat::from_rotation_y(std::f32::consts::FRAC_PI_2), |x, y| (4 * y + x) as f32);
         assert!((turned.evaluate(direction(45.0 - 90.0, 45.0)).0.x - 2.0).abs() < 1e-4);
     }

@@ -1,6 +1,6 @@
-//! Everything that emits: triangles, the environment, punctual lights. Whether a light is local or
-//! shines from infinity is chosen with a chance that follows power; which local one, by a tree that
-//! knows what each may send to the point that is lit ([`tree`]).
+//! All light sources: triangles, the environment, punctual lights. A sample first chooses among all
+//! local lights and each light from infinity, with chances in proportion to power. A tree chooses
+//! among local lights, by a bound of the light that each may send to the receiver ([`tree`]).
 
 mod environment;
 mod punctual;
@@ -65,7 +65,7 @@ struct TriangleLight {
     partner: Option<u32>,
     area: f32,
     double_sided: bool,
-    /// Of the triangle, or a corner of the parallelogram and its two neighbours.
+    /// Corners of the triangle, or a corner of the parallelogram and its two neighbours.
     corners: [Vec3; 3],
     normal: Vec3,
     offset: f32,
@@ -113,12 +113,12 @@ impl Lights {
         Self { triangles, light_of_triangle, environment, points, directional, tree, choices }
     }
 
-    /// Whether nothing emits.
+    /// True if nothing emits.
     pub(crate) fn is_dark(&self) -> bool {
         self.choices.is_empty() && self.environment.is_none()
     }
 
-    /// Whether [`sample`](Self::sample) ever finds anything.
+    /// True if [`sample`](Self::sample) can return a light.
     pub(crate) fn can_be_sampled(&self) -> bool {
         !self.choices.is_empty()
     }
@@ -132,7 +132,7 @@ impl Lights {
         (radiance, chance * pdf)
     }
 
-    /// Whether the choice of a point light or spot depends on the receiver's horizon.
+    /// True if the choice of a point light or spot depends on the receiver's horizon.
     #[inline]
     pub(crate) fn has_horizon(&self) -> bool {
         !self.points.is_empty()
@@ -160,9 +160,9 @@ impl Lights {
     }
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
-    /// chooses the light and is stretched over the light's share, which leaves each light a
-    /// stratified set of its own; `u_fine` adds the digits that this costs it. Of the first numbers
-    /// of a pixel one lies in each of so many `parts` of [0, 1).
+    /// chooses the light and is stretched over the light's share, so that each light keeps a
+    /// stratified set. `u_fine` adds the digits that this costs. Among the first numbers of a
+    /// pixel's samples, one lies in each of so many `parts` of [0, 1).
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
@@ -172,6 +172,7 @@ impl Lights {
         u_fine: f32,
         parts: Parts,
     ) -> Option<LightSample> {
+        // choose between the local lights and each light from infinity
         let choice = self.choice(parts)?;
         // mostly there is nothing to choose
         let only_local = choice.probability(LOCAL) == 1.0;
@@ -179,6 +180,7 @@ impl Lights {
         let chance = choice.probability(index);
         let inside = f64::from(inside) + f64::from(u_fine * DIGIT / chance);
         let single = |inside: f64| (inside as f32).min(1.0 - f32::EPSILON);
+        // choose a local light by the tree, and a point of it
         if index == LOCAL {
             let inside = inside.min(1.0 - f64::EPSILON);
             let (light, tree_chance, inside) = self.tree.as_ref()?.sample(receiver, inside, parts_of(chance, parts))?;
@@ -323,7 +325,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         };
         let area = geometry.area(triangle);
         let strength = area * magnitude(mean);
-        // what light sampling cannot choose is still found by scattering
+        // scattering still finds light that cannot be sampled
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
             let corners @ [a, b, c] = geometry.corners(triangle);
             let light = TriangleLight {
@@ -507,8 +509,9 @@ mod tests {
                             return None;
                         }
                         let t = normal.dot(a - receiver.position) / normal.dot(sample.direction);
-                        let met = receiver.position + t * sample.direction;
-                        let weight = |p: Vec3, q: Vec3| (p - met).cross(q - met).dot(normal) / normal.length_squared();
+                        let point = receiver.position + t * sample.direction;
+                        let weight =
+                            |p: Vec3, q: Vec3| (p - point).cross(q - point).dot(normal) / normal.length_squared();
                         let weights = [weight(b, c), weight(c, a), weight(a, b)];
                         let whole = weights.map(|weight| (weight * PARTS as f32).floor());
                         weights.iter().all(|&weight| weight > 0.0).then(|| {

@@ -1,7 +1,9 @@
 //! Lights without a surface (`KHR_lights_punctual`): intensity over distance squared, spots with
-//! the extension's smooth cone; and discs of the sky: a cone of half angle θ with the irradiance E
-//! has the radiance E / (π sin²θ), so a direction drawn evenly from its solid angle 2π (1 − cos θ)
-//! weighs 2 E / (1 + cos θ). Scattered rays never find any of them.
+//! the extension's smooth cone.
+//!
+//! Distant lights are discs of the sky: a cone of half angle θ with the irradiance E has the
+//! radiance E / (π sin²θ). A direction drawn evenly from its solid angle 2π (1 − cos θ) thus has
+//! the weight 2 E / (1 + cos θ). Scattered rays never find any of these lights.
 
 use std::f64::consts::PI;
 
@@ -53,7 +55,7 @@ impl PunctualLight {
         }
     }
 
-    /// What the light tree knows of it; `None` for light from infinity.
+    /// The light's entry in the light tree; `None` for light from infinity.
     pub(crate) fn emitter(&self) -> Option<Emitter> {
         let strength = magnitude(self.intensity);
         let (normal_angle, falloff_angle) = match self.kind {

@@ -1,4 +1,4 @@
-//! Chooses among many local lights by what they may send to a point: a binary tree over lights,
+//! Chooses among many local lights by a bound of their light at a point: a binary tree over lights,
 //! descended by importance.
 //!
 //! A node bounds its lights' places by a box, their directions by a cone, and sums their strengths
@@ -9,14 +9,20 @@
 //! I cos θ' max(cos θᵢ', 0) / d²,   θ' = max(0, θ_w − θ_o − θ_b),   θᵢ' = max(0, θ_i − θ_b)
 //! ```
 //!
-//! θ_b is the half angle of the box seen from the point, θ_w that from the cone's axis to the
-//! point, θ_o the cone's, θ_i that from the receiver's normal, less its tilt; d is at least the
-//! box's radius. A bound of 0 means that nothing can arrive, so the estimate stays unbiased.
+//! The angles are:
 //!
-//! Of the numbers that a pixel chooses with, one lies in each of n equal parts of [0, 1)
-//! ([`Parts`]). Chances are rounded to whole parts where a child keeps at least one: every sample
-//! count is then what its chance says, and a few point lights leave no noise. Rounded chances are
-//! chances too: the estimate stays unbiased.
+//! * θ_b: the half angle of the box seen from the point,
+//! * θ_w: from the cone's axis to the point,
+//! * θ_o: the cone's own,
+//! * θ_i: from the receiver's normal, less its tilt.
+//!
+//! d is at least the box's radius. A bound of 0 means that no light can arrive, so the estimate
+//! stays unbiased.
+//!
+//! Among the numbers that a pixel chooses with, one lies in each of n equal parts of [0, 1)
+//! ([`Parts`]). Chances are rounded to whole parts where a child keeps at least one. Then every
+//! light gets exactly its share of the samples, and a few point lights leave no noise. Rounded
+//! chances are chances too: the estimate stays unbiased.
 
 use std::f32::consts::PI;
 
@@ -42,7 +48,7 @@ impl Receiver {
     pub(crate) const UPRIGHT: [f32; 2] = [1.0, 0.0];
 }
 
-/// What the tree knows about a light or a set of them.
+/// A light or a set of lights, as a node of the tree holds them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Emitter {
     pub(crate) min: Vec3,
@@ -54,7 +60,7 @@ pub(crate) struct Emitter {
     pub(crate) normal_angle: f32,
     /// Light leaves within this angle of the normals.
     pub(crate) falloff_angle: f32,
-    /// Whether the opposite of the axis counts too.
+    /// True if the opposite of the axis counts too.
     pub(crate) two_sided: bool,
 }
 
@@ -192,7 +198,7 @@ impl Node {
         }
     }
 
-    /// A bound of what arrives at the receiver, up to a factor that is the same for all nodes.
+    /// A bound of the irradiance at the receiver, up to a factor that is the same for all nodes.
     fn importance(&self, receiver: &Receiver) -> f32 {
         let to_receiver = receiver.position - self.centre;
         let distance2 = to_receiver.length_squared();
@@ -218,7 +224,7 @@ impl Node {
             let (cosine, sine) = subtract(cosine, (1.0 - cosine * cosine).max(0.0).sqrt(), cos_box, sin_box);
             subtract(cosine, sine, receiver.tilt[0], receiver.tilt[1]).0.max(0.0)
         });
-        // falloff angles beyond a right angle do not occur, so cos_light is positive here
+        // falloff angles are at most a right angle, so cos_light is positive here
         most * cos_light * cos_receiver
     }
 }
@@ -252,8 +258,8 @@ impl Emitter {
         }
     }
 
-    /// Strength times extent times solid angle: what it costs to have these lights in one node
-    /// (Conty Estevez, Kulla 2018, equation 1).
+    /// Strength times extent times solid angle: the cost of these lights in one node (Conty
+    /// Estevez, Kulla 2018, equation 1).
     fn cost(&self) -> f32 {
         let size = self.max - self.min;
         let area = size.x * size.y + size.y * size.z + size.z * size.x;
@@ -374,8 +380,7 @@ mod tests {
         ]
     }
 
-    /// What a light sends to a receiver (unshadowed irradiance, a panel taken as a point at its
-    /// centre).
+    /// Irradiance at a receiver, unshadowed, with a panel taken as a point at its centre.
     fn irradiance(light: &Emitter, receiver: &Receiver) -> f32 {
         let to_receiver = receiver.position - light.centre();
         let direction = to_receiver.normalize();
@@ -416,7 +421,7 @@ mod tests {
                     }
                 }
                 let mut expected: Vec<f64> = chances.iter().map(|chance| chance * f64::from(draws)).collect();
-                // what is missing led to nodes from which nothing arrives
+                // the missing chance led to nodes from which no light arrives
                 expected.push((1.0 - sum).max(0.0) * f64::from(draws));
                 // a single light that is certain leaves nothing to test
                 if expected.iter().filter(|&&expected| expected > 10.0).count() > 1 {
@@ -426,7 +431,7 @@ mod tests {
         }
     }
 
-    /// A light that sends something can be chosen, whatever the tree above it.
+    /// Every light that reaches the receiver can be chosen, in every tree.
     #[test]
     fn whatever_arrives_can_be_chosen() {
         for seed in 0..20 {
@@ -441,8 +446,8 @@ mod tests {
         }
     }
 
-    /// The second moment of irradiance estimated from one light, Σ E²/p, against that of a choice
-    /// by power alone: exact, without noise.
+    /// The sum Σ E²/p of irradiance estimated from one light, against that of a choice by power
+    /// alone: exact, without noise.
     #[test]
     fn the_tree_beats_a_choice_by_power() {
         let mut ratios = Vec::new();
@@ -483,8 +488,8 @@ mod tests {
         assert!(geometric > 2.0, "{geometric}");
     }
 
-    /// Of n stratified numbers each light gets n times its chance, whole: exact, where the chances
-    /// themselves would give one more or less.
+    /// With n stratified numbers each light gets n times its chance, a whole number. Unrounded
+    /// chances would give one more or less.
     #[test]
     fn a_few_lights_get_whole_parts() {
         for parts in [16u32, 64] {

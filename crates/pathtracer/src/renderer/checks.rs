@@ -2,7 +2,9 @@
 //! denoiser.
 //!
 //! ```text
-//! E[(F − c₁)(F − c₂)] = E[(F − truth)²]          for any picture F that knows nothing of c₁ and c₂, whose noises are independent
+//! E[(F − c₁)(F − c₂)] = E[(F − truth)²]
+//!
+//! for any picture F that is independent of c₁ and c₂, whose noises are independent
 //! ```
 //!
 //! One pixel is drawn in every square of [`SPACING`] × [`SPACING`].
@@ -28,7 +30,7 @@ pub struct Checks {
     pub(crate) list: Vec<Check>,
 }
 
-/// A pixel and what two independent renders make of it.
+/// A pixel and its radiance in two independent renders.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Check {
     pub(crate) row: usize,
@@ -76,7 +78,7 @@ impl Renderer {
     }
 }
 
-/// Whether a pixel is the one of its square.
+/// True if a pixel is the one that is drawn in its square.
 fn is_drawn(seed: u64, row: usize, col: usize) -> bool {
     let chosen = seed::derive(seed, &[(row / SPACING) as u64, (col / SPACING) as u64]) as usize % (SPACING * SPACING);
     chosen == row % SPACING * SPACING + col % SPACING

@@ -1,7 +1,7 @@
-//! What a view sees first, without its light: the guides of the denoiser.
+//! First surfaces of a view, without their light: the guides of the denoiser.
 //!
-//! Every number is the mean over the primary rays of a pixel that meet a surface. They carry next
-//! to no noise at a few rays per pixel, because nothing is traced beyond the first hit.
+//! Every number is the mean over the primary rays of a pixel that hit a surface. They have next to
+//! no noise at a few rays per pixel, because paths end at the first hit.
 
 use glam::{DVec3, Vec3};
 use lumistack_core::{NoProgress, Task, Tensor, seed};

@@ -1,7 +1,8 @@
 //! Views in two parts: light that the first surface scatters alike to all viewers, and all else.
 //!
 //! ```text
-//! L = D + G,   D: scattered by Lambert's law at the first surface, with the reflectance ρ_d;   E = D / ρ_d does not depend on the view
+//! L = D + G,   D: scattered by Lambert's law at the first surface, with the reflectance ρ_d
+//!             E = D / ρ_d does not depend on the view
 //! ```
 //!
 //! Where a path's light is weighted by the share of the diffuse lobe in the scattering function at
@@ -21,8 +22,8 @@ use crate::tracer::First;
 
 const VALUES: usize = SplitView::VALUES;
 
-/// A view's light in two parts, with what is known of the surfaces that it comes from: means over
-/// the samples of every pixel.
+/// A view's light in two parts, with data of the surfaces that it comes from: means over the
+/// samples of every pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplitView {
     /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal has

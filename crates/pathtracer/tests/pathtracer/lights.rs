@@ -1,10 +1,10 @@
-//! Every kind of light against its closed form, on a matt plane of albedo ρ at z = 0 seen from the
-//! front: L = ρ E / π.
+//! Every kind of light against its closed form, on a diffuse plane of albedo ρ at z = 0 seen from
+//! the front: L = ρ E / π.
 
 use std::f64::consts::PI;
 
 use crate::common::{
-    self, Builder, glowing, long_paths, matt, mean_of, one_view, rectangle, render, window, window_at,
+    self, Builder, diffuse, glowing, long_paths, mean_of, one_view, rectangle, render, window, window_at,
 };
 use glam::{DVec3, Vec3};
 use lumistack_core::Tensor;
@@ -18,7 +18,7 @@ const ROUNDING: f64 = 2e-5;
 
 fn plane() -> Builder {
     let mut scene = Builder::default();
-    scene.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), matt(ALBEDO));
+    scene.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), diffuse(ALBEDO));
     scene
 }
 
@@ -106,9 +106,9 @@ fn a_directional_light_gives_its_irradiance_times_the_cosine() {
     assert!(radiance.data().iter().all(|&v| v == 0.0));
 }
 
-/// A disc of the sky that faces a plane squarely gives it the irradiance that it is said to have,
-/// however wide; one that is turned aside and wholly above the horizon gives the cosine's share
-/// (the projected solid angle of a cone is π sin²θ cos of its axis).
+/// A disc of the sky that faces a plane squarely has the irradiance of its definition, at any
+/// width. One that is turned aside and wholly above the horizon has the cosine's share: the
+/// projected solid angle of a cone is π sin²θ times the cosine of its axis.
 #[test]
 fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     for (half_angle_rad, direction) in
@@ -123,8 +123,14 @@ fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
 }
 
 /// Irradiance at the origin from a square of half width w at height h, parallel to the plane and
-/// centred above it: E = 4 L s atan s, s = w/√(w² + h²), which is π L times four form factors of a
-/// corner (Siegel, Howell, "Thermal Radiation Heat Transfer").
+/// centred above it:
+///
+/// ```text
+/// E = 4 L s atan s,   s = w/√(w² + h²)
+/// ```
+///
+/// This is π L times four form factors of a corner (Siegel, Howell, "Thermal Radiation Heat
+/// Transfer").
 fn irradiance_below_square(radiance: f64, half_width: f64, height: f64) -> f64 {
     let s = half_width / half_width.hypot(height);
     4.0 * radiance * s * s.atan()
@@ -173,7 +179,7 @@ fn an_emission_texture_shines_where_it_is_bright() {
     mean_of(&radiance, 0).assert_is(expected, 1e-3 * expected, FALSE_ALARM_RATE);
 }
 
-/// A matt plane under a sky that changes with height: E = ∫ L cos dω.
+/// A diffuse plane under a sky that changes with height: E = ∫ L cos dω.
 #[test]
 fn environment_light_agrees_with_its_integral() {
     // the plane faces +z; the sky is 1 above the horizon y = 0 and 0 below it, so half of the
@@ -190,7 +196,7 @@ fn environment_light_agrees_with_its_integral() {
 /// glossy plane; the two weigh light sampling against scattering quite differently.
 #[test]
 fn sampling_lights_and_sampling_the_surface_agree() {
-    let metal = Material { metallic: 1.0, roughness: 0.4, ..matt(0.8) };
+    let metal = Material { metallic: 1.0, roughness: 0.4, ..diffuse(0.8) };
     let mut by_environment = Builder::default();
     by_environment.add(rectangle(Vec3::ZERO, 3.0 * Vec3::X, 3.0 * Vec3::Y), metal.clone()).sky(&[2.0, 2.0]);
     let mut by_triangles = Builder::default();
@@ -208,12 +214,12 @@ fn sampling_lights_and_sampling_the_surface_agree() {
     assert!(environment.value > 1.0);
 }
 
-/// The estimate has the same mean whatever the number of samples.
+/// The estimate has the same mean for any number of samples.
 #[test]
 fn the_mean_does_not_depend_on_the_number_of_samples() {
     let mut scene = plane();
     scene.sky(&[0.2, 1.0, 3.0]);
-    scene.add(common::sphere(Vec3::new(0.3, 0.0, 0.5), 0.4, 16), Material { ior: 1.5, roughness: 0.3, ..matt(0.7) });
+    scene.add(common::sphere(Vec3::new(0.3, 0.0, 0.5), 0.4, 16), Material { ior: 1.5, roughness: 0.3, ..diffuse(0.7) });
     scene.parts.lights.push(point_light(Vec3::new(-0.5, 0.5, 1.0), LightKind::Point, Vec3::NEG_Z));
     let renderer = scene.renderer();
     // the scene varies between pixels, so each pixel is compared with itself
@@ -315,7 +321,7 @@ fn hard_light_ends_where_the_smooth_surface_turns_away() {
     };
     for lights in [vec![sun], vec![at(0.25), at(0.75)]] {
         let mut scene = Builder::default();
-        scene.add(common::sphere(Vec3::ZERO, radius as f32, divisions), matt(ALBEDO));
+        scene.add(common::sphere(Vec3::ZERO, radius as f32, divisions), diffuse(ALBEDO));
         scene.parts.lights = lights;
         let size = 96;
         let radiance = render(&scene.renderer(), &window(), &one_view(size, [0.0, 0.0]), &long_paths(64));
