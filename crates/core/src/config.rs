@@ -14,7 +14,7 @@ pub struct ConfigError {
     pub column: usize,
     /// Byte range in the text.
     pub span: std::ops::Range<usize>,
-    /// What was found and what was expected.
+    /// The found value and the expected one, as a sentence.
     pub message: String,
     /// The known key that is spelled most like the unknown one.
     pub suggestion: Option<String>,
@@ -110,7 +110,7 @@ pub fn nearest_key(message: &str) -> Option<String> {
     nearest(unknown, names).map(String::from)
 }
 
-/// The candidate that is spelled most like `name`, when one is close enough to be what was meant.
+/// The candidate that is spelled most like `name`, if it is close enough to be a likely typo.
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()

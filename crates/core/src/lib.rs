@@ -1,5 +1,5 @@
-//! What every other crate shares: labelled tensors, colour, image metrics, seeds, large pages, and
-//! the [`Task`] handle that carries progress, cancellation and warnings.
+//! Foundations of every other crate: labelled tensors, colour, image metrics, seeds, large pages,
+//! and the [`Task`] handle that carries progress, cancellation and warnings.
 //!
 //! No file system, no clock, no threads: the crate also compiles to wasm32.
 

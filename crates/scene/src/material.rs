@@ -27,14 +27,13 @@ pub struct Material {
     pub emission: Vec3,
     /// RGB sRGB-encoded.
     pub emission_texture: Option<TextureUse>,
-    /// What alpha means.
+    /// Meaning of alpha.
     pub alpha_mode: AlphaMode,
-    /// Whether back faces are shaded; otherwise they are invisible.
+    /// True if back faces are shaded; otherwise they are invisible.
     pub double_sided: bool,
-    /// Shown with its base colour whatever the light (`KHR_materials_unlit`).
+    /// Shown with its base colour under any light (`KHR_materials_unlit`).
     pub unlit: bool,
-    /// Whether the surface stands for a light source of the file, and if so whether the viewer sees
-    /// it.
+    /// Marks a surface that stands for a light source of the file, seen or unseen by the viewer.
     pub lamp: Lamp,
     /// Index of refraction (`KHR_materials_ior`), ≥ 1; or 0, which says that dielectric reflection
     /// has no angular dependence and [`specular_color`](Self::specular_color) alone sets its colour
@@ -54,7 +53,7 @@ pub struct Material {
     pub transmission: f32,
     /// Red channel, linear.
     pub transmission_texture: Option<TextureUse>,
-    /// Whether the surface bounds a solid (`KHR_materials_volume`) and so refracts; otherwise it is
+    /// True if the surface bounds a solid (`KHR_materials_volume`) and so refracts; otherwise it is
     /// an infinitely thin wall.
     pub solid: bool,
     /// Colour of white light after [`attenuation_distance`](Self::attenuation_distance) inside a
@@ -66,7 +65,7 @@ pub struct Material {
     pub dispersion: f32,
     /// A clear layer on top.
     pub clearcoat: Option<Clearcoat>,
-    /// Fibres on top, as of velvet.
+    /// Fibres on top, as of cloth.
     pub sheen: Option<Sheen>,
     /// A thin film on the base.
     pub iridescence: Option<Iridescence>,
@@ -139,7 +138,7 @@ pub struct Anisotropy {
     pub texture: Option<TextureUse>,
 }
 
-/// Whether a surface stands for a light source. Glowing objects are none: they are geometry.
+/// Marks a surface that stands for a light source. Glowing objects are no lamps: they are geometry.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Lamp {
     /// A surface like any other.
@@ -225,13 +224,13 @@ impl Material {
         mapped.or(stretched)
     }
 
-    /// Whether the surface can emit light.
+    /// True if the surface can emit light.
     pub fn is_emissive(&self) -> bool {
         self.emission.max_element() > 0.0 || self.unlit
     }
 }
 
-/// What a material's alpha means.
+/// Meaning of a material's alpha.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AlphaMode {
     /// Alpha is ignored.
@@ -269,7 +268,7 @@ pub struct Texture {
     pub filter: Filter,
 }
 
-/// What lies outside the unit square of a texture.
+/// Content outside the unit square of a texture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Wrap {
     /// Tiles.
@@ -304,8 +303,7 @@ pub struct Image {
     pub pixels: Pixels,
 }
 
-/// Texels of an [`Image`]. Whether codes are sRGB-encoded or linear is decided by the slot that
-/// uses them.
+/// Texels of an [`Image`]. The slot that uses them decides if codes are sRGB-encoded or linear.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pixels {
     /// 8-bit codes.
@@ -326,7 +324,7 @@ impl Pixels {
         }
     }
 
-    /// Whether there are none.
+    /// True if there are no texels.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -4,7 +4,7 @@ use glam::{Affine3A, Quat, Vec2, Vec3, Vec4};
 
 use crate::{Cloud, Image, Material, PlacedCloud, Texture};
 
-/// A scene that nobody has checked yet; see [`SceneParts::validate`].
+/// A scene before its check; see [`SceneParts::validate`].
 #[derive(Clone, Debug, Default)]
 pub struct SceneParts {
     /// Name or path, for messages.

@@ -1,7 +1,8 @@
-//! Clouds of 3D Gaussians ("splats"), as captures of the real world are kept.
+//! Clouds of 3D Gaussians ("splats"), the format of captures of the real world.
 //!
 //! ```text
-//! G(x) = exp(−½ (x − μ)ᵀ Σ⁻¹ (x − μ)),   Σ = M R diag(s²) Rᵀ Mᵀ        M: the linear part of scene_from_cloud
+//! G(x) = exp(−½ (x − μ)ᵀ Σ⁻¹ (x − μ)),   Σ = M R diag(s²) Rᵀ Mᵀ
+//! M: the linear part of scene_from_cloud
 //! colour = max(0, ½ + Σ_lm c_lm Y_lm(direction from the viewer to μ))
 //! ```
 //!
@@ -35,7 +36,7 @@ pub struct Cloud {
     /// Coefficients c_lm, `[splat][coefficient][rgb]` with (degree + 1)² coefficients by degree l,
     /// then order m, in the cloud's axes.
     pub harmonics: Vec<f32>,
-    /// What colours are, and in which space they are blended.
+    /// Meaning of the colours, and the space in which they are blended.
     pub encoding: Encoding,
 }
 
@@ -74,7 +75,7 @@ impl Cloud {
         self.positions.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no splats.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -208,11 +209,11 @@ impl Cloud {
     }
 
     /// Bounds of the placed cloud without its floaters: the bulk by opacity times size on every
-    /// axis, and what stands near it.
+    /// axis, and the splats near it.
     pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
         let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
-        // what a splat covers; the largest, which are sky and haze, count no more than the large
-        // ones
+        // area that a splat covers; the largest splats, which are sky and haze, count no more than
+        // the large ones
         let mut areas: Vec<f32> = self.scales.iter().map(|s| (s.x * s.y).max(s.y * s.z).max(s.z * s.x)).collect();
         let mut sorted = areas.clone();
         sorted.sort_by(f32::total_cmp);

@@ -1,5 +1,5 @@
-//! From [`SceneParts`] to [`Scene`]: what cannot be rendered is refused, what can be mended is
-//! mended and reported.
+//! From [`SceneParts`] to [`Scene`]: defects that prevent rendering are errors, others are repaired
+//! and reported.
 
 use std::f32::consts::FRAC_PI_2;
 use std::ops::Deref;
@@ -31,14 +31,13 @@ impl Scene {
         self.bounds
     }
 
-    /// Bounds of what the viewer sees: all but [unseen lamps](Lamp::Unseen) and floating splats.
-    /// Those of everything where nothing else is there.
+    /// Bounds of all that the viewer sees: everything but [unseen lamps](Lamp::Unseen) and floating
+    /// splats. If nothing else is in the scene, the bounds of everything.
     pub fn seen_bounds(&self) -> Bounds {
         self.seen_bounds
     }
 
-    /// Whether the viewer sees an instance, if it stands in view: it is no [unseen
-    /// lamp](Lamp::Unseen).
+    /// True if the viewer can see an instance: it is no [unseen lamp](Lamp::Unseen).
     pub fn is_seen(&self, instance: &crate::Instance) -> bool {
         self.materials[self.meshes[instance.mesh].material].lamp != Lamp::Unseen
     }
@@ -60,8 +59,8 @@ impl Scene {
         })
     }
 
-    /// Whether something lights the scene: an environment, a punctual light, or a surface that
-    /// emits more than white (radiance 1). What emits less, such as a label or a display in the
+    /// True if something lights the scene: an environment, a punctual light, or a surface that
+    /// emits more than white (radiance 1). A dimmer surface, such as a label or a display in the
     /// scene, is seen but leaves the rest black.
     pub fn is_lit(&self) -> bool {
         // a picture of light has values of its own; codes reach 1

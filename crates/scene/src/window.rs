@@ -58,15 +58,15 @@ pub enum WindowError {
     Camera {
         /// The camera.
         name: String,
-        /// What it has.
+        /// Its focus distance and field of view.
         found: String,
     },
     /// Numbers that make no rectangle.
     #[error("window: expected {expected}, found {found}")]
     Given {
-        /// What was needed.
+        /// The expected value or range.
         expected: &'static str,
-        /// What was given.
+        /// The value found.
         found: String,
     },
 }
@@ -146,10 +146,9 @@ impl Window {
         Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| near / factor) }
     }
 
-    /// The window moved back along its normal by `by_mm`, so that what was at depth −`by_mm` lies
-    /// in its plane. What is seen straight on stays: a window for parallel projections keeps its
-    /// size, and one before an eye at `eye_mm` grows with the distance, eye and frustum staying
-    /// where they are.
+    /// The window moved back along its normal by `by_mm`, so that depth −`by_mm` becomes its plane.
+    /// The view from straight ahead stays. A window for parallel projections keeps its size. One
+    /// before an eye at `eye_mm` grows with the distance, while eye and frustum stay.
     #[must_use]
     pub fn moved_back(&self, by_mm: f64, eye_mm: Option<f64>) -> Self {
         let map = self.scene_from_display;

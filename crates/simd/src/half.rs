@@ -1,7 +1,7 @@
 //! Half floats without an instruction for them.
 
-/// A finite half float as `f32`, without branches: shifted into place, then scaled by 2^112 for the
-/// difference of the exponents' biases, which makes subnormal numbers come out right too.
+/// A finite half float as `f32`, without branches. The bits are shifted into place, then scaled by
+/// 2^112 for the difference of the exponents' biases. So subnormal numbers are right too.
 #[inline(always)]
 pub fn float_from_half(half: u16) -> f32 {
     let bits = u32::from(half);

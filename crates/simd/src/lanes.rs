@@ -11,7 +11,7 @@ pub trait Lanes: Copy {
     type Mask: Copy;
     /// Number of values; divides [`MAX_LANES`](crate::MAX_LANES).
     const COUNT: usize;
-    /// Number of vectors that registers hold; 0 where the compiler decides what a vector is.
+    /// Number of vectors that registers hold; 0 where the compiler chooses the width of a vector.
     const REGISTERS: usize;
 
     /// The same value in all lanes.

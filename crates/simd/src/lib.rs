@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Kernel::run::<V: Lanes>      written once
-//!     Backend::function        one small function per kernel and instruction set, to be put into tables
+//!     Backend::function        one small function per kernel and instruction set, for tables
 //!     Backend::call_eight      the same with vectors of exactly eight lanes, called at once
 //!     Lanes::call              from one kernel to another, out of line
 //! ```

@@ -1,8 +1,8 @@
 //! Separable filters: out[i] = Σ_k weights[k] · in[i + k − radius], along rows, then along columns.
 //!
 //! Pictures are filtered band by band, so that a metric's many intermediate planes take little
-//! memory: a band is a few rows with a halo of rows above and below, filled by the border's rule
-//! where the picture ends.
+//! memory. A band is a few rows with a halo of rows above and below. The border's rule fills the
+//! halo where the picture ends.
 
 use std::ops::{AddAssign, Mul, Range};
 
@@ -23,7 +23,7 @@ pub(super) trait Real: Copy + Default + Mul<Output = Self> + AddAssign {}
 impl Real for f32 {}
 impl Real for f64 {}
 
-/// What a filter reads beyond the picture.
+/// Pixels that a filter reads outside of the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Border {
     /// The outermost pixel: a a | a b c | c c.

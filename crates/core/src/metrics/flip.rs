@@ -1,16 +1,19 @@
-//! FLIP: the error that an eye sees when it flips between two pictures.
+//! FLIP: the difference that a person sees when two pictures alternate.
 //!
 //! ```text
-//! colour    linear RGB ─▶ Y Cx Cz ─▶ contrast sensitivity filters (Gaussians) ─▶ clamped RGB ─▶ Lab, a and b times L/100 (Hunt)
-//!           ΔE_c = HyAB distance ^ 0.7, mapped to 0..1: up to 0.4 of the largest distance to 0..0.95, the rest to 0.95..1
-//! features  Y ─▶ first and second derivatives of a Gaussian of 0.082°/2 ─▶ edges and points, lengths over x and y
+//! colour    linear RGB ─▶ Y Cx Cz ─▶ contrast sensitivity filters (Gaussians) ─▶ clamped RGB
+//!             ─▶ Lab, a and b times L/100 (Hunt)
+//!           ΔE_c = HyAB distance ^ 0.7, mapped to 0..1:
+//!             up to 0.4 of the largest distance to 0..0.95, the rest to 0.95..1
+//! features  Y ─▶ first and second derivatives of a Gaussian of 0.082°/2 ─▶ edges and points,
+//!             lengths over x and y
 //!           ΔE_f = (larger difference / √2) ^ 0.5
 //! FLIP      ΔE_c ^ (1 − ΔE_f), 0 (equal) to 1 (worst)
 //! ```
 //!
-//! Filters are given in degrees of visual angle, so the error depends on how many pixels a degree
-//! holds; they read the outermost pixel beyond a picture's edge. Every filter is separable, the sum
-//! of two Gaussians of Cz as two separate filters whose total weight is 1.
+//! Filters have their size in degrees of visual angle, so the error depends on the number of pixels
+//! per degree. They read the outermost pixel past a picture's edge. Every filter is separable. The
+//! sum of two Gaussians of Cz is two separate filters whose total weight is 1.
 //!
 //! Source: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference
 //! Evaluator for Alternating Images", High Performance Graphics 2020 (LDR-FLIP). Checked against
@@ -53,7 +56,7 @@ pub struct Flip {
     colours: Colours,
 }
 
-/// What the eye has of a band of a picture.
+/// A band of a picture after the filters of the visual system.
 struct Seen {
     /// Lab after Hunt's effect, one value per pixel each.
     lightness: Vec<f32>,
@@ -123,7 +126,7 @@ impl Flip {
         MetricMap { rows, cols, values, margin: 0 }
     }
 
-    /// What the eye has of a band of a picture.
+    /// Filters a band of a picture as the visual system does.
     fn seen(&self, rgb: &[f32], shape: [usize; 2], band: &Range<usize>) -> Seen {
         let halo = self.y.len().max(self.smooth.len()) / 2;
         let clamped = |value: f32| if value > 0.0 { value.min(1.0) } else { 0.0 };
