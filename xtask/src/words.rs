@@ -17,6 +17,8 @@ use crate::tools::{Outcome, command, output_of, root};
 #[rustfmt::skip]
 const CLEAN: &[&str] = &[
     "crates/core",
+    "crates/display",
+    "crates/gltf",
     "crates/pathtracer",
     "crates/scene",
     "crates/simd",

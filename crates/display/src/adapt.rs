@@ -12,11 +12,11 @@ const SAME: f64 = 1e-9;
 const MOST_BINS: usize = 64;
 
 impl Display {
-    /// The same display at another resolution: the field becomes `resolution` = [columns, rows]
-    /// pixels over the same width, and the masks are scaled by the same factors, and so is the
-    /// number of lenslets over at least the same share of the field. Point spreads keep their width
-    /// in millimetres: a coarse preview keeps the display's character. Physical panels stay, and
-    /// colour filters stay stripes of one mask column.
+    /// The same display at another resolution. The field becomes `resolution` = [columns, rows]
+    /// pixels over the same width. The masks and the number of lenslets are scaled by the same
+    /// factors, the lenslets over at least the same share of the field. Point spreads keep their
+    /// width in millimetres, so that a coarse preview keeps the display's character. Physical
+    /// panels stay, and colour filters stay stripes of one mask column.
     #[must_use]
     pub fn with_resolution(&self, resolution: [usize; 2]) -> Self {
         let mut display = self.clone();
@@ -46,12 +46,13 @@ impl Display {
         display
     }
 
-    /// The same display for a light field that already exists: masks take its resolution and size,
-    /// the view grid its angles (as the full angle whose bins are as wide as the field's). Lenslets
-    /// scale with the masks. The backlight's bins follow the views per axis: as many bins to a view
-    /// as the display has for its own, so that a backlight made for the display's views has one bin
-    /// for each of the light field's, and more where rays of perspective or one-sided views leave
-    /// them. Distances and frames stay.
+    /// The same display for a light field that already exists. Masks take its resolution and size.
+    /// The view grid takes its angles, as the full angle whose bins are as wide as the field's.
+    /// Lenslets scale with the masks. Distances and frames stay.
+    ///
+    /// The backlight's bins follow the views per axis: as many bins to a view as the display has
+    /// for its own. So a backlight made for the display's views has one bin for each of the light
+    /// field's. It has more where rays of perspective or one-sided views leave these bins.
     ///
     /// # Errors
     /// If the light field's rays spread over so many of a view's widths that the backlight would
@@ -120,7 +121,7 @@ impl Display {
         };
         let width = geometry.grid.bin_width()[axis];
         if width == 0.0 {
-            // nothing to tell apart: the bins of one view, over all of its rays
+            // one view has no directions to separate: the bins of one view, over all of its rays
             let bins = (own_bins / own_views).round().max(1.0) as usize;
             let reach = outermost + fan;
             let fov_deg = if reach < bins_reach { own.fov_deg[axis] } else { full_angle_deg(reach * 1.001) };
@@ -230,7 +231,7 @@ mod tests {
     }
 
     /// The bins that the rays of each view column (axis 0) or row (axis 1) read; no ray may lie
-    /// beyond them.
+    /// outside of them.
     fn bins_of_views(display: &Display, geometry: &FieldGeometry, axis: usize) -> Vec<std::collections::BTreeSet<u32>> {
         let map = crate::RayMap::new(display, geometry);
         let backlight = map.backlight.as_ref().unwrap();

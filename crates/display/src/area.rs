@@ -1,11 +1,11 @@
-//! Where the rays of one view meet the display, over the whole area of every field pixel.
+//! Intersections of the rays of one view with the display, over the whole area of every field
+//! pixel.
 //!
-//! Layers are squares of constant value, so along an axis the pixel that a ray meets changes only
+//! Layers are squares of constant value. So along an axis the pixel that a ray reads changes only
 //! where the ray passes an edge. An axis of a field pixel is cut at all these edges: of every
 //! layer, of the lenslets and of their bins. Between two cuts all rays read the same, so one ray
-//! with the part's width for a weight stands for them. The map is separable, hence so are the
-//! parts: a pixel's area is the product of its parts along x and along y, and the mean over it is
-//! exact.
+//! with the part's width as weight represents them. The map is separable, hence so are the parts: a
+//! pixel's area is the product of its parts along x and along y. The mean over it is exact.
 
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
@@ -63,7 +63,7 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
         if let Backlight::Lenslets(lenslets) = &display.backlight {
             let count = lenslets.lenslets[axis.index()];
             cut_at_whole_numbers(&mut cuts, [&first, &last].map(|ray| axis.lenslet(lenslets, ray)), count);
-            // bins may repeat beyond their range, but not farther than the lenslets reach
+            // bins may repeat outside their range, but not farther than the lenslets reach
             let bins = [&first, &last].map(|ray| axis.bin(lenslets, ray));
             let reach = lenslets.views[axis.index()].saturating_mul(count + 1);
             cut_at_whole_numbers(&mut cuts, bins.map(|bin| bin + reach as f64), reach.saturating_mul(2));

@@ -1,10 +1,10 @@
-//! What lights the layers.
+//! The light source behind the layers.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Lens, Panel, Transfer};
 
-/// What lights the layers.
+/// The light source behind the layers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", tag = "kind")]
 #[allow(clippy::large_enum_variant, reason = "a display has one")]
@@ -37,7 +37,7 @@ pub struct LensletBacklight {
     /// of the optimized emission.
     #[serde(default)]
     pub black_level: f64,
-    /// What a ray reads beyond the bins.
+    /// Value of a ray outside the bins.
     #[serde(default)]
     pub outside_bins: OutsideBins,
     /// From linear values to the code values of the panel behind the lenslets.
@@ -49,7 +49,7 @@ pub struct LensletBacklight {
     /// Pitch of that panel, millimetres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_pitch_mm: Option<f64>,
-    /// What drives that panel, and where its pixels are; patterns do not depend on it.
+    /// Calibration of that panel; patterns do not depend on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel: Option<Panel>,
     /// The lens array as built; patterns do not depend on it.
@@ -78,12 +78,12 @@ impl LensletBacklight {
         }
     }
 
-    /// [darkest, brightest] emission that the solver may ask for.
+    /// [darkest, brightest] emission that the solver may use.
     pub fn range(&self) -> [f32; 2] {
         [self.black_level as f32, 1.0]
     }
 
-    /// What the transfer function encodes to emit `value`: 0 for the darkest state, 1 for the
+    /// Input of the transfer function for emitting `value`: 0 for the darkest state, 1 for the
     /// brightest. Values outside the range are clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) - self.black_level) / (1.0 - self.black_level);
@@ -91,7 +91,7 @@ impl LensletBacklight {
     }
 }
 
-/// What a ray reads beyond a lenslet's angular bins.
+/// Value of a ray outside a lenslet's angular bins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum OutsideBins {

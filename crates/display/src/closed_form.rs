@@ -1,13 +1,14 @@
-//! The paper's closed forms of the bound on depth of field, eqs. (23) to (26), with what each
-//! assumes of a display.
+//! The paper's closed forms of the bound on depth of field, eqs. (23) to (26), with their
+//! assumptions about a display.
 //!
 //! With slopes (d_r = 1), ω0 = 1/(2p), Δs = (2/A) tan(α/2), Δd the distance of neighbouring layers
 //! and z the depth:
 //!
 //! ```text
-//! (23) lens array                1/(2Δx)          if |z| ≤ Δx/Δs,                   else 1/(2|z|Δs)
+//! (23) lens array               1/(2Δx)          if |z| ≤ Δx/Δs,                  else 1/(2|z|Δs)
 //! (24) two layers                ω0 · 2Δd/(Δd + 2|z|)
-//! (25) three layers              ω0 · 3Δd/(Δd + |z|)   if |z| ≤ 2Δd,               else ω0 · 2Δd/|z|
+//! (25) three layers             ω0 · 3Δd/(Δd + |z|)   if |z| ≤ 2Δd,               else ω0 ·
+//! 2Δd/|z|
 //! (26) a layer on a lens array   1/(2Δx) + ω0     if |z| ≤ Δx/(Δs + 2ΔxΔsω0),      else 1/(2|z|Δs)
 //! ```
 //!
@@ -21,7 +22,7 @@ use crate::{Backlight, Display};
 pub struct ClosedForm {
     /// Its number in the paper, 23 to 26.
     pub equation: u32,
-    /// What it assumes, for people.
+    /// Its assumptions, for the user.
     pub assumes: &'static str,
     /// Which of that the display breaks; empty where the closed form is exact.
     pub broken: Vec<String>,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Whether the colours of a frame are shown together or one after another.
+/// Order of the colours of a frame in time: together, or one after another.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ColourSequence {
@@ -37,7 +37,7 @@ impl Default for ColourOrder {
 }
 
 impl ColourOrder {
-    /// Whether it is red, green, blue.
+    /// True if the order is red, green, blue.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }

@@ -22,7 +22,7 @@ pub struct SeenDepth {
     /// Columns of the map, over the whole width.
     pub cols: usize,
     /// z of the first surface in display space, `[row][col]`, millimetres towards the viewer;
-    /// `None` where a ray meets nothing.
+    /// `None` where a ray hits nothing.
     pub z_mm: Vec<Option<f32>>,
 }
 

@@ -1,11 +1,12 @@
 //! How the layers of one frame form an image.
 //!
-//! With v_n the value that a ray meets on layer n in frame m, and b_m the backlight's:
+//! With v_n the value of layer n in frame m at the ray's intersection, and b_m the backlight's:
 //!
 //! ```text
 //! attenuating    L̃ = (1/M) Σ_m b_m Π_n v_n               (eqs. 7 and 18)
 //! additive       L̃ = (1/M) Σ_m (b_m + Σ_n v_n)           b_m = 0 for a uniform backlight
-//! polarization   L̃ = (1/M) Σ_m b_m sin²(π/2 · Σ_n v_n)   (Lanman et al., "Polarization Fields", SIGGRAPH Asia 2011)
+//! polarization   L̃ = (1/M) Σ_m b_m sin²(π/2 · Σ_n v_n)
+//!                (Lanman et al., "Polarization Fields", SIGGRAPH Asia 2011)
 //! ```
 
 use serde::{Deserialize, Serialize};

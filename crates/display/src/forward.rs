@@ -1,13 +1,14 @@
-//! The forward model: what a display emits; the equations are those of [`Formation`], channels
-//! independent.
+//! The forward model: the light that a display emits. The equations are those of [`Formation`],
+//! channels independent.
 //!
-//! Rays meet what the layers' hardware makes of the stored values ([`LayerStack::effective`]); a
-//! [`Simulator`] works that out once and then gives any number of views.
+//! Rays read the stored values after the response of the layers' hardware
+//! ([`LayerStack::effective`]). A [`Simulator`] computes that once and then renders any number of
+//! views.
 //!
 //! The simple version reads four pixels of a layer for every ray. Departure: where the rays of a
-//! view meet single pixels one after another – nearest sampling at equal pitch, any view along the
-//! layer's own pixels, or the parts of pixels of a seen picture – whole lines are combined at once
-//! (`Reads::Runs`), to the same bits.
+//! view read single pixels one after another, whole lines are combined at once (`Reads::Runs`), to
+//! the same bits. This holds for nearest sampling at equal pitch, for any view along the layer's
+//! own pixels, and for the parts of pixels of a seen picture.
 
 use std::borrow::Cow;
 
@@ -22,10 +23,10 @@ pub const LEAST_SHARE: f32 = 0.5;
 /// One emitted view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmittedView {
-    /// Emitted radiance L̃, `[row][col][rgb]`; divide by the stack's brightness for what an adapted
-    /// viewer sees. Rays that leave the display are 0.
+    /// Emitted radiance L̃, `[row][col][rgb]`; divided by the stack's brightness it is the picture
+    /// of an adapted viewer. Rays that leave the display are 0.
     pub radiance: Tensor<3>,
-    /// Whether the ray counts, `[row][col]` row-major: false where it misses the display under the
+    /// True if the ray counts, `[row][col]` row-major: false where it misses the display under the
     /// display's [`Missing`] rule.
     pub valid: Vec<bool>,
 }
@@ -34,8 +35,8 @@ pub struct EmittedView {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenView {
     /// Mean of the emitted radiance L̃ over the part of the pixel whose rays count,
-    /// `[row][col][rgb]`; 0 where none counts. Divide by the stack's brightness for what an adapted
-    /// viewer sees.
+    /// `[row][col][rgb]`; 0 where none counts. Divided by the stack's brightness it is the picture
+    /// of an adapted viewer.
     pub radiance: Tensor<3>,
     /// That part of the pixel's area, 0..1, `[row][col]` row-major: the rest misses the display
     /// under its [`Missing`] rule.
@@ -53,12 +54,12 @@ impl From<SeenView> for EmittedView {
 #[derive(Clone, Debug)]
 pub struct Simulator<'a> {
     display: &'a Display,
-    /// What rays meet.
+    /// The stack after the layers' response.
     stack: Cow<'a, LayerStack>,
 }
 
 impl<'a> Simulator<'a> {
-    /// Works out what rays meet: the one step that does not depend on the view.
+    /// Applies the layers' response, the one step that does not depend on the view.
     pub fn new(display: &'a Display, stack: &'a LayerStack) -> Self {
         Self { display, stack: stack.effective(display) }
     }
@@ -138,7 +139,7 @@ impl<'a> Simulator<'a> {
     }
 }
 
-/// What the rows of one view emit, one after another, in storage that is kept.
+/// Emission of the rows of one view, one after another, in storage that is reused.
 struct Lines<'a> {
     simulator: &'a Simulator<'a>,
     map: &'a RayMap,
@@ -201,7 +202,7 @@ pub fn view_from_eye(display: &Display, stack: &LayerStack, eye_mm: [f64; 3]) ->
     Simulator::new(display, stack).from_eye(eye_mm)
 }
 
-/// Whether a ray counts: it meets the lenslet grid and, under [`Missing::Drop`], every layer.
+/// True if a ray counts: it intersects the lenslet grid and, under [`Missing::Drop`], every layer.
 #[inline]
 pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize, col: usize) -> bool {
     let layers = missing == Missing::Clear
@@ -365,7 +366,7 @@ mod tests {
         assert!(right.1 < straight.1 && right.0 == straight.0, "{right:?}");
         let up = dark(&view_from_slope(&display, &stack, [0.0, 0.1]));
         assert!(up.0 > straight.0 && up.1 == straight.1, "{up:?}");
-        // a far eye on the axis sees what the parallel projection shows
+        // a far eye on the axis has the picture of the parallel projection
         let far = view_from_eye(&display, &stack, [0.0, 0.0, 1e7]);
         let straight = view_from_slope(&display, &stack, [0.0, 0.0]);
         let differences = far.radiance.data().iter().zip(straight.radiance.data()).map(|(a, b)| (a - b).abs());
@@ -414,7 +415,7 @@ mod tests {
             }
         }
         assert!(lines > 20 && taps > 20, "{lines} {taps}");
-        // a layer that no ray meets, and no ray at all
+        // a layer that every ray misses, and no ray at all
         let missed = Tap { first: Tap::MISSED, second: Tap::MISSED, t: 0.0 };
         assert!(
             [&[][..], &[missed; 3]].iter().all(|taps| matches!(Reads::of(taps), Reads::Runs(runs) if runs.is_empty()))

@@ -32,9 +32,9 @@ pub struct ViewGrid {
 pub struct GridError {
     /// Which number.
     pub what: &'static str,
-    /// What was needed.
+    /// The expected value or range.
     pub expected: &'static str,
-    /// What was there.
+    /// The value found.
     pub found: String,
 }
 
@@ -46,8 +46,11 @@ impl GridError {
 
 impl ViewGrid {
     /// `views` = [horizontal, vertical] views at the centres of equal bins of the slope, over full
-    /// angles `fov_deg`: s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2), s_y alike with the topmost
-    /// view first. The spacing is eq. 23's Δv.
+    /// angles `fov_deg`. s_y is alike, with the topmost view first. The spacing is eq. 23's Δv.
+    ///
+    /// ```text
+    /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2)
+    /// ```
     ///
     /// # Errors
     /// If there are no views, or an angle is outside 0..180°, or the viewing distance is not above
@@ -129,9 +132,9 @@ impl ViewGrid {
         Self { projection: self.projection, slope_x: midpoints(&self.slope_x), slope_y: midpoints(&self.slope_y) }
     }
 
-    /// Views beyond the zone: `steps` on the left and as many on the right of the outermost
-    /// columns, one mean spacing apart, in the middle row; of a grid with one column above and
-    /// below. `None` without steps or without two different views.
+    /// Views outside the zone: `steps` to the left and to the right of the outermost columns, one
+    /// mean spacing apart, in the middle row. A grid with one column has them above and below.
+    /// `None` without steps or without two different views.
     pub fn outside(&self, steps: usize) -> Option<Self> {
         let beyond = |slopes: &[f64]| {
             let (low, high) = slopes.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));
@@ -179,9 +182,9 @@ impl Projection {
         }
     }
 
-    /// Where content at depth `z_mm` appears when its parallax is `factor` times its own: factor ·
-    /// z of parallel projections; of pinholes at distance D that z' with z'/(D − z') = factor ·
-    /// z/(D − z).
+    /// Apparent depth of content at depth `z_mm` whose parallax is multiplied by `factor`. For
+    /// parallel projections it is factor · z. For pinholes at distance D it is the z' with z'/(D −
+    /// z') = factor · z/(D − z).
     pub fn scaled_depth(self, z_mm: f64, factor: f64) -> f64 {
         match self {
             Self::Oblique => factor * z_mm,

@@ -1,4 +1,4 @@
-//! One layer: where it stands, what its pixels can do, and what its hardware does to them.
+//! One layer: its place, the range of its pixels, and the response of its hardware.
 //!
 //! A stored value f is absolute: the transmittance (or emission, or rotation in units of 90°) of a
 //! mask pixel. The panel reaches
@@ -7,8 +7,8 @@
 //! f = peak · (black + (1 − black) · decode(code / (2^bits − 1)))
 //! ```
 //!
-//! so f lies in the box [black · peak, peak]. What rays then meet is [`Layer::response`] of the
-//! stored values.
+//! so f lies in the box [black · peak, peak]. Rays then read [`Layer::response`] of the stored
+//! values.
 
 use serde::{Deserialize, Serialize};
 
@@ -29,8 +29,8 @@ pub struct Layer {
     /// nearest sampling they round.
     #[serde(default)]
     pub offset_mm: [f64; 2],
-    /// Value of the brightest state, above 0 and at most 1: what a filter, a polarizer or clear
-    /// film takes away even where it is open.
+    /// Value of the brightest state, above 0 and at most 1: the share that is left after the
+    /// filter, polarizer or clear film of an open pixel.
     #[serde(default = "default_peak")]
     pub peak: f64,
     /// Value of the darkest state relative to the brightest, 0 to less than 1: one over the
@@ -46,11 +46,11 @@ pub struct Layer {
     /// Standard deviation of the layer's Gaussian point spread, mask pixels, 0 to 8.
     #[serde(default)]
     pub blur_px: f64,
-    /// What each emitted channel (row) takes of each mask channel (column): entries ≥ 0, row sums
-    /// above 0 and at most 1. None: each its own.
+    /// Share of each mask channel (column) in each emitted channel (row): entries ≥ 0, row sums
+    /// above 0 and at most 1. None: each channel its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
-    /// Whether a mask pixel has three values or one.
+    /// Values per mask pixel: three or one.
     #[serde(default)]
     pub colour: LayerColour,
     /// Column stripes of colour filters on a `mono` layer: column j has the RGB factors
@@ -63,7 +63,7 @@ pub struct Layer {
     /// Pitch of the physical panel, millimetres, where it differs from the mask's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_pitch_mm: Option<f64>,
-    /// What drives the physical panel, and where its pixels are; patterns do not depend on it.
+    /// Calibration of the physical panel; patterns do not depend on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel: Option<Panel>,
 }
@@ -72,7 +72,7 @@ fn default_peak() -> f64 {
     1.0
 }
 
-/// Whether a mask pixel has three values or one.
+/// Values per mask pixel: three or one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LayerColour {
@@ -127,7 +127,7 @@ impl Layer {
         Some((0..codes).map(level).collect())
     }
 
-    /// What the transfer function encodes to show `value`: 0 for the darkest state, 1 for the
+    /// Input of the transfer function for showing `value`: 0 for the darkest state, 1 for the
     /// brightest. Values outside the range are clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) / self.peak - self.black_level) / (1.0 - self.black_level);
@@ -168,7 +168,7 @@ mod tests {
                 let layer = Layer { bits: Some(bits), transfer: transfer.clone(), ..limited() };
                 let levels = layer.levels().unwrap();
                 assert_eq!(levels.len(), 1 << bits);
-                // above black, 16 bits come closer together than single precision tells apart
+                // above black, steps of 16 bits are finer than single precision
                 let rise = |pair: &[f32]| if bits < 16 { pair[0] < pair[1] } else { pair[0] <= pair[1] };
                 assert!(levels.windows(2).all(rise), "{transfer:?}, {bits} bits");
                 assert_eq!([levels[0], levels[levels.len() - 1]], layer.range());

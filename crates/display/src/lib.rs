@@ -1,5 +1,5 @@
-//! The display: its description, the view grids it is made for, where rays meet its layers, and
-//! what it emits.
+//! The display: its description, its view grids, the intersections of rays with its layers, and its
+//! emission.
 //!
 //! Display space is right-handed millimetres: origin at the centre of the light field's rectangle,
 //! x right, y up, z to the viewer; z = 0 is the zero-parallax plane. Array indices count down and
@@ -8,7 +8,8 @@
 //!
 //! ```text
 //! Display + FieldGeometry ──▶ RayMap ─────────────────┐
-//! Display + LayerStack ──▶ what rays meet (Response) ──┴─▶ Simulator ──▶ views ──▶ score against a LightField
+//! Display + LayerStack ──▶ effective stack (Response) ─┴─▶ Simulator ─▶ views ─▶ score
+//!                                                                       against a LightField
 //! ```
 
 mod adapt;

@@ -2,12 +2,13 @@
 //! its pixels really are.
 //!
 //! ```text
-//! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal place (x, y) mm ─homography─▶ place on the layer, mm ─pitch─▶ mask pixel
+//! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal place (x, y) mm
+//!     ─homography─▶ place on the layer, mm ─pitch─▶ mask pixel
 //!
 //! x = (u − nudge_x − u_centre) · panel_pitch,   y = (v_centre − v + nudge_y) · panel_pitch
 //! ```
 //!
-//! Patterns do not depend on any of this: it is what an output does with them.
+//! Patterns do not depend on any of this: outputs apply it.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,8 +19,8 @@ use crate::Sampling;
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Panel {
-    /// Name of the output that drives it, as `lumistack show --list` prints it; without it the
-    /// outputs that nobody names, from left to right.
+    /// Name of the output that drives it, as `lumistack show --list` prints it. Panels without a
+    /// name take the outputs that no panel names, from left to right.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<String>,
     /// How far the upright picture is turned on the output, clockwise: 0, 90, 180 or 270 degrees.
@@ -39,9 +40,9 @@ pub struct Panel {
     /// up: rows of a 3 × 3 matrix. Default: where it should.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homography: Option<[[f64; 3]; 3]>,
-    /// Crosstalk that was measured and that the patterns do not know of (`layers[].crosstalk` is
-    /// what they know): made up for when they are shown. Row = emitted channel, column = channel of
-    /// the picture.
+    /// Measured crosstalk that the patterns do not account for (they account for
+    /// `layers[].crosstalk`). It is compensated when they are shown. Row = emitted channel, column
+    /// = channel of the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
     /// How a panel pixel reads the mask.
@@ -62,8 +63,8 @@ pub enum Flip {
     Vertical,
 }
 
-/// A lens array as built, where it differs from what the patterns were made for. In a browser all
-/// is default, as in [`Panel`].
+/// A lens array as built, where it differs from the one that the patterns were made for. In a
+/// browser all is default, as in [`Panel`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Lens {
@@ -103,7 +104,7 @@ mod unread {
 const SINGULAR: f64 = 1e-9;
 
 impl Panel {
-    /// What is wrong with it: the key, what was expected and what was found.
+    /// The first invalid key, the expected value and the value found.
     pub(crate) fn problem(&self) -> Option<(&'static str, &'static str, String)> {
         if !matches!(self.rotate_deg, 0 | 90 | 180 | 270) {
             return Some(("rotate_deg", "0, 90, 180 or 270", self.rotate_deg.to_string()));

@@ -1,4 +1,4 @@
-//! A display from what its builder knows: panels of one kind, the gaps between them, and maybe a
+//! A display from the data of its builder: panels of one kind, the gaps between them, and maybe a
 //! lens array.
 
 use crate::{Backlight, Display, DisplayError, Lens, LensletBacklight, Panel, Transfer};
@@ -29,7 +29,7 @@ pub struct PanelStack {
     pub refresh_hz: f64,
     /// Brightness scale β.
     pub brightness: f64,
-    /// What a code value lets through.
+    /// Transmittance of each code value.
     pub transfer: Transfer,
     /// Transmittance of black.
     pub black_level: f64,

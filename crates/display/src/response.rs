@@ -1,5 +1,5 @@
-//! What a layer's hardware does to the values that it stores: the linear map A from mask pixels to
-//! what rays meet.
+//! The response of a layer's hardware to the stored values: the linear map A from mask pixels to
+//! the values that rays read.
 //!
 //! ```text
 //! F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c')
@@ -27,8 +27,8 @@ pub struct Response {
 const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl Layer {
-    /// What the hardware does to this layer's values; `None` where rays meet just what is stored
-    /// and every channel is free.
+    /// The hardware's response to this layer's values. `None` where rays read the stored values and
+    /// every channel is free.
     pub fn response(&self) -> Option<Response> {
         let response = Response::of(self);
         (response.is_tied() || !response.is_identity()).then_some(response)
@@ -46,17 +46,17 @@ impl Response {
         }
     }
 
-    /// Whether the three channels of a pixel are one unknown.
+    /// True if the three channels of a pixel are one unknown.
     pub fn is_tied(&self) -> bool {
         self.tied
     }
 
-    /// Whether rays meet just what is stored.
+    /// True if rays read the stored values.
     pub fn is_identity(&self) -> bool {
         !self.is_blurred() && self.filters.is_empty() && self.mix == IDENTITY
     }
 
-    /// Whether there is any blur.
+    /// True if there is any blur.
     pub fn is_blurred(&self) -> bool {
         !self.spread.is_identity()
     }

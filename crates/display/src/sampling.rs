@@ -6,14 +6,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Sampling {
-    /// The pixel it meets: floor(ξ + ½).
+    /// The pixel at the intersection: floor(ξ + ½).
     #[default]
     Nearest,
     /// A mixture of the four around it.
     Bilinear,
 }
 
-/// What a ray reads that leaves a layer.
+/// Rule for a ray that leaves a layer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Missing {

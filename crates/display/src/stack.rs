@@ -12,7 +12,8 @@ use crate::{Backlight, Display};
 pub struct LayerStack {
     /// Per layer, rearmost first: `transmittance[frame][row][col][rgb]`.
     pub layers: Vec<Tensor<4>>,
-    /// Of a directional backlight: `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
+    /// Emission of a directional backlight:
+    /// `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
     pub emission: Option<Tensor<6>>,
     /// β: the display emits β times the target.
     pub brightness: f64,
@@ -24,9 +25,9 @@ pub struct LayerStack {
 pub struct StackError {
     /// Which part.
     pub what: String,
-    /// What the display needs.
+    /// The shape or range that the display needs.
     pub expected: String,
-    /// What the stack has.
+    /// The value of the stack.
     pub found: String,
 }
 
@@ -66,7 +67,7 @@ impl LayerStack {
         self.layers.first().map_or(0, |layer| layer.shape()[0])
     }
 
-    /// The stack that rays meet: every layer's [`Response`](crate::Response) applied. Borrowed
+    /// The stack that rays read: every layer's [`Response`](crate::Response) applied. Borrowed
     /// where no layer has one that changes values.
     pub fn effective(&self, display: &Display) -> Cow<'_, Self> {
         let responses: Vec<_> =

@@ -1,15 +1,16 @@
-//! From linear values to a panel's code values and back: standard curves, or what was measured on
-//! the panel.
+//! From linear values to a panel's code values and back: standard curves, or measurements of the
+//! panel.
 //!
 //! A measured table holds pairs (code, amount of light), each in any unit: the first pair is the
 //! darkest state and the last the brightest, and
 //!
 //! ```text
-//! code → (code − code_first) / (code_last − code_first),   light → (light − light_first) / (light_last − light_first)
+//! code → (code − code_first) / (code_last − code_first)
+//! light → (light − light_first) / (light_last − light_first)
 //! ```
 //!
-//! with straight lines in between. How bright the darkest state is, is said by `black_level` and
-//! `peak`, not here.
+//! with straight lines in between. `black_level` and `peak` hold the brightness of the darkest and
+//! the brightest state, not this table.
 
 use lumistack_core::colour::{srgb_decode, srgb_encode};
 use serde::{Deserialize, Serialize};
@@ -88,12 +89,12 @@ impl Transfer {
         }
     }
 
-    /// Whether channels differ.
+    /// True if channels differ.
     pub fn is_per_channel(&self) -> bool {
         matches!(self, Self::Gamma(Channels::Rgb(_)) | Self::Table(Channels::Rgb(_)))
     }
 
-    /// What is wrong with it: the key below `transfer`, what was expected and what was found.
+    /// The first invalid key below `transfer`, the expected value and the value found.
     pub(crate) fn problem(&self) -> Option<(String, &'static str, String)> {
         let key = |name: &str, channels: usize, i: usize| {
             if channels == 1 { name.to_string() } else { format!("{name}[{i}]") }

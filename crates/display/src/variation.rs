@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Backlight, Display, DisplayError};
 
-/// What to change about a display; what is not given stays.
+/// Changes to a display; keys that are not given stay.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Variation {
@@ -33,7 +33,8 @@ impl Variation {
     /// The changed display, checked.
     ///
     /// # Errors
-    /// If a value is out of range, or layers are asked for whose distance nothing says.
+    /// If a value is out of range, or if layers are added whose distance neither display nor
+    /// variation has.
     pub fn applied_to(&self, base: &Display) -> Result<Display, DisplayError> {
         let mut display = base.clone();
         display.frames = self.frames.unwrap_or(display.frames);

@@ -86,7 +86,8 @@ impl<'de> Deserialize<'de> for Views {
     }
 }
 
-/// The three forms, told apart by their kinds, so that an error names the place inside of one.
+/// The three forms. Their kind of value decides between them, so that an error names the place
+/// inside of one.
 struct Form;
 
 impl<'de> Visitor<'de> for Form {

@@ -21,9 +21,9 @@ pub enum Weights {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("weights: expected {expected}, found {found}")]
 pub struct WeightError {
-    /// What was needed.
+    /// The expected value or range.
     pub expected: String,
-    /// What was there.
+    /// The value found.
     pub found: String,
 }
 
@@ -39,13 +39,13 @@ pub struct EyeBox {
 }
 
 impl Weights {
-    /// Weights that follow viewers: a ray counts `floor` + Σ weight · exp(−½ (r/σ)²), where r is
+    /// Weights that follow viewers. A ray counts `floor` + Σ weight · exp(−½ (r/σ)²), where r is
     /// its distance from the eye in the plane through the eye parallel to the display. `floor` ≥ 0
-    /// is what every ray counts, so that the space between eye boxes is not left to chance.
+    /// is the weight of every ray, so that the space between eye boxes is not left to chance.
     ///
     /// # Errors
-    /// If the geometry makes no sense, an eye is not in front of the display, σ is not above 0, or
-    /// a weight or the floor is negative or not finite.
+    /// If the geometry makes no sense, or an eye is not in front of the display. If σ is not above
+    /// 0, or a weight or the floor is negative or not finite.
     pub fn eye_boxes(geometry: &FieldGeometry, boxes: &[EyeBox], floor: f32) -> Result<Self, WeightError> {
         let check = |ok: bool, expected: String, found: String| {
             if ok { Ok(()) } else { Err(WeightError { expected, found }) }

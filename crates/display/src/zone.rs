@@ -1,11 +1,13 @@
 //! The zone that a display is made for, and how right it is there.
 //!
-//! The zone is the slopes |s_x| ≤ tan(α_x/2), |s_y| ≤ tan(α_y/2) of an oblique field, the eye
-//! positions D·s of a perspective one, or the union of eye boxes. The score `psnr_zone` is −10
-//! log₁₀ of the mean squared error between seen picture / β and the scene's picture, over
-//! directions that are spread over the whole zone and that no solver saw. The scene's pictures are
-//! noisy, so each is given twice with independent noise: the mean product of the two differences is
-//! the squared error without their noise, since E[(e + n₁)(e + n₂)] = e².
+//! The zone of an oblique field is the slopes |s_x| ≤ tan(α_x/2), |s_y| ≤ tan(α_y/2). That of a
+//! perspective field is the eye positions D·s. With eye boxes it is their union.
+//!
+//! The score `psnr_zone` is −10 log₁₀ of the mean squared error between seen picture / β and the
+//! scene's picture. The mean is over directions that are spread over the whole zone and that the
+//! solver did not use. The scene's pictures are noisy, so each is given twice with independent
+//! noise. The mean product of the two differences is the squared error without their noise, since
+//! E[(e + n₁)(e + n₂)] = e².
 
 use crate::{EyeBox, LEAST_SHARE, Projection, SeenView, ViewGrid};
 
@@ -29,9 +31,9 @@ pub enum Zone {
 }
 
 impl Zone {
-    /// The zone of a light field's views: from half a spacing beyond the outermost view of an axis
-    /// to the other side, as wide as `fov_deg` where it is known. An axis with one view has no
-    /// width, since a display for one view promises nothing beside it.
+    /// The zone of a light field's views. Per axis it reaches half a spacing past the outermost
+    /// views, or is as wide as `fov_deg` where that is known. An axis with one view has no width,
+    /// since a display for one view promises nothing beside it.
     pub fn of_grid(grid: &ViewGrid, fov_deg: Option<[f64; 2]>) -> Self {
         let slopes = [&grid.slope_x, &grid.slope_y];
         let spacing = grid.bin_width();
@@ -44,8 +46,8 @@ impl Zone {
     }
 
     /// `count` directions, spread over the zone by an additive recurrence of low discrepancy in two
-    /// dimensions (Roberts' R₂, whose ratio is the real root of x³ = x + 1): each a grid of one
-    /// view. Always the same ones for the same zone and count.
+    /// dimensions (Roberts' R₂, whose ratio is the real root of x³ = x + 1). Each is a grid of one
+    /// view. The same zone and count always give the same directions.
     pub fn directions(&self, count: usize) -> Vec<ViewGrid> {
         const RATIO: f64 = 1.324_717_957_244_746;
         let point = |i: usize| [1.0, 2.0].map(|power| (0.5 + (i + 1) as f64 * RATIO.powf(-power)).fract());
@@ -123,7 +125,7 @@ impl ZoneScore {
         mean(&self.scored()).map(psnr)
     }
 
-    /// Of the mean error over the worst tenth of the directions, rounded up, dB.
+    /// PSNR of the mean error over the worst tenth of the directions, rounded up, in dB.
     pub fn worst_tenth(&self) -> Option<f64> {
         let mut scored = self.scored();
         scored.sort_by(|a, b| b.total_cmp(a));

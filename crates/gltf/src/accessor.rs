@@ -1,9 +1,9 @@
 //! Accessors: typed elements in buffer views, dense or sparse, with every bound checked before the
 //! first byte is read.
 //!
-//! Element i starts at byte `offset + stride · i` of its view. Integers become floats as they are,
-//! or, when `normalized`, by f = c / (2ⁿ − 1) unsigned and f = max(c / (2ⁿ⁻¹ − 1), −1) signed (glTF
-//! 2.0, sections 3.6.2 and 3.11).
+//! Element i starts at byte `offset + stride · i` of its view. Integers become floats of the same
+//! value. With `normalized` they become f = c / (2ⁿ − 1) if unsigned, and f = max(c / (2ⁿ⁻¹ − 1),
+//! −1) if signed (glTF 2.0, sections 3.6.2 and 3.11).
 
 use gltf::json;
 use gltf::json::accessor::{ComponentType, Type};
@@ -17,7 +17,7 @@ use crate::error::Fault;
 /// refused.
 const MAX_IMPLICIT_COUNT: u64 = 1 << 24;
 
-/// What an accessor must hold at the place that uses it.
+/// Required form of an accessor at the place that uses it.
 pub(crate) struct Format {
     pub(crate) types: &'static [Type],
     pub(crate) components: &'static [ComponentType],
@@ -37,7 +37,7 @@ pub(crate) struct Accessor<'a> {
     sparse: Option<Sparse<'a>>,
 }
 
-/// Which elements of an accessor to read, in what order.
+/// The elements of an accessor to read, in order.
 pub(crate) enum Selection {
     All,
     Some(Vec<u32>),

@@ -1,10 +1,16 @@
-//! Animations sampled at one time: where nodes stand and how much morph targets weigh.
+//! Animations sampled at one time: transforms of nodes and weights of morph targets.
 //!
-//! Between keys k and k+1, with u = (t − t_k) / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k seconds: STEP
-//! takes v_k; LINEAR takes (1−u)·v_k + u·v_{k+1}, rotations along the shorter arc (slerp);
-//! CUBICSPLINE takes the Hermite spline (2u³−3u²+1)·v_k + Δ(u³−2u²+u)·b_k + (3u²−2u³)·v_{k+1} +
-//! Δ(u³−u²)·a_{k+1} with in-tangents a and out-tangents b. Before the first key and after the last
-//! the values hold (glTF 2.0, section 3.11 and appendix C).
+//! Between keys k and k+1, with u = (t − t_k) / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k seconds:
+//!
+//! * STEP takes v_k.
+//! * LINEAR takes (1−u)·v_k + u·v_{k+1}, rotations along the shorter arc (slerp).
+//! * CUBICSPLINE takes the Hermite spline with in-tangents a and out-tangents b:
+//!
+//! ```text
+//! (2u³−3u²+1)·v_k + Δ(u³−2u²+u)·b_k + (3u²−2u³)·v_{k+1} + Δ(u³−u²)·a_{k+1}
+//! ```
+//!
+//! Before the first key and after the last the values hold (glTF 2.0, section 3.11 and appendix C).
 
 use std::collections::{HashMap, HashSet};
 
@@ -35,7 +41,7 @@ const WEIGHTS: Format = Format {
     text: "SCALAR of FLOAT or of normalized 8- or 16-bit integers",
 };
 
-/// What an animation says about a node instead of the node itself.
+/// Values that an animation gives a node in place of the node's own.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct NodePose {
     pub(crate) translation: Option<DVec3>,
@@ -44,7 +50,7 @@ pub(crate) struct NodePose {
     pub(crate) weights: Option<Vec<f32>>,
 }
 
-/// What an animation moves.
+/// The animated property of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Property {
     Translation,

@@ -1,6 +1,7 @@
 //! `KHR_draco_mesh_compression`: a primitive whose triangles and attributes are one Draco stream.
 //!
-//! What the stream holds goes before the primitive's accessors, of which only `normalized` is read.
+//! Attributes of the stream take precedence over the primitive's accessors, of which only
+//! `normalized` is read.
 
 use std::collections::HashMap;
 

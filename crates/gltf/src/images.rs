@@ -1,7 +1,7 @@
 //! Pictures: textures' images, each read and decoded once, and the environment map.
 //!
 //! The content decides the format; names and MIME types are often wrong. Colour profiles and
-//! orientation tags are ignored, as glTF asks for (2.0, section 3.8.3).
+//! orientation tags are ignored, as glTF requires (2.0, section 3.8.3).
 
 use std::collections::HashMap;
 use std::io::Cursor;
@@ -19,20 +19,20 @@ use crate::options::MAX_SIDE;
 /// format.
 const DECODER_BYTES: u64 = 64 << 20;
 
-/// Images in the order of first use. Their headers are read as they are asked for, and all are
-/// decoded at the end, so that a scene whose pictures are too large together is refused before the
-/// first is decoded.
+/// Images in the order of first use. Their headers are read at first use, and all are decoded at
+/// the end. So a scene whose pictures are too large together is refused before the first is
+/// decoded.
 #[derive(Default)]
 pub(crate) struct Images {
     /// Sizes, and after [`decode`](Self::decode) pixels.
     pub(crate) decoded: Vec<Image>,
     /// From the file's image number to a position in `decoded`.
     position: HashMap<usize, usize>,
-    /// What makes the images that have no pixels yet, in the order of `decoded`.
+    /// Sources of the images that have no pixels yet, in the order of `decoded`.
     waiting: Vec<Waiting>,
 }
 
-/// What an image is made from.
+/// The source of an image.
 enum Waiting {
     /// A picture in a format.
     Picture { content: Content, place: String, format: Format },
@@ -123,7 +123,7 @@ impl Images {
         self.waiting.push(waiting);
     }
 
-    /// Decodes every image, in the order in which they were asked for.
+    /// Decodes every image, in the order of first use.
     pub(crate) fn decode(&mut self, document: &Document<'_>) -> Result<(), Fault> {
         let first = self.decoded.len() - self.waiting.len();
         for (i, waiting) in std::mem::take(&mut self.waiting).into_iter().enumerate() {
@@ -209,7 +209,7 @@ fn unreadable(place: &str, format: ImageFormat, error: ImageError) -> Fault {
     Fault::new(place, format!("a readable {format:?} picture of at most {MAX_SIDE} texels a side"), error)
 }
 
-/// Whether the codes have 16 bits.
+/// True if the codes have 16 bits.
 fn is_deep(decoder: &impl ImageDecoder) -> bool {
     let color = decoder.color_type();
     color.bytes_per_pixel() / color.channel_count() > 1

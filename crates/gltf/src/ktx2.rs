@@ -14,7 +14,7 @@ use crate::document::Document;
 use crate::error::Fault;
 use crate::options::MAX_SIDE;
 
-/// What a KTX2 file starts with.
+/// First bytes of a KTX2 file.
 pub(crate) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 
 /// Bytes of the header before the list of levels, and of one level's entry there.
@@ -26,7 +26,7 @@ const NOTES: Range<usize> = 56..64;
 const ETC1S: u32 = 163;
 const UASTC: u32 = 166;
 
-/// Which of the decoded channels hold what glTF calls red, green, blue and alpha.
+/// The decoded channels that hold glTF's red, green, blue and alpha.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Channels {
     Rgba,
@@ -75,7 +75,7 @@ pub(crate) fn decode(bytes: &[u8], place: &str) -> Result<Pixels, Fault> {
 }
 
 impl Header {
-    /// Reads what matters of the header and checks every range that it speaks of.
+    /// Reads the header's fields that matter and checks every range in it.
     fn read(bytes: &[u8], place: &str) -> Result<Self, Fault> {
         let fault =
             |expected: &str, found: String| Err(Fault::new(place, format!("a KTX2 picture with {expected}"), found));

@@ -1,12 +1,12 @@
 //! glTF 2.0 to [`Scene`](lumistack_scene::Scene).
 //!
 //! [`load`] takes the bytes of a `.gltf` or `.glb` file and an [`AssetResolver`] that reads the
-//! files it refers to; the crate itself touches no file system. The `gltf` crate gives the JSON its
-//! types; every index, count and offset is checked here before it is used, so that no file can
-//! cause a panic, and memory is bounded.
+//! files it refers to; the crate itself uses no file system. The `gltf` crate gives the JSON its
+//! types. This crate checks every index, count and offset before its use. So no file can cause a
+//! panic, and memory is bounded.
 //!
-//! [`load_with`] takes a time of an animation and a variant of materials. What is read, extension
-//! by extension, is in `docs/GLTF.md`.
+//! [`load_with`] takes a time of an animation and a variant of materials. `docs/GLTF.md` lists the
+//! supported extensions.
 //!
 //! Meshopt, Draco and Basis Universal streams are decoded by libraries in pure Rust, within the
 //! limits of this crate.
@@ -32,7 +32,8 @@
 //! let (warnings, cancel) = (Collector::default(), Cancel::default());
 //! let resolver = Folder("scenes/none".into());
 //! let text = br#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}]}"#;
-//! let error = lumistack_gltf::load("a.gltf", text, &resolver, Task::quiet(&warnings, &cancel)).unwrap_err();
+//! let task = Task::quiet(&warnings, &cancel);
+//! let error = lumistack_gltf::load("a.gltf", text, &resolver, task).unwrap_err();
 //! assert_eq!(error.to_string(), "a.gltf: /nodes/0/mesh: expected an index below 0, found 0");
 //! ```
 

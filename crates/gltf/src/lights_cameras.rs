@@ -1,8 +1,8 @@
-//! What lights the scene from outside its surfaces, and who looks at it.
+//! Light sources other than surfaces, and cameras.
 //!
-//! Sources: KHR_lights_punctual (candela and lux, light along −z of the node), glTF 2.0, section
-//! 3.10 (cameras), and two notes of our own: `extras.lumistack.focus_distance` on a camera,
-//! `extras.lumistack.environment` on a scene.
+//! Sources: KHR_lights_punctual (candela and lux, light along −z of the node), and glTF 2.0,
+//! section 3.10 (cameras). Two extras are our own: `extras.lumistack.focus_distance` on a camera,
+//! and `extras.lumistack.environment` on a scene.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 

@@ -24,12 +24,12 @@ use crate::{
 /// Loads a `.gltf` or `.glb` file.
 ///
 /// `name` stands for the file in messages, `bytes` is its content, and `resolver` reads the files
-/// it refers to. Only what the default scene shows is read.
+/// it refers to. Only parts that the default scene uses are read.
 ///
 /// # Errors
-/// [`GltfError`] with the place in the file: when the file or one it refers to is missing or
-/// broken, when it requires an extension that is not supported, when nothing in it can be rendered,
-/// and when the task is cancelled.
+/// [`GltfError`] with the place in the file. The file or one it refers to is missing or broken. It
+/// requires an extension that is not supported. Nothing in it can be rendered. The task was
+/// cancelled.
 pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }
@@ -50,7 +50,7 @@ pub fn load_with(
     load_scene(name, bytes, resolver, options, task).map_err(|fault| fault.in_file(name))
 }
 
-/// What a file offers to choose from.
+/// The animations and variants that a file offers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Contents {
     /// Animations in the file's order: name, and time of the last key in seconds.
@@ -62,7 +62,7 @@ pub struct Contents {
 /// Lists the animations and variants of a file.
 ///
 /// # Errors
-/// As [`load`], of what has to be read for the list.
+/// As [`load`], for the parts that have to be read for the list.
 pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Contents, GltfError> {
     let warnings = InFile { name, inner: task.warnings };
     let task = Task { warnings: &warnings, ..task };

@@ -18,7 +18,7 @@ use crate::quote::quote;
 use crate::textures::{Loader, Reference, plain, untyped_transform};
 use crate::{glossiness, material_extensions};
 
-/// Materials in the file's order, with what they need.
+/// Materials in the file's order, with their textures and images.
 pub(crate) struct Materials {
     pub(crate) materials: Vec<Material>,
     /// Per material, the texture coordinate sets of the file that the mesh's sets 0 and 1 are to
@@ -28,8 +28,8 @@ pub(crate) struct Materials {
     pub(crate) images: Images,
 }
 
-/// Reads the materials of the file. Those that nothing uses keep their place but get no textures,
-/// so that a picture which nobody sees cannot be missing.
+/// Reads the materials of the file. Unused ones keep their place but get no textures, so that a
+/// picture which is never seen cannot be missing.
 pub(crate) fn load(document: &Document<'_>, used: &[bool]) -> Result<Materials, Fault> {
     let mut loader = Loader::new(document);
     let (mut materials, mut uv_sets) = (Vec::new(), Vec::new());

@@ -113,8 +113,8 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         material: request.material,
         ..Mesh::default()
     };
-    // normals and tangents may be broken: the scene's validator and `mend_tangents` replace what
-    // has no direction
+    // normals and tangents may be broken: the scene's validator and `mend_tangents` replace those
+    // without a direction
     if let Some(normals) = attributes.open(Semantic::Normals, &NORMAL, Some(count))? {
         mesh.normals = vec3s(normals.assume_normalized().floats::<3>(document, &selection, 0.0)?);
         if let Some(tangents) = attributes.open(Semantic::Tangents, &TANGENT, Some(count))? {

@@ -26,12 +26,12 @@ pub(crate) struct Nodes {
     pub(crate) shown: Vec<usize>,
     /// Placement of every node of the file.
     pub(crate) scene_from_node: Vec<DAffine3>,
-    /// What animations say about nodes.
+    /// Animated values of nodes.
     pub(crate) poses: HashMap<usize, NodePose>,
 }
 
 impl Nodes {
-    /// JSON pointer to what says which nodes are shown.
+    /// JSON pointer to the list of shown nodes.
     pub(crate) fn place(&self) -> String {
         self.scene_place.clone().unwrap_or_else(|| "/nodes".to_owned())
     }
@@ -86,9 +86,9 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
     Ok(Nodes { scene_place, shown, scene_from_node, poses })
 }
 
-/// Whether a node that the scene lists is a root of what it shows. A child is not meant to be
-/// listed, but many readers show it: where the scene shows an ancestor too, it stands there;
-/// otherwise it stands alone, without its parents. `known` keeps what was found about ancestors.
+/// True if a node that the scene lists is a root of the scene. A child should not be listed, but
+/// many readers show it. Where the scene shows an ancestor too, the child stays there; otherwise it
+/// stands alone, without its parents. `known` caches the findings about ancestors.
 fn adopt(
     document: &Document<'_>,
     node: usize,
@@ -200,7 +200,7 @@ fn parent_from_node(
         }
     };
     let placement = match pose {
-        // not allowed, but clear: the matrix stands for what is not animated
+        // not allowed, but clear: the matrix gives the values that are not animated
         Some(_) if node.matrix.is_some() => posed(pose, at_rest.to_scale_rotation_translation()),
         _ => at_rest,
     };

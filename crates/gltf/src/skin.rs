@@ -121,7 +121,7 @@ fn cofactors(m: &Mat3A) -> Mat3A {
     Mat3A::from_cols(y.cross(z), z.cross(x), x.cross(y))
 }
 
-/// Whether a skin can move the mesh; otherwise it stands where its node stands.
+/// True if a skin can move the mesh; otherwise it stands where its node stands.
 pub(crate) fn has_joints(mesh: &json::Mesh) -> bool {
     let joints = gltf::json::validation::Checked::Valid(Semantic::Joints(0));
     mesh.primitives.iter().any(|primitive| primitive.attributes.contains_key(&joints))

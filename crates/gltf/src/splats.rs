@@ -41,7 +41,7 @@ pub(crate) struct Splats {
     pub(crate) mesh_from_cloud: DAffine3,
 }
 
-/// Whether a primitive is splats.
+/// True if a primitive is splats.
 pub(crate) fn is_splats(document: &Document<'_>, place: &str) -> bool {
     document.json(&format!("{place}/extensions/{NAME}")).is_some()
 }
@@ -108,7 +108,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
     let positions = needed("POSITION", &POSITION, None)?;
     let count = Some(positions.count);
     let all = &Selection::All;
-    // what is no number or out of range, the validator drops
+    // the validator drops splats with values that are no number or out of range
     let positions = positions.floats::<3>(document, all, 0.0)?;
     let rotations = needed(&own("ROTATION"), &ROTATION, count)?.assume_normalized().floats::<4>(document, all, 0.0)?;
     let scales = needed(&own("SCALE"), &SCALE, count)?.floats::<3>(document, all, 0.0)?;

@@ -18,7 +18,7 @@ use crate::fields::Fields;
 use crate::images::Images;
 use crate::quote::quote;
 
-/// The textures that materials have asked for so far.
+/// The textures that materials have used so far.
 pub(crate) struct Loader<'d, 'f> {
     pub(crate) document: &'d Document<'f>,
     pub(crate) textures: Vec<Texture>,
@@ -129,9 +129,9 @@ pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTra
     })
 }
 
-/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v (v
-/// points down, so this is counter-clockwise to the eye); the extension's text leaves the sense
-/// open, its test scene and all common viewers agree.
+/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v,
+/// which is counter-clockwise to the eye, since v points down. The extension's text leaves the
+/// sense open; its test scene and all common viewers agree.
 fn affine(transform: &TextureTransform) -> Affine2 {
     let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
     Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)

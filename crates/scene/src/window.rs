@@ -58,7 +58,7 @@ pub enum WindowError {
     Camera {
         /// The camera.
         name: String,
-        /// Its focus distance and field of view.
+        /// Distance and width of its window, in scene units.
         found: String,
     },
     /// Numbers that make no rectangle.

@@ -143,7 +143,7 @@ fn seen_pictures_are_exact_means_over_pixels() {
             let mut display = Display {
                 formation,
                 missing,
-                // whatever the solver reads, eyes see squares
+                // eyes see squares under any sampling of the solver
                 sampling: Sampling::Bilinear,
                 ..Display::uniform([8, 6], 1.0, [1, 1], [30.0, 30.0], &[-3.0, 0.0, 2.0], 2)
             };
@@ -166,7 +166,8 @@ fn seen_pictures_are_exact_means_over_pixels() {
     }
 }
 
-/// Any display, from near and far: 150 × 150 rays per pixel come within what their spacing allows.
+/// Any display, from near and far: 150 × 150 rays per pixel agree within the error of their
+/// spacing.
 #[test]
 fn seen_pictures_of_any_display_are_means_over_pixels() {
     const SPACING: f64 = 0.03;

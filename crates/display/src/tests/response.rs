@@ -1,4 +1,5 @@
-//! What hardware does to a layer, against a sum over all pixels; the blur against its transpose.
+//! The response of a layer's hardware, against a sum over all pixels; the blur against its
+//! transpose.
 
 use std::borrow::Cow;
 
@@ -118,7 +119,7 @@ fn the_point_spread_has_the_width_that_was_asked_for() {
         let response = layer([100, 100], sigma).response().unwrap();
         let radius = (response.taps().len() / 2) as f64;
         let moments = response.taps().iter().enumerate().map(|(k, w)| f64::from(*w) * (k as f64 - radius).powi(2));
-        // cutting off beyond 3σ takes 2.7 % of the variance
+        // the cut at 3σ takes 2.7 % of the variance
         assert!((moments.sum::<f64>().sqrt() / sigma - 1.0).abs() < 0.02, "{sigma}");
         assert!(radius >= 3.0 * sigma);
     }
@@ -130,7 +131,7 @@ fn an_ideal_layer_has_no_response_and_costs_nothing() {
     let stack = random_stack(&display, 1);
     assert_eq!(display.layers[0].response(), None);
     assert!(matches!(stack.effective(&display), Cow::Borrowed(_)));
-    // one unknown per pixel, met as it is stored
+    // one unknown per pixel, read as it is stored
     display.layers[0].colour = LayerColour::Mono;
     display.layers[1].crosstalk = Some([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     let tied = display.layers[0].response().unwrap();

@@ -1,5 +1,5 @@
-//! Packed meshes and pictures, written by the encoders of others (`data/make.mjs`), against what
-//! was packed.
+//! Packed meshes and pictures, written by the encoders of others (`data/make.mjs`), against their
+//! sources.
 
 use std::collections::BTreeMap;
 
@@ -77,7 +77,7 @@ fn draco_primitives_are_decoded() {
     let (jet, warnings) = support::load_file(&folder.join("jet-fighter/jet-fighter.glb"));
     let jet = jet.unwrap();
     assert_eq!(jet.triangle_count(), 36440, "{warnings:?}");
-    // the accessors' own bounds: what the exporter saw before packing
+    // the accessors' own bounds: those of the mesh before packing
     let bounds = jet.bounds();
     println!("jet-fighter spans {} to {}", bounds.min, bounds.max);
 }

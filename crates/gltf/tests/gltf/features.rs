@@ -1,4 +1,4 @@
-//! What a sound file means: each test writes a small file and looks at the scene.
+//! The meaning of sound files: each test writes a small file and checks the scene.
 
 use std::f32::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
@@ -360,9 +360,9 @@ fn the_transform_test_scene_agrees_on_the_sense_of_rotation() {
     let Some(folder) = support::assets("gltf/TextureTransformTest") else { return };
     let (scene, _) = support::load_file(&folder.join("TextureTransformTest.gltf"));
     let scene = scene.unwrap();
-    // the arrow's tip lies on the diagonal of its picture; the scene marks where it must show on
-    // the turned square, whose corners (−0.5, 0.5) and (0.5, −0.5) have the texture coordinates (0,
-    // 0) and (1, 1)
+    // The arrow's tip lies on the diagonal of its picture. The scene marks its place on the turned
+    // square. The square's corners (−0.5, 0.5) and (0.5, −0.5) have the texture coordinates (0, 0)
+    // and (1, 1).
     let material = scene.materials.iter().find(|material| material.name == "Rotation").unwrap();
     let map = material.base_color_texture.unwrap().texture_from_mesh;
     let marked = map.transform_point2(Vec2::new(0.5 - 0.079_048_224, 0.5 + 0.516_267_5));
@@ -532,7 +532,7 @@ fn scenes_that_list_children_are_shown() {
     assert_eq!(corner(&under(json!([0]))), (vec![0.0], vec![alone]));
     let again = "/scenes/0/nodes/1: expected every node once, found node 1 again; it is shown once";
     assert_eq!(corner(&under(json!([1, 1]))), (vec![3.0], vec![again.into()]));
-    // of two parents the first
+    // the first of two parents
     let mut b = under(json!([1, 2]));
     b.push("nodes", json!({"children": [0, 0], "translation": [5, 0, 0]}));
     let (places, warnings) = corner(&b);
