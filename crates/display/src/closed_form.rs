@@ -44,6 +44,7 @@ impl Display {
     /// The closed form for a display of this kind along one axis (0: x, 1: y); `None` where the
     /// paper has none.
     pub fn closed_form(&self, axis: usize) -> Option<ClosedForm> {
+        // assumptions that all forms share; the display may break them and still has a form
         let own = self.layers.iter().map(|layer| 0.5 / layer.pitch_mm).fold(f64::INFINITY, f64::min);
         let mut broken = Vec::new();
         if self.layers.iter().any(|layer| 0.5 / layer.pitch_mm > own * (1.0 + ROUNDING)) {
@@ -57,6 +58,7 @@ impl Display {
                 broken.push(format!("the stack's middle stands at {} mm", 0.5 * (first + last)));
             }
         };
+        // select the form by the number of layers and the backlight
         let (equation, assumes, form) = match (d_mm.len(), &self.backlight) {
             (2, Backlight::Uniform) => {
                 centred(&mut broken);

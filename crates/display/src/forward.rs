@@ -115,6 +115,7 @@ impl<'a> Simulator<'a> {
         for (row, cuts) in area.y.chunk_by(|a, b| a.pixel == b.pixel).enumerate() {
             sums.fill(0.0);
             shares.fill(0.0);
+            // sum the emission of the parts of each pixel of the row, weighted by their area
             let first = area.y.partition_point(|cut| cut.pixel < row as u32);
             for (number, cut_y) in cuts.iter().enumerate() {
                 let line = lines.emitted(first + number);
@@ -145,7 +146,7 @@ struct Lines<'a> {
     map: &'a RayMap,
     view: [usize; 2],
     reads: Vec<Reads<'a>>,
-    met: Vec<f32>,
+    formed: Vec<f32>,
     sum: Vec<f64>,
 }
 
@@ -156,35 +157,35 @@ impl<'a> Lines<'a> {
             || map.backlight.as_ref().map_or(0, |map| map.x(view[1]).len()),
             |layer| layer.x.of_view(view[1]).len(),
         );
-        Self { simulator, map, view, reads, met: vec![0.0; cols * 3], sum: vec![0.0; cols * 3] }
+        Self { simulator, map, view, reads, formed: vec![0.0; cols * 3], sum: vec![0.0; cols * 3] }
     }
 
     /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, whether they count or
     /// not.
     fn emitted(&mut self, row: usize) -> &[f64] {
-        let Self { simulator, map, view, reads, met, sum } = self;
+        let Self { simulator, map, view, reads, formed, sum } = self;
         let (stack, formation) = (&simulator.stack, simulator.display.formation);
         sum.fill(0.0);
         for frame in 0..stack.frames() {
-            met.fill(formation.neutral());
+            formed.fill(formation.neutral());
             for ((layer, values), reads) in map.layers.iter().zip(&stack.layers).zip(reads.iter()) {
                 let tap_y = layer.y.of_view(view[0])[row];
                 match formation {
-                    Formation::Attenuating => meet_layer(met, values, frame, tap_y, reads, |met, v| *met *= v),
-                    _ => meet_layer(met, values, frame, tap_y, reads, |met, v| *met += v),
+                    Formation::Attenuating => combine_layer(formed, values, frame, tap_y, reads, |x, v| *x *= v),
+                    _ => combine_layer(formed, values, frame, tap_y, reads, |x, v| *x += v),
                 }
             }
             if formation == Formation::Polarization {
-                met.iter_mut().for_each(|met| *met = sin2_of_quarter_turns(*met));
+                formed.iter_mut().for_each(|formed| *formed = sin2_of_quarter_turns(*formed));
             }
             if let (Some(map), Some(emission)) = (&map.backlight, &stack.emission) {
                 let (tap_y, taps_x) = (map.y(view[0])[row], map.x(view[1]));
                 match formation {
-                    Formation::Additive => meet_backlight(met, emission, frame, tap_y, taps_x, |met, b| *met += b),
-                    _ => meet_backlight(met, emission, frame, tap_y, taps_x, |met, b| *met *= b),
+                    Formation::Additive => combine_backlight(formed, emission, frame, tap_y, taps_x, |x, b| *x += b),
+                    _ => combine_backlight(formed, emission, frame, tap_y, taps_x, |x, b| *x *= b),
                 }
             }
-            sum.iter_mut().zip(met.iter()).for_each(|(sum, &met)| *sum += f64::from(met));
+            sum.iter_mut().zip(formed.iter()).for_each(|(sum, &formed)| *sum += f64::from(formed));
         }
         let frames = stack.frames() as f64;
         sum.iter_mut().for_each(|sum| *sum /= frames);
@@ -252,15 +253,15 @@ impl<'a> Reads<'a> {
 /// Mean length of runs, in rays, below which rays are read one by one.
 const SHORT_RUN: usize = 4;
 
-/// Hands each `met[col][rgb]` the layer's value there. Where the ray misses, nothing happens: that
-/// is the neutral value, and a ray that does not count is set to 0 later.
-fn meet_layer(
-    met: &mut [f32],
+/// Combines each `formed[col][rgb]` with the layer's value there. Where the ray misses, the value
+/// stays: a ray that does not count is set to 0 later.
+fn combine_layer(
+    formed: &mut [f32],
     values: &Tensor<4>,
     frame: usize,
     tap_y: Tap,
     reads: &Reads,
-    meet: impl Fn(&mut f32, f32),
+    combine: impl Fn(&mut f32, f32),
 ) {
     if tap_y.is_missed() {
         return;
@@ -271,45 +272,46 @@ fn meet_layer(
         Reads::Runs(runs) => {
             for &Run { first, end, from } in runs {
                 let places = 3 * from..3 * (from + end - first);
-                let met = met[3 * first..3 * end].iter_mut();
+                let formed = formed[3 * first..3 * end].iter_mut();
                 if tap_y.t == 0.0 {
-                    met.zip(&upper[places]).for_each(|(met, value)| meet(met, *value));
+                    formed.zip(&upper[places]).for_each(|(formed, value)| combine(formed, *value));
                 } else {
                     let lines = upper[places.clone()].iter().zip(&lower[places]);
                     let mixed = lines.map(|(top, bottom)| top + tap_y.t * (bottom - top));
-                    met.zip(mixed).for_each(|(met, value)| meet(met, value));
+                    formed.zip(mixed).for_each(|(formed, value)| combine(formed, value));
                 }
             }
         }
         Reads::Taps(taps) => {
-            for (pixel, tap) in met.chunks_exact_mut(3).zip(*taps).filter(|(_, tap)| !tap.is_missed()) {
+            for (pixel, tap) in formed.chunks_exact_mut(3).zip(*taps).filter(|(_, tap)| !tap.is_missed()) {
                 let (left, right) = (3 * tap.first as usize, 3 * tap.second as usize);
                 for c in 0..3 {
                     let top = upper[left + c] + tap.t * (upper[right + c] - upper[left + c]);
                     let bottom = lower[left + c] + tap.t * (lower[right + c] - lower[left + c]);
-                    meet(&mut pixel[c], top + tap_y.t * (bottom - top));
+                    combine(&mut pixel[c], top + tap_y.t * (bottom - top));
                 }
             }
         }
     }
 }
 
-/// Hands each `met[col][rgb]` the backlight's emission there; 0 where it is dark or missed.
-fn meet_backlight(
-    met: &mut [f32],
+/// Combines each `formed[col][rgb]` with the backlight's emission there; 0 where it is dark or
+/// missed.
+fn combine_backlight(
+    formed: &mut [f32],
     emission: &Tensor<6>,
     frame: usize,
     tap_y: BacklightTap,
     taps_x: &[BacklightTap],
-    meet: impl Fn(&mut f32, f32),
+    combine: impl Fn(&mut f32, f32),
 ) {
-    for (pixel, &tap_x) in met.chunks_exact_mut(3).zip(taps_x) {
+    for (pixel, &tap_x) in formed.chunks_exact_mut(3).zip(taps_x) {
         match (tap_x, tap_y) {
             (BacklightTap::Lit { lenslet: col, bin: bin_x }, BacklightTap::Lit { lenslet: row, bin: bin_y }) => {
                 let values = emission.block([frame, bin_y as usize, bin_x as usize, row as usize, col as usize]);
-                pixel.iter_mut().zip(values).for_each(|(met, value)| meet(met, *value));
+                pixel.iter_mut().zip(values).for_each(|(formed, value)| combine(formed, *value));
             }
-            _ => pixel.iter_mut().for_each(|met| meet(met, 0.0)),
+            _ => pixel.iter_mut().for_each(|formed| combine(formed, 0.0)),
         }
     }
 }
@@ -405,12 +407,16 @@ mod tests {
                     } else {
                         taps += 1
                     }
-                    let met = |reads: &Reads| {
-                        let mut met = vec![0.7f32; 3 * cols];
-                        meet_layer(&mut met, &values, 0, tap_y, reads, |met, v| *met *= v);
-                        met
+                    let formed = |reads: &Reads| {
+                        let mut formed = vec![0.7f32; 3 * cols];
+                        combine_layer(&mut formed, &values, 0, tap_y, reads, |x, v| *x *= v);
+                        formed
                     };
-                    assert_eq!(met(&reads), met(&Reads::Taps(taps_x)), "{sampling:?} {d_mm} {pitch_mm} {view} {row}");
+                    assert_eq!(
+                        formed(&reads),
+                        formed(&Reads::Taps(taps_x)),
+                        "{sampling:?} {d_mm} {pitch_mm} {view} {row}"
+                    );
                 }
             }
         }

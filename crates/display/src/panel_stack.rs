@@ -68,6 +68,7 @@ impl PanelStack {
     /// If a number makes no sense.
     pub fn display(&self) -> Result<Display, DisplayError> {
         let &Self { panel_resolution: resolution, panel_pitch_mm: pitch_mm, panel_pixels: scale, .. } = self;
+        // distances, with the stack's middle at z = 0; of an odd number the middle layer lies there
         let depth_mm: f64 = self.gaps_mm.iter().sum();
         let mut d_mm = vec![-depth_mm / 2.0];
         self.gaps_mm.iter().for_each(|gap| d_mm.push(d_mm[d_mm.len() - 1] + gap));
@@ -75,10 +76,12 @@ impl PanelStack {
             let middle = d_mm[d_mm.len() / 2];
             d_mm.iter_mut().for_each(|d| *d -= middle);
         }
+        // layers with one mask pixel per `scale` × `scale` panel pixels
         let mask = resolution.map(|count| (count / scale).max(1));
         let plain = Display::uniform(mask, pitch_mm * scale as f64, self.views, self.fov_deg, &d_mm, self.frames);
         let (refresh_hz, brightness) = (self.refresh_hz, self.brightness);
         let mut display = Display { name: self.name.clone(), refresh_hz, brightness, ..plain };
+        // outputs go to panels from the rearmost on, that of the backlight first
         let mut names = self.outputs.iter().cloned().map(Some).chain(std::iter::repeat(None));
         let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
         if let Some(lenses) = &self.lenses {

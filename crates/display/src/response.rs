@@ -95,14 +95,14 @@ impl Response {
 
     /// The whole map for a layer `[frame][row][col][rgb]`.
     pub fn apply(&self, layer: &Tensor<4>) -> Tensor<4> {
-        let mut met = layer.clone();
+        let mut effective = layer.clone();
         let [frames, rows, cols, _] = layer.shape();
         let filters: Vec<[f32; 3]> = (0..cols).map(|col| self.filter(col)).collect();
         let mut stored = vec![0.0; rows * cols];
         let mut blurred = [(); 3].map(|()| vec![0.0; rows * cols]);
         let mut scratch = Vec::new();
         for frame in 0..frames {
-            let frame = met.block_mut([frame]);
+            let frame = effective.block_mut([frame]);
             for (c, plane) in blurred.iter_mut().enumerate() {
                 let columns = filters.iter().cycle();
                 let pixels = frame.chunks_exact(3).zip(columns);
@@ -116,6 +116,6 @@ impl Response {
                 }
             }
         }
-        met
+        effective
     }
 }

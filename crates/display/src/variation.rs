@@ -68,6 +68,7 @@ impl Variation {
         let (Some(first), Some(last)) = (display.layers.first().cloned(), display.layers.last().cloned()) else {
             return fail("layers", "at least one layer", "none".into());
         };
+        // the gap: given, or the mean of the old gaps
         let mean_gap = (old > 1).then(|| (last.d_mm - first.d_mm) / (old as f64 - 1.0));
         let gap_mm = match self.gap_mm.or(mean_gap) {
             Some(gap_mm) if gap_mm.is_finite() && gap_mm > 0.0 => gap_mm,

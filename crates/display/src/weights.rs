@@ -67,6 +67,7 @@ impl Weights {
         let peak = boxes.iter().map(|eye_box| eye_box.weight).sum::<f64>() + f64::from(floor);
         check(peak <= f64::from(f32::MAX), "weights that single precision can hold".into(), peak.to_string())?;
 
+        // add the weights of each eye box to the floor
         let [view_rows, view_cols] = geometry.grid.views();
         let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
         let mut weights = Tensor::filled(["view_y", "view_x", "row", "col"], shape, floor);

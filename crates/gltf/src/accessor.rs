@@ -63,6 +63,7 @@ impl<'a> Accessor<'a> {
         used_at: &str,
         format: &Format,
     ) -> Result<Self, Fault> {
+        // the accessor's type has to fit its use
         let accessor = document.get(index, used_at)?;
         let place = format!("/accessors/{}", index.value());
         let invalid = |field: &str| {
@@ -82,6 +83,7 @@ impl<'a> Accessor<'a> {
             return Err(Fault::new(format!("{place}/count"), format!("a count in 1..{most}"), count));
         }
         let count = count as usize;
+        // dense elements, sparse replacements, or both
         let dimensions = kind.multiplicity();
         let size = component.size() * dimensions;
         // only vertex attributes may be interleaved, and all of them are vectors
@@ -245,6 +247,7 @@ impl<'a> Elements<'a> {
     ) -> Result<Self, Fault> {
         let view = document.view(view, &format!("{place}/bufferView"))?;
         let length = view.bytes.len();
+        // the distance of elements
         let mut stride = view.stride.unwrap_or(size);
         if stride != size && !may_stride {
             // glTF has no stride here. Most readers follow one that leaves room for the elements,
@@ -264,6 +267,7 @@ impl<'a> Elements<'a> {
             let expected = format!("at least {size}, an element of {place}");
             return Err(Fault::new(format!("{}/byteStride", view.place), expected, stride));
         }
+        // all elements lie within the view
         let Some(bytes) = usize::try_from(offset).ok().and_then(|offset| view.bytes.get(offset..)) else {
             let expected = format!("at most {length}, the length of {}", view.place);
             return Err(Fault::new(format!("{place}/byteOffset"), expected, offset));
@@ -300,6 +304,7 @@ impl<'a> Sparse<'a> {
             let expected = format!("a count in 1..{accessor_count}");
             return Err(Fault::new(format!("{place}/count"), expected, sparse.count.0));
         };
+        // indices and values in views of their own
         let elements = |view, part: &str, offset: u64, size| {
             let (part, count_place) = (format!("{place}/{part}"), format!("{place}/count"));
             Elements::open(document, view, &part, &count_place, offset, count, size, false)
@@ -308,6 +313,7 @@ impl<'a> Sparse<'a> {
         let raw = elements(indices.buffer_view, "indices", indices.byte_offset.0, index_size)?;
         let values = elements(values.buffer_view, "values", values.byte_offset.0, size)?;
         document.spend(&place, count, size_of::<u32>())?;
+        // indices increase, so the last one bounds all
         let indices: Vec<u32> = (0..count).map(|i| unsigned(raw.get(i))).collect();
         let place = format!("{place}/indices");
         if let Some(at) = indices.windows(2).position(|pair| pair[0] >= pair[1]) {

@@ -89,6 +89,7 @@ impl Header {
             Some(end) if end <= bytes.len() as u64 => Ok(()),
             _ => Err(truncated()),
         };
+        // one picture of Basis Universal with its mip levels
         let (format, width, height, depth) = (word(12)?, word(20)?, word(24)?, word(28)?);
         let (layers, faces, levels, scheme) = (word(32)?, word(36)?, word(40)?, word(44)?);
         if format != 0 {
@@ -101,16 +102,19 @@ impl Header {
             let found = format!("depth {depth}, {layers} layers, {faces} faces and {levels} levels");
             return fault("one face, no layers and 1 to 16 levels", found);
         }
+        // offsets and lengths lie within the file
         let descriptor = word(48)? as usize;
         for (offset, length) in [(word(48)?, word(52)?), (word(56)?, word(60)?)] {
             inside(offset.into(), length.into())?;
         }
         inside(long(64)?, long(72)?)?;
+        // the codec
         let model = word(descriptor + 12)? & 255;
         if !((model == ETC1S && scheme == 1) || (model == UASTC && (scheme == 0 || scheme == 2))) {
             let found = format!("colour model {model} with supercompression {scheme}");
             return fault("ETC1S in BasisLZ, or UASTC plain or in Zstandard", found);
         }
+        // levels have the size that their texels need
         for level in 0..levels {
             let entry = HEADER_BYTES + LEVEL_BYTES * level as usize;
             inside(long(entry)?, long(entry + 8)?)?;
@@ -121,6 +125,7 @@ impl Header {
                 return fault(&format!("{needed} bytes in level {level}"), unpacked.to_string());
             }
         }
+        // channel ids of the samples in the data format descriptor
         let sample = |at: usize| -> Result<u32, Fault> { Ok((word(at)? >> 24) & 15) };
         let first = sample(descriptor + 28)?;
         let two_samples = word(52)? >= 60;

@@ -105,6 +105,7 @@ fn load_scene(
         document.variant = Some(choose("material variant", variant, &variants::names(&document))?);
     }
     let document = document;
+    // only shown nodes, and the materials of their meshes, are read
     let nodes = nodes::load(&document, animation::sample(&document, options)?)?;
     let mut materials = material::load(&document, &used_materials(&document, &nodes)?)?;
     let environment = lights_cameras::environment(&document, &nodes, &mut materials.images)?;
@@ -171,6 +172,7 @@ fn place_meshes(
         let node = &document.root.nodes[number];
         let Some(index) = node.mesh else { continue };
         let mesh = document.get(index, &format!("/nodes/{number}/mesh"))?;
+        // a skin places its mesh by itself
         let mut scene_from_node = nodes.scene_from_node[number];
         let mut pose = None;
         if let Some(skin) = node.skin {
@@ -186,6 +188,7 @@ fn place_meshes(
         let animated_weights = nodes.poses.get(&number).and_then(|pose| pose.weights.as_deref());
         let weights = animated_weights.or(node.weights.as_deref());
         let own_shape = pose.is_some() || weights.is_some();
+        // read the mesh once per shape
         let clouds = match loaded_splats.entry(index.value()) {
             Entry::Occupied(entry) => entry.into_mut(),
             Entry::Vacant(entry) => entry.insert(read_splats(document, mesh, index.value(), &mut parts.clouds)?),
@@ -199,6 +202,7 @@ fn place_meshes(
                 entry.insert(first..parts.meshes.len())
             }
         };
+        // place it once, or once per instance of EXT_mesh_gpu_instancing
         let copies = nodes::copies(document, number)?.unwrap_or_else(|| vec![DAffine3::IDENTITY]);
         let placed = (positions.len() + clouds.len()) * copies.len();
         document.spend(&format!("/nodes/{number}"), placed, size_of::<Instance>())?;

@@ -84,6 +84,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         document.leave_out(place, "a primitive without POSITION is left out".into());
         return Ok(None);
     };
+    // triangles: those of the Draco stream, or by the mode from indices
     let count = positions.count;
     let (mut triangles, left_over) = match &decoded {
         Some(decoded) if decoded.vertices == count => {
@@ -104,6 +105,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
     if left_over > 0 {
         document.task.warn(place, format!("{left_over} vertices at the end make no triangle and are left out"));
     }
+    // read the attributes of used vertices alone
     let selection = select_used_vertices(&mut triangles, count);
 
     let mut mesh = Mesh {
@@ -138,6 +140,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         let colors = colors.assume_normalized().finite::<4>(document, &selection, 1.0)?;
         mesh.colors = clamp_colors(document, place, colors);
     }
+    // deform the mesh: morph targets first, then the skin
     morph(&attributes, request.weights, &mut mesh, &selection, count)?;
     if let Some(pose) = request.pose {
         pose.apply(document, &attributes, &mut mesh, &selection, count)?;

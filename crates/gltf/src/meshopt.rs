@@ -54,6 +54,7 @@ impl<'d> Packed<'d> {
         let fields = &self.fields;
         let number =
             |key: &str| fields.count(key)?.ok_or_else(|| Fault::new(fields.place(key), "a whole number", "nothing"));
+        // the extension's numbers have to agree with the view's, and bound the memory
         let (count, stride, length) = (number("count")?, number("byteStride")?, number("byteLength")?);
         let offset = fields.count("byteOffset")?.unwrap_or_default();
         let source = document.range(fields.needed_index("buffer")?, offset, length, fields.here())?;
@@ -75,6 +76,7 @@ impl<'d> Packed<'d> {
         let most_held = usize::try_from(2 * MAX_VIEW_BYTES).unwrap_or(usize::MAX);
         let mut workspace = Workspace::new(Limits { max_bytes: most_held, ..Limits::default() });
         let broken = |error| Fault::new(fields.place("buffer"), "a sound meshopt stream", error);
+        // decode, then undo the filter
         let mode = fields.text("mode")?;
         let decode = match mode {
             Some("ATTRIBUTES") => decode_vertex_buffer,

@@ -46,6 +46,7 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
         Some(scene) => Some((document.get(scene, "/scene")?, scene.value())),
         None => root.scenes.first().map(|scene| (scene, 0)),
     };
+    // roots: those of the scene, or all nodes without a parent if the file has no scene
     let mut roots = Vec::new();
     match scene {
         Some((scene, number)) => {
@@ -69,6 +70,7 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
             roots.extend(orphans.map(|node| (node, String::new())));
         }
     }
+    // walk the visible nodes below the roots, in the file's order
     let scene_from_node = placements(document, &parents, &poses)?;
     let mut shown = Vec::new();
     let mut seen = vec![false; root.nodes.len()];
@@ -245,6 +247,7 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
         let index = index.ok_or_else(|| Fault::new(&place, "an accessor's index", quote(Some(value))))?;
         Accessor::open(document, json::Index::new(index), &place, format).map(Some)
     };
+    // attributes that are absent have their defaults, and the others one count
     let translations = open("TRANSLATION", &TRANSLATION)?;
     let rotations = open("ROTATION", &ROTATION)?.map(Accessor::assume_normalized);
     let scales = open("SCALE", &TRANSLATION)?;

@@ -72,6 +72,7 @@ impl Pose {
         selection: &Selection,
         count: usize,
     ) -> Result<(), Fault> {
+        // sum the weighted joint matrices of every vertex, over all sets of joints
         let mut sums = vec![(Affine3A::ZERO, 0.0f32); mesh.positions.len()];
         let mut first_joints = Vec::new();
         for set in 0.. {

@@ -54,6 +54,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
     if mode != 0 {
         return Err(Fault::new(format!("{place}/mode"), "0 (POINTS), as splats have", mode));
     }
+    // unknown values fall back to the only known ones
     let text = |key: &str| document.json(&format!("{here}/{key}")).and_then(serde_json::Value::as_str);
     let encoding = match text("colorSpace") {
         Some("srgb_rec709_display") => Encoding::Srgb,
@@ -113,6 +114,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
     let rotations = needed(&own("ROTATION"), &ROTATION, count)?.assume_normalized().floats::<4>(document, all, 0.0)?;
     let scales = needed(&own("SCALE"), &SCALE, count)?.floats::<3>(document, all, 0.0)?;
     let opacities = needed(&own("OPACITY"), &OPACITY, count)?.assume_normalized().floats::<1>(document, all, 0.0)?;
+    // harmonics up to the first degree that is absent; a degree has all of its coefficients
     let mut harmonics = Vec::new();
     for degree in 0..=lumistack_scene::MAX_DEGREE {
         let mut of_degree = Vec::new();
@@ -131,6 +133,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
             }
         }
     }
+    // interleave the harmonics splat by splat
     let count = positions.len();
     document.spend(place, count, harmonics.len() * size_of::<[f32; 3]>())?;
     let interleaved = (0..count).flat_map(|i| harmonics.iter().flat_map(move |of_all| of_all[i]));

@@ -77,6 +77,7 @@ impl<'d, 'f> Loader<'d, 'f> {
             Some((source, place)) => self.images.texture(document, json::Index::new(source as u32), place)?,
             None => self.images.texture(document, texture.source, &format!("{place}/source"))?,
         };
+        // without a sampler the texture repeats and is filtered linearly
         let sampler = match texture.sampler {
             Some(sampler) => Some((document.get(sampler, &format!("{place}/sampler"))?, sampler.value())),
             None => None,

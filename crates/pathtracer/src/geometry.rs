@@ -149,6 +149,7 @@ impl Geometry {
     pub(crate) fn new(scene: Arc<Scene>, sharing: Sharing) -> Self {
         let space = RenderSpace::new(&scene);
         let shares = shared_meshes(&scene, sharing);
+        // loose triangles go to render space, and every instance keeps its transform
         let mut geometry = Self {
             space,
             records: Vec::with_capacity(unique_triangles(&scene, sharing)),
@@ -183,6 +184,7 @@ impl Geometry {
             if !shares[instance.mesh] {
                 continue;
             }
+            // the first instance of a shared mesh stores its triangles around the mesh's centre
             let (shared, scale, centre) = *trees[instance.mesh].get_or_insert_with(|| {
                 let mesh = &scene.meshes[instance.mesh];
                 let mut bounds = Bounds::EMPTY;
@@ -194,6 +196,7 @@ impl Geometry {
                 (geometry.shared.len() - 1, own.scale, own.centre)
             });
             let linear = linear(instance);
+            // place the instance: from the tree's space to render space
             let render_from_tree = (space.scale / scale) * linear;
             let origin = instance.scene_from_mesh.translation.as_dvec3() + linear * centre;
             geometry.instances[index].placement = geometry.placements.len() as u32;

@@ -114,12 +114,14 @@ impl<'a> PrimaryRays<'a> {
         let pitch = self.geometry.pitch_mm;
         let grid = &self.geometry.grid;
         let point = [self.geometry.x_mm(col), self.geometry.y_mm(row)];
+        // slope of the central ray, and its change across a pixel
         let slope = grid.slope_at(self.view, point);
         let beside = grid.slope_at(self.view, point.map(|p| p + pitch));
         let turn = [0, 1].map(|axis| beside[axis] - slope[axis]);
         let [x, y, z] = self.axes;
         let on_plane = self.origin + point[0] * x + point[1] * y;
         let along = -(slope[0] * x + slope[1] * y + z);
+        // the texture footprint: constant in parallel projections, growing from the eye in others
         let (start, spread) = match grid.projection {
             Projection::Oblique => (1.0, 0.0),
             Projection::Perspective { distance_mm } => {
@@ -170,6 +172,7 @@ impl PixelRays {
             }
         }
         for index in 0..BEAM {
+            // start and direction are linear in the offsets
             let turned: [f32; 3] =
                 std::array::from_fn(|axis| turns[0][index] * self.axes[0][axis] + turns[1][index] * self.axes[1][axis]);
             for axis in 0..3 {

@@ -154,6 +154,7 @@ impl Renderer {
     }
 
     fn with_sharing(scene: Arc<Scene>, sharing: Sharing, task: Task<'_>) -> Result<Self, RenderError> {
+        // the tree's references bound the scene's size
         let found = geometry::unique_triangles(&scene, sharing);
         if found > bvh::MAX_TRIANGLES {
             return Err(RenderError::TooManyTriangles { found });
@@ -165,6 +166,7 @@ impl Renderer {
         task.cancel.check()?;
         let materials = Materials::new(scene.clone());
         task.cancel.check()?;
+        // the tree, from corners and flags that only its build needs
         let flags: Vec<u32> = (0..found as u32).map(|t| materials.flags(geometry.material_index(t))).collect();
         let corners: Vec<_> = (0..found as u32).map(|t| geometry.corners(t)).collect();
         let bvh = Bvh::new(&bvh::Input {
@@ -399,6 +401,7 @@ impl Renderer {
         stack: &mut Stack,
     ) -> PixelMean {
         let tracer = self.tracer();
+        // sums in double precision, since their difference gives the variance
         let (mut sum, mut squares) = ([0.0f64; 3], [0.0f64; 3]);
         let mut not_finite = 0;
         samples.for_each_beam(at, pixel_seed, |beam, rays, draws| {

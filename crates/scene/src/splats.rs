@@ -138,6 +138,7 @@ impl Cloud {
             let expected = format!("a degree of harmonics up to {MAX_DEGREE}");
             return Err(SceneError::new(&self.place, expected, self.degree.to_string()));
         }
+        // every list has an entry per splat
         let count = self.len();
         let lengths = [
             ("rotations", self.rotations.len(), count),
@@ -148,6 +149,7 @@ impl Cloud {
         if let Some((name, found, expected)) = lengths.into_iter().find(|(_, found, expected)| found != expected) {
             return Err(SceneError::new(&self.place, format!("{expected} values of {name}"), found.to_string()));
         }
+        // leave out splats that are no Gaussians, with one warning for all
         let mut first_fault = None;
         let kept: Vec<bool> = (0..count)
             .map(|i| {
@@ -165,6 +167,7 @@ impl Cloud {
             task.warn(&self.place, message);
         }
         self.rotations.iter_mut().for_each(|rotation| *rotation = rotation.normalize());
+        // splats that lie close together lie close in memory
         if self.len() > UNSORTED {
             self.sort_by_place();
         }
@@ -190,6 +193,7 @@ impl Cloud {
             }
             bits
         };
+        // Morton code of the place
         let key = |at: Vec3| {
             let [x, y, z] = (at - bounds.min).to_array();
             spread(x) | spread(y) << 1 | spread(z) << 2

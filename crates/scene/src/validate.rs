@@ -95,6 +95,7 @@ impl SceneParts {
     pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
         self.check_images()?;
         self.check_materials(task)?;
+        // check every mesh, and compute the normals and tangents that it lacks
         let tangent_uv_sets: Vec<_> = self.materials.iter().map(crate::Material::tangent_uv_set).collect();
         let material_count = self.materials.len();
         let mut flat: Vec<(String, usize, usize)> = Vec::new();
@@ -127,6 +128,7 @@ impl SceneParts {
         }
         self.check_instances(task)?;
         self.check_lights_and_cameras()?;
+        // bounds of all instances and clouds, and of those that the viewer sees
         let (mut bounds, mut seen_bounds) = (Bounds::EMPTY, Bounds::EMPTY);
         for instance in &self.instances {
             let mesh = &self.meshes[instance.mesh];
@@ -218,6 +220,7 @@ impl SceneParts {
     fn check_materials(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         for (i, material) in self.materials.iter_mut().enumerate() {
             let place = format!("/materials/{i} ({})", material.name);
+            // references
             for (slot, texture) in material.textures() {
                 index(&format!("{place} {slot}"), texture.texture, self.textures.len(), "texture")?;
                 index(&format!("{place} {slot} texCoord"), texture.uv_set, 2, "texture coordinate set (0 or 1)")?;
@@ -229,6 +232,8 @@ impl SceneParts {
                     ));
                 }
             }
+            // parameters outside of their range are clamped with a warning, since files often
+            // exceed it
             let clamp = |name: &str, value: &mut f32, low: f32, high: f32| -> Result<(), SceneError> {
                 if value.is_nan() {
                     return Err(SceneError::new(
@@ -337,6 +342,7 @@ impl SceneParts {
             let (Some(x), Some(z), true) = (x, z, camera.scene_from_camera.is_finite()) else {
                 return Err(SceneError::new(place, "a placement with three independent axes", format!("{axes:?}")));
             };
+            // remove scale and shear from the placement
             camera.scene_from_camera = Affine3A {
                 matrix3: Mat3A::from_cols(x, Vec3A::cross(z, x), z),
                 translation: camera.scene_from_camera.translation,
@@ -485,6 +491,7 @@ fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
             }
         }
     }
+    // make tangents perpendicular to the normal; any will do without texture coordinates
     mesh.tangents = sums
         .iter()
         .zip(&mesh.normals)

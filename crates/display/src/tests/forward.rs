@@ -2,7 +2,7 @@
 
 use lumistack_core::seed::{Stream, derive};
 
-use super::oracle::{Met, emitted, seen};
+use super::oracle::{Effective, emitted, seen};
 use super::random_stack;
 use crate::{
     Backlight, Display, FieldGeometry, Formation, LayerColour, LayerStack, LensletBacklight, Missing, OutsideBins,
@@ -53,13 +53,13 @@ fn random_display(formation: Formation, choices: [bool; 5], seed: u64) -> Displa
 
 /// Compares every ray of every view.
 fn assert_agrees(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, what: &str) {
-    let met: Vec<Met> =
-        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Met::of(layer, values)).collect();
+    let effective: Vec<Effective> =
+        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Effective::of(layer, values)).collect();
     let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
     for view in geometry.grid.iter() {
         let found = simulator.view(&map, geometry, view);
         for (i, pixel) in found.radiance.data().chunks_exact(3).enumerate() {
-            let expected = emitted(display, &met, stack, geometry, view, [i / geometry.cols, i % geometry.cols]);
+            let expected = emitted(display, &effective, stack, geometry, view, [i / geometry.cols, i % geometry.cols]);
             assert_eq!(found.valid[i], expected.is_some(), "{what}: ray {i} of view {view:?}");
             for (found, expected) in pixel.iter().zip(expected.unwrap_or_default()) {
                 let error = (f64::from(*found) - expected).abs();
@@ -185,14 +185,14 @@ fn seen_pictures_of_any_display_are_means_over_pixels() {
 /// Largest difference from the oracle over all pixels of the last view.
 fn compare_seen(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, fine: usize) -> f64 {
     display.check().unwrap();
-    let met: Vec<Met> =
-        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Met::of(layer, values)).collect();
+    let effective: Vec<Effective> =
+        display.layers.iter().zip(&stack.layers).map(|(layer, values)| Effective::of(layer, values)).collect();
     let view = geometry.grid.iter().last().unwrap();
     let found = Simulator::new(display, stack).seen(geometry, view);
     let mut worst = 0.0f64;
     for (i, (pixel, share)) in found.radiance.data().chunks_exact(3).zip(&found.share).enumerate() {
         let place = [i / geometry.cols, i % geometry.cols];
-        let (expected, expected_share) = seen(display, &met, stack, geometry, view, place, fine);
+        let (expected, expected_share) = seen(display, &effective, stack, geometry, view, place, fine);
         worst = worst.max((f64::from(*share) - expected_share).abs());
         if expected_share > 0.1 {
             (0..3).for_each(|c| worst = worst.max((f64::from(pixel[c]) - expected[c]).abs()));

@@ -6,7 +6,7 @@ use std::borrow::Cow;
 use lumistack_core::Tensor;
 use lumistack_core::seed::Stream;
 
-use super::oracle::Met;
+use super::oracle::Effective;
 use super::{fill, random_stack};
 use crate::config::tests::small_display;
 use crate::{Layer, LayerColour, LayerStack, Response};
@@ -42,10 +42,10 @@ fn every_effect_agrees_with_the_sum_over_all_pixels() {
                 Layer { colour: LayerColour::Mono, filters: filters.clone(), crosstalk: Some(crosstalk), ..plain },
             ] {
                 let stored = values(size, 2, i as u64);
-                let met = Met::of(&layer, &stored);
+                let effective = Effective::of(&layer, &stored);
                 let found = layer.response().map_or_else(|| stored.clone(), |response| response.apply(&stored));
                 assert_eq!(found.shape(), stored.shape());
-                for (found, expected) in found.data().iter().zip(met.values()) {
+                for (found, expected) in found.data().iter().zip(effective.values()) {
                     assert!((f64::from(*found) - expected).abs() < ROUNDING, "{size:?} {layer:?}");
                     assert!((0.0..=1.0 + ROUNDING).contains(&f64::from(*found)));
                 }
@@ -148,10 +148,10 @@ fn an_ideal_layer_has_no_response_and_costs_nothing() {
 fn filters_are_stripes_of_columns() {
     let filters = vec![[1.0, 0.0, 0.0], [0.0, 0.5, 0.0]];
     let response = Layer { colour: LayerColour::Mono, filters, ..layer([2, 5], 0.0) }.response().unwrap();
-    let met = response.apply(&Tensor::filled(LayerStack::LAYER_AXES, [1, 2, 5, 3], 0.8));
+    let effective = response.apply(&Tensor::filled(LayerStack::LAYER_AXES, [1, 2, 5, 3], 0.8));
     for (row, col) in [(0, 0), (1, 0), (0, 3), (1, 4)] {
         let expected = if col % 2 == 0 { [0.8, 0.0, 0.0] } else { [0.0, 0.4, 0.0] };
-        assert_eq!(met.block([0, row, col]), expected);
+        assert_eq!(effective.block([0, row, col]), expected);
         assert_eq!(response.filter(col), if col % 2 == 0 { [1.0, 0.0, 0.0] } else { [0.0, 0.5, 0.0] });
     }
 }

@@ -43,6 +43,7 @@ impl Bsdf {
         let extras = appearance.extras.as_ref();
         let scene_from_local = local_frame(frame.shading, frame.tangent);
         let o = local_viewer(&scene_from_local, to_viewer);
+        // roughness of the base: a mirror below MIRROR_ALPHA, stretched along the tangent
         let stretch = extras.map_or(0.0, |extras| extras.anisotropy);
         let mirror = roughness * roughness < MIRROR_ALPHA && stretch == 0.0;
         let across = (roughness * roughness).max(MIRROR_ALPHA);
@@ -50,6 +51,7 @@ impl Bsdf {
         let table_roughness = if mirror { 0.0 } else { roughness };
         let table: Albedo = if stretch == 0.0 { albedo(o.z, table_roughness) } else { albedo::stretched(o, alpha) };
         let facet = Facet { scene_from_local, geometric_normal: frame.geometric, o, alpha, mirror };
+        // parameters that lobes share
         let (f0, f90) = dielectric_reflectance(ior, extras);
         let mut surface = Surface {
             facet: &facet,
@@ -73,6 +75,7 @@ impl Bsdf {
             dielectric_compensation: Vec3::ONE,
             dielectric_albedo: Vec3::ZERO,
         };
+        // albedo of the dielectric's reflection, which darkens all below it
         let mean_rise = match ior {
             COMMON_IOR => table.dielectric,
             ..1.0 => table.metal,
@@ -81,6 +84,8 @@ impl Bsdf {
         let (reflected, for_compensation) = surface.seen(&surface.dielectric, dielectric_rise(o.z, ior), mean_rise);
         surface.dielectric_compensation = surface.compensation(for_compensation);
         surface.dielectric_albedo = (reflected * surface.dielectric_compensation).min(Vec3::ONE);
+        // the lobes, chosen with chances in proportion to their albedos; layers lie outside of a
+        // solid
         let seen_from_inside = solid && transmission > 0.0 && !front;
         let layers = extras.filter(|_| !seen_from_inside).map(|extras| &extras.layers);
         let lobes = Lobes::new(&surface, layers);

@@ -232,6 +232,7 @@ impl<V: Lanes> Sheared<V> {
     /// `shear` is that of the first ray.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], shear: &Shear) -> Self {
+        // coordinates of the rays in the order of the shear's axes, the longest last
         let axes = shear.axes.map(|row| row / WIDTH);
         let (mut origins, mut directions) = ([[0.0; BEAM]; 3], [[1.0; BEAM]; 3]);
         for (index, ray) in rays.iter().enumerate() {
@@ -265,6 +266,7 @@ impl<V: Lanes> Sheared<V> {
                     V::from_array(eight(&directions[1], at)),
                     V::from_array(eight(&directions[2], at)),
                 ];
+                // a shear per lane that turns its ray into the z axis
                 let along = V::splat(1.0).div(z);
                 sheared.shear[vector] = [x.mul(along), y.mul(along), along];
                 sheared.origin[vector] = [
@@ -385,6 +387,7 @@ impl<V: Lanes> Beam<V> {
     /// `extent`: largest coordinate of the tree's bounds.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], extent: f32) -> Self {
+        // least and greatest coordinates of all rays
         let (mut low, mut high) = ((rays[0].origin, rays[0].direction), (rays[0].origin, rays[0].direction));
         for ray in &rays[1..] {
             low = (low.0.min(ray.origin), low.1.min(ray.direction));

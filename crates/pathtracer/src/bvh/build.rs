@@ -47,6 +47,7 @@ impl Bvh {
             stack_depth: 0,
             backend: Backend::best(),
         };
+        // a tree per shared mesh, then a box per instance of it
         let shared: Vec<Tree> = input.shared.iter().map(|range| bvh.add_tree(input, range.clone(), &[])).collect();
         let mut boxes = Vec::with_capacity(input.placements.len());
         for placement in input.placements {
@@ -61,6 +62,7 @@ impl Bvh {
                 extent: extent(&tree.bounds),
             });
         }
+        // the top tree over loose triangles and instances
         let top = bvh.add_tree(input, input.loose.clone(), &boxes);
         bvh.root = top.root;
         bvh.extent = extent(&top.bounds);
@@ -100,12 +102,14 @@ impl Bvh {
     fn add_tree(&mut self, input: &Input<'_>, range: Range<usize>, instances: &[Aabb]) -> Tree {
         let triangles = &input.triangles[range.clone()];
         let flags = &input.flags[range.clone()];
+        // boxes of triangles, large ones cut, and of instances
         let mut boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::from_points(&t.map(Vec3A::from))).collect();
         let mut primitives: Vec<u32> = (0..boxes.len() as u32).collect();
         let bounds = boxes.iter().chain(instances).fold(Aabb::INVALID, |all, one| all.union(one));
         split_large(&mut boxes, &mut primitives, triangles, flags);
         boxes.extend(instances);
         primitives.extend((0..instances.len()).map(|i| (triangles.len() + i) as u32));
+        // build a binary tree, improve it, and collapse it to wide nodes and blocks
         let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
             PlocSearchDistance::High,
             &boxes,
@@ -189,6 +193,7 @@ impl Collapse<'_> {
         // (binary node, own node to fill, postponed siblings on the way to it)
         let mut open = vec![(0u32, root, 0usize)];
         while let Some((binary_index, node, postponed)) = open.pop() {
+            // every postponed child needs a place on the stack of a traversal
             let children = self.plan.children(self.binary, binary_index);
             let postponed = postponed + children.len() - 1;
             stack_depth = stack_depth.max(postponed + 1);

@@ -365,6 +365,7 @@ impl Bvh {
                         current = *postponed.add(depth) as u32;
                         continue;
                     }
+                    // any order will do, so children are not sorted
                     current = *node.children.get_unchecked(hits.trailing_zeros() as usize);
                     hits &= hits - 1;
                     while hits != 0 {
@@ -384,6 +385,7 @@ impl Bvh {
                             hits &= hits - 1;
                             let hit = test.hit(lane, block.references[lane], instance);
                             if hit.is_visible() {
+                                // opaque triangles end the segment, others dim the light
                                 if hit.flags & !CULL_BACK == 0 {
                                     return Vec3::ZERO;
                                 }

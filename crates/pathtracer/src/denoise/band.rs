@@ -150,6 +150,7 @@ impl Scratch {
         sums: &mut [Sums; ANSWERS],
     ) {
         let (height, cols, width) = (self.height, self.cols, centre.width);
+        // colour distances of both halves, summed along rows of patches
         let wide = cols + 2 * PATCH;
         for y in 0..height + 2 * PATCH {
             let p = (y + margin - PATCH) * width + margin - PATCH;
@@ -177,6 +178,7 @@ impl Scratch {
         for y in 0..height {
             let p = (y + margin) * width + margin;
             let q = (p as isize + shift[0] * width as isize + shift[1]) as usize;
+            // weights from the guides, times the kernel of the patches' colour distances
             guide_row(centre, block, p, q, &steady[y * cols..][..cols], &mut self.guides);
             let range = y * cols..(y + 1) * cols;
             for half in 0..2 {
@@ -198,6 +200,7 @@ impl Scratch {
                     sum_g[x] += w * g[x];
                     sum_b[x] += w * b[x];
                 }
+                // the same weights on their own half, for the estimate of the error
                 let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
                 let weights = &mut own_weights.weights[half][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];
@@ -209,6 +212,7 @@ impl Scratch {
                     sum_g[x] += w * own_g[x];
                     sum_b[x] += w * own_b[x];
                 }
+                // the answer of the guides alone
                 let weights = &mut guides_alone.weights[other][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut guides_alone.values[other];
                 let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);

@@ -52,6 +52,8 @@ impl Frame {
             for col in 0..cols {
                 let i = row * cols + col;
                 let feature = source.features.at(row, col);
+                // demodulation: divide both halves by the albedo, or by 1 where the environment
+                // shows
                 let shown = feature.covered * feature.albedo + Vec3::splat(1.0 - feature.covered);
                 let factor = shown.max(Vec3::splat(LEAST_ALBEDO)).to_array();
                 for (half, first) in source.halves.iter().zip(HALVES) {
@@ -59,6 +61,7 @@ impl Frame {
                     (0..3).for_each(|c| planes[first + c][i] = pixel[c] / factor[c]);
                 }
                 modulation.push(factor);
+                // the place of the pixel's surface in display space, in pixels
                 let point = [geometry.x_mm(col), geometry.y_mm(row)];
                 let slope = grid.slope_at(view, point);
                 let z = f64::from(feature.z_mm);

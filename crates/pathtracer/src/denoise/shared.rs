@@ -152,10 +152,12 @@ fn of_view(geometry: &FieldGeometry, points: &[Vec<Point>], index: usize, partne
     let (mut sums, mut weights) = (vec![Vec3::ZERO; cols], vec![0.0f32; cols]);
     for row in 0..rows {
         let line = &own[row * cols..][..cols];
+        // begin with the view's own light
         for ((sum, weight), point) in sums.iter_mut().zip(&mut weights).zip(line) {
             (*sum, *weight) = (Vec3::from_array(point.light), 1.0);
         }
         for &other in partners.iter().filter(|other| **other != index) {
+            // add the light of every other view that sees the same point
             let turn = (slope_of(index) - slope_of(other)) / pitch;
             let (turn_x, turn_y) = (turn.x as f32, turn.y as f32);
             let seen = &points[other];

@@ -80,11 +80,13 @@ impl EnvironmentLight {
             sampled_magnitude: 0.0,
             constant: None,
         };
+        // a sky of one radiance is found by scattering, and needs no sampling
         let Pixels::RgbF32(texels) = &image.pixels else { return None };
         if texels.iter().all(|texel| texel == &texels[0]) {
             this.constant = Some(environment.strength * Vec3::from_array(texels[0]));
             return (this.constant != Some(Vec3::ZERO)).then_some(this);
         }
+        // choose a row of cells by its sum, then a cell of the row
         let mut row_weights = Vec::with_capacity(rows.count());
         for row in 0..rows.count() {
             let weights: Vec<f64> = (0..columns.count()).map(|column| this.cell_weight(row, column)).collect();

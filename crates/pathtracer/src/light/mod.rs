@@ -75,6 +75,7 @@ struct TriangleLight {
 
 impl Lights {
     pub(crate) fn new(scene: &Arc<Scene>, geometry: &Geometry, materials: &Materials) -> Self {
+        // emitting triangles, and the way back from a hit triangle to its light
         let (triangles, mut emitters) = emitting_triangles(geometry, materials);
         let mut light_of_triangle = Vec::new();
         if !triangles.is_empty() {
@@ -85,6 +86,7 @@ impl Lights {
                 }
             }
         }
+        // punctual lights: local ones join the tree, distant ones are chosen by themselves
         let radius = geometry.space.radius;
         let mut local_power: f64 = emitters.iter().map(|light| f64::from(light.strength * light.sides() * PI)).sum();
         let (mut points, mut directional, mut directional_powers) = (Vec::new(), Vec::new(), Vec::new());
@@ -103,6 +105,8 @@ impl Lights {
                 Some(_) => {}
             }
         }
+        // chances in proportion to power: all local lights together, each distant one, the
+        // environment
         let tree = LightTree::new(&emitters);
         let environment = EnvironmentLight::new(scene);
         let environment_power =
@@ -311,6 +315,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         let index = geometry.material_index(triangle);
         let at = |k: usize| (k as f32 + 0.5) / POWER_POINTS as f32;
         let centre = geometry.point(triangle, [1.0 / 3.0; 3]);
+        // mean radiance, from points over the triangle where it varies
         let varies = material.textures().next().is_some() || material.clearcoat.is_some() || centre.is_colored();
         let uniform = (!varies).then(|| emitted(materials, index, &centre, 1.0));
         let mean = match uniform {
@@ -327,6 +332,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         let strength = area * magnitude(mean);
         // scattering still finds light that cannot be sampled
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
+            // two halves of a parallelogram become one light
             let corners @ [a, b, c] = geometry.corners(triangle);
             let light = TriangleLight {
                 triangle,

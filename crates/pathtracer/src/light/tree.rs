@@ -304,6 +304,7 @@ fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
         if size[axis] <= 0.0 {
             continue;
         }
+        // sort lights into buckets along the axis, and cost each cut between buckets
         let mut buckets: [Option<Emitter>; BUCKETS] = [None; BUCKETS];
         for &index in order.iter() {
             let bucket = &mut buckets[bucket_of(light(index), axis, min, size)];
@@ -323,6 +324,7 @@ fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
             }
         }
     }
+    // partition the lights by the cheapest cut, or in halves where none separates them
     let Some((_, axis, cut)) = best else { return order.len() / 2 };
     let mut middle = 0;
     for k in 0..order.len() {

@@ -99,9 +99,11 @@ impl Renderer {
                 let Some((point, normal, appearance)) = self.tracer().first_seen(&ray, rays.cone, &draws, stack) else {
                     continue;
                 };
+                // reflectance, and the share of it that depends on the viewer
                 let reflectance = appearance.base.lerp(Vec3::ONE, DIELECTRIC_SHARE * (1.0 - appearance.metallic));
                 let dielectric = DIELECTRIC_SHARE.max(appearance.transmission);
                 let gloss = appearance.metallic + (1.0 - appearance.metallic) * dielectric;
+                // position and normal in display axes
                 let position = point.as_dvec3() / space.scale + space.centre;
                 let at: DVec3 = window.scene_from_display.inverse_point(position);
                 let n = display_from_scene * normal;
@@ -110,6 +112,7 @@ impl Renderer {
                 let values = [1.0, r, g, b, n.x, n.y, n.z, at.z as f32, gloss, alpha];
                 (0..FEATURES).for_each(|k| sum[k] += values[k]);
             }
+            // means over the hits; the share of hits is a mean over all samples
             let hits = sum[0].max(1.0);
             let mut mean = sum.map(|s| s / hits);
             mean[0] = sum[0] / samples as f32;

@@ -109,11 +109,13 @@ impl Renderer {
                     if !(sample.is_finite() && first.diffuse.is_finite()) {
                         continue;
                     }
+                    // a limit dims both parts alike
                     let dimmed = settings.clamp.map_or(sample, |limit| clamped.dim(sample, limit));
                     let kept = if dimmed == sample { 1.0 } else { dimmed.max_element() / sample.max_element() };
                     finite += 1;
                     all += dimmed;
                     diffuse += kept * first.diffuse;
+                    // the first surface, in display axes
                     if first.is_there {
                         seen += 1;
                         reflectance += first.reflectance;
@@ -123,6 +125,7 @@ impl Renderer {
                     }
                 }
             });
+            // light is a mean over all samples, normal and depth over those with a surface
             let (share, count) = (1.0 / finite.max(1) as f32, 1.0 / seen.max(1) as f32);
             let (diffuse, all) = (share * diffuse, share * all);
             let [other, reflectance, normal] =
