@@ -23,6 +23,8 @@ const CLEAN: &[&str] = &[
     "crates/scene",
     "crates/simd",
     "docs/GLOSSARY.md",
+    "docs/GLTF.md",
+    "docs/ZONE.md",
     "xtask/src/prose.rs",
     "xtask/src/words.rs",
 ];
