@@ -1,7 +1,8 @@
-//! Plain `.npy` light fields, axes `[view_y][view_x][row][col][rgb]`, with an optional JSON file of the same name beside them.
+//! Plain `.npy` light fields, axes `[view_y][view_x][row][col][rgb]`, with an optional JSON file of
+//! the same name beside them.
 //!
-//! Floats are linear light. Integers are taken to be pictures' sRGB code values and decoded, with a warning, unless the JSON says
-//! `"linear": true`; floats are decoded if it says `"linear": false`.
+//! Floats are linear light. Integers are taken to be pictures' sRGB code values and decoded, with a
+//! warning, unless the JSON says `"linear": true`; floats are decoded if it says `"linear": false`.
 
 use std::path::{Path, PathBuf};
 

@@ -1,8 +1,10 @@
-//! From a source to a light field in memory: choose views, put the plane in focus, crop and reduce, check values.
+//! From a source to a light field in memory: choose views, put the plane in focus, crop and reduce,
+//! check values.
 //!
-//! A camera at position p (in steps, right and up) sees content of disparity k (pixels a step) k·p pixels left of and below where the
-//! middle camera sees it. Reading view p from column c − k·p and row r + k·p puts that content on z = 0. The result keeps what every
-//! view has.
+//! A camera at position p (in steps, right and up) sees content of disparity k (pixels a step)
+//! displaced from its place in the middle camera: k·p pixels to the left and below. Reading view p
+//! from column c − k·p and row r + k·p puts that content on z = 0. The result keeps the part that
+//! all views have.
 
 use std::path::Path;
 
@@ -35,7 +37,7 @@ pub struct LeftOut {
     pub radiance: Vec<f32>,
 }
 
-/// What is read of a source, and as what.
+/// The views and pixels that are read of a source, and their meaning.
 pub(crate) struct Plan {
     /// Views that are kept: [view rows, view columns].
     picks: [Vec<usize>; 2],
@@ -246,7 +248,8 @@ impl Window {
         Ok(window)
     }
 
-    /// Makes pixels square and reduces to `resolution`. `pixel_aspect` = width over height of a file's pixel.
+    /// Makes pixels square and reduces to `resolution`. `pixel_aspect` = width over height of a
+    /// file's pixel.
     fn fit(&mut self, source: &Source, resolution: Option<[usize; 2]>, pixel_aspect: f64) -> Result<(), FieldError> {
         let pixel_aspect = if (pixel_aspect - 1.0).abs() < SQUARE { 1.0 } else { pixel_aspect };
         let rounded = |length: f64| (length.round() as usize).max(1);
@@ -292,8 +295,8 @@ fn positions(source: &Source) -> [Vec<f64>; 2] {
     [centred(source.views[1], 1.0), centred(source.views[0], -1.0)]
 }
 
-/// Where the pictures may be unsheared: the disparity of their middle depth, a whole number of pixels, if all content is on one side of
-/// their plane; otherwise 0.
+/// Where the pictures may be unsheared: the disparity of their middle depth, a whole number of
+/// pixels, if all content is on one side of their plane; otherwise 0.
 fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     if !source.hints.cameras.as_ref().is_some_and(|cameras| cameras.plane_unknown) {
         return Ok(0.0);
@@ -313,7 +316,8 @@ fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     Ok(focus_px)
 }
 
-/// Disparity between the two middle views: how far content moves left (down) when the viewpoint moves right (up) by one step.
+/// Disparity between the two middle views: how far content moves left (down) when the viewpoint
+/// moves right (up) by one step.
 fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError> {
     let positions = positions(source);
     let [rows, cols] = source.views;
@@ -333,7 +337,7 @@ fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError>
     Ok(motion.map(|m| Motion { low: -m.high / step, median: -m.median / step, high: -m.low / step }))
 }
 
-/// What was odd about values.
+/// Irregular values that were found.
 #[derive(Default)]
 struct Range {
     negative: usize,
@@ -349,7 +353,7 @@ impl Range {
     }
 }
 
-/// Refuses what is no amount of light; sets negative values to 0.
+/// Refuses values that are no amount of light; sets negative values to 0.
 fn check_values(
     source: &Source,
     [view_y, view_x]: [usize; 2],

@@ -1,4 +1,5 @@
-//! Files that are either complete or absent: written beside the target, flushed to disk, then renamed over it.
+//! Files that are either complete or absent: written beside the target, flushed to disk, then
+//! renamed over it.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -11,10 +12,11 @@ use crate::FieldError;
 const PREFIX: &str = ".lumistack-";
 const SUFFIX: &str = ".tmp";
 
-/// What [`fn@write`] lends to its closure: buffered, seekable.
+/// The writer that [`fn@write`] lends to its closure: buffered, seekable.
 pub type Writer<'a> = BufWriter<&'a mut File>;
 
-/// Writes a file through `fill`. When `fill` or the disk fails, the target stays as it was and nothing is left beside it.
+/// Writes a file through `fill`. When `fill` or the disk fails, the target stays as it was and
+/// nothing is left beside it.
 ///
 /// # Errors
 /// If the folder does not exist, the target is a folder, or writing fails.
@@ -34,7 +36,8 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), FieldError> {
 /// Makes an output folder with its parents.
 ///
 /// # Errors
-/// If the path or one of its parents is a file (the message names it), or the folder cannot be made.
+/// If the path or one of its parents is a file (the message names it), or the folder cannot be
+/// made.
 pub fn create_folder(path: &Path) -> Result<(), FieldError> {
     for part in path.ancestors() {
         match fs::metadata(part) {
@@ -46,7 +49,8 @@ pub fn create_folder(path: &Path) -> Result<(), FieldError> {
     fs::create_dir_all(path).map_err(FieldError::io(path, "make the folder"))
 }
 
-/// Removes a file that may be absent: an index goes first when the files that it lists are about to change.
+/// Removes a file that may be absent: an index goes first when the files that it lists are about to
+/// change.
 ///
 /// # Errors
 /// If the file is there and cannot be removed.
@@ -66,7 +70,7 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
     }
     let mut beside = temporary_beside(folder)?;
-    // says that somebody writes it; where there are no locks, its age has to do
+    // the lock marks the file as being written; where there are no locks, its age has to do
     let _ = beside.as_file().try_lock();
     {
         let mut writer = BufWriter::with_capacity(1 << 16, beside.as_file_mut());
@@ -82,7 +86,8 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
 /// Age below which a temporary file may be one whose writer has not locked it yet.
 const YOUNG: Duration = Duration::from_secs(2);
 
-/// Whether a file is a temporary one of [`fn@write`] whose writer is gone: killed, or the machine stopped.
+/// True if a file is a temporary one of [`fn@write`] whose writer is gone: killed, or the machine
+/// stopped.
 pub fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
@@ -102,7 +107,8 @@ fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     builder.tempfile_in(folder)
 }
 
-/// Makes the rename itself durable. A file system that cannot do this has still written the file, so failure is no error.
+/// Makes the rename itself durable. A file system that cannot do this has still written the file,
+/// so failure is no error.
 fn sync_folder(folder: &Path) {
     if cfg!(unix)
         && let Ok(folder) = File::open(folder)

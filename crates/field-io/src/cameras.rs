@@ -1,8 +1,9 @@
 //! Folders with one picture per camera, named by row and column.
 //!
-//! Stanford archive: `NAME_RR_CC_<Y>_<X>[_...].png`, the numbers after row and column being the camera's centre. X is taken to grow to
-//! the right and Y downwards, and views are ordered by these centres, not by their index, since the direction of CC against X differs
-//! between scenes. Renderers that follow this scheme may append focal length and sensor width in millimetres; such cameras are parallel
+//! Stanford archive: `NAME_RR_CC_<Y>_<X>[_...].png`. The numbers after row and column are the
+//! camera's centre. X is taken to grow to the right and Y downwards. The direction of CC against X
+//! differs between scenes, so these centres order the views, not their index. Renderers that follow
+//! this scheme may append focal length and sensor width in millimetres; such cameras are parallel
 //! and unsheared. Row and column numbers may have gaps (every third camera of a larger set).
 //!
 //! `RR_CC.png`: no centres; row 0 is the topmost, column 0 the leftmost.
@@ -73,7 +74,7 @@ impl Views for PictureGrid {
     }
 }
 
-/// What a picture's name says about its camera.
+/// The camera in a picture's name.
 #[derive(Clone, Debug, PartialEq)]
 struct CameraName {
     prefix: String,
@@ -89,14 +90,15 @@ struct CameraName {
 pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, FieldError> {
     let mut cameras = Vec::new();
     for file in pictures(folder)? {
-        // the numbers count; what is no text in a prefix may be anything
+        // only the numbers count, so a prefix that is no Unicode may be replaced
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         if let Some(name) = parse_name(&stem) {
             cameras.push((name, file));
         }
     }
     let Some((first, _)) = cameras.first() else { return Ok(None) };
-    // Depth or disparity maps may lie beside the views under another prefix: the largest group is the light field.
+    // Depth or disparity maps may lie beside the views under another prefix: the largest group is
+    // the light field.
     let mut groups = BTreeMap::<&str, usize>::new();
     cameras.iter().for_each(|(name, _)| *groups.entry(&name.prefix).or_default() += 1);
     let prefix = groups.iter().max_by_key(|(_, count)| **count).map_or(&first.prefix[..], |(prefix, _)| prefix);
@@ -202,7 +204,8 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     })
 }
 
-/// Mean camera centre of each column (X, right) and each row (Y, down), in the order of their numbers.
+/// Mean camera centre of each column (X, right) and each row (Y, down), in the order of their
+/// numbers.
 struct Centres {
     x: Vec<f64>,
     y: Vec<f64>,
@@ -242,7 +245,8 @@ fn spacing(sorted: &[f64]) -> f64 {
     }
 }
 
-/// Shifted so that the middle between the first and the last is 0; positions that are whole steps apart are made exactly so.
+/// Shifted so that the middle between the first and the last is 0; positions that are whole steps
+/// apart are made exactly so.
 fn middle_zero(positions: impl Iterator<Item = f64>) -> Vec<f64> {
     let positions: Vec<f64> = positions.collect();
     let middle = 0.5 * (positions.first().unwrap_or(&0.0) + positions.last().unwrap_or(&0.0));
@@ -274,7 +278,8 @@ mod tests {
             ("photo_7", None),
             ("input_Cam001", None),
         ] {
-            // "scene_2_01_02": the first pair of whole numbers is (2, 01), followed by a single number; the second pair ends the name
+            // "scene_2_01_02": the first pair of whole numbers is (2, 01), followed by a single
+            // number; the second pair ends the name
             assert_eq!(parse_name(stem), expected, "{stem}");
         }
     }

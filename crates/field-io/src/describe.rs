@@ -1,4 +1,5 @@
-//! What is in a light field: geometry as far as the files give it, and the range of values, read view by view.
+//! The contents of a light field: geometry as far as the files have it, and the range of values,
+//! read view by view.
 
 use std::path::Path;
 
@@ -42,14 +43,16 @@ pub struct Description {
     pub mean: f64,
     /// Values that are infinite or not a number.
     pub not_finite: u64,
-    /// What the writer of our own folder noted.
+    /// The entry `info` of our own folder.
     pub info: Map<String, Value>,
 }
 
-/// Describes a light field of any kind that [`open`](crate::open) reads; holds one view (or one quilt) at a time.
+/// Describes a light field of any kind that [`open`](crate::open) reads; holds one view (or one
+/// quilt) at a time.
 ///
 /// # Errors
-/// Those of [`open`](crate::open), save for incomplete geometry and odd values, which are part of the answer.
+/// Those of [`open`](crate::open), save for incomplete geometry and odd values, which are part of
+/// the answer.
 pub fn describe(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, FieldError> {
     let mut source = detect::detect(path, flags, task)?;
     let [rows, cols] = source.views;

@@ -1,7 +1,8 @@
 //! How far content moves between two neighbouring views: block matching along one axis.
 //!
-//! For each textured block of the first picture, the shift that minimizes the sum of absolute differences of √luminance in the second;
-//! blocks whose minimum is not clearly lower than elsewhere are left out. Percentiles of the shifts describe the scene's depth range.
+//! For each textured block of the first picture, the shift is searched that minimizes the sum of
+//! absolute differences of √luminance in the second. Blocks whose minimum is not clearly lower than
+//! elsewhere are left out. Percentiles of the shifts describe the scene's depth range.
 
 use lumistack_core::colour;
 
@@ -29,8 +30,8 @@ const TEXTURE: f32 = 0.01;
 /// A minimum counts if all shifts farther away than two pixels are worse by this factor.
 const DISTINCT: f32 = 1.5;
 
-/// Motion along `axis` (0: columns, 1: rows) between two pictures `[row][col][rgb]` of `size` = [columns, rows]; `None` where too little
-/// texture is found to tell.
+/// Motion along `axis` (0: columns, 1: rows) between two pictures `[row][col][rgb]` of `size` =
+/// [columns, rows]. `None` where they have too little texture.
 pub(crate) fn motion(first: &[f32], second: &[f32], size: [usize; 2], axis: usize) -> Option<Motion> {
     let (length, lines) = (size[axis], size[1 - axis]);
     let first = Lines::new(first, size, axis);

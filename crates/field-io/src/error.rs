@@ -1,4 +1,5 @@
-//! What can be wrong with files: every message names the file, the place in it, what was expected and what was found.
+//! Errors of files: every message names the file, the place in it, the expected value and the value
+//! found.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -15,22 +16,22 @@ pub enum FieldError {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What was tried: "read", "write", "list the folder".
+        /// The attempted action: "read", "write", "list the folder".
         action: &'static str,
         /// Why it failed.
         #[source]
         source: io::Error,
     },
-    /// The content is not what it should be.
+    /// The content is malformed.
     #[error("{}: {place}: expected {expected}, found {found}", path.display())]
     Malformed {
         /// The file or folder.
         path: PathBuf,
         /// Where in it: a key, an axis, an index.
         place: String,
-        /// What was needed.
+        /// The expected value or range.
         expected: String,
-        /// What was there.
+        /// The value found.
         found: String,
     },
     /// Two views of one light field differ in size.
@@ -48,7 +49,7 @@ pub enum FieldError {
         /// Its [columns, rows].
         second_size: [usize; 2],
     },
-    /// The files do not say where the views are, and nobody else did.
+    /// Neither files nor flags give the positions of the views.
     #[error("{}: {what} is not known: give {flag}", path.display())]
     MissingGeometry {
         /// The light field.
@@ -63,7 +64,7 @@ pub enum FieldError {
     Geometry {
         /// The light field.
         path: PathBuf,
-        /// What is wrong.
+        /// The defect.
         #[source]
         source: GridError,
     },
@@ -72,11 +73,11 @@ pub enum FieldError {
     Stack {
         /// The stack's folder.
         path: PathBuf,
-        /// What is wrong.
+        /// The defect.
         #[source]
         source: StackError,
     },
-    /// Somebody asked to stop.
+    /// A stop was requested.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }

@@ -1,13 +1,18 @@
-//! Our light-field folder: `lightfield.json` with the geometry of every view, and one half-float OpenEXR picture per view.
+//! Our light-field folder: `lightfield.json` with the geometry of every view, and one half-float
+//! OpenEXR picture per view.
 //!
 //! ```json
-//! { "schema": "lumistack/lightfield", "version": 1, "axes": ["view_y", "view_x", "row", "col", "rgb"], "linear": true,
-//!   "resolution": [cols, rows], "pitch_mm": 0.5, "projection": "perspective", "distance_mm": 600.0,
+//! { "schema": "lumistack/lightfield", "version": 1, "linear": true,
+//!   "axes": ["view_y", "view_x", "row", "col", "rgb"],
+//!   "resolution": [cols, rows], "pitch_mm": 0.5, "projection": "perspective",
+//!   "distance_mm": 600.0,
 //!   "slope_x": [left, ..., right], "slope_y": [top, ..., bottom], "info": { },
-//!   "views": [{ "file": "view_00_00.exr", "view": [view_y, view_x], "slope": [s_x, s_y], "eye_mm": [x, y, z] }] }
+//!   "views": [{ "file": "view_00_00.exr", "view": [view_y, view_x],
+//!               "slope": [s_x, s_y], "eye_mm": [x, y, z] }] }
 //! ```
 //!
-//! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The index is written last.
+//! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The
+//! index is written last.
 
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
@@ -50,7 +55,7 @@ struct Index<'a> {
     distance_mm: Option<f64>,
     slope_x: &'a [f64],
     slope_y: &'a [f64],
-    /// Whether views are missing.
+    /// True if views are missing.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     partial: bool,
     info: &'a Map<String, Value>,
@@ -67,7 +72,7 @@ struct ViewEntry {
     eye_mm: Option<[f64; 3]>,
 }
 
-/// What [`GeometryJson`] leaves over.
+/// The entries of `lightfield.json` apart from [`GeometryJson`].
 #[derive(Deserialize)]
 struct Listing {
     schema: String,
@@ -80,21 +85,23 @@ struct Listing {
     info: Map<String, Value>,
 }
 
-/// Rounds every value to the nearest half float, which is what a light field's folder stores: whoever factorizes the result works on
-/// exactly what is on disk.
+/// Rounds every value to the nearest half float, the precision of a light field's folder. So a
+/// solver gets exactly the values that are on disk.
 pub fn round_to_half(values: &mut [f32]) {
     for value in values {
         *value = f16::from_f32(value.clamp(-LARGEST, LARGEST)).to_f32();
     }
 }
 
-/// Name of a view's file: `view_YY_XX.exr`, more digits where there are more than 100 views along an axis.
+/// Name of a view's file: `view_YY_XX.exr`, more digits where there are more than 100 views along
+/// an axis.
 pub fn view_file_name(views: [usize; 2], view: [usize; 2]) -> String {
     let digits = (views[0].max(views[1]).saturating_sub(1)).to_string().len().max(2);
     format!("view_{:0digits$}_{:0digits$}.exr", view[0], view[1])
 }
 
-/// Writes a light field into a folder, which is made where it is missing. `info` goes into the index as it is.
+/// Writes a light field into a folder, which is made where it is missing. `info` goes into the
+/// index as it is.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.
@@ -134,11 +141,13 @@ fn write_view_as(
     write_exr(&path, [geometry.cols, geometry.rows], rgb, precision)
 }
 
-/// [`write_field`] with some of the views only, [view_y, view_x], each once, in this precision. Their files are named as those of the whole field.
+/// [`write_field`] with some of the views only, [view_y, view_x], each once, in this precision.
+/// Their files are named as those of the whole field.
 ///
-/// Views that make whole rows and columns are a light field of their own, and the index says so: it has their slopes only, and
-/// `info.part_of` tells which rows and columns of how many they are. Otherwise the index has the slopes of all views and `"partial": true`, and
-/// no reader takes the folder for a light field.
+/// Views that make whole rows and columns are a light field of their own, and the index has their
+/// slopes only. `info.part_of` holds their rows and columns, and the size of the whole. Otherwise
+/// the index has the slopes of all views and `"partial": true`, and no reader takes the folder for
+/// a light field.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.
@@ -230,7 +239,8 @@ fn write_index_of(
 /// Reads a light field's folder, with the `info` of its index.
 ///
 /// # Errors
-/// If the index is malformed, a view is missing, damaged or of another size, or a value is not finite.
+/// If the index is malformed, a view is missing, damaged or of another size, or a value is not
+/// finite.
 pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value>), FieldError> {
     let mut source = source(folder)?;
     let info = std::mem::take(&mut source.info);

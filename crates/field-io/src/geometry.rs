@@ -1,6 +1,7 @@
-//! Where the views of a light field are: what flags say, what files say, what is assumed.
+//! Positions of the views of a light field: from flags, from files, by default.
 //!
-//! Flags win over files, files over defaults. Every default that is used gives a warning that names its flag.
+//! Flags win over files, files over defaults. Every default that is used gives a warning that names
+//! its flag.
 
 use std::path::Path;
 
@@ -10,11 +11,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::FieldError;
 
-/// What a user says about a light field. Everything is optional and wins over the files.
+/// The user's flags about a light field. Everything is optional and wins over the files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GeometryFlags {
-    /// How the rays of one view relate. `distance_mm` alone implies perspective where the files do not say.
+    /// How the rays of one view relate. `distance_mm` alone implies perspective where the files do
+    /// not say.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub grid: Option<ProjectionKind>,
     /// [horizontal, vertical] full angle over which the views that are kept spread, degrees.
@@ -26,7 +28,8 @@ pub struct GeometryFlags {
     /// Viewing distance of a perspective grid, millimetres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_mm: Option<f64>,
-    /// [horizontal, vertical] views to keep: evenly spaced, as wide apart as they fit, around the middle.
+    /// [horizontal, vertical] views to keep: evenly spaced, as wide apart as they fit, around the
+    /// middle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub views: Option<[usize; 2]>,
     /// [columns, rows] of tiles of a quilt whose name does not say.
@@ -38,13 +41,15 @@ pub struct GeometryFlags {
     /// [columns, rows] to reduce every view to, by area averaging after a crop to this aspect.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
-    /// Disparity that is put on z = 0: pixels of the files by which content moves left when the viewpoint moves right by one view.
+    /// Disparity that is put on z = 0: pixels of the files by which content moves left when the
+    /// viewpoint moves right by one view.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub focus_px: Option<f64>,
     /// Reverse the order of views along [x, y].
     #[serde(skip_serializing_if = "is_unset")]
     pub mirror: [bool; 2],
-    /// Average every view that is kept over the slopes that the display cannot tell apart; see [`open_for`](crate::open_for).
+    /// Average every view that is kept over the slopes that the display cannot resolve; see
+    /// [`open_for`](crate::open_for).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub prefilter: bool,
 }
@@ -53,7 +58,7 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
     *mirror == [false; 2]
 }
 
-/// What is assumed where neither flags nor files say; `None` makes it an error.
+/// Defaults for values that neither flags nor files give; `None` makes it an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
     /// Width of the light field on z = 0, millimetres.
@@ -62,7 +67,7 @@ pub struct GeometryDefaults {
     pub fov_deg: Option<[f64; 2]>,
 }
 
-/// What the files say.
+/// Values from the files.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Hints {
     pub(crate) projection: Option<ProjectionKind>,
@@ -79,17 +84,20 @@ pub(crate) struct Hints {
 /// Cameras in a plane that look the same way.
 #[derive(Clone, Debug)]
 pub(crate) struct Cameras {
-    /// Positions of view columns (x, right) and view rows (y, up), in steps: the mean distance of neighbours along x.
+    /// Positions of view columns (x, right) and view rows (y, up), in steps: the mean distance of
+    /// neighbours along x.
     pub(crate) positions: [Vec<f64>; 2],
     /// Focal length in pixels of the files.
     pub(crate) focal_px: Option<f64>,
-    /// Step over distance of the plane whose disparity is zero: 0 for parallel cameras, whose plane is infinitely far.
+    /// Step over distance of the plane whose disparity is zero: 0 for parallel cameras, whose plane
+    /// is infinitely far.
     pub(crate) slope_per_step: f64,
     /// The pictures may be unsheared or sheared to any plane: find out from the pictures.
     pub(crate) plane_unknown: bool,
 }
 
-/// Geometry as JSON files have it: our `lightfield.json`, and the file beside an array. Unknown keys are left alone.
+/// Geometry as JSON files have it: our `lightfield.json`, and the file beside an array. Unknown
+/// keys are left alone.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(crate) struct GeometryJson {
     pub(crate) axes: Option<Vec<String>>,
@@ -132,7 +140,7 @@ impl GeometryJson {
     }
 }
 
-/// What the pixels of the result are, next to those of the files.
+/// The pixels of the result in relation to those of the files.
 pub(crate) struct Pixels {
     /// [columns, rows] of the result.
     pub(crate) size: [usize; 2],
@@ -149,7 +157,8 @@ pub(crate) fn pick(available: usize, count: usize) -> Vec<usize> {
     (0..count).map(|index| first + index * stride).collect()
 }
 
-/// Settles the geometry of a light field of which the view rows `picks[0]` and columns `picks[1]` are kept.
+/// Settles the geometry of a light field of which the view rows `picks[0]` and columns `picks[1]`
+/// are kept.
 pub(crate) fn resolve(
     path: &Path,
     flags: &GeometryFlags,
@@ -303,7 +312,8 @@ fn slopes(
     own_slopes.map(|slopes| (filled(slopes), true)).ok_or_else(missing)
 }
 
-/// Views over full angles: at the centres of equal bins, or in proportion to where the cameras stood.
+/// Views over full angles: at the centres of equal bins, or in proportion to where the cameras
+/// stood.
 fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]) -> Result<[Vec<f64>; 2], FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
     let uniform = ViewGrid::uniform(Projection::Oblique, counts, fov_deg).map_err(FieldError::geometry(path))?;
@@ -320,8 +330,8 @@ fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]
     }))
 }
 
-/// The slopes at which the cameras really saw the plane that is now z = 0: with disparity k at focal length f (both in pixels), a step
-/// to the side is k/f of the plane's distance.
+/// The slopes at which the cameras really saw the plane that is now z = 0. With disparity k at
+/// focal length f (both in pixels), a step to the side is k/f of the plane's distance.
 fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> Option<[Vec<f64>; 2]> {
     let cameras = hints.cameras.as_ref()?;
     let per_step = cameras.slope_per_step + pixels.focus_px / cameras.focal_px?;
@@ -330,7 +340,7 @@ fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> O
     })
 }
 
-/// Whether what a flag says differs from what a file says by more than rounding.
+/// True if the value of a flag differs from that of a file by more than rounding.
 fn differ(own: f64, given: f64) -> bool {
     (own - given).abs() > 1e-6 * own.abs().max(given.abs()) + 1e-9
 }

@@ -1,7 +1,8 @@
 //! Folders of the HCI 4D light field benchmark: `input_Cam%03d.png` and `parameters.cfg`.
 //!
-//! Camera i stands in row i / num_cams_x (0 the topmost) and column i % num_cams_x (0 the leftmost). With focal length f and baseline b,
-//! pictures are shifted so that the plane at `focus_distance_m` has no disparity: one step to the side is the slope b / focus distance.
+//! Camera i stands in row i / num_cams_x (0 the topmost) and column i % num_cams_x (0 the
+//! leftmost). With focal length f and baseline b, pictures are shifted so that the plane at
+//! `focus_distance_m` has no disparity: one step to the side is the slope b / focus distance.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -76,7 +77,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     }))
 }
 
-/// Keys of `parameters.cfg`, whatever their section: they do not repeat.
+/// Keys of `parameters.cfg` from all sections: they do not repeat.
 struct Parameters {
     path: PathBuf,
     values: BTreeMap<String, String>,

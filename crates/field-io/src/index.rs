@@ -1,4 +1,4 @@
-//! The JSON files that say what lies beside them.
+//! The JSON files that describe the files beside them.
 
 use std::path::Path;
 

@@ -3,12 +3,14 @@
 //! ```text
 //! our folder (EXR) ─┐
 //! .npy + .json ─────┤
-//! camera folders ───┼──▶ open() ──▶ LightField ──▶ write_field() ──▶ lightfield.json, view_YY_XX.exr
-//! quilts, tiles ────┘              LayerStack ──▶ write_stack() ──▶ stack.json, layer_L.npy, emission.npy
+//! camera folders ───┼──▶ open() ─▶ LightField ─▶ write_field() ─▶ lightfield.json, view_YY_XX.exr
+//! quilts, tiles ────┘             LayerStack ─▶ write_stack() ─▶ stack.json, layer_L.npy,
+//! emission.npy
 //! ```
 //!
-//! Whatever the source, views come out in one order: view (0, 0) is the leftmost and topmost viewpoint, values are linear light. Every
-//! file is written beside its target and renamed, so nothing half-written is ever seen under its final name.
+//! From every source, views come out in one order: view (0, 0) is the leftmost and topmost
+//! viewpoint, and values are linear light. Every file is written beside its target and renamed, so
+//! its final name never shows a half-written file.
 
 mod array;
 mod assemble;
@@ -42,5 +44,6 @@ pub use prefilter::Footprint;
 pub use source::Kind;
 pub use stack::{BacklightEntry, LayerEntry, StackIndex, read_stack, read_stack_index, write_stack};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
+/// this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

@@ -1,7 +1,8 @@
 //! NumPy's array files: `.npy`, C order.
 //!
-//! Written: little-endian `float32`, so that `numpy.load` needs no adapter. Read: `float16/32/64` and `uint8/16` of either byte order,
-//! value by value range, so that a large array is never in memory as a whole unless the caller wants it.
+//! Written: little-endian `float32`, so that `numpy.load` needs no adapter. Read: `float16/32/64`
+//! and `uint8/16` of either byte order, value by value range, so that a large array is never in
+//! memory as a whole unless the caller wants it.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -137,7 +138,7 @@ impl NpyFile {
         self.shape.iter().product()
     }
 
-    /// Whether it holds no values.
+    /// True if it holds no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -179,7 +180,7 @@ impl Scalar {
         }
     }
 
-    /// Whether values are code values of pictures rather than amounts of light.
+    /// True if values are code values of pictures rather than amounts of light.
     pub fn is_code(self) -> bool {
         matches!(self, Self::U8 | Self::U16)
     }
@@ -203,7 +204,7 @@ pub(crate) fn zeros(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
     Ok(data)
 }
 
-/// Room for `count` values that nobody has touched yet, or an error as of [`zeros`].
+/// Untouched room for `count` values, or an error as of [`zeros`].
 pub(crate) fn reserved(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
     let mut data = Vec::new();
     if data.try_reserve_exact(count).is_err() {
@@ -213,7 +214,8 @@ pub(crate) fn reserved(path: &Path, count: usize) -> Result<Vec<f32>, FieldError
     Ok(data)
 }
 
-/// Checks what the header parser takes on trust (lengths, depth, overflow), then hands it the same bytes.
+/// Checks lengths, depth and overflow, which the header parser takes on trust, then hands it the
+/// same bytes.
 fn read_header(path: &Path, file: &mut impl Read) -> Result<(NpyHeader, u64), FieldError> {
     let bad = |expected: &str, found: String| FieldError::malformed(path, "header", expected, found);
     let short = |_| bad("a NumPy array (.npy)", "the file ends within it".into());

@@ -1,6 +1,7 @@
 //! NumPy's archives: `.npz`, arrays of little-endian `float32` in an uncompressed ZIP file.
 //!
-//! Written front to back without seeking, part by part: memory does not grow with the arrays. The same values give the same bytes.
+//! Written front to back without seeking, part by part: memory does not grow with the arrays. The
+//! same values give the same bytes.
 
 use std::io::{self, Write};
 

@@ -11,11 +11,16 @@ use crate::detect::detect;
 use crate::geometry::{GeometryDefaults, GeometryFlags};
 use crate::prefilter::Footprint;
 
-/// Reads a light field of any kind: our folder (or a run's folder), `.npy` with or without a `.json` beside it, a folder of pictures as
-/// in the Stanford archive, the HCI benchmark or `RR_CC.png`, a quilt, a picture of tiles.
+/// Reads a light field of any kind:
+///
+/// * our folder (or a run's folder),
+/// * `.npy` with or without a `.json` beside it,
+/// * a folder of pictures as in the Stanford archive, the HCI benchmark or `RR_CC.png`,
+/// * a quilt, a picture of tiles.
 ///
 /// # Errors
-/// If the path is none of these, a file is damaged, views differ in size, values are not finite, or the geometry is incomplete.
+/// If the path is none of these, a file is damaged, views differ in size, values are not finite, or
+/// the geometry is incomplete.
 pub fn open(
     path: &Path,
     flags: &GeometryFlags,
@@ -25,11 +30,12 @@ pub fn open(
     open_for(path, flags, defaults, None, 0, task).map(|(field, _)| field)
 }
 
-/// As [`open`], for a display: with [`GeometryFlags::prefilter`] every view that is kept is averaged with those around it over the display's footprint. Gives
-/// `most_left_out` views at most of those between the kept ones, too.
+/// As [`open`], for a display: with [`GeometryFlags::prefilter`] every view that is kept is
+/// averaged with those around it over the display's footprint. Gives `most_left_out` views at most
+/// of those between the kept ones, too.
 ///
 /// # Errors
-/// As [`open`], and when a prefilter is asked for without a footprint.
+/// As [`open`], and when a prefilter is requested without a footprint.
 pub fn open_for(
     path: &Path,
     flags: &GeometryFlags,

@@ -1,22 +1,27 @@
-//! A display's prefilter for a light field that exists already: every view that is kept becomes the mean of those around it, over the slopes that the display cannot tell apart.
+//! A display's prefilter for an existing light field. Every view that is kept becomes the mean of
+//! the views around it, over the slopes that the display cannot resolve.
 //!
 //! ```text
-//! L'(x, s_i) = Σ_j w_ij L(x, s_j) / Σ_j w_ij        w_ij = length of [s_i − δs/2, s_i + δs/2] ∩ [s_j − Δs/2, s_j + Δs/2]
+//! L'(x, s_i) = Σ_j w_ij L(x, s_j) / Σ_j w_ij
+//! w_ij = length of [s_i − δs/2, s_i + δs/2] ∩ [s_j − Δs/2, s_j + Δs/2]
 //! ```
 //!
-//! with δs the [`angular_footprint`](lumistack_display::Display::angular_footprint) and Δs the step of the views that are there, per axis. A view stands for its bin of slopes, so footprints no
-//! wider than a bin change nothing: there is no telling what was seen between the views. The path tracer's `angular_filter = "display"` is this with as many views as one likes. A plane at z with a
-//! grating of frequency ω keeps, for δs = nΔs,
+//! with δs the [`angular_footprint`](lumistack_display::Display::angular_footprint) and Δs the step
+//! of the views, per axis. A view stands for its bin of slopes, so footprints no wider than a bin
+//! change nothing: the light between the views is unknown. The path tracer's
+//! `angular_filter = "display"` is the same with any number of views. A plane at z with a grating
+//! of frequency ω keeps, for δs = nΔs,
 //!
 //! ```text
 //! sin(πω|z|nΔs)/(n sin(πω|z|Δs)) → sinc(ω z δs)        of its contrast
 //! ```
 //!
-//! Beyond the outermost views there is nothing: there the mean runs over what there is.
+//! At the outermost views the mean runs over the views that exist.
 
 use lumistack_display::FieldGeometry;
 
-/// The width of slopes [x, y] over which a light field of some geometry may be averaged for a display.
+/// The width of slopes [x, y] over which a light field of some geometry may be averaged for a
+/// display.
 pub type Footprint<'a> = &'a dyn Fn(&FieldGeometry) -> [f64; 2];
 
 /// Per view that is kept, along one axis: the views that are averaged for it, and their shares.
@@ -27,7 +32,8 @@ pub(crate) fn alone(picks: &[usize]) -> Shares {
     picks.iter().map(|&view| vec![(view, 1.0)]).collect()
 }
 
-/// Shares along an axis. `slopes` are those of the views `picks` that are kept, `positions` of all views in any unit.
+/// Shares along an axis. `slopes` are those of the views `picks` that are kept, `positions` of all
+/// views in any unit.
 pub(crate) fn shares(slopes: &[f64], picks: &[usize], positions: &[f64], width: f64) -> Shares {
     let ([first, .., last], [from, .., to]) = (slopes, picks) else { return alone(picks) };
     let scale = (last - first) / (positions[*to] - positions[*from]);
@@ -65,7 +71,7 @@ mod tests {
         assert_eq!(of(0.1), alone(&[0, 4, 8]));
         close(&of(0.2)[1], &[(3, 0.25), (4, 0.5), (5, 0.25)]);
         close(&of(0.3)[1], &[(3, 1.0 / 3.0), (4, 1.0 / 3.0), (5, 1.0 / 3.0)]);
-        // at the end what there is
+        // at the end, over the existing views
         close(&of(0.3)[0], &[(0, 0.5), (1, 0.5)]);
         assert_eq!(shares(&[0.0], &[4], &positions, 1.0), alone(&[4]), "one view has no step");
     }

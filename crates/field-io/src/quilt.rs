@@ -1,10 +1,12 @@
 //! One picture of tiles.
 //!
-//! Quilt: `NAME_qs<columns>x<rows>[a<aspect>].ext`; view 0, the leftmost, is the bottom-left tile, then left to right, then up: horizontal
-//! parallax only. The aspect is width over height of a view, whose tile may be anamorphic. Sizes need not divide: tiles start at the
-//! bottom left and what remains at the top and right is unused.
+//! Quilt: `NAME_qs<columns>x<rows>[a<aspect>].ext`; view 0, the leftmost, is the bottom-left tile,
+//! then left to right, then up: horizontal parallax only. The aspect is width over height of a
+//! view, whose tile may be anamorphic. Sizes need not divide: tiles start at the bottom left, and
+//! the rest at the top and right is unused.
 //!
-//! Tiles (by flag): view (0, 0) at the top left, one tile per view, both kinds of parallax; sizes must divide.
+//! Tiles (by flag): view (0, 0) at the top left, one tile per view, both kinds of parallax; sizes
+//! must divide.
 
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,8 @@
-//! Area averaging in linear light: an output pixel is the mean of the source rectangle that it covers.
+//! Area averaging in linear light: an output pixel is the mean of the source rectangle that it
+//! covers.
 //!
-//! One routine serves shifting (a rectangle that starts between pixels mixes two neighbours), cropping and reducing.
+//! One routine serves shifting (a rectangle that starts between pixels mixes two neighbours),
+//! cropping and reducing.
 
 /// A rectangle of a source picture in pixels; (0, 0) is the outer corner of the first pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,7 +17,8 @@ struct Cover {
     weights: Vec<f32>,
 }
 
-/// Averages the rectangle of `source` (`[row][col][rgb]`, `size` = [columns, rows]) into `out_size` pixels.
+/// Averages the rectangle of `source` (`[row][col][rgb]`, `size` = [columns, rows]) into `out_size`
+/// pixels.
 pub(crate) fn area(source: &[f32], size: [usize; 2], rect: Rect, out_size: [usize; 2], out: &mut [f32]) {
     let whole = Rect { corner: [0.0; 2], size: size.map(|n| n as f64) };
     if rect == whole && out_size == size {
@@ -42,7 +45,8 @@ pub(crate) fn area(source: &[f32], size: [usize; 2], rect: Rect, out_size: [usiz
 
 fn covers(start: f64, length: f64, count: usize, limit: usize) -> Vec<Cover> {
     let step = length / count as f64;
-    // Rectangles are meant to lie within the source; what rounding puts outside reads the edge.
+    // Rectangles are meant to lie within the source; places that rounding puts outside read the
+    // edge.
     let inside = |edge: f64| edge.clamp(0.0, limit as f64);
     let cover = |index: usize| {
         let from = inside(start + index as f64 * step);

@@ -1,4 +1,5 @@
-//! What every kind of light field on disk has in common before its geometry is settled: a grid of views that can be read one at a time.
+//! The common form of every kind of light field on disk before its geometry is settled: a grid of
+//! views that can be read one at a time.
 
 use std::path::PathBuf;
 

@@ -1,5 +1,7 @@
-//! Layer stacks: `stack.json`, `layer_L.npy` (`float32`, `[frame][row][col][rgb]`, layer 0 rearmost) and, for a directional backlight,
-//! `emission.npy` (`[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`). All values are linear, 0..1. The index is written last.
+//! Layer stacks: `stack.json`, `layer_L.npy` (`float32`, `[frame][row][col][rgb]`, layer 0
+//! rearmost) and, for a directional backlight, `emission.npy`
+//! (`[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`). All values are linear, 0..1. The index
+//! is written last.
 
 use std::path::Path;
 
@@ -139,7 +141,8 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
 /// Reads a stack.
 ///
 /// # Errors
-/// If a file is missing, damaged or of another shape than the index says, or a value is not in 0..1.
+/// If a file is missing, damaged or of another shape than the index says, or a value is not in
+/// 0..1.
 pub fn read_stack(folder: &Path) -> Result<LayerStack, FieldError> {
     let index = read_stack_index(folder)?;
     let mut layers = Vec::new();

@@ -15,7 +15,8 @@ pub(crate) fn described(svg: &str, label: &str) -> String {
     svg.replacen("xmlns=", &format!("role=\"img\" aria-label=\"{label}\" xmlns="), 1)
 }
 
-/// A range around all values, never empty, widened by a share of its width on either side; `None` without values.
+/// A range around all values, never empty, widened by a share of its width on either side; `None`
+/// without values.
 pub(crate) fn ends(values: impl Iterator<Item = f64>, widen: f64) -> Option<[f64; 2]> {
     let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
     let width = high - low;
@@ -26,7 +27,7 @@ pub(crate) fn ends(values: impl Iterator<Item = f64>, widen: f64) -> Option<[f64
     }
 }
 
-/// Decimals that tell tick labels apart.
+/// Decimals that keep tick labels distinct.
 pub(crate) fn digits([low, high]: [f64; 2]) -> usize {
     match high - low {
         width if width >= 8.0 => 0,

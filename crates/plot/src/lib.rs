@@ -1,7 +1,7 @@
 //! Plots: one SVG each, and PNGs made of the same SVG.
 //!
-//! [`curves`], [`areas`] and [`map`] stand alone, black on white, with headline and legend: the files of design tools.
-//! The plots of [`page`] are parts of an HTML page and take its text colour.
+//! [`curves`], [`areas`] and [`map`] stand alone, black on white, with headline and legend: the
+//! files of design tools. The plots of [`page`] are parts of an HTML page and take its text colour.
 
 mod chart;
 pub mod page;
@@ -14,7 +14,8 @@ pub use chart::FAMILY;
 pub use raster::{codes, png};
 pub use sheet::{Area, Axes, CAP_DB, COLOURS, Curve, Map, areas, curves, map};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
+/// this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// A plot that cannot be drawn.

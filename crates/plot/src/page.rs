@@ -1,4 +1,5 @@
-//! Plots within a page. Text, axes and grid take the page's text colour, so that they stay readable on light and dark.
+//! Plots within a page. Text, axes and grid take the page's text colour, so that they stay readable
+//! on light and dark.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -24,7 +25,8 @@ pub struct Bars<'a> {
     pub shares: &'a [f64],
 }
 
-/// Draws a line through finite points, with the last value in decibels beside it. `labels` name the horizontal and the vertical axis.
+/// Draws a line through finite points, with the last value in decibels beside it. `labels` name the
+/// horizontal and the vertical axis.
 ///
 /// # Errors
 /// If there is no point.
@@ -97,7 +99,8 @@ fn decimals(range: [f64; 2]) -> usize {
     digits(range).min(2)
 }
 
-/// Draws axes with labels, and `content` between them. The horizontal axis has about `x_labels` tick labels of `x_digits` decimals.
+/// Draws axes with labels, and `content` between them. The horizontal axis has about `x_labels`
+/// tick labels of `x_digits` decimals.
 fn framed(
     [x_label, y_label]: [&str; 2],
     [x, y]: [[f64; 2]; 2],

@@ -17,7 +17,8 @@ pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, PlotError> {
     raster(svg, scale)?.encode_png().map_err(PlotError::new)
 }
 
-/// Codes `[row][col][rgb]` of an SVG of [width, height] units that leaves nothing open, a pixel per unit.
+/// Codes `[row][col][rgb]` of an SVG of [width, height] units that leaves nothing open, a pixel per
+/// unit.
 ///
 /// # Errors
 /// If it is no SVG, or of another size.

@@ -6,7 +6,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use crate::PlotError;
 use crate::chart::{Chart, Drawn, FAMILY, described, digits, ends};
 
-/// What curves and areas are drawn in.
+/// The frame of curves and areas.
 #[derive(Clone, Debug, Default)]
 pub struct Axes {
     /// Headline.
@@ -24,22 +24,22 @@ pub struct Axes {
 /// A line through points.
 #[derive(Clone, Debug, Default)]
 pub struct Curve {
-    /// What it is, for the legend; empty for none.
+    /// Its name, for the legend; empty for none.
     pub name: String,
     /// Its points; those that are not finite break it.
     pub points: Vec<[f64; 2]>,
-    /// Colour by its place in [`COLOURS`]; beyond them black.
+    /// Colour by its place in [`COLOURS`]; black past the end.
     pub colour: usize,
-    /// Whether it is dashed.
+    /// True if it is dashed.
     pub dashed: bool,
-    /// Whether its points are marked.
+    /// True if its points are marked.
     pub dots: bool,
 }
 
 /// An area with an edge.
 #[derive(Clone, Debug, Default)]
 pub struct Area {
-    /// What it is, for the legend.
+    /// Its name, for the legend.
     pub name: String,
     /// Its corners.
     pub corners: Vec<[f64; 2]>,
@@ -56,7 +56,7 @@ pub struct Map {
     pub x_label: String,
     /// Label of the rows.
     pub y_label: String,
-    /// What the values are, with their unit.
+    /// Name of the values, with their unit.
     pub value_label: String,
     /// Names of the columns, from left to right.
     pub columns: Vec<String>,
@@ -228,7 +228,7 @@ struct Entry<'a> {
     area: bool,
 }
 
-/// Axes, legend at the right, and what `content` draws.
+/// Draws axes and legend, and `content` inside of them.
 fn framed(
     axes: &Axes,
     x: [f64; 2],

@@ -35,14 +35,14 @@ pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
 fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let mut reader = ImageReader::new(BufReader::new(file));
-    // of files whose content has no mark
+    // for files whose content has no mark
     if let Ok(format) = ImageFormat::from_path(path) {
         reader.set_format(format);
     }
     reader.with_guessed_format().map_err(FieldError::io(path, "read"))
 }
 
-/// The decoder paints what is missing of a JPEG grey; a light field must not contain that silently.
+/// The decoder paints missing parts of a JPEG grey; a light field must not contain them silently.
 fn check_jpeg_end(path: &Path) -> Result<(), FieldError> {
     let tail = || {
         let mut file = lumistack_files::open(path)?;

@@ -1,6 +1,8 @@
-//! Single pictures as linear RGB: OpenEXR (linear), PNG, JPEG, WebP (sRGB-encoded), Radiance HDR (linear).
+//! Single pictures as linear RGB: OpenEXR (linear), PNG, JPEG, WebP (sRGB-encoded), Radiance HDR
+//! (linear).
 //!
-//! Alpha, where there is any, is resolved against black: a light field has no background of its own.
+//! Alpha, where there is any, is resolved against black: a light field has no background of its
+//! own.
 
 mod encoded;
 mod openexr;
@@ -27,7 +29,8 @@ impl Picture {
         if is_exr(path) { openexr::read(path) } else { encoded::read(path) }
     }
 
-    /// Reads an OpenEXR picture and the text that [`write_exr_noted`] put into its header; `None` without one.
+    /// Reads an OpenEXR picture and the text that [`write_exr_noted`] put into its header; `None`
+    /// without one.
     ///
     /// # Errors
     /// On files that are no such pictures, damaged, cut short or too large.
@@ -48,7 +51,8 @@ impl Picture {
         [self.cols, self.rows]
     }
 
-    /// Whether the file has codes from 0 to white, so that what was brighter is clipped; otherwise it has radiance.
+    /// True if the file has codes from 0 to white, so that brighter values are clipped; otherwise
+    /// it has radiance.
     pub fn is_encoded(&self) -> bool {
         !matches!(self.samples, Samples::Linear(_))
     }
@@ -61,7 +65,8 @@ impl Picture {
         }
     }
 
-    /// The pixels of the rectangle at `corner` = [column, row] of `size` = [columns, rows], `[row][col][rgb]`, linear.
+    /// The pixels of the rectangle at `corner` = [column, row] of `size` = [columns, rows],
+    /// `[row][col][rgb]`, linear.
     ///
     /// # Panics
     /// If the rectangle leaves the picture.
@@ -83,7 +88,7 @@ impl Picture {
     }
 }
 
-/// Whether a name's extension is one of a picture that can be read.
+/// True if a name's extension is one of a picture that can be read.
 pub(crate) fn has_picture_extension(path: &Path) -> bool {
     extension(path).is_some_and(|e| matches!(e.as_str(), "png" | "jpg" | "jpeg" | "webp" | "hdr" | "exr"))
 }

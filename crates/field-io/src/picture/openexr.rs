@@ -27,10 +27,12 @@ pub enum Precision {
 const COMPRESSION: Compression = Compression::PIZ;
 /// Bytes of a chunk's entry in the offset table, plus its own header.
 const LEAST_BYTES_PER_CHUNK: u64 = 16;
-/// Most bytes of pixels that a byte of a file stands for: deflate packs 1032 into one, of the 24 bits that PXR24 keeps of 32.
+/// Most bytes of pixels that a byte of a file stands for: deflate packs 1032 into one, of the 24
+/// bits that PXR24 keeps of 32.
 const MOST_EXPANSION: u64 = 1032 * 4 / 3;
 
-/// Writes one RGB picture, `[row][col][rgb]` linear, `size` = [columns, rows]. The same values give the same bytes.
+/// Writes one RGB picture, `[row][col][rgb]` linear, `size` = [columns, rows]. The same values give
+/// the same bytes.
 ///
 /// # Errors
 /// If writing fails.
@@ -41,8 +43,9 @@ pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precisio
     atomic::write(path, |writer| encode(writer, size, rgb, precision, None))
 }
 
-/// As [`write_exr`], with a text in the header's attribute `comments`, which [`Picture::read_noted`] gives back, and not compressed: for what is read again
-/// soon. Compressing grain took half of the time in which a view of few samples is rendered.
+/// As [`write_exr`], but uncompressed, and with a text in the header's attribute `comments`, which
+/// [`Picture::read_noted`] returns. It is for files that are read again soon. Compressing grain
+/// took half of the time in which a view of few samples is rendered.
 ///
 /// # Errors
 /// If writing fails.
@@ -72,7 +75,8 @@ pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Res
     Ok(bytes)
 }
 
-/// Pixels are taken from `rgb` when their block is compressed: a copy of all of them would be the most memory that a large picture takes.
+/// Pixels are taken from `rgb` when their block is compressed: a copy of all of them would be the
+/// most memory that a large picture takes.
 fn encode(
     writer: impl io::Write + io::Seek,
     size: [usize; 2],
@@ -110,7 +114,8 @@ fn channels(prefix: &str, size: [usize; 2], rgb: &[f32], precision: Precision) -
     })
 }
 
-/// Writes one picture of named channels in single floats, `[row][col]` each, `size` = [columns, rows]. The same values give the same bytes.
+/// Writes one picture of named channels in single floats, `[row][col]` each, `size` = [columns,
+/// rows]. The same values give the same bytes.
 ///
 /// # Errors
 /// If writing fails.
@@ -150,8 +155,8 @@ fn write_image<'a, C: WritableChannels<'a>>(
     })
 }
 
-/// One OpenEXR picture with several views: the header's `multiView` lists their names; the first is the default view, whose channels have no
-/// prefix, the others' are `name.R`, `name.G`, `name.B`.
+/// One OpenEXR picture with several views: the header's `multiView` lists their names; the first is
+/// the default view, whose channels have no prefix, the others' are `name.R`, `name.G`, `name.B`.
 #[derive(Debug)]
 pub struct MultiView {
     size: [usize; 2],
@@ -169,7 +174,8 @@ impl MultiView {
     /// Adds a view, `[row][col][rgb]` linear.
     ///
     /// # Panics
-    /// If `rgb` does not hold the size's number of values, or the name has a dot or was given before.
+    /// If `rgb` does not hold the size's number of values, or the name has a dot or was given
+    /// before.
     pub fn push(&mut self, name: &str, rgb: &[f32]) {
         let text = Text::from(name);
         assert!(!name.contains('.') && !self.names.contains(&text), "view names are different and hold no dots");
@@ -191,7 +197,7 @@ impl MultiView {
     }
 }
 
-/// [columns, rows] of the first layer, after checking that the file can hold what its header claims.
+/// [columns, rows] of the first layer, after checking that the file is long enough for its header.
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let length = file.metadata().map_err(FieldError::io(path, "read"))?.len();
@@ -203,7 +209,8 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
     if header.deep {
         return Err(FieldError::malformed(path, "header", "a flat picture", "deep data"));
     }
-    // The decoder of these two takes memory by sizes that the compressed data claim, which ends the program on damaged files.
+    // The decoder of these two takes memory by sizes that the compressed data claim, which ends the
+    // program on damaged files.
     if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
         let expected = "none, RLE, ZIP, PIZ, PXR24 or B44";
         return Err(FieldError::malformed(path, "compression", expected, header.compression.to_string()));
@@ -266,8 +273,9 @@ pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), Field
     Ok((Picture { cols, rows, samples: Samples::Linear(data) }, note))
 }
 
-/// Indices of R, G, B: without a prefix, or with the first prefix ("layer.R") that has all three, or luminance three times.
-/// Colours in OpenEXR are premultiplied by alpha, hence already resolved against black.
+/// Indices of R, G, B: without a prefix, or with the first prefix ("layer.R") that has all three,
+/// or luminance three times. Colours in OpenEXR are premultiplied by alpha, hence already resolved
+/// against black.
 fn rgb_channels(names: &[String]) -> Option<[usize; 3]> {
     let find = |prefix: &str, name: &str| {
         names.iter().position(|n| n.strip_prefix(prefix).is_some_and(|rest| rest.eq_ignore_ascii_case(name)))

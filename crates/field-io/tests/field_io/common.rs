@@ -32,7 +32,8 @@ pub fn open(
     (result, warnings.take().iter().map(ToString::to_string).collect())
 }
 
-/// Opens quietly for a display that cannot tell slopes apart over `width` [x, y]; the texts of warnings come along.
+/// Opens quietly for a display that cannot resolve slopes within `width` [x, y]; returns the texts
+/// of warnings too.
 pub fn open_for(path: &Path, flags: &GeometryFlags, width: [f64; 2]) -> (Result<LightField, FieldError>, Vec<String>) {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -55,7 +56,8 @@ pub fn assets(variable: &str, default: &str, below: &str) -> Option<PathBuf> {
     None
 }
 
-/// An 8-bit picture from linear values that are exact after encoding and decoding only approximately.
+/// An 8-bit picture from linear values that are exact after encoding and decoding only
+/// approximately.
 pub fn save_png(path: &Path, size: [usize; 2], rgb: impl Fn(usize, usize) -> [u8; 3]) {
     image::RgbImage::from_fn(size[0] as u32, size[1] as u32, |x, y| image::Rgb(rgb(x as usize, y as usize)))
         .save(path)

@@ -85,7 +85,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
     assert_eq!(label(&field.unwrap(), [1, 2]), [2, 1]);
     assert!(warnings.iter().any(|w| w.contains("the cameras' own angles are 0.9° × 0.6°")), "{warnings:?}");
-    // without a default angle, the cameras' own: 50 mm on 10 m, and a viewing distance of width · f / sensor
+    // without a default angle, the cameras' own: 50 mm on 10 m, and a viewing distance of width · f
+    // / sensor
     let own = GeometryDefaults { width_mm: Some(350.0), fov_deg: None };
     let field = open(folder.path(), &GeometryFlags::default(), &own).0.unwrap();
     let grid = &field.geometry().grid;
@@ -98,7 +99,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
 #[test]
 fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     let folder = tempfile::tempdir().unwrap();
-    // 3 columns, 2 rows, 6 × 4 pixels a tile; one column and one row of pixels are left over at the right and the top
+    // 3 columns, 2 rows, 6 × 4 pixels a tile; one column and one row of pixels are left over at the
+    // right and the top
     let draw =
         |name: &str| {
             let path = folder.path().join(name);
@@ -145,7 +147,8 @@ fn best_shift(field: &LightField, first: [usize; 2], second: [usize; 2], axis: u
     (-reach..=reach).min_by(|&a, &b| error(a).total_cmp(&error(b))).unwrap()
 }
 
-/// The shop's cameras are parallel: as the viewpoint moves right, all content moves left, by 2 to 14 pixels a view at full resolution.
+/// The shop's cameras are parallel: as the viewpoint moves right, all content moves left, by 2 to
+/// 14 pixels a view at full resolution.
 #[test]
 fn the_shop_has_its_parallax_the_right_way_round() {
     let Some(path) = assets("LUMISTACK_ASSETS", "scenes", "lightfields/shop-9x9") else { return };

@@ -27,7 +27,8 @@ fn cuts(length: usize) -> Vec<usize> {
     cuts
 }
 
-/// Cuts a file at many lengths; `read` must fail each time and succeed again on the whole. The last `idle` bytes carry nothing.
+/// Cuts a file at many lengths; `read` must fail each time and succeed again on the whole. The last
+/// `idle` bytes carry nothing.
 fn truncate(file: &Path, idle: usize, read: impl Fn() -> Result<(), String>) {
     let whole = fs::read(file).unwrap();
     for cut in cuts(whole.len() - idle) {
@@ -67,7 +68,8 @@ fn truncated_arrays_and_stacks_are_errors() {
     truncate(&layers.join("layer_0.npy"), 0, || read_stack(&layers).map(drop).map_err(|e| e.to_string()));
 }
 
-/// An index names files of its own folder; links that lead out, devices and pipes are refused before they are opened.
+/// An index names files of its own folder; links that lead out, devices and pipes are refused
+/// before they are opened.
 #[cfg(unix)]
 #[test]
 fn files_that_an_index_names_are_regular_and_inside() {
@@ -125,7 +127,6 @@ fn truncated_pictures_are_errors() {
     }
 }
 
-/// Every third byte of small files is damaged in turn: whatever comes out, it is no panic and no endless work.
 /// Largest memory that this process has ever touched, bytes.
 #[cfg(target_os = "linux")]
 fn peak_bytes() -> usize {
@@ -134,7 +135,8 @@ fn peak_bytes() -> usize {
     line.trim().trim_end_matches(" kB").parse::<usize>().unwrap() << 10
 }
 
-/// Views of 2.4 GB in all, of which nothing is there but the claim: memory is taken once pixels have come.
+/// Views of 2.4 GB in all, of which nothing is there but the claim: memory is taken once pixels
+/// have come.
 #[test]
 #[cfg(target_os = "linux")]
 fn headers_that_claim_much_cost_nothing() {
@@ -150,7 +152,8 @@ fn headers_that_claim_much_cost_nothing() {
     assert!(grown < 1 << 30, "{grown} bytes were touched");
 }
 
-/// A picture of one value is as small as its compression makes it, and a file can not stand for more pixels than that.
+/// A picture of one value is as small as its compression makes it, and a file can not stand for
+/// more pixels than that.
 #[test]
 fn pictures_do_not_claim_more_pixels_than_they_can_hold() {
     let folder = tempfile::tempdir().unwrap();
@@ -229,7 +232,8 @@ fn indices_that_contradict_themselves_name_the_key() {
         let error = plain_error(folder.path());
         assert!(error.contains(message), "{pointer}: {error}");
     }
-    // keys that a newer or another writer adds are no error, nor is the other name of the vertical slopes
+    // keys that a newer or another writer adds are no error, nor is the other name of the vertical
+    // slopes
     let text = serde_json::to_string(&good).unwrap().replace("\"slope_y\"", "\"slope_y_up\"").replacen(
         '{',
         "{\"new\":[1],",
@@ -386,6 +390,6 @@ fn values_that_are_no_light_are_refused_and_odd_ones_reported() {
     let (field, warnings) = open(&path, &GeometryFlags::default(), &defaults());
     assert_eq!(field.unwrap().radiance().get([0, 1, 1, 1, 2]), 0.0);
     assert!(warnings.iter().any(|w| w.ends_with("1 negative values (down to -0.25) are taken as 0")), "{warnings:?}");
-    // a light field may be brighter than a display: whoever shows it says so
+    // a light field may be brighter than a display: outputs report it
     assert!(!warnings.iter().any(|w| w.contains("above 1")), "{warnings:?}");
 }

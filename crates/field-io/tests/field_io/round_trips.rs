@@ -1,4 +1,4 @@
-//! What is written is read back: light-field folders, arrays, stacks; odd shapes included.
+//! Written files are read back: light-field folders, arrays, stacks; odd shapes included.
 
 use std::fs;
 use std::process::Command;
@@ -111,8 +111,9 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
     assert!(error.contains("view_00_00.exr: output folder: expected a folder or nothing, found a file"), "{error}");
 }
 
-/// A plane at z with a grating of frequency ω, seen by 45 views of which 9 are kept: each keeps sin(πωznΔs)/(n sin(πωzΔs)) of the contrast for a footprint of n views, nearly
-/// sinc(ω z δs), where views that are merely chosen keep all of it.
+/// A plane at z with a grating of frequency ω, seen by 45 views of which 9 are kept. Each keeps the
+/// share sin(πωznΔs)/(n sin(πωzΔs)) of the contrast for a footprint of n views, nearly sinc(ω z
+/// δs). Views that are merely chosen keep all of it.
 #[test]
 fn a_prefilter_takes_away_what_it_should() {
     let grid = lumistack_display::ViewGrid::uniform(Projection::Oblique, [45, 2], [20.0, 2.0]).unwrap();
@@ -167,7 +168,8 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     assert!(error.contains("--prefilter: expected a display"), "{error}");
 }
 
-/// Views that are left out come with the slopes that they have in the whole light field, none twice and none that is kept.
+/// Views that are left out come with the slopes that they have in the whole light field, none twice
+/// and none that is kept.
 #[test]
 fn views_between_those_that_are_kept_are_given_when_wanted() {
     for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 600.0 }] {
@@ -310,7 +312,8 @@ np.save("theirs.npy", a[:, ::-1].astype(">f8"))
 "#;
     let output = Command::new(python).args(["-c", script]).current_dir(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // numpy keeps the memory order of a reversed copy; whatever it wrote, the values must agree or the order be refused
+    // numpy keeps the memory order of a reversed copy, so the values must agree or the order be
+    // refused
     let (shape, values) = npy::read(&folder.path().join("theirs.npy")).unwrap();
     assert_eq!(shape, [2, 5, 7, 3]);
     assert_eq!(values[..21], stack.layers[0].data()[4 * 21..5 * 21]);
