@@ -1,5 +1,5 @@
-//! What a display can show by its geometry alone: bound on depth of field, spectral support, viewing zone, frame rate, brightness; and what a
-//! scene's depth asks of it.
+//! Limits of a display by its geometry alone: bound on depth of field, spectral support, viewing
+//! zone, frame rate, brightness; and the demands of a scene's depth on it.
 
 mod plots;
 mod text;
@@ -10,7 +10,7 @@ use serde::Serialize;
 /// Depths at which the bound is sampled.
 const SAMPLES: usize = 1601;
 
-/// What is known of a display.
+/// Figures of a display.
 #[derive(Clone, Debug, Serialize)]
 pub struct Analysis {
     /// Its name.
@@ -19,13 +19,15 @@ pub struct Analysis {
     pub layers: usize,
     /// Their distances from z = 0, millimetres.
     pub layers_mm: Vec<f64>,
-    /// Whether the backlight is directional, and its distance from z = 0, millimetres.
+    /// Distance of a directional backlight from z = 0, millimetres; `None` for a uniform one.
     pub backlight_mm: Option<f64>,
     /// Depth from the rearmost part to the frontmost, millimetres.
     pub thickness_mm: f64,
-    /// [low, high] depths at which the finest detail of the light field's pixels can be shown, millimetres.
+    /// [low, high] depths at which the finest detail of the light field's pixels can be shown,
+    /// millimetres.
     pub depth_of_field_mm: Option<[f64; 2]>,
-    /// Whether the bound is one for this display: where layers add up, planes other than the layers' own have none.
+    /// True if the bound is one for this display: where layers add up, planes other than the
+    /// layers' own have none.
     pub bound_holds: bool,
     /// Along x and y.
     pub axes: [AxisAnalysis; 2],
@@ -35,7 +37,7 @@ pub struct Analysis {
     pub timing: Timing,
     /// Light.
     pub brightness: Brightness,
-    /// What a scene asks of it, where there is one.
+    /// Demands of a scene on it, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<Scene>,
 }
@@ -66,7 +68,7 @@ pub struct AxisAnalysis {
 pub struct Closed {
     /// Its number in the paper.
     pub equation: u32,
-    /// What it assumes.
+    /// Its assumptions.
     pub assumes: &'static str,
     /// Which of that does not hold here.
     pub broken: Vec<String>,
@@ -89,7 +91,8 @@ pub struct Zone {
     pub views: [usize; 2],
     /// Slope between neighbouring views.
     pub step: [f64; 2],
-    /// Distance from which an eye on the axis has the whole display in the zone, millimetres; of pinhole views their own distance.
+    /// Distance from which an eye on the axis has the whole display in the zone, millimetres; of
+    /// pinhole views their own distance.
     pub whole_from_mm: f64,
     /// Width of the zone at twice that distance (of pinhole views at their own), millimetres.
     pub width_mm: [f64; 2],
@@ -97,7 +100,7 @@ pub struct Zone {
     pub at_mm: f64,
     /// Neighbouring views between two eyes 63 mm apart, at that distance.
     pub views_between_eyes: f64,
-    /// Whether the zone repeats beside itself.
+    /// True if the zone repeats beside itself.
     pub repeats: bool,
 }
 
@@ -114,7 +117,7 @@ pub struct Timing {
     pub period_hz: f64,
     /// Refresh rate for [`Display::FLICKER_HZ`] periods a second, hertz.
     pub wanted_hz: f64,
-    /// Whether it flickers.
+    /// True if it flickers.
     pub flickers: bool,
 }
 
@@ -129,14 +132,15 @@ pub struct Brightness {
     pub black: f64,
 }
 
-/// What a scene asks, from the depth budget of a run or an outlook.
+/// Demands of a scene, from the depth budget of a run or an outlook.
 #[derive(Clone, Debug, Serialize)]
 pub struct Scene {
     /// In a line.
     pub sentence: String,
-    /// Share of what is seen within the depth of field.
+    /// Share of the scene's rays within the depth of field.
     pub inside: Option<f64>,
-    /// 2nd, 25th, 50th, 75th and 98th percentile of depth, millimetres, with the bound there relative to the pixels' own.
+    /// 2nd, 25th, 50th, 75th and 98th percentile of depth, millimetres, with the bound there
+    /// relative to the pixels' own.
     pub percentiles: Vec<[f64; 2]>,
     /// Bars: [from, to in millimetres, share].
     pub shares: Vec<[f64; 3]>,
@@ -161,7 +165,8 @@ impl Scene {
 }
 
 impl Analysis {
-    /// Works it out. `reach_mm` is the depth up to which the bound is sampled; without it what the display and the scene need.
+    /// Analyses a display. `reach_mm` is the depth up to which the bound is sampled; by default it
+    /// covers display and scene.
     pub fn of(display: &Display, scene: Option<Scene>, reach_mm: Option<f64>) -> Self {
         let depth_of_field_mm = display.depth_of_field(display.field.pitch_mm);
         let layers_mm: Vec<f64> = display.layers.iter().map(|layer| layer.d_mm).collect();
@@ -257,7 +262,8 @@ impl Zone {
         let size = display.field_pixels().size_mm();
         let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
-        // from D on the rays to both edges have slopes of no more than tan(α/2); an axis with one direction never has that
+        // from D on the rays to both edges have slopes of no more than tan(α/2); an axis with one
+        // direction never has that
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
         let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
         let at_mm = pinholes.unwrap_or(2.0 * whole_from_mm);
@@ -362,7 +368,7 @@ mod tests {
         let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);
         let analysis = Analysis::of(&display, Some(Scene::from_budget(&budget, "deep".into())), None);
         let scene = analysis.scene.as_ref().unwrap();
-        // depth of field is −80 to 80 mm: half of the first and of the last bar are beyond
+        // depth of field is −80 to 80 mm: half of the first and of the last bar are outside of it
         assert!((scene.inside.unwrap() - 0.625).abs() < 1e-6, "{:?}", scene.inside);
         let expected = [0.8, 3.0 * 40.0 / 90.0, 3.0, 1.5, 1.0];
         for (found, expected) in scene.percentiles.iter().zip(expected) {

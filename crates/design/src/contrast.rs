@@ -6,23 +6,31 @@
 //! L(x, s) = ½ (1 + cos φ(x, s)),    φ = 2π ω (x + z s) + φ_0
 //! ```
 //!
-//! The display is solved for that as for any light field, and what it shows is compared with the grating: the modulation transfer is
+//! The display is solved for that as for any light field, and its emission is compared with the
+//! grating. The modulation transfer is
 //!
 //! ```text
 //! contrast = Σ (L̃/β − mean) cos φ / Σ (L − mean) cos φ        over all rays that count
 //! ```
 //!
-//! 1 where the grating comes out whole and 0 where it is grey. One axis at a time: a strip of one row of pixels and of views. The three channels carry three phases
-//! φ_0, a third of a turn apart, and the mean of all counts. The bound of [`Display::spatial_cutoff`] says where a grating can be shown at all; this is what a
-//! solver with M frames makes of it.
+//! 1 where the grating comes out whole and 0 where it is grey. One axis at a time: a strip of one
+//! row of pixels and of views. The three channels carry three phases φ_0, a third of a turn apart,
+//! and the mean of all counts. The bound of [`Display::spatial_cutoff`] limits the gratings that
+//! can be shown at all; this is the contrast that a solver reaches with M frames.
 //!
-//! What counts as shown is one of three ([`Achieved`]). *At the target views* the rays are those that the solver was given; what is wrong between the views goes unseen: a display
-//! may get all its rays right and show nothing of the grating to an eye that is elsewhere. *In between* the rays are all over the zone, [`POINTS`] per pixel and at least two slopes per
-//! view: that is all that the display emits, its pixels' shape included. *With more views* is the same for a display that was solved for as many views as its bound has use for, one
-//! for each [`angular_footprint`](Display::angular_footprint): what the hardware can do, where in between says what it does with its own views.
+//! The contrast is measured over one of three sets of rays ([`Achieved`]):
 //!
-//! The bound holds in between, up to what the zone is too narrow to tell apart: over slopes of a width S a picture that stands still has half the contrast of a grating that
-//! moves by [`HALF_SINC`] periods over the zone.
+//! * *At the target views*: the rays that the solver used. Errors between the views go unseen: a
+//!   display may get all its rays right and show nothing of the grating to an eye elsewhere.
+//! * *In between*: rays all over the zone, [`POINTS`] per pixel and at least two slopes per view.
+//!   That is all emission of the display, with its pixels' shape.
+//! * *With more views*: as in between, for a display that was solved for one view per
+//!   [`angular_footprint`](Display::angular_footprint), the most that its bound can use. This is
+//!   the limit of the hardware, while in between is the result with the display's own views.
+//!
+//! The bound holds in between, up to the resolution of a narrow zone. Over slopes of a width S, a
+//! picture that stands still has half the contrast of a grating that moves by [`HALF_SINC`] periods
+//! over the zone.
 
 use std::f64::consts::TAU;
 
@@ -63,7 +71,7 @@ pub struct Gratings {
     pub seed: u64,
 }
 
-/// What came of one grating.
+/// Contrasts of one grating.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Contrast {
     /// Its depth, millimetres.
@@ -72,7 +80,7 @@ pub struct Contrast {
     pub frequency: f64,
     /// The bound there, likewise.
     pub bound: f64,
-    /// Contrast of what is shown at the target views, relative to the grating's.
+    /// Contrast of the emission at the target views, relative to the grating's.
     pub contrast: f64,
     /// Contrast of all that is emitted into the viewing zone.
     pub between: f64,
@@ -80,7 +88,7 @@ pub struct Contrast {
     pub dense: f64,
 }
 
-/// What counts as shown.
+/// The rays over which contrast is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Achieved {
     /// The rays that the solver was given.
@@ -92,7 +100,7 @@ pub enum Achieved {
 }
 
 impl Contrast {
-    /// Contrast of some of what is shown.
+    /// Contrast over one set of rays.
     pub fn of(&self, achieved: Achieved) -> f64 {
         match achieved {
             Achieved::AtTheViews => self.contrast,
@@ -188,7 +196,7 @@ impl Grating {
         TAU * (self.frequency * (x + self.z_mm * s) + (i % 3) as f64 / 3.0 + 0.1)
     }
 
-    /// Contrast of what is shown at the rays of a geometry.
+    /// Contrast of the emission at the rays of a geometry.
     fn share_of(&self, display: &Display, stack: &LayerStack, geometry: &FieldGeometry) -> f64 {
         let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
         // Σ of weight, wanted, shown, cos, and products with cos, per channel
@@ -249,7 +257,8 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     }
     if let Backlight::Lenslets(backlight) = &mut strip.backlight {
         let needed = ((width_mm + 2.0 * backlight.d_mm.abs() * half) / backlight.pitch_mm).ceil() as usize + 2;
-        // an odd number keeps a lenslet in the middle, as even and odd arrays differ by half a lenslet
+        // an odd number keeps a lenslet in the middle, as even and odd arrays differ by half a
+        // lenslet
         let count = needed.min(backlight.lenslets[axis]);
         let same_parity = count + (backlight.lenslets[axis] - count) % 2;
         backlight.lenslets = [same_parity.max(1), 1];
@@ -261,7 +270,8 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     Ok(strip)
 }
 
-/// The highest frequency up to which contrast stays at [`SHOWN`] and above, by depth: [z in millimetres, frequency relative to the pixels'].
+/// The highest frequency up to which contrast stays at [`SHOWN`] and above, by depth: [z in
+/// millimetres, frequency relative to the pixels'].
 pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> {
     let mut by_depth: Vec<(f64, Vec<&Contrast>)> = Vec::new();
     for contrast in found {
@@ -272,7 +282,8 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     }
     let cutoff = |mut list: Vec<&Contrast>| {
         list.sort_by(|a, b| a.frequency.total_cmp(&b.frequency));
-        // from 0, where everything is shown, to where contrast falls below, in a straight line in between
+        // from 0, where everything is shown, to where contrast falls below, in a straight line in
+        // between
         let (mut frequency, mut before) = (0.0, 1.0);
         for contrast in list {
             if contrast.of(achieved) < SHOWN {
@@ -286,7 +297,8 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     by_depth.into_iter().map(|(z, list)| [z, cutoff(list)]).collect()
 }
 
-/// Contrast of all that is emitted, with as many views as it takes, over depth: a curve per frequency, as SVG.
+/// Contrast of all that is emitted, with as many views as it takes, over depth: a curve per
+/// frequency, as SVG.
 ///
 /// # Errors
 /// If there is none.
@@ -328,7 +340,8 @@ fn bound_of(found: &[Contrast]) -> Vec<[f64; 2]> {
     bound
 }
 
-/// What a display achieves beside its bound, as SVG: the frequency at which contrast falls to a half, over depth, for each meaning of achieved.
+/// Achieved contrast of a display beside its bound, as SVG: the frequency at which contrast falls
+/// to a half, over depth, for each set of rays.
 ///
 /// # Errors
 /// If there is none.
@@ -350,7 +363,8 @@ pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     plot::curves(&cutoff_axes(format!("{name}: half contrast")), &curves, &[], &[])
 }
 
-/// What several displays achieve with as many views as it takes, beside their bounds, as SVG.
+/// Achieved contrast of several displays with as many views as they can use, beside their bounds,
+/// as SVG.
 ///
 /// # Errors
 /// If there is none.
@@ -384,7 +398,8 @@ mod tests {
         Display { brightness: 0.3, ..display }
     }
 
-    /// A lens array of Δx = 4 pixels with a layer in its plane; `open` keeps the layer clear, which leaves integral imaging.
+    /// A lens array of Δx = 4 pixels with a layer in its plane; `open` keeps the layer clear, which
+    /// leaves integral imaging.
     fn lenses(frames: usize, open: bool) -> Display {
         let mut display = stack(&[0.0], frames);
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-1e-6, [16, 10], 2.0, [5, 5], [20.0, 20.0]));
@@ -409,7 +424,8 @@ mod tests {
         assert!((many.bound - 2.0 * 40.0 / (40.0 + 80.0)).abs() < 1e-9);
     }
 
-    /// The paper's Figure 11: a layer before integral imaging helps on the screen at once, and off it only with more frames than one. Of all that is emitted.
+    /// The paper's Figure 11, over all emission. A layer in front of integral imaging helps on the
+    /// screen at once, and off it only with more frames than one.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
@@ -428,7 +444,8 @@ mod tests {
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 
-    /// Seen from everywhere, no display shows what lies beyond its bound, but for what the zone is too narrow to tell apart. At its views alone every one of these does.
+    /// Over all emission, no display shows frequencies past its bound, up to the resolution of a
+    /// narrow zone. At its views alone every one of these does.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
         // half contrast is found on a line between two measured frequencies

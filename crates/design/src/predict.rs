@@ -1,15 +1,21 @@
 //! Quality of a design before anything is solved: a rank, in decibels.
 //!
-//! Three things that a display's numbers say decide most of what a solver reaches on a light field that suits it: degrees of freedom per ray, the light that is asked for,
-//! and how much of the pixels' detail the bound leaves over the depths that a light field of this display can hold (up to a displacement of a pixel from view to
-//! view, z_1 = p/Δs):
+//! Three numbers of a display decide most of the quality that a solver reaches on a light field
+//! that fits it:
+//!
+//! * degrees of freedom per ray,
+//! * the brightness β,
+//! * the share of the pixels' detail that the bound leaves, over the depths that a light field of
+//!   this display can hold. These reach to a displacement of a pixel from view to view, z_1 = p/Δs.
 //!
 //! ```text
-//! PSNR ≈ c_0 + c_1 log2 ρ + c_2 log2 1/β + c_3 mean of min(1, ω(z) 2p) over |z| ≤ z_1,      ρ = values per ray
+//! PSNR ≈ c_0 + c_1 log2 ρ + c_2 log2 1/β + c_3 mean of min(1, ω(z) 2p) over |z| ≤ z_1
+//! ρ = values per ray
 //! ```
 //!
-//! The constants were fitted by least squares to 80 random designs on one scene ([`COEFFICIENTS`]); another scene moves c_0 most of all, so that the order of designs is what
-//! counts. `cargo xtask bench design` prints the rank correlation with solved designs that the fit has not seen.
+//! The constants were fitted by least squares to 80 random designs on one scene ([`COEFFICIENTS`]).
+//! Another scene moves c_0 most of all, so only the order of designs counts.
+//! `cargo xtask bench design` prints the rank correlation with solved designs outside of the fit.
 
 use lumistack_display::Display;
 
@@ -44,7 +50,8 @@ pub fn predicted_db(display: &Display) -> f64 {
     c0 + rest.iter().zip(features(display)).map(|(c, feature)| c * feature).sum::<f64>()
 }
 
-/// Spearman's rank correlation of two lists of one length; ties share their mean rank. NaN where one of them is all the same.
+/// Spearman's rank correlation of two lists of one length; ties share their mean rank. NaN where
+/// one of them is all the same.
 pub fn rank_correlation(first: &[f64], second: &[f64]) -> f64 {
     let [a, b] = [first, second].map(ranks);
     let mean = (a.len() as f64 - 1.0) / 2.0;

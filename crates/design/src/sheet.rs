@@ -1,11 +1,12 @@
-//! Pictures of one size in rows and columns, with words beside them: one picture of all. Words are drawn as those of plots are; the pictures' pixels stay what they are, or
-//! become squares of several where they would be too small for their words.
+//! Pictures of one size in rows and columns, with captions: one picture of all. Captions are drawn
+//! as those of plots are. The pictures keep their pixels, or each becomes a square of several where
+//! they would be too small for their captions.
 
 use std::fmt::Write as _;
 
 use lumistack_plot::{self as plot, FAMILY, PlotError};
 
-/// A picture and what is said under it.
+/// A picture and its caption.
 #[derive(Clone, Debug, Default)]
 pub struct Cell {
     /// Under the picture; empty for nothing.

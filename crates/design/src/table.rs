@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use lumistack_plot::{self as plot, Axes, COLOURS, Curve, Map, PlotError};
 
-/// One design: what it is and what it takes to build.
+/// One design: its parameters and the parts to build it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Design {
     /// Name of the display that it varies.
@@ -16,7 +16,8 @@ pub struct Design {
     pub frames: usize,
     /// Brightness scale β.
     pub brightness: f64,
-    /// Mean distance of neighbouring layers, millimetres; of a single layer its distance from the backlight, 0 without one.
+    /// Mean distance of neighbouring layers, millimetres; of a single layer its distance from the
+    /// backlight, 0 without one.
     pub gap_mm: f64,
     /// [horizontal, vertical] full angles, degrees.
     pub fov_deg: [f64; 2],
@@ -28,12 +29,13 @@ pub struct Design {
     pub panels: usize,
     /// Refresh rate at which nothing flickers, hertz; 0 of a static display.
     pub refresh_hz: f64,
-    /// Values of the patterns per ray of the light field: degrees of freedom. At 1 and above every ray could have its own.
+    /// Values of the patterns per ray of the light field: degrees of freedom. At 1 and above every
+    /// ray could have its own.
     pub values_per_ray: f64,
 }
 
 impl Design {
-    /// Of a display.
+    /// The design of a display.
     pub fn of(name: &str, display: &Display) -> Self {
         let layers = &display.layers;
         let d_mm = || layers.iter().map(|layer| layer.d_mm);
@@ -62,7 +64,7 @@ impl Design {
     }
 }
 
-/// A design and what it reached.
+/// A design and its results.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// The design.
@@ -79,22 +81,24 @@ pub struct Row {
     pub psnr_raw_db: f64,
     /// PSNR of L̃/β at views between the target's, dB, where they are known.
     pub psnr_between_db: Option<f64>,
-    /// Of several times the worst one's PSNR of L̃/β against L, dB; the figures above are of all times' rays together.
+    /// The worst time step's PSNR of L̃/β against L, dB, for a sequence; the figures above are of
+    /// all time steps' rays together.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
-    /// Of a job with several nodes: each. The figures above are the first one's.
+    /// Results per node, for a job with several nodes. The figures above are the first one's.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeRow>,
 }
 
 impl Row {
-    /// By which designs are ranked, dB: the score of the zone; of a light field that was given, and of a sequence, the PSNR at the target views.
+    /// By which designs are ranked, dB: the score of the zone; of a light field that was given, and
+    /// of a sequence, the PSNR at the target views.
     pub fn quality_db(&self) -> f64 {
         self.psnr_zone_db.unwrap_or(self.psnr_view_db)
     }
 }
 
-/// What one node reached with a design.
+/// Results of one node with a design.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NodeRow {
     /// Its name.
@@ -119,7 +123,8 @@ pub struct NodeRow {
 /// Figures are cut here: an exact display has no finite one.
 pub const MOST_DB: f64 = 200.0;
 
-/// The table as CSV: a line of names, a line per row. Of several times there is a column for the worst one, of several nodes columns for each.
+/// The table as CSV: a line of names, a line per row. A sequence adds a column for the worst time
+/// step, several nodes add columns for each.
 pub fn csv(rows: &[Row]) -> String {
     let mut text = String::from(
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
@@ -224,7 +229,7 @@ impl Axis {
         }
     }
 
-    /// Whether a design has a place along it.
+    /// True if a design has a place along the axis.
     fn concerns(self, design: &Design) -> bool {
         match self {
             Self::Gap => design.layers > 1,
@@ -241,8 +246,8 @@ impl Axis {
         }
     }
 
-    /// With what it is, for titles.
-    fn told(self, design: &Design) -> String {
+    /// Value with the axis's name, for titles.
+    fn title(self, design: &Design) -> String {
         let value = self.name(design);
         match self {
             Self::Display => value,
@@ -260,11 +265,11 @@ impl Axis {
 /// A plot of the table: the stem of its file name, and the SVG.
 pub type Plot = (String, String);
 
-/// More than so many of one kind tell nobody anything.
+/// Number of plots of one kind past which more are of no use.
 const MOST_PLOTS: usize = 12;
-/// More than so many nobody asked for.
+/// Largest number of plots of [`Plots::Few`].
 const FEW_PLOTS: usize = 6;
-/// What counts as good in the paper's figures.
+/// A good PSNR in the paper's figures.
 const GOOD_DB: f64 = 40.0;
 
 /// How many plots of a table.
@@ -280,13 +285,14 @@ pub enum Plots {
     All,
 }
 
-/// What a plot shows: a map over two axes, or curves along one for the values of another.
+/// The content of a plot: a map over two axes, or curves along one for the values of another.
 enum View {
     Map(Axis, Axis),
     Curves(Axis, Option<Axis>),
 }
 
-/// A plot that could be drawn: its name, what it shows, the rows that it shows, the axes on which these agree.
+/// A plot that could be drawn: its name, its content, the rows that it shows, the axes on which
+/// these agree.
 struct Sketch {
     stem: String,
     view: View,
@@ -294,7 +300,8 @@ struct Sketch {
     others: Vec<Axis>,
 }
 
-/// Plots of what varies, by [`Row::quality_db`]: maps of it over two of N, M and β (Figures 7 and 8), and curves along single axes; and how many more there could be.
+/// Plots of the axes that vary, by [`Row::quality_db`]: maps over two of N, M and β (Figures 7 and
+/// 8), and curves along single axes. The second value is the number of further plots.
 ///
 /// # Errors
 /// If drawing fails.
@@ -389,7 +396,7 @@ fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
     found.into_iter().map(|(_, part)| part).collect()
 }
 
-/// Whether designs are ranked by the zone.
+/// True if designs are ranked by the zone.
 fn of_zone(rows: &[Row]) -> bool {
     rows.iter().any(|row| row.psnr_zone_db.is_some())
 }
@@ -403,7 +410,7 @@ fn value_label(rows: &[Row]) -> String {
 
 fn title(part: &[Row], others: &[Axis]) -> String {
     let told: Vec<String> =
-        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.told(&row.design)).collect());
+        part.first().map_or(Vec::new(), |row| others.iter().map(|axis| axis.title(&row.design)).collect());
     if told.is_empty() { "All designs".into() } else { told.join(", ") }
 }
 
@@ -438,7 +445,7 @@ fn curves_of(all: &[Row], part: &[Row], x: Axis, by: Option<Axis>, others: &[Axi
             own.clone().map(|row| [x.number(&row.design), row.quality_db().min(plot::CAP_DB)]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let first = own.clone().next();
-        let name = by.zip(first).map_or(String::new(), |(by, row)| by.told(&row.design));
+        let name = by.zip(first).map_or(String::new(), |(by, row)| by.title(&row.design));
         Curve { name, points, colour: place % COLOURS.len(), dashed: place >= COLOURS.len(), dots: true }
     });
     let lowest = all.iter().map(|row| row.quality_db()).fold(f64::MAX, f64::min);
@@ -514,7 +521,7 @@ mod tests {
         }
         // a single layer has no distance to vary
         assert!(!all.iter().any(|stem| stem.contains("brightness") || stem.contains("gap")), "{all:?}");
-        // what the maps show needs no curves
+        // axes of maps need no curves
         assert_eq!(stems(Plots::Few), ["psnr-frames-layers-01", "psnr-frames-layers-02"]);
         assert_eq!(plots(&rows(), Plots::None).unwrap(), (Vec::new(), all.len()));
         assert!(plots(&rows()[..1], Plots::All).unwrap().0.is_empty(), "one design is no trend");

@@ -1,10 +1,10 @@
 //! From a source to a light field in memory: choose views, put the plane in focus, crop and reduce,
 //! check values.
 //!
-//! The middle camera sees content of disparity k (pixels a step) at some place. A camera at position
-//! p (in steps, right and up) sees it k·p pixels to the left and below. Reading view p from column
-//! c − k·p and row r + k·p puts that content on z = 0. The result keeps the part that all views
-//! have.
+//! The middle camera sees content of disparity k (pixels a step) at some place. A camera at
+//! position p (in steps, right and up) sees it k·p pixels to the left and below. Reading view p
+//! from column c − k·p and row r + k·p puts that content on z = 0. The result keeps the part that
+//! all views have.
 
 use std::path::Path;
 

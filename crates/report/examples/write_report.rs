@@ -1,11 +1,16 @@
-//! Factorizes a square-gridded `.npy` light field and writes its report, for looking at the page while working on it:
+//! Factorizes a square-gridded `.npy` light field and writes its report, for looking at the page
+//! while working on it:
 //!
 //! ```text
-//! cargo run --release -p lumistack-report --example write_report -- LIGHTFIELD.npy PITCH_MM FOV_DEG DISPLAY OUT_DIR [SOLVER]
+//! cargo run --release -p lumistack-report --example write_report --
+//!     LIGHTFIELD.npy PITCH_MM FOV_DEG DISPLAY OUT_DIR [SOLVER]
 //! ```
 //!
-//! DISPLAY is `layers:N:M` (N layers 40 mm apart, M frames), `lenslets:M` (one layer and a directional backlight) or `held-out:N:M`, where every
-//! second view is a target and the views between them are held out.
+//! DISPLAY is one of:
+//!
+//! * `layers:N:M`: N layers 40 mm apart, M frames,
+//! * `lenslets:M`: one layer and a directional backlight,
+//! * `held-out:N:M`: every second view is a target, and the views between them are held out.
 
 use std::error::Error;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! What the solver had reached by when.
+//! The solver's convergence over time.
 
 use crate::Iteration;
 

@@ -1,4 +1,5 @@
-//! The depth budget: how much of what is seen lies where the display can show it, and how far it moves from view to view.
+//! The depth budget: the share of the scene that lies in the display's depth of field, and the
+//! shift of its content from view to view.
 
 use lumistack_core::metrics::percentile;
 use lumistack_display::{Display, FieldGeometry};
@@ -12,13 +13,15 @@ const BARS: usize = 60;
 const CURVE_POINTS: usize = 241;
 /// Depths that histograms leave out at either end.
 const STRAY: f64 = 0.005;
-/// With less of the scene in the depth of field than this, the display is the wrong one for the scene, or the window stands in the wrong place.
+/// With less of the scene in the depth of field than this, the display is the wrong one for the
+/// scene, or the window stands in the wrong place.
 const FEW: f64 = 0.75;
 
-/// What a scene's depth asks of a display. Shares are of the rays that meet a surface.
+/// Demands of a scene's depth on a display. Shares are of the rays that hit a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthBudget {
-    /// [low, high] depths at which the display shows the finest detail of the light field's pixels, millimetres; `None` where there are none.
+    /// [low, high] depths at which the display shows the finest detail of the light field's pixels,
+    /// millimetres; `None` where there are none.
     pub depth_of_field_mm: Option<[f64; 2]>,
     /// Share within, over all views, 0..1; NaN where nothing is seen.
     pub inside: f64,
@@ -34,7 +37,7 @@ pub struct DepthBudget {
     pub moved_back_mm: f64,
     /// Factor on parallax; 1 for the scene as it is.
     pub depth_scale: f64,
-    /// Whether either was changed so that the scene fits.
+    /// True if either was changed so that the scene fits.
     pub fitted: bool,
     /// Shares of rays by depth, and by displacement in pixels.
     pub(crate) by_depth: Histogram,
@@ -54,7 +57,8 @@ pub(crate) struct Histogram {
 }
 
 impl DepthBudget {
-    /// Measures depths in the display space of a display: `z_mm` of all views' rays, NaN where a ray meets nothing, and those of the middle view.
+    /// Measures depths in the display space of a display: `z_mm` of all views' rays, NaN where a
+    /// ray hits nothing, and those of the middle view.
     pub fn measure(display: &Display, geometry: &FieldGeometry, z_mm: &[f32], middle: &[f32]) -> Self {
         let depth_of_field_mm = display.depth_of_field(geometry.pitch_mm);
         let seen = |z_mm: &[f32]| -> Vec<f32> { z_mm.iter().copied().filter(|z| z.is_finite()).collect() };
@@ -99,7 +103,7 @@ impl DepthBudget {
         }
     }
 
-    /// Whether any surface is seen.
+    /// True if any surface is seen.
     pub fn is_seen(&self) -> bool {
         !self.inside.is_nan()
     }
@@ -138,7 +142,7 @@ impl DepthBudget {
         format!(", for which {} (`fit_depth = \"off\"` leaves it)", done.join(" and "))
     }
 
-    /// What to do about a scene that does not fit.
+    /// Advice for a scene that does not fit.
     pub fn advice(&self) -> Option<String> {
         if !self.is_seen() || self.inside >= FEW {
             return None;
@@ -198,7 +202,7 @@ mod tests {
     fn shares_and_displacements_are_counted() {
         let display = display();
         let geometry = display.geometry().unwrap();
-        // a quarter each at −100, −10, 10 and 79 mm, and rays that meet nothing
+        // a quarter each at −100, −10, 10 and 79 mm, and rays without a hit
         let mut z_mm = vec![f32::NAN; 50];
         [-100.0, -10.0, 10.0, 79.0].into_iter().for_each(|z| z_mm.extend([z; 25]));
         let budget = DepthBudget::measure(&display, &geometry, &z_mm, &[10.0, f32::NAN]);

@@ -1,4 +1,5 @@
-//! Numbers as people read them. Units stand in the text around them unless the function's name says otherwise.
+//! Numbers as people read them. Units stand in the text around them unless the function's name says
+//! otherwise.
 
 use serde_json::Value;
 
@@ -98,7 +99,8 @@ pub(crate) fn counted(count: usize, noun: &str) -> String {
     if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
 }
 
-/// A relative path as a link that cannot name a scheme or leave its own meaning: bytes outside the unreserved set are percent-encoded.
+/// A relative path as a link that cannot name a scheme or leave its own meaning: bytes outside the
+/// unreserved set are percent-encoded.
 pub(crate) fn relative_href(path: &str) -> String {
     let mut href = String::from("./");
     for byte in path.trim_start_matches(['/', '\\']).bytes() {

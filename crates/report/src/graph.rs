@@ -1,4 +1,5 @@
-//! The report of a job that feeds several nodes from one light field: what each display shows of it, on one page.
+//! The report of a job that feeds several nodes from one light field: the views of each display, on
+//! one page.
 //!
 //! # report.json
 //!
@@ -8,7 +9,7 @@
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_view` | dB, the first node's |
 //! | `nodes` | list of `id`, `plugin`, `display`, `report` (path), `psnr_view`, `psnr_raw`, `held_out_psnr_view`, `psnr_zone`, `brightness`, `layers`, `frames`, `seconds`, `outputs` (paths of those that were written) |
-//! | `outputs` | paths of what was made of the light field itself |
+//! | `outputs` | paths of the outputs of the light field itself |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
 use lumistack_core::Warning;
@@ -22,7 +23,7 @@ use crate::{Output, ReportError, Thumbnail, page};
 pub struct GraphNode {
     /// Its name in the job.
     pub id: String,
-    /// What made its patterns.
+    /// The plugin that made its patterns.
     pub plugin: String,
     /// Its display's name.
     pub display: String,
@@ -44,7 +45,7 @@ pub struct GraphNode {
     pub frames: usize,
     /// Time from the light field to the outputs, seconds.
     pub seconds: f64,
-    /// What was written of it; paths relative to this report.
+    /// Outputs of it; paths relative to this report.
     pub outputs: Vec<Output>,
     /// Central view of the display, L̃/β.
     pub shown: Thumbnail,
@@ -59,7 +60,7 @@ pub struct GraphInput<'a> {
     pub wanted: &'a Thumbnail,
     /// All nodes, in the order of the job.
     pub nodes: &'a [GraphNode],
-    /// What was written of the light field.
+    /// Outputs of the light field.
     pub outputs: &'a [Output],
     /// The resolved job.
     pub settings: &'a Value,

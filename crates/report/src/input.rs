@@ -1,4 +1,4 @@
-//! What a report is made of, and what is made.
+//! Inputs and results of a report.
 
 use lumistack_core::{Cancelled, Warning};
 use lumistack_display::{
@@ -30,11 +30,11 @@ pub struct Solution {
     pub start: String,
     /// Levels of half the resolution at which it began.
     pub coarse_levels: u32,
-    /// How far the patterns are from the first-order (KKT) conditions: root mean square change of the emission that one more exact coordinate step of
-    /// a value would make.
+    /// How far the patterns are from the first-order (KKT) conditions: root mean square change of
+    /// the emission that one more exact coordinate step of a value would make.
     pub unsettled: f64,
-    /// `psnr_view` (dB) of the continuous patterns, of their values rounded to the panels' levels, and of the patterns re-optimized on the
-    /// levels, which are the result; where layers have few bits.
+    /// `psnr_view` (dB) of three kinds of patterns, where layers have few bits: continuous, rounded
+    /// to the panels' levels, and re-optimized on the levels. The last is the result.
     pub levels: Option<[f64; 3]>,
 }
 
@@ -45,11 +45,12 @@ pub struct Stage {
     pub name: String,
     /// Wall time in this run, seconds.
     pub seconds: f64,
-    /// Whether its result came from an earlier run.
+    /// True if its result came from an earlier run.
     pub cached: bool,
 }
 
-/// What a denoiser did to one view or to all, in exposed radiance, all channels together. Pairs are a value and its standard error.
+/// The effect of a denoiser on one view or on all, in exposed radiance, all channels together.
+/// Pairs are a value and its standard error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DenoisedView {
     /// Mean of the unbiased picture.
@@ -62,7 +63,7 @@ pub struct DenoisedView {
     pub mse_after: [f64; 2],
 }
 
-/// What a denoiser did to the target.
+/// The effect of a denoiser on the target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Denoising<'a> {
     /// Its name, for people.
@@ -82,7 +83,7 @@ pub struct Denoising<'a> {
 pub struct ZoneFigures {
     /// Errors of the seen pictures, direction by direction.
     pub score: ZoneScore,
-    /// Whether they are views of a given light field that the solver left out, rather than renders.
+    /// True if they are held-out views of a given light field rather than renders.
     pub left_out: bool,
     /// Directions whose references have enough samples for SSIM and FLIP, and to be looked at.
     pub views: Vec<ZoneView>,
@@ -104,7 +105,7 @@ pub struct ZoneView {
 /// A file or folder that the run wrote.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Output {
-    /// What it is, for people.
+    /// Its name, for people.
     pub label: String,
     /// Path relative to the report, with `/` between parts.
     pub path: String,
@@ -121,36 +122,39 @@ pub struct ReportInput<'a> {
     pub display: &'a Display,
     /// Its patterns.
     pub stack: &'a LayerStack,
-    /// What the display should show.
+    /// The light field that the display should show.
     pub target: &'a LightField,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
-    /// Views that the solver did not see, usually at [`lumistack_display::ViewGrid::in_between`]. Without them in-between views are shown as
-    /// simulated only.
+    /// Views that the solver did not see, usually at [`lumistack_display::ViewGrid::in_between`].
+    /// Without them in-between views are shown as simulated only.
     pub held_out: Option<&'a LightField>,
-    /// Views beyond the target's, usually at [`lumistack_display::ViewGrid::outside`]. Without them such views are shown as simulated only.
+    /// Views outside the target's, usually at [`lumistack_display::ViewGrid::outside`]. Without
+    /// them such views are shown as simulated only.
     pub outside: Option<&'a LightField>,
-    /// How right the display is all over its zone. `None` where the scene's pictures from there are not known.
+    /// How right the display is all over its zone. `None` where the scene's pictures from there are
+    /// not known.
     pub zone: Option<&'a ZoneFigures>,
-    /// Pixels of a view per degree of visual angle, for FLIP; usually [`Flip::DEFAULT_PIXELS_PER_DEGREE`](lumistack_core::metrics::Flip).
+    /// Pixels of a view per degree of visual angle, for FLIP; usually
+    /// [`Flip::DEFAULT_PIXELS_PER_DEGREE`](lumistack_core::metrics::Flip).
     pub pixels_per_degree: f64,
     /// The solver's history; may be empty.
     pub convergence: &'a [Iteration],
-    /// What the solver says of itself, where a solver ran.
+    /// The solver's own figures, where a solver ran.
     pub solution: Option<&'a Solution>,
     /// Timings; may be empty.
     pub stages: &'a [Stage],
     /// The resolved job, every default written out.
     pub settings: &'a serde_json::Value,
-    /// What a denoiser did to the target, where one was used.
+    /// The effect of a denoiser on the target, where one was used.
     pub denoising: Option<&'a Denoising<'a>>,
     /// Facts about the scene (name, triangles, ...), where there is one.
     pub scene: Option<&'a serde_json::Value>,
-    /// What the scene's depth asks of the display, where a scene was rendered.
+    /// Demands of the scene's depth on the display, where a scene was rendered.
     pub depth: Option<&'a DepthBudget>,
     /// Warnings of all stages.
     pub warnings: &'a [Warning],
-    /// What else the run wrote.
+    /// Other outputs of the run.
     pub outputs: &'a [Output],
     /// The command line that made the run.
     pub command: Option<&'a str>,
@@ -175,7 +179,7 @@ pub struct Report {
     pub psnr_raw: f64,
     /// `psnr_view` of the held-out views, dB.
     pub held_out_psnr_view: Option<f64>,
-    /// `psnr_view` of the views beyond the zone, dB.
+    /// `psnr_view` of the views outside the zone, dB.
     pub outside_psnr_view: Option<f64>,
 }
 

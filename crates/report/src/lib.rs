@@ -1,23 +1,27 @@
-//! The run's report: what the display shows beside what it should show, as one HTML file and as numbers.
+//! The run's report: simulated views beside their targets, as one HTML file and as numbers.
 //!
-//! [`build`] simulates every target view once with the display's forward model and returns two texts; it writes no files, reads no clock and
-//! makes no network request. `report.html` is one file: pictures are data URIs, style and script are inline.
+//! [`build`] simulates every target view once with the display's forward model and returns two
+//! texts; it writes no files, reads no clock and makes no network request. `report.html` is one
+//! file: pictures are data URIs, style and script are inline.
 //!
 //! ```text
-//! Display + LayerStack + LightField ──▶ measure  PSNR, SSIM, FLIP, pictures ──▶ json ──▶ report.json
-//!                                       light    absolute brightness       └──▶ page ──▶ report.html
-//!                                       limits   what limits the result
-//!                                       patterns pictures of the masks
+//! Display + LayerStack + LightField ─▶ measure  PSNR, SSIM, FLIP, pictures ─▶ json ─▶ report.json
+//!                                      light    absolute brightness       └─▶ page ─▶ report.html
+//!                                      limits   causes of the remaining error
+//!                                      patterns pictures of the masks
 //! ```
 //!
-//! A sequence of times has a report of its own, [`sequence()`], and so has a job that feeds several displays, [`graph()`].
+//! A sequence of times has a report of its own, [`sequence()`], and so has a job that feeds several
+//! displays, [`graph()`].
 //!
-//! The headline is `psnr_zone`: what eyes see that are at no view in particular, pictures averaged over the area of every pixel.
+//! The headline is `psnr_zone`, the score of seen pictures: at no view in particular, averaged over
+//! the area of every pixel.
 //!
-//! PSNR is the display crate's: peak 1, linear light, over all rays with w > 0 that meet the display, and all channels. `psnr_view` compares
-//! L̃/β with L, `psnr_raw` compares L̃ with βL and is higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
-//! [`lumistack_core::metrics`] defines them: rays that do not count are set to the target in both pictures, and the means run over the pixels that
-//! count.
+//! PSNR is the display crate's: peak 1, linear light, over all rays with w > 0 that hit the
+//! display, and all channels. `psnr_view` compares L̃/β with L, `psnr_raw` compares L̃ with βL and
+//! is higher by −20·log10 β. SSIM and FLIP compare L̃/β with L, clamped to 0..1, as
+//! [`lumistack_core::metrics`] defines them. Rays that do not count are set to the target in both
+//! pictures, and the means run over the pixels that count.
 //!
 //! # report.json
 //!
@@ -25,26 +29,27 @@
 //! |---|---|
 //! | `schema`, `version` | `"lumistack/report"`, 1 |
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
-//! | `psnr_zone`, `psnr_zone_worst_tenth` | the headline: dB of seen pictures over directions all over the zone, which no solver saw, and over the worst tenth of them; null where the scene's pictures from there are not known |
+//! | `psnr_zone`, `psnr_zone_worst_tenth` | the headline: dB of seen pictures over directions all over the zone, which no solver used, and over the worst tenth of them. Null where the scene's pictures from there are unknown |
 //! | `zone` | null, or `directions` (list of `slope`, `psnr` in dB and `pixels`), and `ssim` and `flip`, means over those whose references have enough samples, the first eight |
 //! | `psnr_view`, `psnr_raw` | dB, target views by their pixels' centre rays: how well the solver did. Here and below, where there are more than 7 views along an axis, 7 of them stand for all |
 //! | `ssim`, `flip` | means over all target views |
-//! | `pixels_per_degree` | of visual angle, for FLIP |
+//! | `pixels_per_degree` | pixels per degree of visual angle, for FLIP |
 //! | `brightness` | β |
 //! | `light` | luminances relative to the backlight's: `emitted` (mean of L̃), `wanted` (mean of L), `open` (of a display whose every pixel is at its brightest, from straight ahead), and `text` |
-//! | `views` | of the target: `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`, and `[view_y][view_x]` arrays `psnr_view` (dB), `ssim`, `flip` and `counted_share` (share of rays that count, 0..1) |
-//! | `held_out`, `outside` | null, or the same keys as `views` for views that were not optimized, in between and beyond the zone, with `overall_psnr_view`, `overall_psnr_raw`, `overall_ssim` and `overall_flip` |
-//! | `limits` | list, the largest first, of `name`, `decibels` (how much better psnr_view would be without it; null where one run cannot tell), `text` and the `figures` behind it |
-//! | `depth` | null, or of the rays of all views that meet a surface: `depth_of_field_mm` ([low, high] or null), shares `inside` it, `inside_middle` (of the middle view), `beyond_a_pixel`, percentiles `depth_mm` and `disparity_px` (between neighbouring views), `window_moved_back_mm`, `depth_scale`, and two histograms |
+//! | `views` | the target's `slope_x[view_x]`, `slope_y[view_y]` (tangents, y up), `projection`, `distance_mm`, `rows`, `cols`, `pitch_mm`, and `[view_y][view_x]` arrays `psnr_view` (dB), `ssim`, `flip` and `counted_share` (share of rays that count, 0..1) |
+//! | `held_out`, `outside` | null, or the same keys as `views` for views that were not optimized, in between and outside the zone, with `overall_psnr_view`, `overall_psnr_raw`, `overall_ssim` and `overall_flip` |
+//! | `limits` | list, the largest first, of `name`, `decibels` (how much better psnr_view would be without it; null where one run cannot decide), `text` and the `figures` behind it |
+//! | `depth` | null, or figures of the rays of all views that hit a surface: `depth_of_field_mm` ([low, high] or null), shares `inside` it, `inside_middle` (of the middle view), `beyond_a_pixel`. Also percentiles `depth_mm` and `disparity_px` (between neighbouring views), `window_moved_back_mm`, `depth_scale`, and two histograms |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
 //! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by then |
-//! | `denoising` | null, or `name`, and over all views and in the list `views`: `mean` (of the unbiased picture), `mean_change`, `mse_before`, `mse_after`, each of these a pair of value and standard error (exposed radiance; errors at pixels that the filter never saw) |
+//! | `denoising` | null, or `name`, and over all views and in the list `views`: `mean` (of the unbiased picture), `mean_change`, `mse_before`, `mse_after`. Each is a pair of value and standard error (exposed radiance; errors at pixels that the filter never used) |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
 //! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report), `failed` (null, or why nothing is there) |
 //!
-//! JSON has no infinity: a PSNR of equal pictures is the text `"Infinity"`, which `float()` of Python, `Number()` of JavaScript and
-//! `str::parse::<f64>` of Rust all read; a figure without any counted ray is `null`.
+//! JSON has no infinity: a PSNR of equal pictures is the text `"Infinity"`. `float()` of Python,
+//! `Number()` of JavaScript and `str::parse::<f64>` of Rust all read it. A figure without any
+//! counted ray is `null`.
 
 mod convergence;
 mod depth;
@@ -75,7 +80,8 @@ pub use input::{
 };
 pub use sequence::{SequenceFigures, SequenceInput, SequenceReport, SequenceSeries, SequenceTime, Thumbnail, sequence};
 
-/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that this code has a part in.
+/// Hash of this crate's sources, made at build. It belongs into the keys of all kept results that
+/// this code has a part in.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Simulates the display and makes its report.

@@ -1,7 +1,8 @@
 //! Absolute brightness: how much of its backlight a display lets out.
 //!
-//! The mean of L̃ over all rays that count, as luminance, relative to a backlight (or, of layers that emit, an emission) of 1; and what fully
-//! open layers would let out, mean over the central view.
+//! Two means of luminance, relative to a backlight of 1, or of layers that emit, to an emission of
+//! 1. One is the mean of L̃ over all rays that count. The other is the light of fully open layers,
+//! mean over the central view.
 
 use lumistack_core::colour::luminance;
 use lumistack_core::metrics::Mean;
@@ -17,7 +18,7 @@ pub(crate) struct Light {
     pub(crate) emitted: f64,
     /// Mean of L, before β.
     pub(crate) wanted: f64,
-    /// Of a display whose every pixel is at its brightest; NaN where no ray meets it.
+    /// Luminance of a display whose every pixel is at its brightest; NaN where no ray hits it.
     pub(crate) open: f64,
 }
 

@@ -1,7 +1,9 @@
-//! What limits the result, measured on the finished patterns: variants of the forward model and shares of the squared error, no new solution.
+//! Causes of the remaining error, measured on the finished patterns: variants of the forward model
+//! and shares of the squared error, no new solution.
 //!
-//! Every figure in dB says how much better psnr_view would be without one effect, everything else as it is. Effects overlap, so figures do
-//! not add up. Variants are simulated for the central view and the corners.
+//! Every figure in dB says how much better psnr_view would be without one effect, everything else
+//! as it is. Effects overlap, so figures do not add up. Variants are simulated for the central view
+//! and the corners.
 
 mod depth;
 mod hardware;

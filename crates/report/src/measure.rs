@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use sheets::SheetPair;
 use shown::Shown;
 
-/// What the report knows about the views.
+/// Figures and pictures of the views.
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
     pub(crate) target: FieldScore,
@@ -35,7 +35,7 @@ pub(crate) struct Measured {
     /// Factor by which those of `headline` are.
     pub(crate) headline_shrunk: usize,
     pub(crate) sheets: Sheets,
-    /// Whether any ray of the shown views does not count.
+    /// True if any ray of the shown views does not count.
     pub(crate) has_dropped_rays: bool,
 }
 
@@ -113,7 +113,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     })
 }
 
-/// Figures of the zone's directions that can be looked at; the worst and, last, the median of them are shown.
+/// Figures of the zone's directions that can be looked at; the worst and, last, the median of them
+/// are shown.
 fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
     let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();
     let looks = views.iter().fold(ZoneLooks::default(), |sum, (_, figures)| ZoneLooks {

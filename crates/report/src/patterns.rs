@@ -1,4 +1,5 @@
-//! Pictures of the patterns: every layer's mean over frames and how much it changes, every frame, close-ups, and the backlight's emission.
+//! Pictures of the patterns: every layer's mean over frames and how much it changes, every frame,
+//! close-ups, and the backlight's emission.
 
 mod place;
 
@@ -13,7 +14,7 @@ pub(crate) use place::Window;
 /// All patterns, encoded.
 #[derive(Clone, Debug)]
 pub(crate) struct Patterns {
-    /// Of the backlight, where it is directional.
+    /// Emission of the backlight, where it is directional.
     pub(crate) emission: Option<Emission>,
     /// Rearmost layer first.
     pub(crate) layers: Vec<Sheet>,
@@ -31,12 +32,13 @@ pub(crate) struct Sheet {
     /// Standard deviation over frames times [`CHANGE`], where there are several.
     pub(crate) change: Option<Embedded>,
     pub(crate) frames: Vec<Embedded>,
-    /// A part where patterns change finely from frame to frame, every pixel as it is, where the whole is larger.
+    /// A part where patterns change finely from frame to frame, every pixel as it is, where the
+    /// whole is larger.
     pub(crate) closeup: Option<CloseUp>,
 }
 
-/// A part of a layer's green channel as grey, contrast stretched: channels are solved one by one, and the fine patterns of three of them at once look
-/// like noise.
+/// A part of a layer's green channel as grey, contrast stretched: channels are solved one by one,
+/// and the fine patterns of three of them at once look like noise.
 #[derive(Clone, Debug)]
 pub(crate) struct CloseUp {
     pub(crate) window: Window,
@@ -52,7 +54,7 @@ pub(crate) struct CloseUp {
 pub(crate) struct Emission {
     /// Lenslets as tiles, and in every tile its angular bins.
     pub(crate) panel: Sheet,
-    /// What the lenslets emit into the central bin: one pixel per lenslet.
+    /// Emission of the lenslets into the central bin: one pixel per lenslet.
     pub(crate) central_bin: Vec<Embedded>,
     /// Row and column of that bin.
     pub(crate) bin: [usize; 2],
@@ -192,7 +194,8 @@ fn encode_emission(
     Ok(Emission { panel, central_bin, bin })
 }
 
-/// `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]` as `[frame][lenslet_row·bins_y + bin_y][lenslet_col·bins_x + bin_x][rgb]`.
+/// `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]` as
+/// `[frame][lenslet_row·bins_y + bin_y][lenslet_col·bins_x + bin_x][rgb]`.
 fn panel_tensor(emission: &Tensor<6>) -> Tensor<4> {
     let [frames, bins_y, bins_x, lenslet_rows, lenslet_cols, _] = emission.shape();
     let mut panel = Tensor::zeros(LayerStack::LAYER_AXES, [frames, lenslet_rows * bins_y, lenslet_cols * bins_x, 3]);

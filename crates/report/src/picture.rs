@@ -1,4 +1,5 @@
-//! Pictures for the page: linear light to 8-bit sRGB, the signed difference map, shrinking, data URIs.
+//! Pictures for the page: linear light to 8-bit sRGB, the signed difference map, shrinking, data
+//! URIs.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -40,10 +41,11 @@ pub(crate) enum Encoding {
     Jpeg,
 }
 
-/// JPEG quality at which block artifacts stay well below what a display itself does to a picture.
+/// JPEG quality at which block artifacts stay well below the error of the display itself.
 const JPEG_QUALITY: u8 = 90;
 
-/// Pixels up to which pictures that belong together stay lossless: as noise, the worst case, they become 4 MB of text.
+/// Pixels up to which pictures that belong together stay lossless: as noise, the worst case, they
+/// become 4 MB of text.
 const LOSSLESS_PIXELS: usize = 1_000_000;
 
 impl Encoding {
@@ -59,7 +61,8 @@ impl Linear {
         Self { rows, cols, data: data.iter().map(|value| value * scale).collect() }
     }
 
-    /// Every block of `factor` × `factor` pixels becomes its mean, in linear light; blocks at the right and bottom may be smaller.
+    /// Every block of `factor` × `factor` pixels becomes its mean, in linear light; blocks at the
+    /// right and bottom may be smaller.
     pub(crate) fn shrunk(&self, factor: usize) -> Self {
         if factor <= 1 {
             return self.clone();
@@ -107,8 +110,8 @@ impl Linear {
     }
 }
 
-/// Signed error of every pixel, in linear light: the channel that is furthest off, simulated minus target; `None` where the ray does not
-/// count. No channel's error can hide behind another's.
+/// Signed error of every pixel, in linear light: the channel that is furthest off, simulated minus
+/// target; `None` where the ray does not count. No channel's error can hide behind another's.
 pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(usize) -> bool) -> Vec<Option<f32>> {
     let pixels = simulated.chunks_exact(3).zip(target.chunks_exact(3)).enumerate();
     pixels
@@ -119,7 +122,8 @@ pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(us
         .collect()
 }
 
-/// The largest amplification of 1, 2, 5, 10, ... under which 99 of 100 errors stay within the colour map.
+/// The largest amplification of 1, 2, 5, 10, ... under which 99 of 100 errors stay within the
+/// colour map.
 pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -> u32 {
     /// Errors below this are not worth showing.
     const SMALLEST: f32 = 1e-4;
@@ -134,7 +138,8 @@ pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -
     steps.into_iter().rev().find(|step| *step as f32 <= room).unwrap_or(1)
 }
 
-/// Colours of [`difference`], from −1 (too dark) through 0 to +1 (too bright). Distinguishable without red-green vision.
+/// Colours of [`difference`], from −1 (too dark) through 0 to +1 (too bright). Distinguishable
+/// without red-green vision.
 pub(crate) const DIVERGING: [[u8; 3]; 5] =
     [[20, 64, 140], [103, 163, 214], [247, 247, 244], [240, 146, 88], [158, 22, 34]];
 
@@ -142,7 +147,8 @@ pub(crate) const DIVERGING: [[u8; 3]; 5] =
 pub(crate) const SEQUENTIAL: [[u8; 3]; 5] =
     [[60, 16, 88], [62, 78, 140], [38, 140, 140], [96, 196, 100], [250, 228, 60]];
 
-/// Colours of a FLIP map, from no difference to the largest: matplotlib's magma at equal steps, as FLIP's authors draw theirs.
+/// Colours of a FLIP map, from no difference to the largest: matplotlib's magma at equal steps, as
+/// FLIP's authors draw theirs.
 pub(crate) const MAGMA: [[u8; 3]; 9] = [
     [0, 0, 4],
     [28, 16, 68],

@@ -43,7 +43,7 @@ pub(crate) fn line(points: &[(f64, f64)], label: &str, value_label: &str) -> Res
     Ok(page::line(points, [label, value_label])?)
 }
 
-/// Shares of what is seen by depth, with the depth of field and the layers.
+/// Shares of the rays by depth, with the depth of field and the layers.
 ///
 /// # Errors
 /// If it cannot be drawn.
@@ -52,7 +52,7 @@ pub(crate) fn depths(budget: &DepthBudget) -> Result<String, ReportError> {
     shares(&budget.by_depth, label, budget.depth_of_field_mm, &budget.layers_mm)
 }
 
-/// Shares of what is seen by how far it moves from view to view.
+/// Shares of the rays by their shift from view to view.
 ///
 /// # Errors
 /// If it cannot be drawn.

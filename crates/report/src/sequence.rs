@@ -1,8 +1,9 @@
 //! The report of a sequence: error, flicker and cost of every time, on one page.
 //!
-//! Flicker over time is what changes in front of the viewer and should not: with e_t = L̃_t/β − L_t the error of a ray at time t, the rms of
-//! e_t − e_(t−1) over rays and channels. It is given in dB as `psnr_change`, −20·log10 of that rms: the PSNR of the change that is shown against the change that
-//! is wanted. `psnr_still` runs over the rays alone whose target stands still.
+//! Flicker over time is unwanted change in front of the viewer. With e_t = L̃_t/β − L_t the error
+//! of a ray at time t, it is the rms of e_t − e_(t−1) over rays and channels. It is reported in dB
+//! as `psnr_change`, −20·log10 of that rms: the PSNR of the shown change against the wanted change.
+//! `psnr_still` runs over the rays alone whose target stands still.
 //!
 //! # report.json
 //!
@@ -12,8 +13,8 @@
 //! | `title`, `lumistack_version`, `command` | texts; `command` may be null |
 //! | `psnr_view`, `psnr_raw`, `psnr_change`, `psnr_still` | dB over all times together; null where nothing was compared |
 //! | `brightness` | β |
-//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start` (`"warm"` from the patterns of the time before, else the fresh start that was taken), `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (share of rays that stand still; these three null at the first time), `iterations`, `seconds` of the solver, `cached` |
-//! | `nodes` | of a job with several nodes: list of `id` and of each the keys from `psnr_view` to `times`; those above are the first one's |
+//! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start` (`"warm"` from the patterns of the time before, else the fresh start), `psnr_start` (before the first iteration). Further `psnr_change`, `psnr_still`, `still_share` (share of rays that stand still; these three null at the first time), `iterations`, `seconds` of the solver, `cached` |
+//! | `nodes` | for a job with several nodes: list of `id` and of each the keys from `psnr_view` to `times`; those above are the first one's |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
 use lumistack_core::Warning;
@@ -27,7 +28,7 @@ use crate::{ReportError, page};
 /// Longer side of a thumbnail, pixels.
 const THUMBNAIL: usize = 200;
 
-/// A small picture of what is seen: linear light, 0..1 after scaling.
+/// A small picture: linear light, 0..1 after scaling.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Thumbnail(Linear);
 
@@ -55,13 +56,14 @@ pub struct SequenceTime {
     pub source: String,
     /// Path of its own report relative to the sequence's, where it has one.
     pub report: Option<String>,
-    /// Of L̃/β against L.
+    /// Error of L̃/β against L.
     pub error: SquaredError,
-    /// Of the change shown since the time before against the change wanted.
+    /// Error of the change shown since the time before against the change wanted.
     pub change: Option<SquaredError>,
     /// The same over the rays whose target stands still, where there are any.
     pub still: Option<SquaredError>,
-    /// How its patterns started: "warm" from those of the time before, else the name of a fresh start.
+    /// How its patterns started: "warm" from those of the time before, else the name of a fresh
+    /// start.
     pub start: String,
     /// PSNR before the first iteration, dB; NaN where unknown.
     pub psnr_start: f64,
@@ -69,7 +71,7 @@ pub struct SequenceTime {
     pub iterations: u32,
     /// Time of the solver; NaN where unknown.
     pub seconds: f64,
-    /// Whether its patterns came from an earlier run.
+    /// True if its patterns came from an earlier run.
     pub cached: bool,
     /// Central view of the target.
     pub wanted: Thumbnail,

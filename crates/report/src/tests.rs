@@ -1,4 +1,5 @@
-//! Reports of small synthetic displays of every kind, checked as text, as HTML and against the display crate's own score.
+//! Reports of small synthetic displays of every kind, checked as text, as HTML and against the
+//! display crate's own score.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -78,7 +79,7 @@ fn built(input: &ReportInput) -> Result<Report, ReportError> {
     build(input, Task::quiet(&Collector::default(), &Cancel::default()))
 }
 
-/// Checks what every page must keep; returns the number of its embedded pictures.
+/// Checks the invariants of every page; returns the number of its embedded pictures.
 fn check_page(html: &str) -> usize {
     check_balanced(html);
     check_links(html);
@@ -300,7 +301,7 @@ fn unusable_input_is_an_error() {
 
 #[test]
 fn large_displays_stay_small_files() {
-    /// What a browser and a mail attachment still take, bytes.
+    /// Size that browsers and mail attachments still accept, bytes.
     const LARGEST: usize = 15_000_000;
     // the paper's prototype at its full mask size, with noise: the worst case for every encoder
     let display = display(3, 12, [2, 2], [840, 525], "");

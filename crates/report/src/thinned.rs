@@ -1,5 +1,5 @@
-//! The views that are measured and shown one by one. A display that is solved for hundreds of views has pages for some of them: what eyes see is
-//! judged all over the zone, at no view in particular.
+//! The views that are measured and shown one by one. A display that is solved for hundreds of views
+//! has pages for some of them; the zone score covers the rest.
 
 use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
@@ -7,7 +7,8 @@ use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
 /// Views per axis, at most.
 const MOST: usize = 7;
 
-/// Some views of a light field, spread over all of it with the middle and the outermost ones, and their weights; `None` where there are few enough.
+/// Some views of a light field, spread over all of it with the middle and the outermost ones, and
+/// their weights; `None` where there are few enough.
 pub(crate) fn thinned(field: &LightField, weights: &Weights) -> Option<(LightField, Weights)> {
     let geometry = field.geometry();
     let views = geometry.grid.views();

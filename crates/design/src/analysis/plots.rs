@@ -1,4 +1,5 @@
-//! Plots of several displays in one: the bound over depth (the paper's Figure 6) and the spectral supports (Figure 4).
+//! Plots of several displays in one: the bound over depth (the paper's Figure 6) and the spectral
+//! supports (Figure 4).
 
 use super::{Analysis, Scene};
 use lumistack_plot::{self as plot, Area, Axes, Curve, PlotError};
@@ -7,8 +8,9 @@ use lumistack_plot::{self as plot, Area, Axes, Curve, PlotError};
 const MOST_DETAIL: f64 = 4.0;
 
 impl Analysis {
-    /// The bound over depth along an axis (0: x, 1: y), as SVG: every display, dashed its closed form where that differs, and its lens array alone;
-    /// behind them the shares of the first scene by depth.
+    /// The bound over depth along an axis (0: x, 1: y), as SVG. It has a curve for every display,
+    /// dashed its closed form where that differs, and its lens array alone. Behind them are the
+    /// shares of the first scene by depth.
     ///
     /// # Errors
     /// If there is no display.

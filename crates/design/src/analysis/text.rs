@@ -144,7 +144,7 @@ fn closed(form: &Closed) -> String {
     format!("eq. {equation} ({assumes}): {differs}{because}")
 }
 
-/// No more decimals than tell something.
+/// Formats with no more decimals than are useful.
 fn number(value: f64) -> String {
     let digits = match value.abs() {
         size if size >= 100.0 || size.fract() == 0.0 => 0,

@@ -1,9 +1,13 @@
-//! Where the content of a view lies in depth, from how far it moves to a neighbouring view.
+//! Depth of the content of a view, from its shift to a neighbouring view.
 //!
-//! Block matching: for every pixel the shift along the row that minimizes the sum of absolute differences of √luminance over a square, refined
-//! by a parabola. Content at depth z moves by −z·Δs/p pixels per step Δs of slope (oblique views), or by q = −z·Δs/(1 − z/D) millimetres between
-//! pinholes at distance D. Where all shifts fit about alike, the nearest pixel of the row that can tell decides, and in rows without any the
-//! content counts as lying on the display; a median over squares takes stray pixels away.
+//! Block matching finds, for every pixel, the shift along the row that minimizes the sum of
+//! absolute differences of √luminance over a square. A parabola refines it. In oblique views
+//! content at depth z moves by −z·Δs/p pixels per step Δs of slope. Between pinholes at distance D
+//! it moves by q = −z·Δs/(1 − z/D) millimetres.
+//!
+//! Where all shifts fit about alike, the nearest pixel of the row with a distinct minimum decides.
+//! In rows without any, the content counts as lying on the display. A median over squares removes
+//! stray pixels.
 
 use lumistack_core::colour::luminance;
 use lumistack_display::{FieldGeometry, LightField, Projection};
@@ -16,7 +20,7 @@ pub(crate) struct DepthMap {
     cols: usize,
     /// Millimetres towards the viewer.
     z_mm: Vec<f32>,
-    /// Whether the depth jumps nearby.
+    /// True if the depth jumps nearby.
     edge: Vec<bool>,
     /// Depth that moves content by half a pixel of the map.
     pub(crate) resolution_mm: f64,
@@ -30,14 +34,17 @@ const RADIUS: std::ops::RangeInclusive<usize> = 3..=6;
 /// Largest shift as a share of the columns, and in pixels.
 const REACH_SHARE: usize = 16;
 const REACH: std::ops::RangeInclusive<usize> = 3..=40;
-/// The best shift must beat the mean over all shifts by this much per pixel (of 4095), or it says nothing.
+/// The best shift must beat the mean over all shifts by this much per pixel (of 4095), or it says
+/// nothing.
 const BETTER_BY: u32 = 40;
-/// A jump by more than this share of the columns, and by more than a pixel, is an edge; pixels up to `NEAR` away belong to it.
+/// A jump by more than this share of the columns, and by more than a pixel, is an edge; pixels up
+/// to `NEAR` away belong to it.
 const JUMP_SHARE: f32 = 1.0 / 240.0;
 const NEAR: usize = 2;
 
 impl DepthMap {
-    /// Depth of `view` by matching it with `neighbour` in the same row of views; `None` where both are the same direction.
+    /// Depth of `view` by matching it with `neighbour` in the same row of views; `None` where both
+    /// are the same direction.
     pub(crate) fn new(field: &LightField, view: [usize; 2], neighbour: [usize; 2]) -> Option<Self> {
         let geometry = field.geometry();
         let step = geometry.grid.slope_x[neighbour[1]] - geometry.grid.slope_x[view[1]];
@@ -58,13 +65,14 @@ impl DepthMap {
         f64::from(self.z_mm[row / self.factor * self.cols + col / self.factor])
     }
 
-    /// Whether the depth jumps near a pixel of the view.
+    /// True if the depth jumps near a pixel of the view.
     pub(crate) fn is_edge(&self, row: usize, col: usize) -> bool {
         self.edge[row / self.factor * self.cols + col / self.factor]
     }
 }
 
-/// Depth of what moves by `shift_mm` on z = 0 from a view to one whose slope is larger by `step`.
+/// Depth of content that moves by `shift_mm` on z = 0 from a view to one whose slope is larger by
+/// `step`.
 fn depth(shift_mm: f64, step: f64, geometry: &FieldGeometry) -> f64 {
     match geometry.grid.projection {
         Projection::Oblique => -shift_mm / step,
@@ -99,13 +107,14 @@ impl Levels {
         Self { rows, cols, values }
     }
 
-    /// How far the content of every pixel has moved to the right in `other`, pixels; NaN where nothing tells.
+    /// Shift of the content of every pixel to the right in `other`, pixels; NaN where no minimum is
+    /// distinct.
     fn shifts(&self, other: &Self) -> Vec<f32> {
         let (rows, cols, radius) = (self.rows, self.cols, self.radius());
         let reach = (cols / REACH_SHARE).clamp(*REACH.start(), *REACH.end());
         let candidates = 2 * reach + 1;
         let difference = |row: usize, shift: usize, col: usize| {
-            // beyond the picture the outermost pixel
+            // the outermost pixel stands for all outside of the picture
             let to = (col + shift).saturating_sub(reach).min(cols - 1);
             self.values[row * cols + col].abs_diff(other.values[row * cols + to])
         };
@@ -168,7 +177,8 @@ impl Levels {
     }
 }
 
-/// The shift of least cost, or NaN where it is not clearly better than others; `pixels` were summed.
+/// The shift of least cost, or NaN where it is not clearly better than others; `pixels` were
+/// summed.
 fn best(cost: impl Fn(usize) -> u32, reach: usize, pixels: u32) -> f32 {
     let place = (0..=2 * reach).min_by_key(|&shift| (cost(shift), shift.abs_diff(reach))).unwrap_or(reach);
     let mean = (0..=2 * reach).map(|shift| u64::from(cost(shift))).sum::<u64>() / (2 * reach as u64 + 1);

@@ -1,4 +1,4 @@
-//! What the panels allow: their brightest and darkest states, their bits, their blur and crosstalk.
+//! Limits of the panels: their brightest and darkest states, their bits, their blur and crosstalk.
 
 use lumistack_core::metrics::SquaredError;
 use lumistack_display::Layer;

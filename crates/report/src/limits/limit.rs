@@ -7,9 +7,9 @@ use serde_json::Value;
 pub(crate) struct Limit {
     /// "Depth".
     pub(crate) name: &'static str,
-    /// How much better psnr_view would be without it; `None` where one run cannot tell.
+    /// How much better psnr_view would be without it; `None` where one run cannot decide.
     pub(crate) decibels: Option<f64>,
-    /// What was measured, in plain words.
+    /// The measurement, in plain words.
     pub(crate) text: String,
     /// The numbers behind it.
     pub(crate) figures: Value,

@@ -1,4 +1,4 @@
-//! What the solver was given: iterations, and unknowns against rays.
+//! Limits of the solver: iterations, and unknowns against rays.
 
 use serde_json::json;
 

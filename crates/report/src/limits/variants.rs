@@ -1,4 +1,5 @@
-//! Displays and patterns that differ from the given ones in one thing, and the error that they would have.
+//! Displays and patterns that differ from the given ones in one thing, and the error that they
+//! would have.
 
 use std::borrow::Cow;
 
@@ -12,7 +13,7 @@ use crate::{ReportError, ReportInput};
 
 /// A value so close to an end of its range, as a share of the range, is at it.
 pub(super) const AT_END: f32 = 1e-3;
-/// How much brighter the brightest state is made, to see what that is worth.
+/// Gain of the brightest state, to measure its worth.
 pub(super) const BRIGHTER: f64 = 0.01;
 /// Bits of a panel that does not say.
 pub(super) const USUAL_BITS: u32 = 8;
@@ -113,12 +114,12 @@ impl Variant {
     }
 }
 
-/// Whether any layer says how many bits it has.
+/// True if any layer has a number of bits.
 pub(super) fn bits_are_given(display: &Display) -> bool {
     display.layers.iter().any(|layer| layer.bits.is_some())
 }
 
-/// What a layer's values are rounded to: its own codes, or usual ones where no layer says anything.
+/// The levels of a layer: its own codes, or usual ones if no layer has a number of bits.
 fn levels(display: &Display, layer: &Layer) -> Option<Vec<f32>> {
     if bits_are_given(display) {
         return layer.levels();
@@ -145,7 +146,8 @@ pub(super) fn emission_range(display: &Display) -> Option<[f32; 2]> {
     }
 }
 
-/// Error of a display over the central view and the corners, and how its light relates to the target's.
+/// Error of a display over the central view and the corners, and how its light relates to the
+/// target's.
 pub(super) fn simulated_error(
     input: &ReportInput,
     display: &Display,
@@ -176,11 +178,11 @@ pub(super) fn simulated_error(
     Ok((error, tone))
 }
 
-/// Sums for the straight line that best tells L from L̃/β.
+/// Sums for the straight line that best predicts L from L̃/β.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tone {
     count: f64,
-    /// Of x = L̃/β and y = L: Σx, Σy, Σx², Σxy, Σy².
+    /// Sums over x = L̃/β and y = L: Σx, Σy, Σx², Σxy, Σy².
     sums: [f64; 5],
 }
 
@@ -203,8 +205,9 @@ impl Tone {
         Self { count: self.count + other.count, sums }
     }
 
-    /// (offset, slope) of x = offset + slope·y: how a target value comes out on average; and the share of the squared error that the best straight
-    /// line y ≈ a + b·x would take away.
+    /// Returns offset and slope of x = offset + slope·y, the mean output for a target value. The
+    /// third number is the share of the squared error that the best straight line y ≈ a + b·x would
+    /// remove.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);
         let (var_x, var_y, cov) = (xx - x * x, yy - y * y, xy - x * y);

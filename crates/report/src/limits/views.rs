@@ -1,4 +1,5 @@
-//! Where in the views the error sits: beyond the layers in depth, at jumps of depth, in the outer views.
+//! Places of the error in the views: outside of the layers in depth, at jumps of depth, in the
+//! outer views.
 
 use lumistack_core::Task;
 use lumistack_core::metrics::SquaredError;
@@ -11,7 +12,8 @@ use super::limit::Limit;
 use crate::measure::{FieldScore, counting, left_to_right, top_to_bottom};
 use crate::{ReportError, ReportInput, format};
 
-/// Views in which more than this share of the rays is near jumps of depth have not been matched well.
+/// Views in which more than this share of the rays is near jumps of depth have not been matched
+/// well.
 const BELIEVABLE_JUMPS: f64 = 0.6;
 
 /// Squared error of a class of pixels beside that of all.
@@ -45,7 +47,8 @@ impl Part {
     }
 }
 
-/// Error of content beyond the layers, and at jumps of depth, in the leftmost, middle and rightmost view of the middle row.
+/// Error of content outside of the layers in depth, and at jumps of depth, in the leftmost, middle
+/// and rightmost view of the middle row.
 pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>, ReportError> {
     let geometry = input.target.geometry();
     let (order, down) = (left_to_right(&geometry.grid), top_to_bottom(&geometry.grid));
@@ -80,7 +83,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         })
         .collect();
     let jumps = found.iter().fold(Part::default(), |sum, (_, _, edges)| sum.merged(*edges));
-    // of noise, and of pictures without texture, matching makes jumps everywhere
+    // in noise, and in pictures without texture, matching finds jumps everywhere
     if found.is_empty() || jumps.share_of_rays() > BELIEVABLE_JUMPS {
         return Ok(Vec::new());
     }

@@ -1,4 +1,4 @@
-//! Where a view stands among others, and what to call it.
+//! The place of a view among others, and its name.
 
 use lumistack_display::ViewGrid;
 
@@ -24,7 +24,8 @@ pub(crate) fn outstanding_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     distinct(places.map(|[y, x]| [down[y], across[x]]))
 }
 
-/// A central view and two opposite corners, to stand for a grid that is not the target's; the ends of one row or column of two.
+/// A central view and two opposite corners, to stand for a grid that is not the target's; the ends
+/// of one row or column of two.
 pub(super) fn sample_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let (down, across) = (top_to_bottom(grid), left_to_right(grid));
     if down.len() * across.len() == 2 {

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::{ReportError, ReportInput, ZoneView};
 
-/// What is known about one view; only rays that count.
+/// Figures of one view; only rays that count.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ViewFigures {
     /// L̃/β against L, linear light.
@@ -32,7 +32,7 @@ pub(crate) struct FieldScore {
     brightness: f64,
 }
 
-/// What simulates views and compares them with their targets.
+/// Simulates views and compares them with their targets.
 pub(crate) struct Judge<'a> {
     pub(crate) input: &'a ReportInput<'a>,
     pub(crate) simulator: Simulator<'a>,
@@ -76,7 +76,8 @@ impl<'a> Judge<'a> {
         Ok(FieldScore { geometry: geometry.clone(), views, brightness: self.input.stack.brightness })
     }
 
-    /// Figures of a direction of the zone. Its error is that of the score, which knows no noise of the references.
+    /// Figures of a direction of the zone. Its error is that of the score, which knows no noise of
+    /// the references.
     pub(crate) fn zone_view(&self, view: &ZoneView) -> ViewFigures {
         let figures = self.figures(self.input.target.geometry(), &view.target, &view.seen, &view.seen.valid);
         let count = 3 * view.score.pixels as u64;
@@ -103,7 +104,7 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Which rays of a view count: those that meet the display and have a weight.
+/// The rays of a view that count: those that hit the display and have a weight.
 pub(crate) fn counting(
     emitted: &EmittedView,
     geometry: &FieldGeometry,
@@ -149,7 +150,7 @@ impl FieldScore {
         self.view(view).error.count as f64 / (3 * self.geometry.rows * self.geometry.cols) as f64
     }
 
-    /// The view with the lowest PSNR, where PSNR tells views apart.
+    /// The view with the lowest PSNR, where finite PSNRs exist.
     pub(crate) fn worst_view(&self) -> Option<[usize; 2]> {
         let figures = self.geometry.grid.iter().map(|view| (view, self.view(view).error.psnr()));
         figures.filter(|(_, psnr)| psnr.is_finite()).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(view, _)| view)

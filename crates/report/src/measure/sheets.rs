@@ -6,7 +6,8 @@ use super::names::{left_to_right, top_to_bottom};
 use crate::picture::{self, Embedded, Encoding, Linear, Picture};
 use crate::{ReportError, ReportInput, format};
 
-/// All target views in one picture, topmost row and leftmost column first, and the same of the simulated ones.
+/// All target views in one picture, topmost row and leftmost column first, and the same of the
+/// simulated ones.
 #[derive(Clone, Debug)]
 pub(crate) struct Sheets {
     pub(crate) target: Embedded,
@@ -19,7 +20,7 @@ pub(crate) struct Sheets {
 
 /// Pixels of one sheet of all views.
 const SHEET_BUDGET: usize = 2_800_000;
-/// Largest width of a view in it, about what the page shows.
+/// Largest width of a view in it, about the width on the page.
 const VIEW_COLS: usize = 640;
 
 /// The sheets while they are filled.

@@ -21,7 +21,7 @@ pub(crate) struct Comparison {
     pub(crate) target: Option<Embedded>,
     pub(crate) simulated: Embedded,
     pub(crate) difference: Option<Embedded>,
-    /// Of the difference.
+    /// Amplification of the difference.
     pub(crate) amplification: u32,
     /// FLIP error.
     pub(crate) flip: Option<Embedded>,
@@ -75,7 +75,7 @@ impl Shown {
     pub(super) fn of_zone(input: &ReportInput, view: &ZoneView, figures: &ViewFigures) -> Self {
         let geometry = input.target.geometry().with_grid(view.direction.clone());
         let shown = Self::new(input, &geometry, &view.target, &Weights::Uniform, [0, 0], figures, view.seen.clone());
-        // the rim of the zone lies beyond the outermost views
+        // the rim of the zone lies outside of the outermost views
         Self { title: "Seen picture".into(), ..shown }
     }
 

@@ -1,4 +1,4 @@
-//! What the denoiser did: its bias per view, and a picture of what it took away.
+//! The denoiser's effect: its bias per view, and a picture of the removed noise.
 
 use maud::{Markup, html};
 

@@ -1,4 +1,4 @@
-//! What the scene's depth asks of the display.
+//! Demands of the scene's depth on the display.
 
 use maud::{Markup, PreEscaped, html};
 

@@ -123,7 +123,7 @@ struct Heat {
     overall: fn(&FieldScore) -> f64,
     text: fn(f64) -> String,
     unit: &'static str,
-    /// A narrower range would paint differences that nobody can see.
+    /// A narrower range would paint invisible differences.
     narrowest: f64,
     /// The range of views without a figure.
     fallback: (f64, f64),
@@ -167,7 +167,8 @@ const HEATS: [Heat; 3] = [
     },
 ];
 
-/// PSNR, SSIM and FLIP per view, laid out like the views; other views beside them on the same scale.
+/// PSNR, SSIM and FLIP per view, laid out like the views; other views beside them on the same
+/// scale.
 pub(super) fn quality(input: &ReportInput, measured: &Measured) -> Markup {
     html! {
         section id="quality" {
@@ -245,7 +246,7 @@ impl Heat {
     }
 }
 
-/// What limits the result, and how bright it is.
+/// Causes of the remaining error, and the brightness.
 pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
     html! {
         section id="limits" {

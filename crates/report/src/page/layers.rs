@@ -72,7 +72,7 @@ fn scale(display: &Display) -> &'static str {
     }
 }
 
-/// What a reader should find in patterns of such a display (section 3.4 of the paper).
+/// The expected content of patterns of such a display (section 3.4 of the paper).
 fn expectation(display: &Display, frames: usize) -> &'static str {
     match (&display.backlight, display.layers.len(), frames) {
         (Backlight::Lenslets(_), _, _) => {
@@ -99,7 +99,8 @@ fn name(n: usize, display: &Display) -> String {
     }
 }
 
-/// All layers of one frame side by side, with a slider. Its pictures are those of the sheets below; the script swaps them.
+/// All layers of one frame side by side, with a slider. Its pictures are those of the sheets below;
+/// the script swaps them.
 fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     let backlight = patterns.emission.iter().map(|emission| ("backlight".to_string(), &emission.panel.frames));
     let layers = patterns.layers.iter().enumerate().map(|(n, sheet)| (name(n, display), &sheet.frames));
@@ -119,7 +120,7 @@ fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     }
 }
 
-/// What a layer holds, and where it changes.
+/// A layer's masks, and where they change.
 fn large(sheet: &Sheet, name: &str) -> Markup {
     html! {
         div class="large group" {

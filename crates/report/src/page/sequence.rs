@@ -29,7 +29,7 @@ pub(crate) fn render(input: &SequenceInput, report: &SequenceReport) -> Result<S
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// What one display shows over time.
+/// The pictures of one display over time.
 fn section(series: &SequenceSeries<'_>) -> Result<Markup, ReportError> {
     let name = |name: &str| series.id.map_or(name.to_owned(), |id| format!("{name}-{id}"));
     Ok(html! {

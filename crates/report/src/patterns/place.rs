@@ -1,8 +1,10 @@
 //! Where the patterns change finely from frame to frame: the place worth a close look.
 //!
-//! Energy of a mask pixel: squared differences to its right and lower neighbours of what each frame adds to the mean over frames (of a
-//! single frame: of the frame), summed over frames and channels. The place is the point of z = 0 around which the layers' close-ups together hold
-//! most of it, each layer's share of its own total counted alike.
+//! The signal of a mask pixel is each frame's difference from the mean over frames (of a single
+//! frame: the frame itself). Its energy is the sum, over frames and channels, of squared
+//! differences to its right and lower neighbours. The place is the point of z = 0 around which the
+//! layers' close-ups together hold most energy. Each layer's share of its own total has the same
+//! weight.
 
 use lumistack_core::Tensor;
 use lumistack_display::{Display, Layer};
@@ -44,14 +46,15 @@ pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<W
         let shares = energies.iter().zip(windows).map(|(energy, window)| energy.share(*window));
         shares.sum::<f64>()
     };
-    // of equals the first, so that the place does not depend on anything else
+    // the first of equals, so that the place depends on nothing else
     found
         .map(|windows| (gain(&windows), windows))
         .reduce(|best, next| if next.0 > best.0 { next } else { best })
         .map(|(_, windows)| windows)
 }
 
-/// The window of a backlight's panel, which is no layer; `None` where the panel is no larger than a close-up.
+/// The window of a backlight's panel, which is no layer; `None` where the panel is no larger than a
+/// close-up.
 pub(super) fn on_panel(panel: &Tensor<4>) -> Option<Window> {
     let [_, rows, cols, _] = panel.shape();
     if cols <= CLOSEUP[0] && rows <= CLOSEUP[1] {
@@ -156,7 +159,8 @@ mod tests {
         let [first, second] = [windows[0], windows[1]];
         assert!(first.row <= 60 && first.row + first.rows >= 100, "{first:?}");
         assert!(first.col <= 140 && first.col + first.cols >= 180, "{first:?}");
-        // the same place on the coarser layer, which stands 10 mm further right, as far as it reaches
+        // the same place on the coarser layer, which stands 10 mm further right, as far as it
+        // reaches
         let centre_mm = first.col as f64 + 36.0 - 100.0;
         let expected = ((centre_mm - 10.0) / 2.0 + 50.0 - 36.0).round().clamp(0.0, 28.0) as usize;
         assert!(second.col.abs_diff(expected) <= 1 && second.rows == 45, "{second:?}");

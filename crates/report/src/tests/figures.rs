@@ -1,6 +1,7 @@
-//! The figures of report.json beside PSNR, against what the display crate or a line of arithmetic says.
+//! The figures of report.json beside PSNR, against the display crate or a line of arithmetic.
 //!
-//! Limits are simulated for the central view and the corners, so their tests have two by two views: all of them.
+//! Limits are simulated for the central view and the corners, so their tests have two by two views:
+//! all of them.
 
 use lumistack_core::metrics::{Flip, ssim};
 use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator, ViewGrid, Weights, quantize, score};
@@ -256,7 +257,8 @@ fn blur_and_crosstalk_are_compared_with_a_display_without() {
     assert!(report["limits"].as_array().unwrap().iter().all(|limit| limit["name"] != "Blur and crosstalk"));
 }
 
-/// A wall of fine texture at `z_mm` behind the left half, the same on the display in the right half.
+/// A wall of fine texture at `z_mm` behind the left half, the same on the display in the right
+/// half.
 fn stepped_field(display: &Display, z_mm: f64) -> LightField {
     let mut field = LightField::black(display.geometry().unwrap()).unwrap();
     let geometry = field.geometry().clone();
@@ -277,7 +279,8 @@ fn stepped_field(display: &Display, z_mm: f64) -> LightField {
 
 #[test]
 fn error_behind_the_layers_is_found_there() {
-    // one layer on z = 0 that holds the picture of the middle view: right where content lies on the display, wrong behind it
+    // one layer on z = 0 that holds the picture of the middle view: right where content lies on the
+    // display, wrong behind it
     let text = "name = \"one\"\nframes = 1\nbrightness = 1.0\n[field]\nresolution = [160, 40]\npitch_mm = 1.0\nviews = [3, 1]\nfov_deg = [20.0, 20.0]\n[[layers]]\nd_mm = 0.0\nresolution = [160, 40]\npitch_mm = 1.0\n";
     let display = Display::from_toml(text).unwrap();
     let target = stepped_field(&display, -40.0);
