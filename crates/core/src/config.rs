@@ -80,7 +80,7 @@ pub fn plain(message: &str, key: &str) -> String {
     format!("expected {expected}, found {found}{place}")
 }
 
-/// How a table is written.
+/// Text for a table in messages; empty for the top level.
 fn table_of(key: &str) -> String {
     if key.is_empty() { String::new() } else { format!(", [{key}]") }
 }

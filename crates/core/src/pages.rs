@@ -15,7 +15,7 @@ pub fn prefer_large_pages<T>(memory: &[T]) {
     }
 }
 
-/// The same values in large pages, where the array is large and the system can be asked.
+/// Copies a large array into large pages, where the system has them; returns others unchanged.
 pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
     if cfg!(not(target_os = "linux")) || size_of_val(values.as_slice()) < 2 * LARGE_PAGE {
         return values;

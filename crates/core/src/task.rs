@@ -55,7 +55,7 @@ pub struct Cancelled;
 /// Something that the user should know and that does not stop the work.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Warning {
-    /// Where it was found: a file, a JSON path, a stage.
+    /// The place of the problem: a file, a JSON path, a stage.
     pub place: String,
     /// One sentence: the problem, and how it is handled.
     pub message: String,

@@ -39,9 +39,9 @@ pub enum ToneCurve {
 
 /// Reflection at normal incidence that the Khronos curve takes away.
 const F90: f32 = 0.04;
-/// Where its compression starts.
+/// Value at which its compression starts.
 const START: f32 = 0.8 - F90;
-/// How fast its highlights lose colour.
+/// Rate at which its highlights lose colour.
 const DESATURATION: f32 = 0.15;
 
 /// Middle grey, which AgX keeps.

@@ -1,4 +1,4 @@
-//! Which displays make sense.
+//! Ranges of a display's values.
 
 use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 

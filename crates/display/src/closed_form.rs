@@ -24,7 +24,7 @@ pub struct ClosedForm {
     pub equation: u32,
     /// Its assumptions, for the user.
     pub assumes: &'static str,
-    /// Which of that the display breaks; empty where the closed form is exact.
+    /// The assumptions that the display breaks; empty where the closed form is exact.
     pub broken: Vec<String>,
     form: Form,
 }
@@ -134,7 +134,7 @@ mod tests {
     use super::*;
     use crate::LensletBacklight;
 
-    /// How near the general form comes to the closed ones.
+    /// Largest relative difference between the general form and the closed ones.
     const AGREEMENT: f64 = 1e-6;
 
     /// A random display for which the closed form of a kind is exact.

@@ -24,8 +24,8 @@ impl ColourSequence {
     }
 }
 
-/// Which colour each of a frame's three refreshes shows where colours follow one another: a text
-/// such as `"rgb"`.
+/// The colour of each of a frame's three refreshes where colours follow one another: a text such as
+/// `"rgb"`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct ColourOrder(pub [usize; 3]);

@@ -31,13 +31,13 @@ pub struct Display {
     /// Order of the colours that are shown one after another.
     #[serde(default, skip_serializing_if = "ColourOrder::is_default")]
     pub colour_order: ColourOrder,
-    /// How the layers of one frame form an image.
+    /// Formation of an image from the layers of one frame.
     #[serde(default)]
     pub formation: Formation,
     /// Brightness scale β (eq. 27), above 0 and at most 1: the display emits β times the target.
     #[serde(default = "default_brightness")]
     pub brightness: f64,
-    /// How a ray reads a layer between pixel centres.
+    /// Interpolation between the pixel centres of a layer.
     #[serde(default)]
     pub sampling: Sampling,
     /// Rule for a ray that leaves a layer.
@@ -76,12 +76,12 @@ pub struct FieldConfig {
     pub resolution: [usize; 2],
     /// Pixel pitch on z = 0, millimetres.
     pub pitch_mm: f64,
-    /// Which views sample the zone.
+    /// The views that sample the zone.
     #[serde(default)]
     pub views: Views,
     /// [horizontal, vertical] full angle of view, degrees.
     pub fov_deg: [f64; 2],
-    /// How the rays of one view relate.
+    /// Projection of the rays of one view.
     #[serde(default)]
     pub projection: ProjectionKind,
     /// Viewing distance of a perspective grid, millimetres.

@@ -83,8 +83,8 @@ pub(crate) fn cutoff(generators: &[[f64; 2]], z_mm: f64) -> f64 {
     bounds.reduce(f64::min).unwrap_or_else(along)
 }
 
-/// Where ω(z) ≥ `least`. Every term bounds the distance from its own layer, so the depths are an
-/// interval.
+/// The interval of depths with ω(z) ≥ `least`. Every term bounds the distance from its own layer,
+/// so the depths are an interval.
 fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
     let least = least * (1.0 - ROUNDING);
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);

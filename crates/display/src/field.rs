@@ -13,8 +13,8 @@ pub struct LightField {
     depth: Option<SeenDepth>,
 }
 
-/// How deep the middle view of a light field sees, where that is known: of a scene, not of
-/// pictures.
+/// Depth of the surfaces in the middle view of a light field. Light fields of scenes have it, those
+/// of pictures do not.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenDepth {
     /// Rows of the map, over the whole height of the view; may be fewer than its pixels.
@@ -67,12 +67,12 @@ impl LightField {
         Ok(Self { geometry, radiance, depth: None })
     }
 
-    /// How deep the view [view rows / 2, view columns / 2] sees, where that is known.
+    /// Depth in the view [view rows / 2, view columns / 2], if known.
     pub fn depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
 
-    /// The same light field, of which is known how deep its middle view sees.
+    /// The same light field with the depth of its middle view.
     #[must_use]
     pub fn with_depth(self, depth: Option<SeenDepth>) -> Self {
         Self { depth, ..self }
@@ -84,7 +84,7 @@ impl LightField {
         [view_rows, view_cols, geometry.rows, geometry.cols, 3]
     }
 
-    /// Where its rays are.
+    /// Pixels and views of its rays.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }

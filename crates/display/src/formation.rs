@@ -1,4 +1,4 @@
-//! How the layers of one frame form an image.
+//! Formation of an image from the layers of one frame.
 //!
 //! With v_n the value of layer n in frame m at the ray's intersection, and b_m the backlight's:
 //!
@@ -11,7 +11,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// How the layers of one frame form an image.
+/// Formation of an image from the layers of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Formation {

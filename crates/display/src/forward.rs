@@ -38,8 +38,8 @@ pub struct SeenView {
     /// `[row][col][rgb]`; 0 where none counts. Divided by the stack's brightness it is the picture
     /// of an adapted viewer.
     pub radiance: Tensor<3>,
-    /// That part of the pixel's area, 0..1, `[row][col]` row-major: the rest misses the display
-    /// under its [`Missing`] rule.
+    /// Share of the pixel's area whose rays count, 0..1, `[row][col]` row-major. The rest misses
+    /// the display under its [`Missing`] rule.
     pub share: Vec<f32>,
 }
 
@@ -217,7 +217,7 @@ pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize
     layers && backlight
 }
 
-/// How the rays of a row read a layer.
+/// The reads of a row's rays on a layer.
 enum Reads<'a> {
     /// Runs of rays that read single pixels one after another; all other rays miss.
     Runs(Vec<Run>),

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// How the rays of one view relate.
+/// Projection of the rays of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
     /// Every view is a parallel projection (the paper's): one slope for all its rays.
@@ -17,7 +17,7 @@ pub enum Projection {
 /// A separable grid of views: the product of view columns and view rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewGrid {
-    /// How the rays of one view relate.
+    /// Projection of the rays of one view.
     pub projection: Projection,
     /// Slope of each view column at the centre of the field; increasing from left to right in our
     /// own grids.
@@ -30,7 +30,7 @@ pub struct ViewGrid {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct GridError {
-    /// Which number.
+    /// Name of the wrong number.
     pub what: &'static str,
     /// The expected value or range.
     pub expected: &'static str,

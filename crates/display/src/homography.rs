@@ -9,7 +9,7 @@ impl Homography {
     /// Everything stays where it is.
     pub const IDENTITY: Self = Self([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
 
-    /// Where a point goes.
+    /// Maps a point.
     #[inline]
     pub fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [a, b, c] = self.0.map(|row| row[0] * x + row[1] * y + row[2]);

@@ -36,8 +36,8 @@ pub struct Panel {
     /// [right, down] by which the upright picture is shifted, panel pixels.
     #[serde(default)]
     pub nudge_px: [f64; 2],
-    /// From where a pixel should be to where it is, millimetres from the layer's centre, x right, y
-    /// up: rows of a 3 × 3 matrix. Default: where it should.
+    /// Map from a pixel's nominal place to its real one, in millimetres from the layer's centre, x
+    /// right, y up: rows of a 3 × 3 matrix. Default: the identity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homography: Option<[[f64; 3]; 3]>,
     /// Measured crosstalk that the patterns do not account for (they account for
@@ -45,7 +45,7 @@ pub struct Panel {
     /// = channel of the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
-    /// How a panel pixel reads the mask.
+    /// Interpolation of the mask at a panel pixel.
     #[serde(default)]
     pub resample: Sampling,
 }

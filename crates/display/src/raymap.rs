@@ -238,7 +238,7 @@ impl Axis {
         self.sign() * position / backlight.pitch_mm + backlight.lenslets[self.index()] as f64 / 2.0
     }
 
-    /// Which angular bin a ray reads: A_b/2·(1 + s/tan(α_b/2)), in bins from the edge of the first.
+    /// Angular bin of a ray: A_b/2·(1 + s/tan(α_b/2)), in bins from the edge of the first.
     pub(crate) fn bin(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let bins = backlight.views[self.index()] as f64;
         let half_width = (0.5 * backlight.fov_deg[self.index()].to_radians()).tan();

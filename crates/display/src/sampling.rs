@@ -1,8 +1,8 @@
-//! How a ray reads a layer.
+//! Interpolation of a layer's pixels along a ray.
 
 use serde::{Deserialize, Serialize};
 
-/// How a ray reads a layer between pixel centres.
+/// Interpolation of a layer between pixel centres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Sampling {

@@ -23,7 +23,7 @@ pub struct LayerStack {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct StackError {
-    /// Which part.
+    /// Name of the part that does not fit.
     pub what: String,
     /// The shape or range that the display needs.
     pub expected: String,

@@ -41,7 +41,7 @@ pub enum Channels<T> {
 }
 
 impl<T> Channels<T> {
-    /// That of a channel: 0 red, 1 green, 2 blue.
+    /// Value of a channel: 0 red, 1 green, 2 blue.
     ///
     /// # Panics
     /// If there is no such channel.

@@ -1,4 +1,4 @@
-//! How densely views sample the zone.
+//! Density of the views in the zone.
 
 use std::fmt;
 
@@ -14,7 +14,7 @@ const BEYOND: f64 = 0.25;
 /// Rounding of quotients that are whole numbers.
 const ROUNDING: f64 = 1e-9;
 
-/// Which views sample the zone |s| ≤ tan(α/2) of a display. In files `"auto"`,
+/// The views that sample the zone |s| ≤ tan(α/2) of a display. In files `"auto"`,
 /// `[horizontal, vertical]`, or `{ step = [x, y] }`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Views {

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use crate::FieldGeometry;
 
-/// How much each ray counts; all values finite and ≥ 0.
+/// Weight of each ray in the objective; all values finite and ≥ 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Weights {
     /// Every ray 1.

@@ -16,12 +16,12 @@ pub const LEAST_DIRECTIONS: usize = 32;
 /// Radius of the disc that stands for an eye box, in its standard deviations.
 const EYE_BOX_SIGMAS: f64 = 1.5;
 
-/// Where eyes are expected.
+/// The expected slopes or positions of eyes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Zone {
     /// Slopes, or eye positions D·s: a rectangle around 0.
     Slopes {
-        /// How the rays of a view relate.
+        /// Projection of the rays of a view.
         projection: Projection,
         /// tan(α/2) per axis (x, y), ≥ 0.
         half_width: [f64; 2],

@@ -31,7 +31,7 @@ const STILL_PX: f64 = 0.5;
 /// A view of a light field that is not among those that are kept, but lies between them.
 #[derive(Clone, Debug)]
 pub struct LeftOut {
-    /// From where, as a grid of one view.
+    /// Direction of the view, as a grid of one view.
     pub grid: ViewGrid,
     /// Linear, `[row][col][rgb]`, on the pixels of those that are kept.
     pub radiance: Vec<f32>,
@@ -165,7 +165,7 @@ fn left_out(
 /// (√5 − 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Which views are averaged for each that is kept: [view rows, view columns].
+/// The views that are averaged for each one that is kept: [view rows, view columns].
 fn averaged(
     source: &Source,
     flags: &GeometryFlags,
@@ -216,7 +216,7 @@ fn picks(source: &Source, flags: &GeometryFlags) -> Result<[Vec<usize>; 2], Fiel
     Ok([pick(rows, kept_rows), pick(cols, kept_cols)])
 }
 
-/// Where each view is read.
+/// The part of each view that is read.
 struct Window {
     corner: [f64; 2],
     size: [f64; 2],
@@ -295,8 +295,8 @@ fn positions(source: &Source) -> [Vec<f64>; 2] {
     [centred(source.views[1], 1.0), centred(source.views[0], -1.0)]
 }
 
-/// Where the pictures may be unsheared: the disparity of their middle depth, a whole number of
-/// pixels, if all content is on one side of their plane; otherwise 0.
+/// The shift that unshears the pictures. It is the disparity of their middle depth, a whole number
+/// of pixels, if all content is on one side of their plane; otherwise 0.
 fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     if !source.hints.cameras.as_ref().is_some_and(|cameras| cameras.plane_unknown) {
         return Ok(0.0);

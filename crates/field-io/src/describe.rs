@@ -17,13 +17,13 @@ use crate::{FieldError, detect};
 pub struct Description {
     /// Kind of files.
     pub kind: Kind,
-    /// Where it was found.
+    /// Path of the light field.
     pub path: String,
     /// [horizontal, vertical] views.
     pub views: [usize; 2],
     /// [columns, rows] of every view.
     pub resolution: [usize; 2],
-    /// How the rays of one view relate.
+    /// Projection of the rays of one view.
     pub projection: Option<ProjectionKind>,
     /// Viewing distance of a perspective grid.
     pub distance_mm: Option<f64>,

@@ -1,4 +1,4 @@
-//! Which kind of light field a path is.
+//! Detects the kind of light field at a path.
 
 use std::fs;
 use std::path::{Path, PathBuf};

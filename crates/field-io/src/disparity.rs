@@ -1,4 +1,4 @@
-//! How far content moves between two neighbouring views: block matching along one axis.
+//! Shift of content between two neighbouring views: block matching along one axis.
 //!
 //! For each textured block of the first picture, the shift is searched that minimizes the sum of
 //! absolute differences of √luminance in the second. Blocks whose minimum is not clearly lower than

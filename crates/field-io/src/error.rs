@@ -27,7 +27,7 @@ pub enum FieldError {
     Malformed {
         /// The file or folder.
         path: PathBuf,
-        /// Where in it: a key, an axis, an index.
+        /// The place in it: a key, an axis, an index.
         place: String,
         /// The expected value or range.
         expected: String,
@@ -54,7 +54,7 @@ pub enum FieldError {
     MissingGeometry {
         /// The light field.
         path: PathBuf,
-        /// Which number.
+        /// Name of the missing value.
         what: &'static str,
         /// The flag that supplies it, with an example.
         flag: &'static str,

@@ -40,7 +40,7 @@ enum Waiting {
     Roughness { from: usize, factor: f32 },
 }
 
-/// Where the bytes of a picture are.
+/// The source of a picture's bytes.
 enum Content {
     Own(Vec<u8>),
     View(json::Index<json::buffer::View>),

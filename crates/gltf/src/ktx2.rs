@@ -20,7 +20,7 @@ pub(crate) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 /// Bytes of the header before the list of levels, and of one level's entry there.
 const HEADER_BYTES: usize = 80;
 const LEVEL_BYTES: usize = 24;
-/// Where the header has offset and length of the key/value data.
+/// Offset and length of the key/value data in the header.
 const NOTES: Range<usize> = 56..64;
 /// Colour models of the data format descriptor.
 const ETC1S: u32 = 163;

@@ -136,7 +136,7 @@ fn load_scene(
     })
 }
 
-/// Which materials the meshes of the scene use.
+/// Marks the materials that the meshes of the scene use.
 fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
     let mut used = vec![false; document.root.materials.len()];
     // thousands of nodes may share a mesh of thousands of primitives

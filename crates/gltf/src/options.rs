@@ -44,7 +44,7 @@ pub(crate) fn choose(what: &'static str, wanted: &str, names: &[Option<&str>]) -
     })
 }
 
-/// How an entry is called in messages.
+/// Name of an entry in messages.
 pub(crate) fn label(number: usize, name: Option<&str>) -> String {
     name.map_or_else(|| number.to_string(), |name| format!("{number} ({name})"))
 }

@@ -362,8 +362,8 @@ fn linear(instance: &Instance) -> DMat3 {
     DMat3::from_cols(m.x_axis.as_dvec3(), m.y_axis.as_dvec3(), m.z_axis.as_dvec3())
 }
 
-/// Which meshes are kept once however often they are placed. Emitting ones are not: each triangle
-/// that emits is a light of its own.
+/// The meshes that are kept once for any number of placements. Emitting meshes are not: each
+/// triangle that emits is a light of its own.
 fn shared_meshes(scene: &Scene, sharing: Sharing) -> Vec<bool> {
     if sharing == Sharing::Auto && scene.triangle_count() <= FLATTENED {
         return vec![false; scene.meshes.len()];

@@ -14,7 +14,7 @@ use exr::prelude::{
 use super::samples::{PIXEL_LIMIT, Picture, Samples};
 use crate::{FieldError, atomic};
 
-/// How samples are stored.
+/// Number format of the samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// Half float: 11 significant bits, largest value 65504.

@@ -52,7 +52,7 @@ const INDICES_STEP: u32 = 233;
 /// (n − 1)/(n + 1) of the highest index in that table, 4; a higher one counts as this.
 const LARGEST_ROOT: f32 = 0.6;
 
-/// Where in a table's values E stands, and its mean.
+/// Indices of E and of its mean in a table's values.
 const FULL: usize = 0;
 const MEAN: usize = 3;
 

@@ -20,7 +20,7 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// The same normal for everything.
+    /// A frame with one normal for all lobes.
     pub(crate) fn flat(geometric: Vec3, shading: Vec3) -> Self {
         Self { geometric, shading, diffuse: Normals::smooth(shading), coat: shading, tangent: None }
     }

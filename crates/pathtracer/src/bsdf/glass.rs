@@ -116,7 +116,7 @@ impl Glass {
         (fresnel * (self.weight * self.compensation * specular), chance * reflection_pdf)
     }
 
-    /// The same for a direction below.
+    /// [`reflected`](Self::reflected) for a direction below the surface.
     fn transmitted(&self, o: Vec3, i: Vec3, alpha: Vec2) -> (Vec3, f32) {
         const NOTHING: (Vec3, f32) = (Vec3::ZERO, 0.0);
         let Some(h) = (o + self.eta * i).try_normalize() else { return NOTHING };

@@ -97,7 +97,7 @@ pub(crate) struct Light {
     /// Towards it, in the scene and in the local frame.
     pub(crate) direction: Vec3,
     pub(crate) i: Vec3,
-    /// Where it comes from above a rough surface.
+    /// The reflecting microfacets, if light comes from above a rough surface.
     pub(crate) reflected: Option<Microfacet>,
 }
 

@@ -97,7 +97,8 @@ macro_rules! lobes {
                 [$(self.$base.as_ref().map_or(0.0, Lobe::albedo),)* $(self.$layer.as_ref().map_or(0.0, Lobe::albedo),)*]
             }
 
-            /// Which are there and can be evaluated, and which of them for light from behind.
+            /// The lobes that can be evaluated, and those among them that transmit light from
+            /// behind.
             #[inline]
             pub(crate) fn rough(&self, facet: &Facet) -> [[bool; LOBES]; 2] {
                 let rough = [

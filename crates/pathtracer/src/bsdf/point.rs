@@ -129,7 +129,7 @@ impl Bsdf {
         self.evaluate_above(self.facet.geometric_normal, direction)
     }
 
-    /// The same with another horizon than that of the geometric normal.
+    /// [`evaluate`](Self::evaluate) with another horizon than that of the geometric normal.
     pub(crate) fn evaluate_above(&self, horizon: Vec3, direction: Vec3) -> (Vec3, f32) {
         let Self { facet, lobes, chances } = self;
         let side = direction.dot(horizon);
@@ -156,7 +156,7 @@ impl Bsdf {
         self.lobes.diffuse().map_or(Vec3::ZERO, Diffuse::reflectance)
     }
 
-    /// That lobe's part of [`evaluate`](Self::evaluate).
+    /// The diffuse lobe's part of [`evaluate`](Self::evaluate).
     pub(crate) fn evaluate_diffuse(&self, direction: Vec3) -> Vec3 {
         let i = self.facet.scene_from_local.transpose() * direction;
         let light = Light { direction, i, reflected: None };

@@ -1,4 +1,4 @@
-//! Which of a pixel's answers is taken.
+//! The choice between a pixel's answers.
 
 use lumistack_core::Tensor;
 
@@ -36,8 +36,8 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     picture
 }
 
-/// How much of every pixel each answer gives, by the estimated squared errors around it relative to
-/// the noise there.
+/// Share of each answer in every pixel, by the estimated squared errors around it relative to the
+/// noise there.
 ///
 /// (F_a − u_b)² holds the error of half of the samples and the noise of the other half, which all
 /// answers share. The second term subtracts the gain of the mean of both halves.

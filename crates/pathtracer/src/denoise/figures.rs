@@ -52,7 +52,7 @@ impl Estimate {
         if self.count < 2.0 { f64::NAN } else { (variance / (self.count - 1.0)).sqrt() }
     }
 
-    /// That of all values of several.
+    /// Estimate from all values of several estimates.
     pub fn joined(parts: impl IntoIterator<Item = Self>) -> Self {
         parts.into_iter().fold(Self::default(), |a, b| Self {
             sum: a.sum + b.sum,
@@ -61,7 +61,7 @@ impl Estimate {
         })
     }
 
-    /// That of all values times a factor.
+    /// Estimate of all values times a factor.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         Self { sum: factor * self.sum, squares: factor * factor * self.squares, ..self }
