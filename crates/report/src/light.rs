@@ -1,8 +1,8 @@
 //! Absolute brightness: how much of its backlight a display lets out.
 //!
-//! Two means of luminance, relative to a backlight of 1, or of layers that emit, to an emission of
-//! 1. One is the mean of L̃ over all rays that count. The other is the light of fully open layers,
-//! mean over the central view.
+//! Two means of luminance, relative to a unit backlight, or to unit emission where layers emit. One
+//! is the mean of L̃ over all rays that count. The other is the light of fully open layers, mean
+//! over the central view.
 
 use lumistack_core::colour::luminance;
 use lumistack_core::metrics::Mean;
