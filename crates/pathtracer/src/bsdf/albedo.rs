@@ -44,8 +44,8 @@ const STRETCHED_STEP: u32 = 233;
 const SMALLEST: f32 = 1e-3;
 /// The index of refraction whose B every table has: the format's own, and that of clear coats.
 pub(crate) const COMMON_IOR: f32 = 1.5;
-/// Nodes of the table for other indices over the root of the cosine, √α, and the root of (n − 1)/(n
-/// + 1); samples per node.
+/// Nodes of the table for other indices over the root of the cosine, √α, and the root of
+/// (n − 1)/(n + 1); samples per node.
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;

@@ -18,8 +18,8 @@ fn balls(sky: f32) -> Renderer {
     scene.renderer()
 }
 
-/// With the environment hidden, each pixel lacks exactly its share of the background: L = L_hidden
-/// + m · L_sky.
+/// With the environment hidden, each pixel lacks exactly its share of the background:
+/// L = L_hidden + m · L_sky.
 #[test]
 fn hiding_the_environment_takes_its_share_away_and_no_light() {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
